@@ -1,0 +1,37 @@
+"""dynsr: the equations of a dynamical system from its trajectories, as formulas you can read."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+# Public name -> the module it lives in; loaded on first use so that `import dynsr` is quick.
+_PUBLIC = {
+    "Candidate": "dynsr.pareto",
+    "ParetoFront": "dynsr.pareto",
+    "Samples": "dynsr.samples",
+    "System": "dynsr.system",
+    "Trajectory": "dynsr.trajectory",
+    "DynsrError": "dynsr.errors",
+    "EngineError": "dynsr.errors",
+    "EngineUnavailable": "dynsr.errors",
+    "InputError": "dynsr.errors",
+    "SYSTEMS": "dynsr.catalogue",
+    "find_system": "dynsr.catalogue",
+    "make_samples": "dynsr.samples",
+    "parse": "dynsr.expression",
+}
+
+__all__ = [*_PUBLIC, "__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PUBLIC:
+        return getattr(import_module(_PUBLIC[name]), name)
+    raise AttributeError(f"module 'dynsr' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,1 @@
+"""Suites of systems with known equations, and their runner."""

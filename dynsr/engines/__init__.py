@@ -1,0 +1,1 @@
+"""The engines that integrate and regress: ``embedded`` (default, Python) and ``julia``."""

@@ -1,0 +1,25 @@
+"""What can go wrong, as one tree.
+
+::
+
+    DynsrError
+    ├── InputError          what the user gave cannot be used (exit code 2)
+    └── EngineError         an engine failed at what it was asked
+        └── EngineUnavailable   the engine asked for is not installed (exit code 2)
+"""
+
+
+class DynsrError(Exception):
+    """Root of every error that dynsr raises on purpose."""
+
+
+class InputError(DynsrError, ValueError):
+    """What the user gave cannot be used; the message names the value and the remedy in one line."""
+
+
+class EngineError(DynsrError, RuntimeError):
+    """An engine failed at what it was asked; the message holds the engine's own words."""
+
+
+class EngineUnavailable(EngineError):
+    """The engine asked for is not there; the message says how to get it."""

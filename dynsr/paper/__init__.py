@@ -1,0 +1,1 @@
+"""What the paper prints: settings, bases, expressions and losses, as data."""
