@@ -7,7 +7,7 @@ rank-one term, so that one product of (2p, 2p) matrices takes every problem one 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,9 +29,9 @@ def compress(rows: np.ndarray) -> np.ndarray:
     """
     if rows.shape[1] <= rows.shape[0]:
         return np.ascontiguousarray(rows)
-    return np.ascontiguousarray(scipy.linalg.qr(rows.T, mode="r", check_finite=False)[0][
-        : rows.shape[0]
-    ].T)
+    return np.ascontiguousarray(
+        scipy.linalg.qr(rows.T, mode="r", check_finite=False)[0][: rows.shape[0]].T
+    )
 
 
 def least_squares(rows: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -45,31 +45,39 @@ def least_squares(rows: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """k regressions of ``targets`` (k, r) on the same ``rows`` (n, r).
+    """k regressions of some rows on others, all taken from one matrix.
 
-    ``left`` (k,), when given, names for each problem the row that it must leave out: its
-    coefficient stays zero. Coefficients of the stack are (k, n), one problem a row.
+    Parameters
+    ----------
+    rows : (n, m) regressors.
+    targets : (k, m) what each problem is to reproduce.
+    left : (k,), when given, names for each problem the row that it must leave out: its
+        coefficient stays zero. Coefficients of the stack are (k, n), one problem a row.
+    short_rows, short_targets : the same in few columns, :func:`compress`.
     """
 
     rows: np.ndarray
     targets: np.ndarray
-    left: np.ndarray | None = None
+    left: np.ndarray | None
+    short_rows: np.ndarray
+    short_targets: np.ndarray
 
     @classmethod
     def explicit(cls, theta: np.ndarray, dx: np.ndarray) -> Stack:
         """One problem: dx on all rows of theta."""
         short = compress(np.vstack([theta, dx]))
-        return cls(short[:-1], short[-1:])
+        return cls(theta, dx[None], None, short[:-1], short[-1:])
 
     @classmethod
     def leave_one_out(cls, rows: np.ndarray, sign: float) -> Stack:
         """As many problems as rows: each row times ``sign`` on all the others."""
         short = compress(rows)
-        return cls(short, sign * short, np.arange(len(short)))
+        return cls(rows, sign * rows, np.arange(len(rows)), short, sign * short)
 
     def scaled(self, scale: np.ndarray) -> Stack:
         """Give the same problems with each regressor divided by its scale."""
-        return Stack(self.rows / scale[:, None], self.targets, self.left)
+        column = scale[:, None]
+        return replace(self, rows=self.rows / column, short_rows=self.short_rows / column)
 
     @cached_property
     def norms(self) -> np.ndarray:
@@ -98,9 +106,9 @@ class Stack:
     def start(self) -> np.ndarray:
         """(k, n) plain least-squares solutions."""
         out = np.zeros((len(self.targets), len(self.rows)))
-        for k, target in enumerate(self.targets):
+        for k, target in enumerate(self.short_targets):
             use = self.regressors(k)
-            out[k, use] = least_squares(self.rows[use], target)
+            out[k, use] = least_squares(self.short_rows[use], target)
         return out
 
     def resolvent(self, shift: float) -> Resolvent:
@@ -109,14 +117,12 @@ class Stack:
 
 
 def shifted_inverse(gram: np.ndarray, shift: float) -> np.ndarray:
-    """Inverse of ``gram + shift I``, exactly symmetric."""
+    """Inverse of ``gram + shift I``; the pseudo-inverse when that is singular to rounding."""
     matrix = gram + shift * np.eye(len(gram))
     try:
-        factor = scipy.linalg.cho_factor(matrix, lower=True, check_finite=False)
-        inverse = scipy.linalg.cho_solve(factor, np.eye(len(gram)), check_finite=False)
-    except scipy.linalg.LinAlgError:
-        inverse = scipy.linalg.pinvh(matrix)
-    return np.ascontiguousarray((inverse + inverse.T) / 2)
+        return np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return np.linalg.pinv(matrix)
 
 
 class Resolvent:
