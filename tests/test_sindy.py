@@ -113,7 +113,7 @@ def test_the_engines_own_steps_end_where_the_recorded_ones_do(system):
     )
     assert len(own.t) == len(recorded)
     np.testing.assert_allclose(own.t, recorded, rtol=0, atol=3e-6)
-    by_engine = sindy_samples(system, "embedded")
+    by_engine = sindy_samples(system, own_steps=True)
     np.testing.assert_allclose(by_engine.X, sindy_samples(system).X, rtol=0, atol=1e-7)
 
 
@@ -232,3 +232,21 @@ def test_a_grown_library_keeps_to_its_limit():
     library = GrownLibrary(limit=80).for_names(names)
     assert len(library) <= 80
     assert set(polynomials(names, 1).functions) <= set(library.functions)
+
+
+def test_one_implicit_regression_gives_a_ratio():
+    """Outside the paper's release, numerator over denominator is written as one fraction."""
+    x = np.linspace(0.1, 3.0, 200)
+    samples = Samples(x[:, None], 2 * x / (0.5 + x), ("x",), "x", "given", x)
+    library = polynomials(["x"], 1)
+    method = SINDy(library, "STLSQ", {"threshold": 0.01}, implicit=True, max_iterations=20)
+    found = method.search(samples, RNG).best_fit
+    assert found.loss < 1e-9
+    np.testing.assert_allclose(float(found.expr.subs("x", 1.0)), 4 / 3, rtol=1e-9)
+
+
+def test_an_empty_implicit_search_gives_an_empty_front():
+    """Where no relation was found there is no formula, rather than a made-up one."""
+    samples = _paper_samples("lotka-volterra")
+    method = replace(SINDy.preset("paper", "lotka-volterra"), settings={"lambda": 50.0, "rho": 1.0})
+    assert len(method.search(samples, RNG)) == 0
