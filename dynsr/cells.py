@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import time
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,11 @@ from dynsr.engines.select import find_engine
 from dynsr.expression import to_text
 from dynsr.methods.base import AbstractMethod
 from dynsr.methods.select import make_method
+from dynsr.paper.bases import STATE_STEPS
+from dynsr.paper.recipes import sindy_samples
 from dynsr.records import Record, describe_settings
 from dynsr.samples import Samples, forward_difference
-from dynsr.scoring import score_model
+from dynsr.scoring import score_expressions
 from dynsr.simulate import training_trajectory
 from dynsr.system import System
 
@@ -70,7 +71,8 @@ def cell_method(cell: Cell, plan: Plan) -> AbstractMethod:
     """Give the method of a cell with all its settings; its engine is the plan's."""
     method = plan.make(cell.method, plan.preset, cell.system.name)
     if is_dataclass(method) and any(f.name == "engine" and f.init for f in fields(method)):
-        return replace(method, engine=plan.engine)  # type: ignore[type-var, call-arg] # has it
+        changed: AbstractMethod = replace(method, engine=plan.engine)
+        return changed
     return method
 
 
@@ -80,11 +82,8 @@ def cell_samples(cell: Cell, engine: str) -> Samples:
     They are forward differences of the training trajectory (ERRATA of the paper's method section:
     forward, not backward); SINDy's on the paper's systems are those that its rows were made from.
     """
-    if cell.method == "sindy":
-        from dynsr.paper.recipes import RECIPES, sindy_samples
-
-        if cell.system.name in RECIPES:
-            return sindy_samples(cell.system, engine)
+    if cell.method == "sindy" and cell.system.name in STATE_STEPS:
+        return sindy_samples(cell.system, engine)
     return forward_difference(training_trajectory(cell.system, engine), cell.system.target)
 
 
@@ -137,22 +136,20 @@ def _search(cell: Cell, plan: Plan, method: AbstractMethod) -> dict[str, Any]:
     if not len(front):
         raise ArithmeticError("no formula of the search has finite values on all samples")
     best = front.best_fit
-    score = score_model(cell.system, best.expr, cell.method, plan.engine)
+    score = score_expressions(cell.system, [best.expr], cell.method, engine=plan.engine)[0]
     return {
         "expression": to_text(best.expr),
         "fit_loss": best.loss,
         "complexity": best.complexity,
         "seconds": seconds,
-        **{key: _or_inf(value) for key, value in asdict(score).items()},
+        "equation_rmse": score.equation_rmse,
+        "printed_loss": score.printed_loss,
+        "trajectory_loss": score.trajectory_loss,
         "front": tuple(
             {"expression": to_text(c.expr), "loss": c.loss, "complexity": c.complexity}
             for c in front
         ),
     }
-
-
-def _or_inf(value: float) -> float:
-    return value if math.isfinite(value) else math.inf
 
 
 def _one_line(error: Exception) -> str:

@@ -28,8 +28,8 @@ _NUMBERS = (
     "fit_loss",
     "complexity",
     "equation_rmse",
-    "loss_as_printed",
-    "loss_corrected",
+    "printed_loss",
+    "trajectory_loss",
     "seconds",
 )
 _STALE_SECONDS = 3600.0
@@ -56,8 +56,8 @@ class Record:
     fit_loss : its RMSE on the training samples, state units per second.
     complexity : its description length in bits.
     equation_rmse : root mean square of f_hat - f along the true test states (the paper's formula).
-    loss_as_printed : the trajectory loss behind the numbers that the paper prints.
-    loss_corrected : the trajectory loss over all states from the right start.
+    printed_loss : the trajectory loss behind the numbers that the paper prints.
+    trajectory_loss : the trajectory loss over all states from the right start.
     seconds : wall time of the search.
     engine, versions : what integrated and regressed, with the version of every part.
     preset, settings : the method's own settings, all of them.
@@ -78,8 +78,8 @@ class Record:
     fit_loss: float = math.inf
     complexity: float = math.inf
     equation_rmse: float = math.inf
-    loss_as_printed: float = math.inf
-    loss_corrected: float = math.inf
+    printed_loss: float = math.inf
+    trajectory_loss: float = math.inf
     seconds: float = math.nan
     error: str = ""
     front: tuple[Mapping[str, Any], ...] = field(default=())

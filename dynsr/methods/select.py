@@ -9,9 +9,7 @@ METHODS = ("dynaifeynman", "ga", "sindy")
 PRESETS = ("paper", "best", "quick")
 
 
-def make_method(
-    name: str, preset: str = "paper", system_name: str | None = None
-) -> AbstractMethod:
+def make_method(name: str, preset: str = "paper", system_name: str | None = None) -> AbstractMethod:
     """Give the method ``name`` with the settings called ``preset``.
 
     Parameters
