@@ -52,14 +52,11 @@ def join_chunks(chunks: Sequence[Chunk], backend: Backend) -> Chunk:
 class Level:
     """The stored functions of one complexity; ``start`` is the number of the first.
 
-    ``mean`` and ``scale`` turn a value row into one of mean 0 and norm 1; ``fresh`` marks those
-    that are no affine map of an earlier function.
+    ``fresh`` marks those that are no affine map of an earlier function.
     """
 
     start: int
     rows: Chunk
-    mean: np.ndarray
-    scale: np.ndarray
     fresh: np.ndarray
 
     def __len__(self) -> int:
@@ -113,17 +110,44 @@ class Bank:
             return apply(self.letters[letter], first)
         return apply(self.letters[letter], first, self.fold(right, leaf, apply))
 
+    def size(self, number: int) -> int:
+        """Count the letters of a function."""
+        return self.fold(number, lambda place: 1, lambda letter, *sizes: 1 + sum(sizes))
+
     def expression(self, number: int) -> sympy.Expr:
         """Write a function as a SymPy expression."""
         return self.fold(number, self.leaves.__getitem__, lambda letter, *a: letter.build(*a))
 
+    def leaf_values(self, X: np.ndarray) -> np.ndarray:
+        """(leaves, n) values of the variables, then of the constants, at rows of variables."""
+        constants = [np.full(len(X), float(leaf)) for leaf in self.leaves[self.columns :]]
+        return np.array([*X.T, *constants])
+
+    def evaluate_all(self, X: np.ndarray, levels: int) -> np.ndarray:
+        """Evaluate every function of the first levels, (n, p) -> (m, n); NaN outside domains."""
+        count = sum(len(level) for level in self.levels[:levels])
+        values = np.empty((count, len(X)))
+        with np.errstate(all="ignore"):
+            for level in self.levels[:levels]:
+                rows, block = level.rows, slice(level.start, level.start + len(level))
+                values[block][rows.letter == LEAF] = self.leaf_values(X)[
+                    rows.left[rows.letter == LEAF]
+                ]
+                for number, letter in enumerate(self.letters):
+                    mine = np.flatnonzero(rows.letter == number)
+                    if len(mine):
+                        first = letter.sign * values[rows.left[mine]]
+                        rest = [values[rows.right[mine]]] if letter.arity == 2 else []
+                        apply = OPERATORS[letter.token].numpy
+                        values[level.start + mine] = apply(first, *rest)
+        return values
+
     def evaluate(self, number: int, X: np.ndarray) -> np.ndarray:
         """Evaluate a function on rows of variables, (n, p) -> (n,)."""
+        values = self.leaf_values(X)
 
         def leaf(place: int) -> np.ndarray:
-            if place < self.columns:
-                return X[:, place]
-            return np.full(len(X), float(self.leaves[place]))
+            return values[place]
 
         def apply(letter: Letter, first: np.ndarray, *rest: np.ndarray) -> np.ndarray:
             return OPERATORS[letter.token].numpy(first if letter.sign > 0 else -first, *rest)

@@ -112,9 +112,25 @@ class Seen:
         """Bytes in use."""
         return self.table.nbytes + self.owner.nbytes
 
+    def must_grow(self, more: int) -> bool:
+        """Whether ``more`` hashes would fill more than half of the table."""
+        return 2 * (self.count + more) > len(self.table)
+
+    def has(self, hashes: np.ndarray) -> np.ndarray:
+        """Give which hashes were added before, without adding any."""
+        known = np.zeros(len(hashes), dtype=bool)
+        left = np.arange(len(hashes))
+        slots = (hashes >> np.uint64(64 - self.bits)).astype(np.int64)
+        while len(left):
+            held = self.table[slots]
+            known[left[held == hashes[left]]] = True
+            going = (held != 0) & (held != hashes[left])
+            left, slots = left[going], (slots[going] + 1) & (len(self.table) - 1)
+        return known
+
     def add(self, hashes: np.ndarray) -> np.ndarray:
         """Add hashes (none of them 0); give which were new, the first of equals counting."""
-        while 2 * (self.count + len(hashes)) > len(self.table):
+        while self.must_grow(len(hashes)):
             held = self.table[self.table != 0]
             self._allocate(self.bits + 1)
             self.add(held)
