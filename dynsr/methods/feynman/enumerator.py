@@ -42,6 +42,7 @@ class Enumerator:
         backend: Backend,
         memory: int,
     ) -> None:
+        """Start with no level; ``X`` (probes, p) are the probe rows."""
         self.backend, self.nested, self.memory = backend, nested, memory
         self.bank = Bank(letters, tuple(leaves), X.shape[1])
         self.rows = len(X)
