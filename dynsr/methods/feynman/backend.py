@@ -56,6 +56,7 @@ class TorchBackend:
     """Arrays of float64 on a torch device."""
 
     def __init__(self, device: str) -> None:
+        """Check that the device is there."""
         import torch
 
         if device.startswith("cuda") and not torch.cuda.is_available():

@@ -174,7 +174,7 @@ def search_values(
 
     >>> x = np.linspace(1.0, 2.0, 100)[:, None]
     >>> result = search_values(x, 3 * x[:, 0] ** 1.5, ["x"], BruteForce(max_size=3))
-    >>> str(result.candidates[0].expr), result.stopped
+    >>> str(result.front.best_fit.expr), result.stopped
     ('3.0*x**(3/2)', 'exact')
     """
     X, y = np.asarray(X, dtype=float), np.asarray(y, dtype=float)
@@ -260,7 +260,8 @@ class _Search:
             self._try_sums(size)
             if self.report is not silent:
                 self.report(Progress(settings.name, self.enumerator.formed, None, self._front()))
-        self.stopped = self.stopped or "size"
+        if not self._ended():
+            self.stopped = "size"
 
     def _ended(self) -> bool:
         """Whether a bound is met; says which in ``stopped``."""

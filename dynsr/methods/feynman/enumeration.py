@@ -70,7 +70,7 @@ def _form_unary(bank: Bank, level: Level, nested: bool, backend: Backend) -> Ite
 
 def _form_binary(bank: Bank, first: Level, second: Level, backend: Backend) -> Iterator[Chunk]:
     for number, letter in enumerate(bank.letters):
-        if letter.arity != 2:
+        if letter.arity != 2 or not len(first) or not len(second):
             continue
         once = letter.token in _COMMUTES
         if once and first.start > second.start:

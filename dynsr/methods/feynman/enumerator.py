@@ -42,6 +42,7 @@ class Enumerator:
         backend: Backend,
         memory: int,
     ) -> None:
+        """Start with no level; ``X`` (probes, p) are the probe rows."""
         self.backend, self.nested, self.memory = backend, nested, memory
         self.bank = Bank(letters, tuple(leaves), X.shape[1])
         self.rows = len(X)
@@ -81,9 +82,10 @@ class Enumerator:
                 self.stopped = "candidates" if self.formed >= most else "deadline"
                 whole = False
                 break
-        if stored:
-            rows = join_chunks(stored, self.backend)
-            self.bank.levels.append(Level(len(self.bank), rows, np.concatenate(fresh)))
+        if not last:
+            rows = join_chunks([self._nothing(), *stored], self.backend)
+            marks = np.concatenate([np.zeros(0, dtype=bool), *fresh])
+            self.bank.levels.append(Level(len(self.bank), rows, marks))
         if whole:
             self.complete = size
         return shortlist
@@ -92,6 +94,9 @@ class Enumerator:
         if size == 1:
             return iter([form_leaves(self._leaf_values, self.backend)])
         return form_level(self.bank, size, self.nested, self.backend)
+
+    def _nothing(self) -> Chunk:
+        return form_leaves(np.empty((0, self.rows)), self.backend)
 
     def _look_at(
         self, chunk: Chunk, screen: Screen, shortlist: Shortlist, last: bool

@@ -5,31 +5,33 @@ Here, and only here, all rows are looked at.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Sequence
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 import sympy
 
 from dynsr.methods.feynman.bank import Bank
 from dynsr.methods.feynman.fitting import fit_robustly
-from dynsr.methods.feynman.pool import Found, measure
+from dynsr.methods.feynman.pool import Found, Writer, measure
 from dynsr.methods.feynman.problem import Problem
 
 # What a fitted constant and a change of the target count in letters.
 _CONSTANT, _CHANGE = 4.0, 2.0
 _SNAP = 0.02
-Write = Callable[[], sympy.Expr]
 
 
 class Finisher:
     """Fits the constants of chosen functions of a bank to a problem on all rows."""
 
     def __init__(self, bank: Bank, X: np.ndarray, y: np.ndarray) -> None:
+        """Take the bank and all rows, (n, p) and (n,)."""
         self.bank, self.X, self.y = bank, X, y
         self._values: dict[int, np.ndarray] = {}
 
-    def finish(self, problem: Problem, groups: Sequence[tuple[int, ...]]) -> list[Found | None]:
+    def finish(self, problem: Problem, groups: Sequence[tuple[int, ...]]) -> list[Found]:
         """Give formulas for groups of equally many function numbers."""
         if not groups:
             return []
@@ -53,7 +55,7 @@ class Finisher:
 
     def _finish_sums(
         self, problem: Problem, groups: list[tuple[int, ...]], features: np.ndarray
-    ) -> list[Found | None]:
+    ) -> list[Found]:
         """T(y) = sum c_i f_i + d, the same with d = 0, and for one function with c = 1."""
         design = np.concatenate([np.ones((len(groups), 1, len(self.y))), features], axis=1)
         design = design.transpose(0, 2, 1)
@@ -68,27 +70,25 @@ class Finisher:
             shift = fit_robustly(design[:, :, :1], z - features[:, 0], scales)[:, 0]
             forms += [np.column_stack([shift, one]), np.column_stack([0 * one, one])]
         found = []
-        for coefficients in forms:
-            predicted = np.einsum("kni,ki->kn", design, coefficients)
-            for group, numbers, z_fit in zip(groups, coefficients, predicted, strict=True):
-                found.append(self._sum(problem, group, numbers, z_fit))
+        for numbers in forms:
+            fitted = np.einsum("kni,ki->kn", design, numbers)
+            write = partial(self._sum, problem, groups, numbers)
+            found += measure(problem.target.invert(fitted), self.y, write)
         return found
 
     def _sum(
-        self, problem: Problem, group: tuple[int, ...], numbers: np.ndarray, fitted: np.ndarray
-    ) -> Found | None:
-        constants = np.count_nonzero((numbers != 0) & (numbers != 1))
-        size = sum(self.bank.size(f) + 1.0 for f in group) + _CONSTANT * constants
-        size += _CHANGE * (problem.name != "y")
+        self, problem: Problem, groups: list[tuple[int, ...]], numbers: np.ndarray, k: int
+    ) -> tuple[float, Writer]:
+        group, constants = groups[k], numbers[k]
+        size = sum(self.bank.size(f) + 1.0 for f in group) + _CHANGE * (problem.name != "y")
+        size += _CONSTANT * np.count_nonzero((constants != 0) & (constants != 1))
 
         def write() -> sympy.Expr:
-            terms = [
-                _number(c) * self.bank.expression(f)
-                for f, c in zip(group, numbers[1:], strict=True)
-            ]
-            return problem.target.build(sympy.Add(*terms, _number(numbers[0])))
+            functions = map(self.bank.expression, group)
+            terms = [_number(c) * f for c, f in zip(constants[1:], functions, strict=True)]
+            return problem.target.build(sympy.Add(*terms, _number(constants[0])))
 
-        return measure(problem.target.invert(fitted), self.y, size, write)
+        return size, write
 
     def _finish_products(
         self,
@@ -96,84 +96,83 @@ class Finisher:
         groups: list[tuple[int, ...]],
         values: np.ndarray,
         features: np.ndarray,
-    ) -> list[Found | None]:
-        """y = C prod |x|^a prod f^b, or C prod |x|^a exp(sum b f), exponents as fitted and snapped."""
-        n = len(self.y)
-        logs = np.broadcast_to(problem.logs, (len(groups), n, problem.logs.shape[1]))
-        ones = np.ones((len(groups), n, 1))
-        design = np.concatenate([ones, logs, features.transpose(0, 2, 1)], axis=2)
+    ) -> list[Found]:
+        """y = C prod x^a prod f^b, or C prod x^a exp(sum b f), exponents as fitted and snapped."""
+        logs = np.broadcast_to(problem.logs, (len(groups), *problem.logs.shape))
+        ones = np.ones((*logs.shape[:2], 1))
+        inside = features.transpose(0, 2, 1)
         scales, z = problem.target.weights, problem.target.values
-        fitted = fit_robustly(design, z, scales)
-        k = 1 + len(problem.powers)
-        found: list[Found | None] = []
-        for group, numbers, inside in zip(groups, fitted, values, strict=True):
-            for snap in (True, False):
-                powers = [_snap(a) if snap else sympy.Float(a) for a in numbers[1:k]]
-                if problem.by_log:
-                    inner = [_snap(b) if snap else sympy.Float(b) for b in numbers[k:]]
-                    found.append(self._product(problem, powers, group, inner, inside))
-                else:
-                    rates = numbers[k:]
-                    if snap:
-                        shown = np.array([float(a) for a in powers])
-                        left = np.concatenate([ones[0], inside.T], axis=1)[None]
-                        rates = fit_robustly(left, z - problem.logs @ shown, scales)[0, 1:]
-                    found.append(self._exponential(problem, powers, group, rates, inside))
+        fitted = fit_robustly(np.concatenate([ones, logs, inside], axis=2), z, scales)[:, 1:]
+        split = len(problem.powers)
+        found: list[Found] = []
+        done = fitted[:0]
+        for snap in (True, False):
+            numbers = (
+                _snap_all(fitted, len(fitted.T) if problem.by_log else split) if snap else fitted
+            )
+            if snap and not problem.by_log:
+                left = z - numbers[:, :split] @ problem.logs.T
+                rates = fit_robustly(np.concatenate([ones, inside], axis=2), left, scales)
+                numbers = np.concatenate([numbers[:, :split], rates[:, 1:]], axis=1)
+            elif not snap and np.array_equal(numbers, done):
+                break
+            done = numbers
+            found += self._products(problem, groups, values, features, numbers)
         return found
+
+    def _products(
+        self,
+        problem: Problem,
+        groups: list[tuple[int, ...]],
+        values: np.ndarray,
+        features: np.ndarray,
+        numbers: np.ndarray,
+    ) -> list[Found]:
+        """Formulas with given exponents; the factor C of each is fitted."""
+        split = len(problem.powers)
+        exponents, inner = numbers[:, :split], numbers[:, split:]
+        with np.errstate(all="ignore"):
+            predicted = np.exp(
+                exponents @ problem.logs.T + np.einsum("kmn,km->kn", features, inner)
+            )
+            for place, column in enumerate(problem.powers):
+                predicted *= _signs(self.X[:, column], exponents[:, place])
+            if problem.by_log:
+                for k in range(len(groups)):
+                    for v, b in zip(values[k], inner[k], strict=True):
+                        predicted[k] *= _signs(v, np.array([b]))[0]
+        good = np.isfinite(predicted).all(axis=1) & predicted.any(axis=1)
+        if not good.any():
+            return []
+        factors = np.full(len(groups), np.nan)
+        design = predicted[good][:, :, None]
+        factors[good] = fit_robustly(design, self.y, np.ones(len(self.y)))[:, 0]
+        write = partial(self._product, problem, groups, values, numbers, factors)
+        return measure(factors[:, None] * predicted, self.y, write)
 
     def _product(
         self,
         problem: Problem,
-        powers: list[sympy.Expr],
-        group: tuple[int, ...],
-        inner: list[sympy.Expr],
-        inside: np.ndarray,
-    ) -> Found | None:
-        columns = [self.X[:, j] for j in problem.powers]
-        predicted = np.ones(len(self.y))
-        for base, power in zip((*columns, *inside), (*powers, *inner), strict=True):
-            predicted = predicted * _raise(base, power)
+        groups: list[tuple[int, ...]],
+        values: np.ndarray,
+        numbers: np.ndarray,
+        factors: np.ndarray,
+        k: int,
+    ) -> tuple[float, Writer]:
+        split = len(problem.powers)
+        powers = [_as_power(a) for a in numbers[k, :split]]
+        inner = [_as_power(b) if problem.by_log else sympy.Float(b) for b in numbers[k, split:]]
+        size = sum(self.bank.size(f) for f in groups[k]) + _price([*powers, *inner]) + _CONSTANT
 
         def write() -> sympy.Expr:
-            inner_parts = [
-                _write_power(self.bank.expression(f), v, b)
-                for f, v, b in zip(group, inside, inner, strict=True)
-            ]
-            return sympy.Mul(*self._write_powers(problem, powers), *inner_parts)
+            functions = [self.bank.expression(f) for f in groups[k]]
+            if problem.by_log:
+                parts = [*map(_write_power, functions, values[k], inner)]
+            else:
+                parts = [sympy.exp(sympy.Add(*map(operator.mul, inner, functions)))]
+            return sympy.Mul(_number(factors[k]), *self._write_powers(problem, powers), *parts)
 
-        letters = sum(self.bank.size(f) for f in group) + _price([*powers, *inner])
-        return self._scaled(predicted, letters, write)
-
-    def _exponential(
-        self,
-        problem: Problem,
-        powers: list[sympy.Expr],
-        group: tuple[int, ...],
-        rates: np.ndarray,
-        inside: np.ndarray,
-    ) -> Found | None:
-        with np.errstate(all="ignore"):
-            predicted = np.exp(rates @ inside)
-        for j, power in zip(problem.powers, powers, strict=True):
-            predicted = predicted * _raise(self.X[:, j], power)
-
-        def write() -> sympy.Expr:
-            terms = [
-                sympy.Float(b) * self.bank.expression(f) for f, b in zip(group, rates, strict=True)
-            ]
-            return sympy.Mul(*self._write_powers(problem, powers), sympy.exp(sympy.Add(*terms)))
-
-        letters = sum(self.bank.size(f) + 1 + _CONSTANT for f in group) + _price(powers)
-        return self._scaled(predicted, letters, write)
-
-    def _scaled(self, predicted: np.ndarray, letters: float, write: Write) -> Found | None:
-        """Fit the factor C of y = C predicted."""
-        if not np.isfinite(predicted).all() or not predicted.any():
-            return None
-        factor = fit_robustly(predicted[None, :, None], self.y, np.ones(len(self.y)))[0, 0]
-        return measure(
-            factor * predicted, self.y, letters + _CONSTANT, lambda: _number(factor) * write()
-        )
+        return size, write
 
     def _write_powers(self, problem: Problem, powers: list[sympy.Expr]) -> list[sympy.Expr]:
         return [
@@ -186,21 +185,40 @@ def _number(value: float) -> sympy.Expr:
     return sympy.Integer(int(value)) if value in (0, 1) else sympy.Float(float(value))
 
 
-def _snap(value: float) -> sympy.Expr:
-    """Give the nearest multiple of 1/2 or 1/3 when it is close, the number itself when not."""
-    near = min((Fraction(round(value * q), q) for q in (1, 2, 3)), key=lambda f: abs(f - value))
-    if abs(float(near) - value) < _SNAP:
+def _snap_all(numbers: np.ndarray, columns: int) -> np.ndarray:
+    """Bring numbers of the first columns to a multiple of 1/2 or 1/3 where one is close."""
+    snapped = numbers.copy()
+    steps = np.array([1.0, 2.0, 3.0])
+    near = np.round(numbers[:, :columns, None] * steps) / steps
+    distance = np.abs(near - numbers[:, :columns, None])
+    best = np.argmin(distance - 1e-9 / steps, axis=2)[:, :, None]
+    close = np.take_along_axis(distance, best, axis=2)[:, :, 0] < _SNAP
+    snapped[:, :columns] = np.where(
+        close, np.take_along_axis(near, best, axis=2)[:, :, 0], numbers[:, :columns]
+    )
+    return snapped
+
+
+def _as_power(value: float) -> sympy.Expr:
+    """A multiple of 1/2 or 1/3 as the rational it is; a float otherwise."""
+    near = Fraction(float(value)).limit_denominator(3)
+    if abs(float(near) - value) < 1e-12:
         return sympy.Rational(near.numerator, near.denominator)
-    return sympy.Float(value)
+    return sympy.Float(float(value))
 
 
-def _raise(base: np.ndarray, power: sympy.Expr) -> np.ndarray:
-    """base^power; of -base for a fraction of a negative base; NaN where the sign is mixed."""
-    exponent = float(power)
-    with np.errstate(all="ignore"):
-        if power.is_Integer or not (base < 0).any():
-            return base**exponent
-        return (-base) ** exponent
+def _signs(base: np.ndarray, exponents: np.ndarray) -> np.ndarray:
+    """(k, n) signs of base^exponent: NaN for a fraction of a base of mixed sign.
+
+    A base that is negative throughout counts as -base under a fraction.
+    """
+    negative = base < 0
+    if not negative.any():
+        return np.ones((len(exponents), 1))
+    whole = np.abs(exponents - np.round(exponents)) < 1e-12
+    odd = whole & (np.round(exponents) % 2 == 1)
+    signs = np.where(negative & odd[:, None], -1.0, 1.0)
+    return signs if negative.all() else np.where(whole[:, None], signs, np.nan)
 
 
 def _write_power(base: sympy.Expr, values: np.ndarray, power: sympy.Expr) -> sympy.Expr:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-_ROUNDS = 8
+_ROUNDS = 5
 
 
 def fit_linear(design: np.ndarray, z: np.ndarray, roots: np.ndarray) -> np.ndarray:
@@ -42,10 +42,16 @@ def fit_robustly(design: np.ndarray, z: np.ndarray, scales: np.ndarray) -> np.nd
     large errors among many small ones; these weights leave them out.
     """
     roots = np.broadcast_to(scales, design.shape[:2])
-    size = np.median(np.abs(z * scales), axis=-1, keepdims=True)
+    size = _medians(np.abs(np.broadcast_to(z, roots.shape) * scales))
     for _ in range(_ROUNDS):
         found = fit_linear(design, z, roots)
         rest = np.abs(z - np.einsum("kni,ki->kn", design, found)) * scales
-        middle = np.maximum(2 * np.median(rest, axis=1, keepdims=True), 1e-13 * size + 1e-300)
+        middle = np.maximum(2 * _medians(rest), 1e-13 * size + 1e-300)
         roots = scales / np.sqrt(1 + (rest / middle) ** 2)
     return found
+
+
+def _medians(values: np.ndarray) -> np.ndarray:
+    """(K, 1) upper medians of rows."""
+    half = values.shape[1] // 2
+    return np.partition(values, half, axis=1)[:, half : half + 1]

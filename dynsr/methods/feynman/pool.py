@@ -9,9 +9,10 @@ import numpy as np
 import sympy
 
 from dynsr.expression import REAL_RESOLUTION, complexity
-from dynsr.pareto import Candidate, rmse
+from dynsr.pareto import Candidate
 
-_BEST = 24
+_BEST, _EACH = 24, 4
+Writer = Callable[[], sympy.Expr]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,31 +27,41 @@ class Found:
     bits: float
     loss: float
     residual: np.ndarray
-    write: Callable[[], sympy.Expr]
+    write: Writer
 
 
 def measure(
-    predicted: np.ndarray, y: np.ndarray, size: float, write: Callable[[], sympy.Expr]
-) -> Found | None:
-    """Make a Found of predictions at all rows; None where one is not finite."""
-    loss = rmse(predicted, y)
-    if not np.isfinite(loss):
-        return None
-    scale = REAL_RESOLUTION * (float(np.sqrt(np.mean(y * y))) or 1.0)
-    residual = y - predicted
-    bits = float(np.mean(np.log2(1 + np.abs(residual) / scale)))
-    return Found(size, bits, loss, residual, write)
+    predicted: np.ndarray, y: np.ndarray, write: Callable[[int], tuple[float, Writer]]
+) -> list[Found]:
+    """Make Founds of the best rows of (K, n) predictions at all samples.
+
+    Best are the ``_EACH`` of least bits and those of least RMSE. ``write(k)`` gives size and
+    writer of row k.
+    """
+    with np.errstate(all="ignore"):
+        residuals = y - predicted
+        losses = np.sqrt(np.einsum("kn,kn->k", residuals, residuals) / len(y))
+        scale = REAL_RESOLUTION * (float(np.sqrt(np.mean(y * y))) or 1.0)
+        bits = np.mean(np.log2(1 + np.abs(residuals) / scale), axis=1)
+    finite = np.flatnonzero(np.isfinite(losses) & np.isfinite(bits))
+    best = [finite[np.argsort(error[finite], kind="stable")[:_EACH]] for error in (bits, losses)]
+    found = []
+    for k in np.unique(np.concatenate(best)):
+        size, writer = write(int(k))
+        found.append(Found(size, float(bits[k]), float(losses[k]), residuals[k].copy(), writer))
+    return found
 
 
 class Pool:
     """Formulas that nothing beats in size and bits, or in size and RMSE, and the best in bits."""
 
-    def __init__(self) -> None:  # noqa: D107 (nothing to say)
+    def __init__(self) -> None:
+        """Start empty."""
         self.found: list[Found] = []
 
-    def add(self, found: Iterable[Found | None]) -> None:
+    def add(self, found: Iterable[Found]) -> None:
         """Take formulas in and drop what is not worth keeping."""
-        everything = [*self.found, *(f for f in found if f is not None)]
+        everything = [*self.found, *found]
         by_bits = sorted(everything, key=lambda f: (f.bits, f.size))[:_BEST]
         kept = [*_front(everything, "bits"), *_front(everything, "loss"), *by_bits]
         chosen = {id(f) for f in kept}

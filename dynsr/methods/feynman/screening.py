@@ -53,6 +53,7 @@ class Screen:
     """The problems on the probe rows, ready for chunks; ``rows`` are the probe rows."""
 
     def __init__(self, problems: Sequence[Problem], rows: np.ndarray, backend: Backend) -> None:
+        """Bring backgrounds and targets on the probe rows to the backend."""
         self.backend = backend
         self.count = len(problems)
         self._groups = [_make_groups(problems, by_log, rows) for by_log in (False, True)]

@@ -48,6 +48,7 @@ class Spread:
     """
 
     def __init__(self, projections: np.ndarray, squares: np.ndarray, rows: int) -> None:
+        """Take (B, 1 + SKETCHES) projections and (B,) sums of squares."""
         self.total = projections[:, 0]
         self.sketches = projections[:, 1 : 1 + SKETCHES]
         self.squares = squares
@@ -96,6 +97,7 @@ class Seen:
     """
 
     def __init__(self, bits: int = 16) -> None:
+        """Make a table of 2^bits places."""
         self._allocate(bits)
 
     def _allocate(self, bits: int) -> None:
