@@ -69,6 +69,8 @@ class JuliaEngine(AbstractEngine):
     """
 
     name = "julia"
+    # What the worker is asked for.
+    integration = "integrate"
 
     def __init__(
         self,
@@ -89,12 +91,12 @@ class JuliaEngine(AbstractEngine):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as settings; that process starts a Julia of its own."""
-        return (JuliaEngine, (self.regress_seconds, self.start_seconds, self.announce))
+        return (type(self), (self.regress_seconds, self.start_seconds, self.announce))
 
     def integrate(self, problem: InitialValueProblem) -> Integration:
         """Solve an initial value problem by OrdinaryDiffEqTsit5."""
         header = {
-            "call": "integrate",
+            "call": self.integration,
             "slopes": write_slopes(problem.rhs, problem.states),
             "reltol": float(problem.reltol),
             "abstol": float(problem.abstol),

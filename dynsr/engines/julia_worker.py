@@ -27,7 +27,11 @@ class Session:
         self._tell = tell
         self._module: Any = None
         self._warm: set[str] = set()
-        self._calls = {"integrate": self._integrate, "regress": self._regress}
+        self._calls = {
+            "integrate": self._integrate,
+            "regress": self._regress,
+            "diffeqpy": self._integrate_by_diffeqpy,
+        }
         self._versions: dict[str, str] = {}
 
     def prepare(self, header: dict[str, Any]) -> None:
@@ -37,7 +41,7 @@ class Session:
             self._load(header["source"])
         if call in self._calls and call not in self._warm:
             self._tell(f"compiling {call}, once a session")
-            warm_up = {"integrate": _tiny_integration, "regress": _tiny_regression}[call]
+            warm_up = _tiny_regression if call == "regress" else _tiny_integration
             self._calls[call](*warm_up(header))
             self._warm.add(call)
 
@@ -77,6 +81,34 @@ class Session:
         )
         facts = {"accepted": int(accepted), "rejected": int(rejected), "message": str(message)}
         return facts, {"x": np.array(x, dtype=float, copy=True)}
+
+    def _integrate_by_diffeqpy(
+        self, header: dict[str, Any], arrays: dict[str, np.ndarray]
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        from diffeqpy import de
+
+        vector = de.seval("x -> Vector{Float64}(x)")
+        t = arrays["t"]
+        # The slopes are compiled in Julia here too; seval wants them on one line.
+        slopes = de.seval(str(header["slopes"]).replace("\n", "; ").replace("begin;", "begin"))
+        problem = de.ODEProblem(slopes, vector(arrays["x0"]), (float(t[0]), float(t[-1])))
+        solution = de.solve(
+            problem,
+            de.Tsit5(),
+            saveat=vector(t),
+            reltol=float(header["reltol"]),
+            abstol=float(header["abstol"]),
+            maxiters=int(header["max_steps"]),
+        )
+        states = np.array(de.seval("s -> reduce(hcat, s.u)")(solution), dtype=float, copy=True).T
+        x = np.full((len(t), len(arrays["x0"])), np.nan)
+        x[: len(states)] = states[: len(t)]
+        code = str(de.seval("s -> string(s.retcode)")(solution))
+        return {
+            "accepted": int(de.seval("s -> s.stats.naccept")(solution)),
+            "rejected": int(de.seval("s -> s.stats.nreject")(solution)),
+            "message": "" if code == "Success" else code,
+        }, {"x": x}
 
     def _regress(
         self, header: dict[str, Any], arrays: dict[str, np.ndarray]
