@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dynsr.catalogue import CART_POLE, PENDULUM
-from dynsr.engines import julia, worker_process
+from dynsr.engines import julia, julia_worker, worker_process
 from dynsr.engines.base import InitialValueProblem, SparseProblem
 from dynsr.engines.julia import JuliaEngine, find_missing, find_sources
 from dynsr.engines.select import find_engine
@@ -178,6 +178,13 @@ def test_an_interrupt_ends_the_call_and_leaves_no_late_answer(engine, monkeypatc
             engine.integrate(decay())
     assert np.isclose(engine.integrate(decay()).x[-1, 0], np.exp(-1.0))
     assert process_of(engine) != before
+
+
+def test_a_program_that_is_no_julia_is_told_in_its_words():
+    """What a program says on its standard error is part of the one line."""
+    problem = subprocess.CalledProcessError(1, ["julia"], stderr="x\nERROR: no julia here\n")
+    assert julia_worker._one_line(problem).endswith("It said: ERROR: no julia here")
+    assert len(julia_worker._one_line(RuntimeError("word " * 1000))) <= 600
 
 
 def test_an_engine_travels_as_settings(engine):

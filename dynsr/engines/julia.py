@@ -7,6 +7,7 @@ know juliacall.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -174,7 +175,7 @@ class JuliaEngine(AbstractEngine):
             except EngineUnavailable as problem:
                 # What failed to load is not loaded by trying again in the same process.
                 self._process.close()
-                raise EngineUnavailable(f"Julia does not start: {problem} ({_remedy()})") from None
+                raise EngineUnavailable(f"Julia does not start: {problem}; {_remedy()}") from None
 
 
 def _expect(results: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -227,7 +228,7 @@ def _is_resolved() -> bool:
 
 def _remedy() -> str:
     if os.environ.get(_OWN_PROJECT[0]):
-        return "the project must hold the packages of dynsr's julia/Project.toml and PythonCall"
+        return "give a project with the packages of dynsr's julia/Project.toml and PythonCall"
     return "run dynsr doctor --install"
 
 
@@ -241,8 +242,16 @@ def install() -> str:
         raise EngineUnavailable(f"juliacall is not installed; run {INSTALL}")
     if all(os.environ.get(name) for name in _OWN_PROJECT):
         return f"nothing to install: {_OWN_PROJECT[1]} names {os.environ[_OWN_PROJECT[1]]}"
-    code = "import juliapkg; juliapkg.resolve(); print(juliapkg.executable(), juliapkg.project())"
-    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    code = (
+        f"import sys; sys.path[:] = {json.dumps(sys.path)}; import juliapkg; juliapkg.resolve(); "
+        "print(juliapkg.executable(), juliapkg.project())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**_ENVIRONMENT, **os.environ},
+    )
     if done.returncode:
         raise EngineError(f"juliapkg ended with exit code {done.returncode}; see its output above")
     return f"Julia and its packages are set up: {done.stdout.strip().splitlines()[-1]}"
