@@ -3,6 +3,7 @@ instead when DYNSR_REQUIRE_JULIA is 1.
 """
 
 import os
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 from dynsr.catalogue import CART_POLE, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM
 from dynsr.crosscheck import coefficient_difference
+from dynsr.engines import julia
 from dynsr.engines.base import AbstractEngine, InitialValueProblem, SparseProblem
 from dynsr.engines.select import ENGINES, find_engine
 from dynsr.errors import EngineUnavailable, InputError
@@ -28,15 +30,20 @@ BY_SYSTEM = pytest.mark.parametrize("system", PAPER_SYSTEMS, ids=lambda s: s.nam
 RECORDS = [*sparse_records("2021"), *sparse_records("current")]
 
 
-@pytest.fixture(scope="module", params=ENGINES)
-def engine(request):
-    """Give each engine in turn."""
+def find_or_skip(name: str) -> AbstractEngine:
+    """Give an engine; where it is not set up, skip or fail as DYNSR_REQUIRE_JULIA says."""
     try:
-        yield find_engine(request.param)
+        return find_engine(name)
     except EngineUnavailable as problem:
         if os.environ.get("DYNSR_REQUIRE_JULIA") == "1":
             pytest.fail(f"DYNSR_REQUIRE_JULIA is 1, but {problem}")
         pytest.skip(str(problem))
+
+
+@pytest.fixture(scope="module", params=ENGINES)
+def engine(request):
+    """Give each engine in turn."""
+    return find_or_skip(request.param)
 
 
 def read_golden(system: System, case: str) -> np.ndarray:
@@ -169,3 +176,29 @@ def test_a_closed_engine_starts_again(engine: AbstractEngine):
     engine.close()
     assert np.array_equal(engine.integrate(problem).x, before)
     assert len(engine.versions()) >= 3
+
+
+@pytest.mark.slow
+def test_julias_own_tests_pass():
+    """runtests.jl holds the Julia code to golden data, without Python."""
+    find_or_skip("julia")
+    program, project = julia.locate()
+    tests = julia.find_sources() / "test" / "runtests.jl"
+    command = [program, f"--project={project}", "--startup-file=no", str(tests)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=3600)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+
+
+def test_a_missing_julia_fails_where_it_is_required(monkeypatch):
+    """DYNSR_REQUIRE_JULIA=1 turns the skip of an absent engine into a failure."""
+
+    def unavailable(name):
+        raise EngineUnavailable("not set up")
+
+    monkeypatch.setitem(find_or_skip.__globals__, "find_engine", unavailable)
+    monkeypatch.delenv("DYNSR_REQUIRE_JULIA", raising=False)
+    with pytest.raises(pytest.skip.Exception, match="not set up"):
+        find_or_skip("julia")
+    monkeypatch.setenv("DYNSR_REQUIRE_JULIA", "1")
+    with pytest.raises(pytest.fail.Exception, match="DYNSR_REQUIRE_JULIA is 1, but not set up"):
+        find_or_skip("julia")

@@ -1,5 +1,8 @@
+import importlib.util
+import inspect
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -233,6 +236,38 @@ def test_settings_of_the_environment_are_checked(fake_julia, monkeypatch, progra
             monkeypatch.setenv(f"PYTHON_JULIACALL_{name}", value)
     found = find_missing()
     assert words in found and bool(words) == bool(found)
+
+
+def test_juliapkg_is_asked_for_julia_when_none_is_given(fake_julia, monkeypatch, tmp_path):
+    """Installing runs juliapkg in a process of its own and tells where Julia is."""
+    for name in ("EXE", "PROJECT"):
+        monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
+    (tmp_path / "juliapkg.py").write_text(
+        "import os\n"
+        "def resolve():\n"
+        "    print('Found dependencies')\n"
+        "    assert os.environ['JULIA_CONDAPKG_BACKEND'] == 'Null'\n"
+        "    if os.environ.get('FAKE_JULIAPKG') == 'fail': raise SystemExit(3)\n"
+        "executable = lambda: '/opt/julia'\n"
+        "project = lambda: '/opt/project'\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert julia.install() == "Julia and its packages are set up: /opt/julia in /opt/project"
+    monkeypatch.setenv("FAKE_JULIAPKG", "fail")
+    with pytest.raises(EngineError, match="juliapkg ended with exit code 3"):
+        julia.install()
+
+
+def test_the_stand_in_takes_what_julia_takes():
+    """The arguments of integrate and regress in Julia are, in order, those tested here."""
+    spec = importlib.util.spec_from_file_location("stand_in", FAKE / "juliacall" / "__init__.py")
+    stand_in = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(stand_in)
+    for name, function in (("integrate", stand_in._integrate), ("regress", stand_in._regress)):
+        text = (find_sources() / "src" / f"{name}.jl").read_text()
+        (arguments,) = re.findall(rf"^function {name}\(([^)]*)\)", text, re.M)
+        in_julia = [word for word in re.split(r"[,\s]+", arguments) if word]
+        assert list(inspect.signature(function).parameters) == in_julia
 
 
 def test_the_sources_are_found_from_a_checkout():

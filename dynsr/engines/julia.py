@@ -232,19 +232,20 @@ def _remedy() -> str:
     return "run dynsr doctor --install"
 
 
-def install() -> str:
-    """Resolve Julia and its packages through juliapkg and say where they are.
+def locate() -> tuple[str, str]:
+    """Give the Julia program and project in use; juliapkg sets them up where they are not yet.
 
-    juliapkg's own output goes to standard error. Raises EngineUnavailable when juliacall is not
-    installed, EngineError when juliapkg fails.
+    Raises EngineUnavailable when juliacall is not installed, EngineError when juliapkg fails;
+    juliapkg's own output goes to standard error.
     """
     if importlib.util.find_spec("juliacall") is None:
         raise EngineUnavailable(f"juliacall is not installed; run {INSTALL}")
-    if all(os.environ.get(name) for name in _OWN_PROJECT):
-        return f"nothing to install: {_OWN_PROJECT[1]} names {os.environ[_OWN_PROJECT[1]]}"
+    own = [os.environ.get(name) for name in _OWN_PROJECT]
+    if own[0] and own[1]:
+        return own[0], own[1]
     code = (
         f"import sys; sys.path[:] = {json.dumps(sys.path)}; import juliapkg; juliapkg.resolve(); "
-        "print(juliapkg.executable(), juliapkg.project())"
+        "print(juliapkg.executable()); print(juliapkg.project())"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -254,4 +255,13 @@ def install() -> str:
     )
     if done.returncode:
         raise EngineError(f"juliapkg ended with exit code {done.returncode}; see its output above")
-    return f"Julia and its packages are set up: {done.stdout.strip().splitlines()[-1]}"
+    program, project = done.stdout.splitlines()[-2:]
+    return program, project
+
+
+def install() -> str:
+    """Set up Julia and its packages through juliapkg and say where they are; raises as locate."""
+    program, project = locate()
+    if os.environ.get(_OWN_PROJECT[0]):
+        return f"nothing to install: {_OWN_PROJECT[1]} names {project}"
+    return f"Julia and its packages are set up: {program} in {project}"
