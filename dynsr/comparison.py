@@ -39,9 +39,11 @@ class CrosscheckRow:
         object.__setattr__(self, "verdict", verdict)
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the fields as plain data; a limit that does not exist is None."""
-        limit = None if math.isnan(self.limit) else self.limit
-        return {**asdict(self), "limit": limit}
+        """Give the fields as plain data; a number that is not finite is None."""
+        return {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value
+            for key, value in asdict(self).items()
+        }
 
 
 def absent(section: str, system: str, ours: str, theirs: str, reason: str) -> CrosscheckRow:

@@ -116,7 +116,8 @@ def test_rows_are_plain_data():
     rows = [
         absent("s", "pendulum", "julia", "everything", "not installed"),
         CrosscheckRow("s", "pendulum", "t", "a", "b", 1, 1e-9, 1e-8),
+        CrosscheckRow("s", "pendulum", "t", "a", "b", 1, np.inf, 1e-8),
     ]
     found = json.loads(json.dumps([row.as_dict() for row in rows], allow_nan=False))
-    assert [row["verdict"] for row in found] == ["absent", "agrees"]
+    assert [row["verdict"] for row in found] == ["absent", "agrees", "differs"]
     assert found[0]["limit"] is None
