@@ -165,7 +165,7 @@ def test_a_long_start_shows_its_progress(fake_julia, monkeypatch):
     engine = JuliaEngine(start_seconds=60.0, announce=lines.append)
     assert engine.integrate(decay()).success
     engine.close()
-    assert "julia: Precompiling Symbolics" in lines
+    assert "julia: [ Info: Precompiling Symbolics [0c5d862f]" in lines
 
 
 def test_an_interrupt_ends_the_call_and_leaves_no_late_answer(engine, monkeypatch):
@@ -230,6 +230,7 @@ def test_without_juliacall_the_engine_is_unavailable(monkeypatch):
 )
 def test_settings_of_the_environment_are_checked(fake_julia, monkeypatch, program, project, words):
     """Half a setting, or one that points nowhere, is told in one line before anything starts."""
+    monkeypatch.setattr(julia, "_is_resolved", lambda: False)
     for name, value in (("EXE", program), ("PROJECT", project)):
         monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
         if value is not None:

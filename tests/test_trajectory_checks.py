@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from dynsr.crosscheck import PROGRAMS, crosscheck
+from dynsr.engines import diffeqpy
 from dynsr.engines.base import Integration, SparseProblem
 from dynsr.engines.diffeqpy import DiffeqpyEngine
 from dynsr.engines.embedded import EmbeddedEngine
@@ -101,8 +102,10 @@ def test_diffeqpy_is_compared_on_request(fake_julia, monkeypatch):
         engine.regress(SparseProblem(np.ones((1, 2)), np.ones(2)))
 
 
-def test_without_diffeqpy_its_rows_are_absent():
+def test_without_diffeqpy_its_rows_are_absent(monkeypatch):
     """Asked for and not installed: one absent row a system, with the remedy."""
+    monkeypatch.setattr(diffeqpy.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("dynsr.crosscheck._start_program", lambda name: PROGRAMS[name]())
     with pytest.raises(EngineUnavailable, match=r"pip install 'dynsr\[diffeqpy\]'"):
         DiffeqpyEngine()
     rows = crosscheck(["pendulum", "cart-pole"], [], extra=["diffeqpy"])

@@ -208,7 +208,7 @@ def _listen(process: subprocess.Popen[bytes], told: _Told) -> None:
             line = raw.decode(errors="replace").strip()
             if line:
                 told.words.append(line)
-            if line.startswith(_SIGNS_OF_PROGRESS):
+            if any(sign in line[:40] for sign in _SIGNS_OF_PROGRESS):
                 told.begin(line[:100])
     except (OSError, ValueError):
         pass

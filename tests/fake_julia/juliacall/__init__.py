@@ -22,7 +22,7 @@ DIE, HANG, RAISE, CHATTER, NOT_FINITE, WRONG_SHAPE = 13, 14, 15, 16, 17, 18
 if os.environ.get("FAKE_JULIA_START") == "fail":
     raise RuntimeError("PythonCall.jl did not start properly\nsecond line")
 if os.environ.get("FAKE_JULIA_START") == "slow":
-    print("Precompiling Symbolics", file=sys.stderr, flush=True)
+    print("[ Info: Precompiling Symbolics [0c5d862f]", file=sys.stderr, flush=True)
     time.sleep(1.5)
 
 
