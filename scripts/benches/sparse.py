@@ -29,13 +29,15 @@ TARGET_SECONDS = 0.3
 ITERATIONS = 5000
 
 
-def best_seconds(call: Callable[[], object], repeats: int) -> float:
+def best_seconds(
+    call: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter
+) -> float:
     """Give the shortest of several runs: the one that the machine disturbed least."""
     seconds = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = clock()
         call()
-        seconds.append(time.perf_counter() - start)
+        seconds.append(clock() - start)
     return min(seconds)
 
 
@@ -97,12 +99,16 @@ def main() -> None:
     theta, dx = reference_problem("cart-pole")
     problem = problem_of(theta, dx)
     seconds = best_seconds(lambda: solve_sparse(problem), max(options.repeats, 1))
+    processor = best_seconds(
+        lambda: solve_sparse(problem), max(options.repeats, 1), time.process_time
+    )
     loop = best_seconds(lambda: loop_one_by_one(theta, dx), 1)
     result = {
         "p": len(theta),
         "m": len(dx),
         "iterations": ITERATIONS,
         "seconds": seconds,
+        "processor_seconds": processor,
         "target_seconds": TARGET_SECONDS,
         "julia_2021_seconds": JULIA_SECONDS,
         "share_of_julia": seconds / JULIA_SECONDS,
@@ -118,6 +124,7 @@ def as_text(result: dict) -> str:
     lines = [
         f"implicit SR3, cart-pole: p = {result['p']}, m = {result['m']}, {ITERATIONS} iterations",
         f"  dynsr, one core        {result['seconds']:.3f} s (target {TARGET_SECONDS} s)",
+        f"  its processor time     {result['processor_seconds']:.3f} s (the same on a free core)",
         f"  2021's Julia, recorded {JULIA_SECONDS:.3f} s: {result['share_of_julia']:.2f} of it",
         f"  plain loop over j      {result['plain_loop_seconds']:.3f} s: "
         f"{result['times_faster_than_loop']:.1f} times as long",
