@@ -30,6 +30,7 @@ LAYERS = {
     **dict.fromkeys(("tables", "plots", "report", "templates"), 4),
     **dict.fromkeys(("cells", "records", "results", "checkpoint"), 4),
     **dict.fromkeys(("found", "polishing", "portfolio", "selection", "exports"), 4),
+    **dict.fromkeys(("prediction", "ensemble", "discovery_report", "trainable"), 4),
     **dict.fromkeys(("crosscheck", "comparison", "trajectory_checks", "doctor"), 4),
     **dict.fromkeys(("cli", "commands", "estimator", "__init__", "__main__"), 5),
 }
@@ -42,7 +43,7 @@ WITHIN = {
     "derivatives": {"samples", "smoothers", "trajectory"},
     "smoothers": {"samples"},
     "delimited": {"columns"},
-    "intake": {"sources", "trajectory"},
+    "intake": {"sources", "tabular", "trajectory"},
     "roles": {"columns"},
     "sources": {"columns", "delimited", "trajectory"},
     "table_checks": {"roles"},
@@ -55,6 +56,10 @@ WITHIN = {
     "crosscheck": {"paper", "comparison", "trajectory_checks"},
     "trajectory_checks": {"comparison", "paper"},
     "discovery": {"checkpoint", "found", "polishing", "portfolio", "selection"},
+    "found": {"checkpoint", "discovery_report", "exports", "prediction", "trainable"},
+    "discovery_report": {"exports", "found", "plots", "prediction", "report"},
+    "ensemble": {"found"},
+    "trainable": {"exports"},
     "replicate": {"cells", "records", "report", "results", "tables"},
     "report": {"plots", "records", "results", "tables"},
     "results": {"audit", "paper", "plots", "records", "tables"},
@@ -64,7 +69,7 @@ WITHIN = {
 
 # Foreign module -> the only files that may import it, by name.
 HOMES = {
-    "torch": {"methods/feynman/network.py", "methods/feynman/backend.py"},
+    "torch": {"methods/feynman/network.py", "methods/feynman/backend.py", "trainable.py"},
     "matplotlib": {"plots.py"},
     "juliacall": {"engines/julia_worker.py"},
     "juliapkg": {"engines/julia.py"},
