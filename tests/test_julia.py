@@ -239,6 +239,21 @@ def test_settings_of_the_environment_are_checked(fake_julia, monkeypatch, progra
     assert words in found and bool(words) == bool(found)
 
 
+def test_settings_that_juliapkg_refuses_are_told(fake_julia, monkeypatch):
+    """A setting of juliapkg's own that it cannot use is one line, not its stack."""
+    for name in ("EXE", "PROJECT"):
+        monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
+
+    def refuse():
+        raise Exception("PYTHON_JULIAPKG_PROJECT must be an absolute path")
+
+    monkeypatch.setattr(julia, "_is_resolved", refuse)
+    assert find_missing() == (
+        "juliapkg refuses its settings: PYTHON_JULIAPKG_PROJECT must be an absolute path; "
+        "mend PYTHON_JULIAPKG_*"
+    )
+
+
 def test_juliapkg_is_asked_for_julia_when_none_is_given(fake_julia, monkeypatch, tmp_path):
     """Installing runs juliapkg in a process of its own and tells where Julia is."""
     for name in ("EXE", "PROJECT"):

@@ -212,7 +212,12 @@ def find_missing() -> str:
         if not os.path.exists(project):
             return f"PYTHON_JULIACALL_PROJECT does not exist: {project!r}; give a Julia project"
         return ""
-    if not _is_resolved():
+    try:
+        resolved = _is_resolved()
+    # juliapkg raises plain exceptions about its settings.
+    except Exception as problem:
+        return f"juliapkg refuses its settings: {problem}; mend PYTHON_JULIAPKG_*"
+    if not resolved:
         return "Julia and its packages are not set up yet; run dynsr doctor --install"
     return ""
 
