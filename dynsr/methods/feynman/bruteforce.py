@@ -22,6 +22,7 @@ from dynsr.expression import parse
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.feynman.alphabet import count_strings, make_letters
 from dynsr.methods.feynman.backend import choose_backend
+from dynsr.methods.feynman.beam import Beam
 from dynsr.methods.feynman.enumerator import Enumerator
 from dynsr.methods.feynman.finishing import Finisher
 from dynsr.methods.feynman.pool import Pool
@@ -36,6 +37,8 @@ _EXACT = 1e-10
 # Rows on which pairs are compared, and pairs that triples are grown from.
 _SUM_ROWS = 500
 _PAIRS = 48
+# Of so many simplest functions all pairs are starts of triples.
+_SIMPLE = 8
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,10 @@ class BruteForce(AbstractMethod):
     probes : rows on which functions are told apart and screened.
     keep : functions of each level and problem that are fitted on all rows.
     sums : numbers of simplest functions of which all pairs are tried as sums, in turn; () for none.
+    beam : numbers of simplest functions and of best ones to which every stored function is added at
+        the end
+        , and to the best of those once more; 0 for none.
+    ratios : search for y / v and v / y too, for each variable v that is nowhere 0.
     device : where the arrays live, see ``backend.choose_backend``.
 
     >>> x = np.linspace(0.5, 2.0, 200)
@@ -115,6 +122,8 @@ class BruteForce(AbstractMethod):
     probes: int = 32
     keep: int = 16
     sums: tuple[int, ...] = (100, 400)
+    beam: int = 48
+    ratios: bool = False
     device: str = "auto"
 
     name = "brute force"
@@ -203,8 +212,9 @@ class _Search:
         self.letters, self.nested = make_letters(settings.operators, settings.nested)
         leaves = [sympy.Symbol(name) for name in names] + [parse(c) for c in settings.constants]
         self.leaves = len(leaves)
-        self.problems = make_problems(X, y, settings.changes, settings.monomials)
-        probes = _spaced(len(y), settings.probes)
+        ratios = leaves[: len(names)] if settings.ratios else []
+        self.problems = make_problems(X, y, settings.changes, settings.monomials, ratios)
+        self.probes = probes = _spaced(len(y), settings.probes)
         backend = choose_backend(settings.device)
         self.screen = Screen(self.problems, probes, backend)
         self.enumerator = Enumerator(
@@ -219,6 +229,7 @@ class _Search:
         self.pool = Pool()
         self.stopped = ""
         self.sums_done = 0
+        self.near: dict[str, list[tuple[int, int, int]]] = {}
 
     def run(self) -> BruteForceResult:
         """Search until a bound is met."""
@@ -257,6 +268,8 @@ class _Search:
             )
             self._finish(shortlist)
             self._try_sums(size)
+            if size == settings.max_size or self.enumerator.stopped == "candidates":
+                self._try_beam()
             if self.report is not silent:
                 self.report(Progress(settings.name, self.enumerator.formed, None, self._front()))
         if not self._ended():
@@ -276,7 +289,9 @@ class _Search:
     def _finish(self, shortlist: Shortlist) -> None:
         bank = self.enumerator.bank
         for place, problem in enumerate(self.problems):
-            numbers = [(bank.number(*winner),) for winner in shortlist.winners(place)]
+            winners = shortlist.winners(place)
+            self.near[problem.name] = [*winners[:8], *self.near.get(problem.name, [])]
+            numbers = [(bank.number(*winner),) for winner in winners]
             self.pool.add(self.finisher.finish(problem, numbers))
 
     def _try_sums(self, size: int) -> None:
@@ -294,7 +309,28 @@ class _Search:
             depth = sum(level.start <= chosen[-1] for level in levels)
             values = self.enumerator.bank.evaluate_all(self.X[rows], depth)[chosen]
             for problem in self.problems:
-                self._sum(problem, chosen, values, rows)
+                if problem.by_log or not problem.powers:
+                    self._sum(problem, chosen, values, rows)
+
+    def _try_beam(self) -> None:
+        """Add any stored function to the simplest ones and to the best; then once more."""
+        if not self.settings.beam:
+            return
+        bank, keep = self.enumerator.bank, self.settings.keep
+        beam = Beam(bank, self.X[self.probes], self.probes, self.screen.backend)
+        for problem in self.problems:
+            if self._ended_but_for_sums():
+                return
+            near = [
+                bank.number(*winner) for winner in self.near[problem.name][: self.settings.beam]
+            ]
+            starts = dict.fromkeys([*beam.singles(self.settings.beam), *((n,) for n in near)])
+            pairs = beam.extend(problem, list(starts), 2 * keep)
+            self.pool.add(self.finisher.finish(problem, pairs))
+            if self._ended_but_for_sums():
+                return
+            triples = beam.extend(problem, [*pairs, *beam.pairs(_SIMPLE)], keep)
+            self.pool.add(self.finisher.finish(problem, triples))
 
     def _ended_but_for_sums(self) -> bool:
         return self._ended() and self.stopped in ("exact", "deadline")

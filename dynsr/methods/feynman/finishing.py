@@ -21,6 +21,8 @@ from dynsr.methods.feynman.problem import Problem
 # What a fitted constant and a change of the target count in letters.
 _CONSTANT, _CHANGE = 4.0, 2.0
 _SNAP = 0.02
+# A term of a sum below this part of the largest is rounding.
+_NOTHING = 1e-11
 
 
 class Finisher:
@@ -71,6 +73,8 @@ class Finisher:
             forms += [np.column_stack([shift, one]), np.column_stack([0 * one, one])]
         found = []
         for numbers in forms:
+            size = np.abs(numbers) * np.sqrt(np.einsum("kni,kni->ki", design, design))
+            numbers = np.where(size > _NOTHING * size.max(axis=1, keepdims=True), numbers, 0.0)
             fitted = np.einsum("kni,ki->kn", design, numbers)
             write = partial(self._sum, problem, groups, numbers)
             found += measure(problem.target.invert(fitted), self.y, write)
