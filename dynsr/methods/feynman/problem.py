@@ -56,7 +56,8 @@ def make_problems(
 ) -> list[Problem]:
     """Give the problems of y: one for each domain change that fits its range, then the monomials'.
 
-    ``ratios`` are the names of the columns of X when y / v and v / y are wanted too. Power laws and exponentials need a target that is nowhere 0.
+    ``ratios`` are the names of the columns of X when y / v and v / y are wanted too. Power
+    laws and exponentials need a target that is nowhere 0.
 
     >>> x = np.linspace(1.0, 2.0, 5)[:, None]
     >>> [p.name for p in make_problems(x, np.exp(x[:, 0]), ["log"], True)]
@@ -65,7 +66,7 @@ def make_problems(
     none = np.empty((len(y), 0))
     targets = make_targets(y, changes)
     for column, symbol in zip(X.T, ratios, strict=False):
-        if _has_logarithm(column):
+        if has_logarithm(column):
             targets += make_targets(y, ("inv",), column, symbol)
     targets = [t for t in targets if not _ruled_by_few(t.values)]
     problems = [Problem(t.name, t, (), none, False) for t in targets]
@@ -75,7 +76,7 @@ def make_problems(
     logarithm = Target(CHANGES["log"], 1.0, np.log(size), size)
     if np.ptp(logarithm.values) == 0:
         return problems
-    powers = tuple(j for j in range(X.shape[1]) if _has_logarithm(X[:, j]))
+    powers = tuple(j for j in range(X.shape[1]) if has_logarithm(X[:, j]))
     logs = np.log(np.abs(X[:, powers]))
     problems.append(Problem("power law", logarithm, powers, logs, True))
     problems.append(Problem("exponential", logarithm, powers, logs, False))
@@ -88,6 +89,7 @@ def _ruled_by_few(values: np.ndarray) -> bool:
     return bool(len(values) > 4 and spread.max() > 0.5 * spread.sum())
 
 
-def _has_logarithm(column: np.ndarray) -> bool:
+def has_logarithm(column: np.ndarray) -> bool:
+    """Whether a variable is nowhere 0 and not constant."""
     size = np.abs(column)
     return bool(size.min() > 1e-9 * size.max() and np.ptp(size) > 1e-9 * size.max())
