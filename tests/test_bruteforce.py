@@ -220,3 +220,12 @@ def test_ratios_and_beam_find_what_no_single_function_is(formula):
     assert result.stopped == "exact"
     alone = BruteForce(max_candidates=60_000, beam=0, sums=(), device="cpu")
     assert search_values(samples.X, samples.y, samples.names, alone).stopped != "exact"
+
+
+def test_an_exact_formula_is_chosen_though_its_errors_have_one_sign():
+    """Rounding errors of one sign do not make thousands of exact rows count as two."""
+    samples = planted("0.3989422804*exp(-0.5*(x/y)^2)/y", "xy")
+    result = search_values(samples.X, samples.y, samples.names, SMALL)
+    fresh = planted("0.3989422804*exp(-0.5*(x/y)^2)/y", "xy", seed=1)
+    chosen = choose(result.candidates, samples)
+    assert np.allclose(evaluate(chosen.expr, fresh.columns), fresh.y, rtol=1e-9)
