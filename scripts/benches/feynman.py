@@ -30,7 +30,7 @@ from dynsr.system import System
 
 SCHEME, TOLERANCE = "central4", 0.01
 SYSTEMS = (LOTKA_VOLTERRA, PENDULUM)
-SHALLOW = BruteForce(max_size=5, device="cpu")
+SHALLOW = BruteForce(max_size=5, beam=0, device="cpu")
 console = Console(width=160, highlight=False)
 
 
@@ -122,7 +122,7 @@ def run_operon(samples: Samples) -> str:
     model = SymbolicRegressor(
         allowed_symbols="add,sub,mul,div,sin,cos,exp,log,sqrt,square,constant,variable",
         n_threads=1,
-        max_evaluations=200_000,
+        max_evaluations=100_000,
         max_length=20,
         random_state=0,
     ).fit(samples.X, samples.y)
@@ -135,7 +135,7 @@ def run_gplearn(samples: Samples) -> str:
 
     model = SymbolicRegressor(
         population_size=1000,
-        generations=20,
+        generations=10,
         function_set=("add", "sub", "mul", "div", "sin", "cos"),
         parsimony_coefficient=0.001,
         random_state=0,
@@ -170,6 +170,7 @@ def show_peers() -> None:
                 continue
             row = (name, system.name, target, judge(str(found), samples, truth))
             table.add_row(*row, f"{cpu:.2f}", f"{wall:.2f}", str(found)[:60])
+            console.print(f"{name} on {system.name} {target}: CPU {cpu:.2f} s, wall {wall:.2f} s")
     console.print(table)
 
 

@@ -44,11 +44,11 @@ class Beam:
 
     def extend(self, problem: Problem, groups: Sequence[Group], keep: int) -> list[Group]:
         """Give the ``keep`` best groups of one function more; all groups are of one length."""
-        bases, residues, groups = self._bases(problem, groups)
+        shared, bases, residues, groups = self._bases(problem, groups)
         if not groups:
             return []
         backend = self.backend
-        base = backend.put(np.concatenate(list(bases), axis=1))
+        base = backend.put(np.concatenate([shared, *bases], axis=1))
         residue = backend.put(residues.T)
         left = 1 - np.einsum("kr,kr->k", residues, residues)
         best = np.full(keep, -np.inf)
@@ -56,7 +56,7 @@ class Beam:
         for level in self.bank.levels:
             for begin in range(0, len(level), _CHUNK):
                 values = self._features(problem, level.rows.values[begin : begin + _CHUNK])
-                share = left + self._gains(values, base, residue, len(groups))
+                share = left + self._gains(values, base, residue, shared.shape[1])
                 flat = np.flatnonzero(share.ravel() > best.min())
                 flat = flat[np.argsort(-share.ravel()[flat], kind="stable")][: 4 * keep]
                 for place in flat:
@@ -73,18 +73,25 @@ class Beam:
             return values
         return self.backend.apply("log", self.backend.apply("abs", values))
 
-    def _gains(self, values: Any, base: Any, residue: Any, groups: int) -> np.ndarray:
-        squares = self.backend.square_sums(values)[:, None]
-        inside = self.backend.get(values @ base).reshape(len(squares), groups, -1)
-        rest = squares - np.einsum("bkm,bkm->bk", inside, inside)
-        rest = np.where(rest > _LEFT * squares, rest, np.inf)
-        gains = self.backend.get(values @ residue) ** 2 / rest
-        return np.where(np.isfinite(gains), gains, -np.inf)
+    def _gains(self, values: Any, base: Any, residue: Any, shared: int) -> np.ndarray:
+        """(B, K) share each function adds to each group; ``shared`` columns belong to all."""
+        squares = self.backend.square_sums(values)
+        inside = self.backend.get(values @ base)
+        np.square(inside, out=inside)
+        common = squares - inside[:, :shared].sum(axis=1)
+        gains = self.backend.get(values @ residue)
+        own = inside[:, shared:].reshape(*gains.shape, -1)
+        rest = common[:, None] - (own[:, :, 0] if own.shape[2] == 1 else own.sum(axis=2))
+        rest[rest <= _LEFT * squares[:, None]] = np.inf
+        np.square(gains, out=gains)
+        gains /= rest
+        gains[~np.isfinite(squares)] = -np.inf
+        return gains
 
     def _bases(
         self, problem: Problem, groups: Sequence[Group]
-    ) -> tuple[np.ndarray, np.ndarray, list[Group]]:
-        """(K, R, q + m) bases, (K, R) residues of the unit target, and the groups that have one."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[Group]]:
+        """(R, q) background basis, (K, R, m) bases beside it, (K, R) residues, and the groups."""
         background = problem.background[self.rows]
         target = problem.target.values[self.rows]
         base = np.linalg.qr(background)[0]
@@ -94,11 +101,11 @@ class Beam:
         features = {n: problem.feature(self.bank.evaluate(n, self.X)) for n in numbers}
         kept = [g for g in groups if all(np.isfinite(features[n]).all() for n in g)]
         if not kept:
-            return np.empty((0, 0, 0)), np.empty((0, 0)), []
-        columns = [np.column_stack([background, *(features[n] for n in g)]) for g in kept]
+            return base, np.empty((0, 0, 0)), np.empty((0, 0)), []
+        columns = [np.column_stack([base, *(features[n] for n in g)]) for g in kept]
         scaled = [c / (np.linalg.norm(c, axis=0) + 1e-300) for c in columns]
-        bases = np.array([np.linalg.qr(c)[0] for c in scaled])
-        return bases, target - np.einsum("krm,ksm,s->kr", bases, bases, target), kept
+        bases = np.array([np.linalg.qr(c)[0][:, base.shape[1] :] for c in scaled])
+        return base, bases, target - np.einsum("krm,ksm,s->kr", bases, bases, target), kept
 
 
 def _is_in(group: Group, chosen: Sequence[Group]) -> bool:
