@@ -52,9 +52,11 @@ def estimate_noise(
             best, floor = residual, median
     if not math.isfinite(floor):
         floor = size
+    if floor <= REAL_RESOLUTION * size:
+        # Rounding errors are no noise: their signs say nothing, and every row is exact.
+        return Noise(REAL_RESOLUTION * size, float(len(y)))
     runs = 1 + int(np.count_nonzero(np.diff(np.signbit(best))))
-    rows = float(min(len(y), rows_per_run * runs))
-    return Noise(max(floor, REAL_RESOLUTION * size), rows)
+    return Noise(floor, float(min(len(y), rows_per_run * runs)))
 
 
 def data_bits(residual: np.ndarray, noise: Noise) -> float:
