@@ -196,6 +196,12 @@ def _read_values(path: Path, layout: Layout, encoding: str) -> list[np.ndarray]:
     return [np.concatenate(part) for part in parts]
 
 
+def _exact_floats(version: str) -> dict[str, str]:
+    """Ask for correctly rounded numbers; from pandas 3.1 on they are, and asking is deprecated."""
+    major, minor = map(int, version.split(".")[:2])
+    return {} if (major, minor) >= (3, 1) else {"float_precision": "round_trip"}
+
+
 def _chunks(path: Path, layout: Layout, encoding: str) -> Iterator[Any]:
     import pandas
 
@@ -209,9 +215,9 @@ def _chunks(path: Path, layout: Layout, encoding: str) -> Iterator[Any]:
             comment="#",
             encoding=encoding,
             skipinitialspace=layout.delimiter != r"\s+",
-            float_precision="round_trip",
             low_memory=False,
             chunksize=_CHUNK_ROWS,
+            **_exact_floats(pandas.__version__),
         ) as chunks:
             yield from chunks
     except pandas.errors.EmptyDataError:

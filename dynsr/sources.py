@@ -104,7 +104,7 @@ def _load_parquet(path: Path) -> Columns:
 
 def _load_npz(path: Path) -> Columns:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except (ValueError, OSError, EOFError, zipfile.BadZipFile, TypeError, AttributeError) as error:
         raise _unreadable(path, "npz archive", error) from None
