@@ -7,7 +7,7 @@ object of the engine's own, never a Python callback. Nothing is left to an engin
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -161,6 +161,10 @@ class AbstractEngine(ABC):
     @abstractmethod
     def integrate(self, problem: InitialValueProblem) -> Integration:
         """Solve an initial value problem by Tsit5; a divergence is a result, not an error."""
+
+    def integrate_all(self, problems: Sequence[InitialValueProblem]) -> list[Integration]:
+        """Solve many problems, one answer each in the same order; an engine may do so at once."""
+        return [self.integrate(problem) for problem in problems]
 
     @abstractmethod
     def regress(self, problem: SparseProblem) -> SparseSolution:
