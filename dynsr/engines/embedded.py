@@ -33,11 +33,11 @@ class EmbeddedEngine(AbstractEngine):
         return tsit5.solve(problem)
 
     def regress(self, problem: SparseProblem) -> SparseSolution:
-        """Solve a sparse regression problem by :func:`dynsr.engines.sparse.solve`."""
+        """Solve a sparse regression problem by :func:`dynsr.engines.sparse.solve_sparse`."""
         # Here, so that who only integrates does not load linear algebra it never uses.
-        from dynsr.engines import sparse
+        from dynsr.engines.sparse import solve_sparse
 
-        return sparse.solve(problem)
+        return solve_sparse(problem)
 
     def versions(self) -> dict[str, str]:
         """Name dynsr, the numerical libraries and Python with their versions."""
