@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from decimal import ROUND_DOWN, Decimal
 from typing import Any
 
+import numpy as np
 import sympy
 
 from dynsr.catalogue import find_system
@@ -88,13 +89,16 @@ def agrees_cut(printed: str, ours: float) -> bool:
 def paper_models(engine: AbstractEngine) -> dict[str, sympy.Expr]:
     """Find the paper's SINDy models anew from its own data, with all their digits."""
     # Here, because an audit with models of its own has no need of the search.
-    from dynsr.methods.sindy import paper_model
+    from dynsr.methods.sindy import SINDy
+    from dynsr.paper.recipes import sindy_samples
 
-    return {
-        row.system: paper_model(row.system, engine)
-        for row in printed_expressions()
-        if row.method == "SINDy"
-    }
+    models = {}
+    for row in printed_expressions():
+        if row.method == "SINDy":
+            method = replace(SINDy.preset("paper", row.system), engine=engine)
+            samples = sindy_samples(find_system(row.system), engine)
+            models[row.system] = method.search(samples, np.random.default_rng(0)).best_fit.expr
+    return models
 
 
 def _groups() -> list[list[PrintedExpression]]:
