@@ -22,13 +22,23 @@ def crosscheck(
     if json:
         output.print_json(rows)
         return
-    plain = output.to_plain(rows)
-    headings = list(plain[0])
-    output.print_table("Crosscheck", headings, [list(row.values()) for row in plain])
+    output.print_rows("Crosscheck", rows)
 
 
 def benchmark(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Which one.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Which one; all are listed without it.")
+    ] = None,
+    systems: Annotated[
+        list[str] | None, typer.Option(help="Systems, by commas.", rich_help_panel=options.DATA)
+    ] = None,
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            help="Noise levels, as fractions of each state's standard deviation: 0,0.01.",
+            rich_help_panel=options.DATA,
+        ),
+    ] = None,
     json: options.Json = False,
 ) -> None:
     """Run a benchmark by name, or list them."""
@@ -49,5 +59,4 @@ def doctor(
     if json:
         output.print_json(rows)
         return
-    plain = output.to_plain(rows)
-    output.print_table("Doctor", list(plain[0]), [list(row.values()) for row in plain])
+    output.print_rows("Doctor", rows)

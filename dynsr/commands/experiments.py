@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dynsr.commands import options, output
+
+if TYPE_CHECKING:
+    from dynsr.audit import AuditRow
+    from dynsr.records import Record
 
 Names = list[str] | None
 
@@ -37,13 +42,13 @@ def replicate(
 
     Whatever ends it, the next call with the same folder goes on where it stopped.
     """
+    from dynsr.methods.select import METHODS
     from dynsr.replicate import PAPER_NAMES
     from dynsr.replicate import replicate as run
 
-    named = options.read_names(methods)
     found = run(
         systems=options.read_names(systems) or PAPER_NAMES,
-        **({"methods": named} if named else {}),
+        methods=options.read_names(methods) or METHODS,
         runs=runs,
         seed=seed,
         jobs=jobs,
@@ -52,7 +57,33 @@ def replicate(
         engine=engine,
         progress=not quiet,
     )
-    del found, json
+    deliver_results(found.folder, found.records, found.settings, json)
+
+
+def deliver_results(
+    folder: Path, records: Sequence[Record], settings: Mapping[str, Any], json: bool
+) -> None:
+    """Write every table, figure and the report of a replication, and show its Table 1."""
+    from dynsr.report import write_results
+    from dynsr.results import table_1
+
+    written = write_results(folder, records, settings)
+    table = table_1(records)
+    if json:
+        output.print_json(
+            {
+                "settings": settings,
+                "table_1": table.to_records(),
+                "records": records,
+                "files": written,
+            }
+        )
+        return
+    output.console().print(table.to_rich())
+    for record in records:
+        if not record.done:
+            output.note(f"failed: {record.system} {record.method} {record.run}: {record.error}")
+    output.note(f"open: {folder / 'report.html'}")
 
 
 def audit(
@@ -67,12 +98,27 @@ def audit(
         output.print_json(rows)
         return
     output.print_table(
-        "Printed losses, scored again (agreement to every printed digit, digits cut)",
+        "Printed losses, scored again",
         ("system", "method", "run", "printed", "ours", "agrees", "corrected", "note"),
         [
-            (r.system, r.method, r.run, r.printed, r.ours, r.agrees, r.corrected, r.note)
-            for r in rows
+            (
+                row.system,
+                row.method,
+                row.run,
+                row.printed_digits,
+                f"{row.ours:.6g}",
+                "yes" if row.agrees else "no",
+                row.corrected,
+                _unrounded(row),
+            )
+            for row in rows
         ],
     )
     agreeing = sum(row.agrees for row in rows)
-    typer.echo(f"{agreeing} of {len(rows)} printed losses agree to every printed digit.")
+    typer.echo(f"{agreeing} of {len(rows)} printed losses agree to every printed digit (cut).")
+
+
+def _unrounded(row: AuditRow) -> str:
+    if row.unrounded is None:
+        return row.note
+    return f"{row.note} unrounded: {row.unrounded_expression}, loss {row.unrounded:.6g}".strip()

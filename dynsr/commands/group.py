@@ -36,19 +36,28 @@ class CommandGroup(TyperGroup):
             code = self._run(args, options)
         sys.exit(INTERRUPTED if interrupts and code == 0 else code)
 
+    def invoke(self, ctx: typer.Context) -> Any:
+        """Run the command chosen; it ends quietly when the reader of its output is gone."""
+        try:
+            result = super().invoke(ctx)
+            sys.stdout.flush()
+            return result
+        except BrokenPipeError:
+            # Python flushes stdout once more at its end, which must not fail again.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return None
+
     def _run(self, args: tuple[Any, ...], options: dict[str, Any]) -> int:
         try:
             result = super().main(*args, **options)
-            return result if isinstance(result, int) else 0
+            code = result if isinstance(result, int) else 0
+            return _end("interrupted", code) if code == INTERRUPTED else code
         except (KeyboardInterrupt, typer.Abort):
             return _end("interrupted", INTERRUPTED)
         except DynsrError as error:
             return _end(error, BAD_INPUT)
         except _CLICK_ERROR as error:
             return _end_usage(error)
-        except BrokenPipeError:  # the reader of our output, such as head, is gone
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 0
         except OSError as error:
             where = f" {str(error.filename)!r}" if error.filename else ""
             return _end(f"cannot use{where}: {error.strerror or error}", BAD_INPUT)

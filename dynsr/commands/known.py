@@ -59,7 +59,7 @@ def systems(name: SystemName = None, json: options.Json = False) -> None:
         (
             system.name,
             "\n".join(f"{s}' = {e}" for s, e in system.equations().items()),
-            "\n".join(f"{n} = {e}" for n, e in system.inputs.items()) or None,
+            "\n".join(f"{n} = {e}" for n, e in system.inputs.items()),
             system.description,
         )
         for system in chosen

@@ -11,7 +11,6 @@ from typing import Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 _WIDE = 160
 
@@ -52,27 +51,27 @@ def to_plain(value: Any) -> Any:
     return str(value)
 
 
-def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Print a table on stdout; numbers are set right."""
-    table = Table(title=title, title_justify="left", title_style="bold")
-    listed = [list(row) for row in rows]
-    for column, heading in enumerate(headings):
-        number = all(isinstance(row[column], (int, float)) for row in listed) and listed
-        table.add_column(heading, justify="right" if number else "left", overflow="fold")
-    for row in listed:
-        table.add_row(*(show(cell) for cell in row))
-    console().print(table)
+def print_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], note: str = ""
+) -> None:
+    """Print a table on stdout."""
+    from dynsr.tables import Table
+
+    table = Table("", title, tuple(columns), tuple(tuple(row) for row in rows), note)
+    console().print(table.to_rich())
 
 
-def show(cell: Any) -> str:
-    """Show one cell: a number to four digits, nothing as a dash; no markup is read from it."""
-    from rich.markup import escape
+def print_rows(title: str, rows: Sequence[Any]) -> None:
+    """Print a table of dataclass instances or mappings that all have the same fields."""
+    records = [to_plain(row) for row in rows]
+    columns = list(records[0]) if records else []
+    print_table(title, columns, [[_cell(record[key]) for key in columns] for record in records])
 
-    if cell is None:
-        return "-"
-    if isinstance(cell, bool):
-        return "yes" if cell else "no"
-    return escape(f"{cell:.4g}" if isinstance(cell, float) else str(cell))
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return json.dumps(value) if isinstance(value, (dict, list)) else value
 
 
 def note(message: str) -> None:
@@ -95,16 +94,3 @@ def make_folder(path: Path) -> Path:
             f"cannot write to folder {str(path)!r}: {reason}; choose another"
         ) from None
     return path
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file in one move, so that a reader never sees half of it."""
-    from dynsr.errors import InputError
-
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"cannot write {str(path)!r}: {reason}; choose another file") from None
