@@ -97,7 +97,7 @@ class Record:
 
 def write_record(record: Record, path: Path) -> None:
     """Write a record to ``path`` in one move, with its checksum."""
-    body = _plain(asdict(record))
+    body = plain_values(asdict(record))
     write_text(path, _dumps({**body, "checksum": _checksum(body)}))
 
 
@@ -168,7 +168,7 @@ def describe_settings(method: Any) -> dict[str, Any]:
     """
     if not is_dataclass(method):
         return {"name": str(getattr(method, "name", type(method).__name__))}
-    return _plain({f.name: getattr(method, f.name) for f in fields(method)})
+    return plain_values({f.name: getattr(method, f.name) for f in fields(method)})
 
 
 def _check_manifest(path: Path, settings: Mapping[str, Any]) -> None:
@@ -180,7 +180,7 @@ def _check_manifest(path: Path, settings: Mapping[str, Any]) -> None:
         ours = False
     if not ours:
         raise InputError(f"{path} is no manifest of dynsr; give a new or an empty folder")
-    for key, value in _plain(settings).items():
+    for key, value in plain_values(settings).items():
         if old.get(key) != value:
             raise InputError(
                 f"{path.parent} holds results with {key} {old.get(key)}, not {value}; "
@@ -207,12 +207,17 @@ def _dumps(body: Mapping[str, Any]) -> str:
     return json.dumps(body, indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
-def _plain(value: Any) -> Any:
-    """Bring a value to what strict JSON holds; numbers that are not finite become text."""
+def plain_values(value: Any) -> Any:
+    """Bring values to what strict JSON holds.
+
+    Expressions become text, and so do the numbers that are not finite ("inf", "nan").
+    """
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [_plain(v) for v in value]
+        return {str(k): plain_values(v) for k, v in value.items()}
+    if isinstance(value, (set, frozenset)):
+        return sorted(map(plain_values, value), key=str)
+    if isinstance(value, (list, tuple)):
+        return [plain_values(v) for v in value]
     if isinstance(value, sympy.Basic):
         return to_text(value)
     if isinstance(value, float) and not math.isfinite(value):
@@ -220,9 +225,9 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, (str, bool, int, float)):
         return value
     if is_dataclass(value) and not isinstance(value, type):
-        return _plain({f.name: getattr(value, f.name) for f in fields(value)})
+        return plain_values({f.name: getattr(value, f.name) for f in fields(value)})
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return plain_values(value.tolist())
     return str(getattr(value, "__name__", type(value).__name__))
 
 

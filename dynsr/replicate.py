@@ -12,7 +12,7 @@ import signal
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +40,14 @@ from dynsr.records import (
     RecordWarning,
     describe_settings,
     open_folder,
+    plain_values,
     read_record,
     write_record,
 )
+from dynsr.report import write_results
+from dynsr.results import all_tables
 from dynsr.system import System
+from dynsr.tables import Table
 
 PAPER_NAMES = tuple(system.name for system in PAPER_SYSTEMS)
 RUNS, QUICK_RUNS = 5, 2
@@ -65,6 +69,24 @@ class Replication:
         """The records of cells that gave no formula."""
         return tuple(record for record in self.records if not record.done)
 
+    @property
+    def tables(self) -> list[Table]:
+        """Table 1 beside the paper's, then the tables of the appendix."""
+        return all_tables(self.records)
+
+    def write(self) -> list[Path]:
+        """Write tables, Figure 1 and report.html into the folder, from the records alone."""
+        return write_results(self.folder, self.records, self.settings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give settings, records and Table 1 as JSON can hold them."""
+        return {
+            "settings": self.settings,
+            "folder": str(self.folder),
+            "table1": [plain_values(row) for row in self.tables[0].to_records()],
+            "cells": [plain_values(asdict(record)) for record in self.records],
+        }
+
 
 def replicate(
     systems: Sequence[str | System] = PAPER_NAMES,
@@ -78,7 +100,7 @@ def replicate(
     progress: bool = False,
     make: MakeMethod = make_method,
 ) -> Replication:
-    """Run the cells that have no record in ``out`` yet, and give the records of all of them.
+    """Run the cells that have no record in ``out`` yet; give and write up the results of all.
 
     Parameters
     ----------
@@ -111,7 +133,9 @@ def replicate(
         for cell, record in _compute(todo, plan, folder, workers):
             records[cell.name] = record
             finished(cell, record)
-    return Replication(folder, settings, tuple(records[cell.name] for cell in cells))
+    result = Replication(folder, settings, tuple(records[cell.name] for cell in cells))
+    result.write()
+    return result
 
 
 def _cells(systems: Sequence[str | System], methods: Sequence[str], runs: int) -> list[Cell]:

@@ -36,9 +36,9 @@ UNITS = {"theta1": "rad", "theta2": "rad/s", "w": "rad", "x": "m", "y": "rad/s",
 FIGURE_1 = ("lotka-volterra", "cart-pole")
 _FIGURE_POINTS = 1001
 _NOTE_1 = (
-    "Mean ± standard deviation (n - 1) over the runs. As printed: the loss that the paper's "
-    "numbers really hold, with its mixed states and its wrong start of the pendulum. Corrected: all "
-    "states, right start; the paper's column is computed from the expressions that it prints, "
+    "Mean ± standard deviation (n - 1) over the runs. As printed: the loss that the numbers of the "
+    "paper really hold, with its mixed states and its wrong start of the pendulum. Corrected: "
+    "all states, right start; the paper's side is computed from the expressions that it prints, "
     "whose digits are cut. Equation RMSE: the formula of the paper's text."
 )
 

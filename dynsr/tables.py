@@ -159,7 +159,7 @@ class Table:
             r"\begin{table}[htbp]",
             rf"\caption{{{_tex(self.title)}}}",
             rf"\label{{tab:{self.name.replace('_', '-')}}}",
-            r"\centering\small",
+            r"\centering\footnotesize\setlength{\tabcolsep}{4pt}",
             rf"\begin{{tabular}}{{{layout}}}",
             r"\toprule",
             " & ".join(map(_tex, self.columns)) + r" \\",
