@@ -275,6 +275,46 @@ def test_exit_codes_in_a_real_shell(tmp_path):
     assert bad.returncode == 2 and out == "" and errors.count("\n") == 1
 
 
+@pytest.mark.slow
+def test_replicate_and_report(tmp_path):
+    """A replication ends in records, tables, the figure and a page; the page can be made anew."""
+    out = tmp_path / "results"
+    words = ("--systems", "lotka-volterra", "--methods", "ga", "--runs", 1, "--quick", "-j", 1)
+    found = json.loads(run("replicate", *words, "-o", out, "--json", "-q").stdout)
+    assert found["settings"]["quick"] and len(found["records"]) == 1
+    assert all(os.path.exists(path) for path in found["files"])
+    page = (out / "report.html").read_bytes()
+    (out / "report.html").unlink()
+    run("report", out)
+    assert (out / "report.html").read_bytes() == page
+    run("report", out, "-o", tmp_path / "other.html")
+    assert (tmp_path / "other.html").read_bytes() == page
+    assert "with seed 0, not 1" in refuse("replicate", *words, "--seed", 1, "-o", out)
+    (record,) = (out / "cells").iterdir()
+    record.write_bytes(record.read_bytes()[:-40])
+    assert record.name in refuse("report", out)
+    (out / "manifest.json").write_text("{")
+    assert "manifest" in refuse("report", out)
+
+
+def test_folders_that_are_not_ours(tmp_path):
+    """A folder that holds other things, a file, and one that cannot be made are refused."""
+    (tmp_path / "letter.txt").write_text("dear")
+    words = ("replicate", "--systems", "pendulum", "--methods", "ga", "--quick", "-o")
+    assert "letter.txt" in refuse(*words, tmp_path)
+    assert "is a file" in refuse(*words, tmp_path / "letter.txt")
+    assert "cannot write" in refuse(*words, tmp_path / "letter.txt" / "below")
+
+
+@pytest.mark.slow
+def test_audit():
+    """The audit gives 33 rows with what other tools read, of which 31 agree."""
+    rows = json.loads(run("audit", "--json").stdout)
+    assert len(rows) == 33 and sum(row["agrees"] for row in rows) == 31
+    assert {"system", "method", "run", "printed", "ours", "agrees", "note"} <= set(rows[0])
+    assert all(row["unrounded"] for row in rows if not row["agrees"])
+
+
 def test_julia_without_julia_is_one_line():
     """Asking for an engine that is absent ends within two seconds of work in one line, code 2."""
     pytest.importorskip("dynsr.engines.julia")

@@ -271,6 +271,11 @@ def report(
     json: options.Json = False,
 ) -> None:
     """Make one self-contained HTML report of a saved discovery or of a replication's results."""
+    from dynsr.records import MANIFEST
+
+    if (source / MANIFEST).exists():
+        _report_replication(source, out, json)
+        return
     found = load_discovery(source)
     target = out or (source if source.is_dir() else source.parent) / "report.html"
     found.report(target)
@@ -278,3 +283,19 @@ def report(
         output.print_json({"report": target})
     else:
         output.note(f"open: {target}")
+
+
+def _report_replication(folder: Path, out: Path | None, json: bool) -> None:
+    from dynsr.commands.experiments import deliver_results, load_results
+    from dynsr.records import write_text
+    from dynsr.report import render_replication
+
+    records, settings = load_results(folder)
+    if out is None:
+        deliver_results(folder, records, settings, json)
+        return
+    write_text(out, render_replication(records, settings))
+    if json:
+        output.print_json({"report": out})
+    else:
+        output.note(f"open: {out}")

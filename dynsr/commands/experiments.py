@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dynsr.commands import options, output
+from dynsr.errors import InputError
 
 if TYPE_CHECKING:
     from dynsr.audit import AuditRow
@@ -84,6 +86,25 @@ def deliver_results(
         if not record.done:
             output.note(f"failed: {record.system} {record.method} {record.run}: {record.error}")
     output.note(f"open: {folder / 'report.html'}")
+
+
+def load_results(folder: Path) -> tuple[list[Record], dict[str, Any]]:
+    """Load the records and the settings of a replication from its folder.
+
+    Raises InputError when the folder holds no results, RecordError when a file is cut short.
+    """
+    from dynsr.records import MANIFEST, RecordError, read_record
+
+    try:
+        settings = loads((folder / MANIFEST).read_text(encoding="utf-8"))["settings"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise RecordError(
+            f"{folder / MANIFEST} is damaged or no manifest of dynsr; run dynsr replicate again"
+        ) from None
+    records = [read_record(path) for path in sorted((folder / "cells").glob("[!.]*.json"))]
+    if not records:
+        raise InputError(f"{str(folder)!r} holds no finished cell; run dynsr replicate first")
+    return records, settings
 
 
 def audit(

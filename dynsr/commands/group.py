@@ -36,7 +36,7 @@ class CommandGroup(TyperGroup):
             code = self._run(args, options)
         sys.exit(INTERRUPTED if interrupts and code == 0 else code)
 
-    def invoke(self, ctx: typer.Context) -> Any:
+    def invoke(self, ctx: Any) -> Any:
         """Run the command chosen; it ends quietly when the reader of its output is gone."""
         try:
             result = super().invoke(ctx)
