@@ -135,7 +135,7 @@ class GrownLibrary(AbstractLibrary):
     squares. The order matters where functions are dependent on the samples: the first is kept.
 
     >>> len(GrownLibrary(limit=40).for_names(["x", "y"]))
-    38
+    37
     """
 
     degree: int = 4

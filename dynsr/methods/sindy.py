@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import sympy
 
-from dynsr.engines.base import AbstractEngine, Release, SparseProblem, SparseSolution
+from dynsr.engines.base import AbstractEngine, Optimizer, Release, SparseProblem, SparseSolution
 from dynsr.engines.select import find_engine
 from dynsr.errors import InputError
-from dynsr.expression import to_text
+from dynsr.expression import complexity, to_text
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.library import AbstractLibrary, GrownLibrary, Library
 from dynsr.methods.sindy_path import Model, explicit_models, implicit_models, independent_rows
-from dynsr.pareto import ParetoFront, score_candidate
+from dynsr.pareto import Candidate, ParetoFront, rmse, score_candidate
 from dynsr.samples import Samples
 
 PRESETS = ("paper", "best", "quick")
@@ -38,8 +38,8 @@ class SINDy(AbstractMethod):
     thresholds : when given, a path instead of one regression: each threshold, on functions and
         slopes of unit root mean square, gives a support that is refitted and thinned out.
     max_terms : of a path, formulas of more coefficients are not kept.
-    max_implicit : of a path, a larger library is cut to its first so many functions before ratios
-        are searched; 0 searches none.
+    max_implicit : of a path, ratios are searched among the first 2, 4, 8, ... functions of the
+        library, up to so many; 0 searches none.
     max_rows : of a path, evenly spaced samples used at most.
     engine : "embedded", "julia", or an engine.
 
@@ -50,7 +50,7 @@ class SINDy(AbstractMethod):
     """
 
     library: AbstractLibrary = GrownLibrary()
-    optimizer: Literal["SR3", "ADMM", "STLSQ"] = "STLSQ"
+    optimizer: Optimizer = "STLSQ"
     settings: Mapping[str, Any] = field(default_factory=dict)
     implicit: bool = False
     release: Release | None = None
@@ -98,7 +98,7 @@ class SINDy(AbstractMethod):
         optimizer, settings, cap = OPTIMIZERS[system_name]
         return cls(
             library=Library.from_strings(BASES[system_name]),
-            optimizer=optimizer,  # type: ignore[arg-type]
+            optimizer=optimizer,
             settings=settings,
             implicit=True,
             release="2021",
@@ -118,8 +118,10 @@ class SINDy(AbstractMethod):
                 front = front.add(*([] if expr is None else [score_candidate(expr, samples)]))
                 report(Progress("sindy", 1, 1, front))
                 return front
-            for done, found in enumerate(self._path(library, theta, samples)):
-                front = front.add(*(score_candidate(expr, samples, self.name) for expr in found))
+            if np.ptp(samples.y) == 0:
+                return front.add(score_candidate(sympy.Float(float(samples.y[0])), samples))
+            for done, found in enumerate(self._follow(library, theta, samples)):
+                front = front.add(*found) if found else front
                 report(Progress("sindy", done + 1, None, front))
         except KeyboardInterrupt:
             pass
@@ -151,42 +153,36 @@ class SINDy(AbstractMethod):
             return _as_found(library, above, below)
         return sympy.together(-library.combine(above) / library.combine(below))
 
-    def _path(
-        self, library: Library, theta: np.ndarray, samples: Samples
-    ) -> Iterator[list[sympy.Expr]]:
-        """Yield formulas, threshold by threshold: sums first, then ratios."""
-        y = samples.y
-        if np.ptp(y) == 0:
-            yield [sympy.Float(float(y[0]))]
-            return
+    def _path(self, library: Library, theta: np.ndarray, y: np.ndarray) -> Iterator[list[Model]]:
+        """Yield models, threshold by threshold: sums first, then ratios of growing libraries."""
         if len(y) > self.max_rows:
             rows = np.linspace(0, len(y) - 1, self.max_rows).astype(int)
             theta, y = theta[:, rows], y[rows]
+        engine = find_engine(self.engine)
+        yield from explicit_models(theta, y, engine, self.optimizer, self.thresholds)
+        size, largest = 2, min(self.max_implicit, len(theta))
+        while size <= largest:
+            yield from implicit_models(
+                theta[:size], y, engine, self.optimizer, self.thresholds[::2], self.max_terms
+            )
+            size = largest if size < largest < 2 * size else 2 * size
+
+    def _follow(
+        self, library: Library, theta: np.ndarray, samples: Samples
+    ) -> Iterator[list[Candidate]]:
+        """Yield the candidates of the path that are the best so far of their size."""
         kept = independent_rows(theta)
         library, theta = library.select(kept), theta[kept]
-        engine = find_engine(self.engine)
-        best: dict[int, Model] = {}
-        for models in explicit_models(theta, y, engine, self.optimizer, self.thresholds):
-            yield [_ratio(library, m) for m in _improvements(best, models, self.max_terms)]
-        few = theta[: self.max_implicit]
-        if len(few) < 2:
-            return
-        for models in implicit_models(
-            few, y, engine, self.optimizer, self.thresholds, self.max_terms
-        ):
-            yield [_ratio(library, m) for m in _improvements(best, models, self.max_terms)]
-
-
-def _improvements(best: dict[int, Model], models: list[Model], max_terms: int) -> list[Model]:
-    """Give the models that are the best so far of their size, and remember them."""
-    better = []
-    for model in models:
-        if model.size <= max_terms and (
-            model.size not in best or model.error < best[model.size].error
-        ):
-            best[model.size] = model
-            better.append(model)
-    return better
+        best: dict[int, float] = {}
+        for models in self._path(library, theta, samples.y):
+            found = []
+            for model in models:
+                if model.size <= self.max_terms and model.error < best.get(model.size, np.inf):
+                    best[model.size] = model.error
+                    expr = _ratio(library, model)
+                    loss = rmse(model.predict(theta), samples.y)
+                    found.append(Candidate(expr, loss, complexity(expr), self.name))
+            yield found
 
 
 def _ratio(library: Library, model: Model) -> sympy.Expr:

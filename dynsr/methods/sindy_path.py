@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from dynsr.engines.base import AbstractEngine, SparseProblem
+from dynsr.engines.base import AbstractEngine, Optimizer, SparseProblem
 
 _DEPENDENT = 1e-6
 _REWEIGHTINGS = 8
@@ -37,6 +37,15 @@ class Model:
     def size(self) -> int:
         """Count the coefficients."""
         return len(self.numerator) + len(self.denominator)
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        """Evaluate on the rows of theta; inf or NaN where the denominator is 0."""
+        top = np.array(list(self.numerator.values())) @ theta[list(self.numerator)]
+        if not self.denominator:
+            return top
+        with np.errstate(all="ignore"):
+            below = np.array(list(self.denominator.values())) @ theta[list(self.denominator)]
+            return top / below
 
 
 def independent_rows(theta: np.ndarray) -> np.ndarray:
@@ -68,7 +77,8 @@ def eliminate(columns: np.ndarray, target: np.ndarray) -> Iterator[tuple[Terms, 
     ``c_k^2 / ((A'A)^-1)_kk``.
     """
     chosen = list(range(len(columns)))
-    factor = np.linalg.qr(np.vstack([columns, target]).T, mode="r")
+    factor = scipy.linalg.qr(np.vstack([columns, target]).T, mode="r", check_finite=False)[0]
+    factor = factor[: factor.shape[1]]
     matrix, right = factor[:, :-1], factor[:, -1]
     while chosen:
         q, r = np.linalg.qr(matrix[:, chosen])
@@ -83,7 +93,7 @@ def explicit_models(
     theta: np.ndarray,
     dx: np.ndarray,
     engine: AbstractEngine,
-    optimizer: str,
+    optimizer: Optimizer,
     thresholds: Sequence[float],
 ) -> Iterator[list[Model]]:
     """Yield, after each threshold, models dx = c . theta with few terms.
@@ -101,7 +111,7 @@ def explicit_models(
             optimizer,
             {"threshold": threshold},
             False,
-            _ITERATIONS,  # type: ignore[arg-type]
+            _ITERATIONS,
         )
         supports.append(tuple(np.flatnonzero(engine.regress(problem).coefficients).tolist()))
         yield [
@@ -132,7 +142,7 @@ def implicit_models(
     theta: np.ndarray,
     dx: np.ndarray,
     engine: AbstractEngine,
-    optimizer: str,
+    optimizer: Optimizer,
     thresholds: Sequence[float],
     max_terms: int,
 ) -> Iterator[list[Model]]:
@@ -153,7 +163,7 @@ def implicit_models(
             {"threshold": threshold},
             False,
             _ITERATIONS,
-            True,  # type: ignore[arg-type]
+            True,
         )
         relation = engine.regress(problem).coefficients
         den = tuple(np.flatnonzero(relation[:p]).tolist())

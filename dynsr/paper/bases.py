@@ -8,6 +8,8 @@ release of 2021 gives the printed coefficients.
 
 from __future__ import annotations
 
+from dynsr.engines.base import Optimizer
+
 BASES: dict[str, tuple[str, ...]] = {
     "pendulum": (
         "theta1",
@@ -62,7 +64,7 @@ BASES: dict[str, tuple[str, ...]] = {
 }
 
 # System -> (optimizer, its settings, iteration cap).
-OPTIMIZERS: dict[str, tuple[str, dict[str, float], int]] = {
+OPTIMIZERS: dict[str, tuple[Optimizer, dict[str, float], int]] = {
     "pendulum": ("SR3", {"lambda": 0.01, "nu": 1.0}, 5000),
     "lotka-volterra": ("ADMM", {"lambda": 0.1, "rho": 2.0}, 10_000),
     "cart-pole": ("SR3", {"lambda": 0.01, "nu": 1.0}, 5000),
