@@ -1,0 +1,119 @@
+import math
+
+import numpy as np
+import pytest
+import sympy
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dynsr.errors import InputError
+from dynsr.expression import (
+    OPERATORS,
+    check_name,
+    compile_numpy,
+    compile_scalar,
+    complexity,
+    evaluate,
+    number_bits,
+    parse,
+    round_constants,
+    to_text,
+)
+
+x, y = sympy.symbols("x y")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "1.5x",
+        "__import__('os').system('true')",
+        "x.__class__",
+        "x[0]",
+        "lambda: 1",
+        "unknown(x)",
+        "(x",
+        "x if y else 1",
+        "sin(x, y)",
+        "'a'",
+        "1j",
+        "z + 1",
+        "x = 1",
+        "x" * 200_000,
+        "-" * 500 + "x",
+    ],
+)
+def test_what_is_no_expression_is_refused_in_one_line(text: str):
+    """Nothing but arithmetic on the given names is read, and the refusal is one short line."""
+    with pytest.raises(InputError) as caught:
+        parse(text, ["x", "y"])
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+def test_huge_powers_do_not_fill_the_memory():
+    """9^9^9 is read at once, as a float, where exact arithmetic would need 370 million digits."""
+    assert parse("9**9**9").is_Float
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_text_keeps_every_float(value: float):
+    """to_text and parse bring the same float64 back."""
+    expr = sympy.Float(value) * x + 1
+    again = parse(to_text(expr))
+    assert again == expr
+
+
+def test_sympy_reads_the_text_too():
+    """SymPy's own reader gives the same function for what to_text writes."""
+    expr = parse("x*(1.5 - y)/(2 + cos(x)^2) - 0.1*exp(-y) + abs(x)")
+    other = sympy.sympify(to_text(expr))
+    assert abs(complex((expr - other).subs({x: 0.3, y: 0.7}))) < 1e-15
+
+
+@pytest.mark.parametrize(
+    "name", ["sin", "1x", "a b", "lambda", "", "pi", "x-y", "__import__('os')"]
+)
+def test_names_that_cannot_stand_in_a_formula_are_refused(name: str):
+    """Identifiers only, and none that is a function, a constant or a keyword."""
+    with pytest.raises(InputError):
+        check_name(name)
+
+
+def test_every_operator_means_the_same_in_numpy_and_sympy():
+    """The table's numpy and SymPy columns agree at random points."""
+    points = np.random.default_rng(0).uniform(0.1, 0.9, size=(2, 20))
+    for operator in OPERATORS.values():
+        symbols = (x, y)[: operator.arity]
+        compiled = compile_numpy([operator.sympy(*symbols)], ["x", "y"])(points)[0]
+        np.testing.assert_allclose(
+            compiled, operator.numpy(*points[: operator.arity]), rtol=1e-12, err_msg=operator.token
+        )
+
+
+def test_values_outside_the_domain_are_nan_without_a_warning():
+    """log and sqrt of negative numbers and a division by zero are marked, not raised."""
+    columns = {"x": np.array([-1.0, 0.0, 1.0])}
+    assert np.isnan(evaluate(parse("log(x)"), columns)[0])
+    assert np.isnan(evaluate(parse("sqrt(x)"), columns)[0])
+    assert not np.isfinite(evaluate(parse("1/x"), columns)[1])
+
+
+def test_scalar_and_array_functions_agree():
+    """compile_scalar gives at a point what compile_numpy gives on arrays."""
+    exprs = [parse("x*sin(y) - 2"), parse("x^3/(1 + y^2)")]
+    array = compile_numpy(exprs, ["x", "y"])(np.array([1.3, 0.4]))
+    assert compile_scalar(exprs, ["x", "y"])(1.3, 0.4) == pytest.approx(array.tolist(), rel=1e-15)
+
+
+def test_complexity_counts_as_the_formula_says():
+    """x*y + x holds 5 occurrences of 4 kinds, and the constant 3 two bits more."""
+    assert complexity(x * y + x) == pytest.approx(5 * math.log2(4))
+    assert complexity(x * y + 3 * x) == pytest.approx(6 * math.log2(4) + 2)
+
+
+def test_rounding_a_constant_makes_it_cheaper():
+    """9.81 costs fewer bits than 9.8100371, and that fewer than a real of full precision."""
+    bits = [number_bits(sympy.Float(v)) for v in (9.81, 9.8100371, 9.810037134567891)]
+    assert bits == sorted(bits) and bits[0] < bits[-1]
+    assert round_constants(parse("9.8100371*x"), 3) == parse("9.81*x")
