@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 __version__ = "0.1.0"
@@ -19,9 +21,12 @@ _PUBLIC = {
     "EngineUnavailable": "dynsr.errors",
     "InputError": "dynsr.errors",
     "SYSTEMS": "dynsr.catalogue",
+    "add_noise": "dynsr.simulate",
+    "find_engine": "dynsr.engines.select",
     "find_system": "dynsr.catalogue",
     "make_samples": "dynsr.samples",
     "parse": "dynsr.expression",
+    "simulate": "dynsr.simulate",
 }
 
 __all__ = [*_PUBLIC, "__version__"]
@@ -35,3 +40,15 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
+
+
+class _Package(ModuleType):
+    """The package, in which ``dynsr.simulate`` is the function and not the module of that name."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # Python binds every module that it imports to its package; a public function stays.
+        if not (name in _PUBLIC and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

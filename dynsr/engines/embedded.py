@@ -1,0 +1,50 @@
+"""The embedded engine: integration and sparse regression in Python alone; the default."""
+
+from __future__ import annotations
+
+import platform
+
+import numpy as np
+import scipy
+import sympy
+
+from dynsr import __version__
+from dynsr.engines import tsit5
+from dynsr.engines.base import (
+    AbstractEngine,
+    InitialValueProblem,
+    Integration,
+    SparseProblem,
+    SparseSolution,
+)
+
+
+class EmbeddedEngine(AbstractEngine):
+    """Tsit5 and the sparse optimizers written in Python; needs nothing else installed.
+
+    >>> EmbeddedEngine().name
+    'embedded'
+    """
+
+    name = "embedded"
+
+    def integrate(self, problem: InitialValueProblem) -> Integration:
+        """Solve an initial value problem by :func:`dynsr.engines.tsit5.solve`."""
+        return tsit5.solve(problem)
+
+    def regress(self, problem: SparseProblem) -> SparseSolution:
+        """Solve a sparse regression problem by :func:`dynsr.engines.sparse.solve`."""
+        # Here, so that who only integrates does not load linear algebra it never uses.
+        from dynsr.engines import sparse
+
+        return sparse.solve(problem)
+
+    def versions(self) -> dict[str, str]:
+        """Name dynsr, the numerical libraries and Python with their versions."""
+        return {
+            "dynsr": __version__,
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "sympy": sympy.__version__,
+            "python": platform.python_version(),
+        }

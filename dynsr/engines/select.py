@@ -1,0 +1,37 @@
+"""Choice of an engine by its name; nothing foreign is loaded before it is asked for."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from dynsr.engines.base import AbstractEngine
+from dynsr.errors import InputError
+
+ENGINES = ("embedded", "julia")
+
+
+def find_engine(name: str | AbstractEngine) -> AbstractEngine:
+    """Give the engine of that name, the same object each time; an engine is given back.
+
+    Raises InputError that lists the names when there is none, EngineUnavailable when it is not
+    installed.
+
+    >>> find_engine("embedded") is find_engine("embedded")
+    True
+    """
+    if isinstance(name, AbstractEngine):
+        return name
+    if name not in ENGINES:
+        raise InputError(f"unknown engine {name!r}; the engines are: {', '.join(ENGINES)}")
+    return _start(name)
+
+
+@cache
+def _start(name: str) -> AbstractEngine:
+    if name == "julia":
+        from dynsr.engines.julia import JuliaEngine
+
+        return JuliaEngine()
+    from dynsr.engines.embedded import EmbeddedEngine
+
+    return EmbeddedEngine()

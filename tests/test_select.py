@@ -1,0 +1,45 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from dynsr.engines.base import InitialValueProblem
+from dynsr.engines.embedded import EmbeddedEngine
+from dynsr.engines.select import find_engine
+from dynsr.errors import InputError
+from dynsr.expression import parse
+
+
+def test_the_embedded_engine_integrates():
+    """The engine of that name solves an initial value problem with a known solution."""
+    engine = find_engine("embedded")
+    problem = InitialValueProblem((parse("-x", ["x"]),), ("x",), [1.0], [0.0, 1.0], 1e-9, 1e-9)
+    assert abs(engine.integrate(problem).x[-1, 0] - np.exp(-1.0)) < 1e-8
+
+
+def test_an_engine_is_its_own_choice():
+    """What is an engine already is given back, so that users may bring their own."""
+    engine = EmbeddedEngine()
+    assert find_engine(engine) is engine
+
+
+def test_an_unknown_engine_is_refused_with_the_names():
+    """The message lists the engines there are."""
+    with pytest.raises(InputError, match="unknown engine 'matlab'.*embedded, julia"):
+        find_engine("matlab")
+
+
+def test_versions_name_every_part():
+    """The embedded engine names dynsr, numpy, SymPy and Python."""
+    assert {"dynsr", "numpy", "sympy", "python"} <= set(EmbeddedEngine().versions())
+
+
+def test_choosing_an_engine_starts_nothing_foreign():
+    """Neither Julia's bridge nor torch is loaded by choosing the embedded engine."""
+    code = (
+        "import sys; from dynsr.engines.select import find_engine; find_engine('embedded'); "
+        "print([m for m in ('juliacall', 'torch', 'matplotlib', 'pandas') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,110 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dynsr
+from dynsr.catalogue import CART_POLE, LOTKA_VOLTERRA, PENDULUM, SYSTEMS
+from dynsr.errors import EngineError, InputError
+from dynsr.samples import forward_difference
+from dynsr.simulate import add_noise, simulate, training_trajectory
+from dynsr.system import System
+
+GOLDEN = Path(__file__).parent / "golden" / "tsit5"
+
+
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda s: s.name)
+def test_every_known_system_can_be_simulated(system):
+    """Each gives as many finite rows as its training span has samples."""
+    found = simulate(system)
+    assert len(found) == len(system.times(system.train))
+    assert found.names == (*system.states, *system.inputs)
+    assert np.isfinite(found.columns).all()
+
+
+def test_inputs_become_columns():
+    """The force on the cart stands beside the states at the same times."""
+    found = simulate(CART_POLE, t=np.linspace(0.0, 1.0, 11))
+    assert found.input_names == ("F",)
+    assert np.allclose(found.inputs[:, 0], -0.2 + 0.5 * np.sin(6 * found.t), atol=1e-15)
+
+
+def test_the_origin_is_recorded():
+    """Engine, versions and tolerances travel with the states."""
+    origin = simulate(PENDULUM, t=[0.0, 1.0], reltol=1e-8).origin
+    assert origin["engine"] == "embedded" and origin["system"] == "pendulum"
+    assert origin["reltol"] == 1e-8 and origin["abstol"] == 1e-6
+    assert origin["versions"]["dynsr"] == dynsr.__version__
+
+
+def test_training_data_are_the_papers():
+    """1001 forward differences at t = 0, 0.01, ..., 10 from the golden states."""
+    found = training_trajectory(LOTKA_VOLTERRA)
+    golden = np.loadtxt(GOLDEN / "lotka_volterra_train_saveat0.01_default.csv.gz", delimiter=",")
+    samples = forward_difference(found, "y")
+    assert len(samples) == 1001
+    assert np.allclose(samples.t, golden[:, 0], atol=1e-12)
+    # The solver ran to 10.01, so only the last step, cut to hit its end, differs.
+    assert np.abs(found.x[:-1] - golden[:, 1:])[:990].max() < 2e-5
+
+
+def test_finer_training_data_lie_on_the_same_solution():
+    """Saving every 0.001 s moves no step: each tenth row is that of 0.01 s."""
+    coarse, fine = training_trajectory(CART_POLE), training_trajectory(CART_POLE, step=0.001)
+    assert len(fine) == 10011
+    assert np.abs(fine.x[::10] - coarse.x).max() < 1e-12
+
+
+def test_the_start_can_be_chosen():
+    """A start state and times of one's own are used as given."""
+    found = simulate(PENDULUM, x0=[0.1, 0.0], t=[5.0, 5.5])
+    assert found.x[0].tolist() == [0.1, 0.0] and found.t.tolist() == [5.0, 5.5]
+
+
+def test_a_start_that_does_not_fit_is_refused():
+    """Three numbers for two states are named in one line."""
+    with pytest.raises(InputError, match="do not fit 2 states"):
+        simulate(PENDULUM, x0=[0.1, 0.0, 0.0])
+
+
+def test_a_diverging_system_is_an_error_that_names_the_time():
+    """Whoever asks for a trajectory is told until when there is one."""
+    system = System.from_strings({"x": "x^2"}, x0=[1.0])
+    with pytest.raises(EngineError, match="no solution at t = 1"):
+        simulate(system, t=np.linspace(0.0, 2.0, 21))
+
+
+def test_noise_has_the_level_asked_for():
+    """Each state gets its own standard deviation times the level; inputs stay exact."""
+    clean = simulate(CART_POLE)
+    noisy = add_noise(clean, 0.05, np.random.default_rng(1))
+    ratio = (noisy.x - clean.x).std(axis=0) / clean.x.std(axis=0)
+    assert np.allclose(ratio, 0.05, rtol=0.1)
+    assert (noisy.inputs == clean.inputs).all()
+    assert noisy.origin["noise"] == 0.05
+
+
+def test_the_same_seed_gives_the_same_noise():
+    """Noise comes from the generator alone."""
+    clean = simulate(PENDULUM)
+    first, second = (add_noise(clean, 0.1, np.random.default_rng(7)).x for _ in range(2))
+    assert (first == second).all()
+
+
+@pytest.mark.parametrize("level", [-0.1, np.nan, np.inf])
+def test_an_impossible_noise_level_is_refused(level):
+    """Negative and not finite levels are named."""
+    with pytest.raises(InputError, match="noise"):
+        add_noise(simulate(PENDULUM, t=[0.0, 1.0]), level, np.random.default_rng(0))
+
+
+def test_simulate_is_the_function_whatever_was_imported_first():
+    """``dynsr.simulate`` can be called before and after the module of that name is imported."""
+    code = (
+        "import dynsr.simulate, dynsr; from dynsr.simulate import add_noise; "
+        "print(len(dynsr.simulate(dynsr.find_system('pendulum'), t=[0.0, 1.0])))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "2"
