@@ -1,0 +1,191 @@
+"""The optimizers of DataDrivenSparse.jl as it is today: SR3, ADMM and STLSQ.
+
+Nothing is normalised, so thresholds act on the coefficients themselves. An iteration stops when
+it moved by less than 1.5e-8, which ADMM can do while it is still at its dense start; ``settled``
+therefore asks of ADMM also that its two copies of the coefficients agree (the primal residual of
+Boyd et al. 2011, section 3.3.1).
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynsr.engines.iteration import AbstractIteration, distances, shrink
+from dynsr.engines.stack import EPSILON, Resolvent, Stack, least_squares
+
+TOLERANCE = float(np.sqrt(EPSILON))
+PRIMAL_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class SR3:
+    """X = prox((A'A + nu I)^-1 (A'y + nu X)); the answer is X with its exact zeros.
+
+    The hard threshold t keeps entries above t (lambda = t^2 / 2); the soft one shrinks by t.
+    """
+
+    nu: float
+    soft: bool
+
+    def begin(self, stack: Stack, threshold: float) -> Iteration:
+        """Give the iteration at its start, the ridge solution."""
+        return _SR3Iteration(self, stack, threshold)
+
+    def active(self, x: np.ndarray, threshold: float) -> np.ndarray:
+        """Say which coefficients count as terms."""
+        return np.abs(x) > threshold
+
+
+@dataclass(frozen=True)
+class ADMM:
+    """X = (A'A + rho I)^-1 (A'y + rho (a - w)), a = soft(X + w, t / rho), w += X - a."""
+
+    rho: float
+
+    def begin(self, stack: Stack, threshold: float) -> Iteration:
+        """Give the iteration at its start, the ridge solution."""
+        return _ADMMIteration(self, stack, threshold)
+
+    def active(self, x: np.ndarray, threshold: float) -> np.ndarray:
+        """Say which coefficients count as terms."""
+        return np.abs(x) > threshold / self.rho
+
+
+@dataclass(frozen=True)
+class STLSQ:
+    """Least squares (ridge when rho > 0) on the coefficients above the threshold, repeated."""
+
+    rho: float
+
+    def begin(self, stack: Stack, threshold: float) -> Iteration:
+        """Give the iteration at its start, least squares or ridge on all rows."""
+        return _STLSQIteration(self, stack, threshold)
+
+    def active(self, x: np.ndarray, threshold: float) -> np.ndarray:
+        """Say which coefficients count as terms."""
+        return np.abs(x) > threshold
+
+
+Algorithm = SR3 | ADMM | STLSQ
+
+
+class Iteration(AbstractIteration):
+    """An iteration at one ``threshold`` that can be copied in part and written back."""
+
+    threshold: float
+    algorithm: Algorithm
+    previous: np.ndarray
+    work: np.ndarray
+
+    def part(self, problems: np.ndarray) -> Iteration:
+        """Give a copy of some of the problems."""
+        out = copy(self)
+        out.select(problems)
+        return out
+
+    def write(self, problems: np.ndarray, part: Iteration, which: np.ndarray) -> None:
+        """Take over problems ``which`` of a part as mine."""
+        for name in self.arrays:
+            getattr(self, name)[problems] = getattr(part, name)[which]
+
+    def stops(self) -> np.ndarray:
+        """Say which problems moved so little, or have so little left, that they stop."""
+        moved = distances(self.x, self.previous, self.work)
+        size = np.linalg.norm(self.x, axis=1)
+        idle = ~self.algorithm.active(self.x, self.threshold).any(axis=1)
+        return idle | (moved < TOLERANCE) | (moved < TOLERANCE * size)
+
+    def settled(self) -> np.ndarray:
+        """Say which problems are at a solution, given that they stopped."""
+        return np.ones(len(self.x), dtype=bool)
+
+
+class _SR3Iteration(Iteration):
+    arrays = ("x", "previous", "right", "work", "inner")
+
+    def __init__(self, algorithm: SR3, stack: Stack, threshold: float) -> None:
+        self.threshold = threshold
+        self.algorithm, self.nu, self.soft = algorithm, algorithm.nu, algorithm.soft
+        self.resolvent = stack.resolvent(algorithm.nu)
+        self.right = stack.correlation
+        self.x, self.previous, self.work, self.inner = (np.empty_like(self.right) for _ in range(4))
+        self.resolvent.apply(self.right, self.x, self.work)
+
+    def advance(self) -> np.ndarray:
+        self.x, self.previous = self.previous, self.x
+        np.multiply(self.previous, self.nu, out=self.inner)
+        np.add(self.inner, self.right, out=self.inner)
+        self.resolvent.apply(self.inner, self.x, self.work)
+        if self.soft:
+            shrink(self.x, self.threshold, self.x, self.work)
+        else:
+            self.x[np.abs(self.x) <= self.threshold] = 0.0
+        return self.stops()
+
+
+class _ADMMIteration(Iteration):
+    arrays = ("x", "previous", "right", "work", "alpha", "dual", "gap")
+
+    def __init__(self, algorithm: ADMM, stack: Stack, threshold: float) -> None:
+        self.threshold = threshold
+        self.algorithm, self.rho = algorithm, algorithm.rho
+        self.resolvent = stack.resolvent(algorithm.rho)
+        self.right = stack.correlation
+        self.x, self.previous, self.work = (np.empty_like(self.right) for _ in range(3))
+        self.alpha, self.dual, self.gap = (np.zeros_like(self.right) for _ in range(3))
+        if stack.rows.shape[0] > stack.rows.shape[1]:
+            self.x = stack.start()
+        else:
+            self.resolvent.apply(self.right, self.x, self.work)
+
+    def advance(self) -> np.ndarray:
+        self.x, self.previous = self.previous, self.x
+        vectors = self.right + self.rho * (self.alpha - self.dual)
+        self.resolvent.apply(vectors, self.x, self.work)
+        np.add(self.x, self.dual, out=vectors)
+        shrink(vectors, self.threshold / self.rho, self.alpha, self.work)
+        np.subtract(self.x, self.alpha, out=self.gap)
+        np.add(self.dual, self.gap, out=self.dual)
+        self.x[~self.algorithm.active(self.x, self.threshold)] = 0.0
+        return self.stops()
+
+    def settled(self) -> np.ndarray:
+        size = np.maximum(np.linalg.norm(self.x, axis=1), np.linalg.norm(self.alpha, axis=1))
+        return np.linalg.norm(self.gap, axis=1) <= PRIMAL_TOLERANCE * size
+
+
+class _STLSQIteration(Iteration):
+    arrays = ("x", "previous", "work", "targets", "right", "support")
+
+    def __init__(self, algorithm: STLSQ, stack: Stack, threshold: float) -> None:
+        self.threshold = threshold
+        self.algorithm, self.stack = algorithm, stack
+        self.resolvent = Resolvent(np.empty((0, 0)), None)
+        # The ridge term is dropped where there are more functions than samples.
+        skinny = stack.rows.shape[0] <= stack.rows.shape[1]
+        self.ridge = algorithm.rho if skinny else 0.0
+        self.targets, self.right = stack.short_targets, stack.correlation
+        self.x, self.previous = np.zeros_like(self.right), np.zeros_like(self.right)
+        self.work = np.empty_like(self.right)
+        for k in range(len(self.x)):
+            self._fit(k, stack.regressors(k))
+        self.support = algorithm.active(self.x, threshold)
+
+    def _fit(self, problem: int, use: np.ndarray) -> None:
+        if self.ridge > 0:
+            gram = self.stack.gram[np.ix_(use, use)] + self.ridge * np.eye(len(use))
+            self.x[problem, use] = np.linalg.solve(gram, self.right[problem, use])
+        else:
+            rows = self.stack.short_rows[use]
+            self.x[problem, use] = least_squares(rows, self.targets[problem])
+
+    def advance(self) -> np.ndarray:
+        self.previous[:] = self.x
+        for k, use in enumerate(self.support):
+            self._fit(k, np.flatnonzero(use))
+        self.support = self.algorithm.active(self.x, self.threshold)
+        self.x[~self.support] = 0.0
+        return self.stops()
