@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from dynsr import __version__
-from dynsr.commands import checks, discovering, experiments, known
+from dynsr.commands import benchmarking, checks, discovering, experiments, known
 from dynsr.commands.group import INTERRUPTED, CommandGroup
 
 app = typer.Typer(
@@ -68,7 +68,10 @@ app.command(
 )(experiments.replicate)
 app.command(rich_help_panel=_PAPER, epilog="Example: dynsr audit --json")(experiments.audit)
 app.command(rich_help_panel=_CARE, epilog="Example: dynsr crosscheck")(checks.crosscheck)
-app.command(rich_help_panel=_CARE, epilog="Example: dynsr benchmark sparse")(checks.benchmark)
+app.command(
+    rich_help_panel=_CARE,
+    epilog="Example: dynsr benchmark recovery --systems lorenz --noise 0,0.01",
+)(benchmarking.benchmark)
 app.command(rich_help_panel=_CARE, epilog="Example: dynsr doctor --install")(checks.doctor)
 
 

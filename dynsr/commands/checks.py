@@ -1,4 +1,4 @@
-"""Care: what is installed and works, whether the engines agree, how fast they are."""
+"""Care: what is installed and works, and whether the engines agree."""
 
 from __future__ import annotations
 
@@ -23,26 +23,6 @@ def crosscheck(
         output.print_json(rows)
         return
     output.print_rows("Crosscheck", rows)
-
-
-def benchmark(
-    name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="Which one; all are listed without it.")
-    ] = None,
-    systems: Annotated[
-        list[str] | None, typer.Option(help="Systems, by commas.", rich_help_panel=options.DATA)
-    ] = None,
-    noise: Annotated[
-        str | None,
-        typer.Option(
-            help="Noise levels, as fractions of each state's standard deviation: 0,0.01.",
-            rich_help_panel=options.DATA,
-        ),
-    ] = None,
-    json: options.Json = False,
-) -> None:
-    """Run a benchmark by name, or list them."""
-    del name, json
 
 
 def doctor(

@@ -40,6 +40,15 @@ TrajectoryColumn = Annotated[
         "--trajectory", help="Column that names trajectories.", rich_help_panel=options.DATA
     ),
 ]
+MethodName = Annotated[
+    str,
+    typer.Option(
+        "--method", help="auto, dynaifeynman, sindy or ga.", rich_help_panel=options.SEARCH
+    ),
+]
+Preset = Annotated[
+    str, typer.Option(help="best, or paper (as published).", rich_help_panel=options.SEARCH)
+]
 DiscoveryFile = Annotated[
     Path, typer.Argument(metavar="DISCOVERY.json", help="A discovery that was saved.")
 ]
@@ -62,14 +71,8 @@ def discover(
     states: StateColumns = None,
     inputs: Inputs = None,
     trajectory: TrajectoryColumn = None,
-    method: Annotated[
-        str,
-        typer.Option(help="auto, dynaifeynman, sindy or ga.", rich_help_panel=options.SEARCH),
-    ] = "auto",
-    preset: Annotated[
-        str,
-        typer.Option(help="best, or paper (as published).", rich_help_panel=options.SEARCH),
-    ] = "best",
+    method: MethodName = "auto",
+    preset: Preset = "best",
     targets: Annotated[
         Names,
         typer.Option(
@@ -107,7 +110,7 @@ def discover(
     otherwise. Ctrl-C ends the search with the best equations so far.
     """
     began = time.monotonic()
-    _check_engine(engine)
+    check_engine(engine)
     if bool(files) == bool(system):
         raise InputError("give a file of data or --system, one of the two")
     folder = output.make_folder(out) if out else None
@@ -129,7 +132,7 @@ def discover(
             output.note(f"saved: {folder / 'discovery.json'}; open: {folder / 'report.html'}")
 
 
-def _check_engine(engine: str) -> None:
+def check_engine(engine: str) -> None:
     """Fail at once, before any search, when the engine is unknown or absent."""
     from dynsr.engines.select import find_engine
 

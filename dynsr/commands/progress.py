@@ -74,6 +74,10 @@ class SearchProgress:
         elif not self._quiet:
             self._write(step)
 
+    def say(self, line: str) -> None:
+        """Write a line above the bar."""
+        self._console.print(escape(line), soft_wrap=True)
+
     def _draw(self, step: Step) -> None:
         for name, task in self._tasks.items():
             if name != step.stage:
