@@ -11,7 +11,6 @@ from rich.progress import (
     BarColumn,
     Progress,
     SpinnerColumn,
-    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -20,7 +19,6 @@ from rich.progress import (
 from dynsr.commands.output import console, note
 
 if TYPE_CHECKING:
-    from dynsr.methods.base import Progress as Step
     from dynsr.pareto import ParetoFront
 
 _SHOWN_EQUATION = 60
@@ -28,9 +26,9 @@ _SECONDS_BETWEEN_LINES = 2.0
 
 
 class SearchProgress:
-    """Shows the reports of a search: a live bar on a terminal, a line a stage elsewhere.
+    """Shows how far a search is: a live bar on a terminal, a line a stage elsewhere.
 
-    Use it as a context; calling it takes a :class:`dynsr.methods.base.Progress`.
+    Use it as a context and call it with each report.
     """
 
     def __init__(self, quiet: bool = False) -> None:
@@ -50,8 +48,8 @@ class SearchProgress:
             transient=True,
             disable=not self._live,
         )
-        self._tasks: dict[str, TaskID] = {}
-        self._last = ("", 0.0)
+        self._task = self._bar.add_task("starting", total=None, best="")
+        self._last = ("", -_SECONDS_BETWEEN_LINES)
 
     def __enter__(self) -> SearchProgress:
         """Start to draw."""
@@ -67,37 +65,32 @@ class SearchProgress:
         """Clear the bar away."""
         self._bar.stop()
 
-    def __call__(self, step: Step) -> None:
-        """Show one report."""
+    def __call__(self, stage: str, done: float, total: float | None, best: str) -> None:
+        """Show the stage, how far it is, and the best equation so far in a few words."""
         if self._live:
-            self._draw(step)
+            self._bar.update(
+                self._task,
+                description=escape(stage),
+                completed=done,
+                total=total,
+                best=escape(best),
+            )
         elif not self._quiet:
-            self._write(step)
+            self._write(stage, done, total, best)
 
     def say(self, line: str) -> None:
         """Write a line above the bar."""
-        self._console.print(escape(line), soft_wrap=True)
+        if not self._quiet:
+            self._console.print(escape(line), soft_wrap=True)
 
-    def _draw(self, step: Step) -> None:
-        for name, task in self._tasks.items():
-            if name != step.stage:
-                self._bar.update(task, visible=False)
-        if step.stage not in self._tasks:
-            self._tasks[step.stage] = self._bar.add_task(escape(step.stage), best="")
-        self._bar.update(
-            self._tasks[step.stage],
-            completed=step.done,
-            total=step.total,
-            best=escape(best_equation(step.front)),
-            visible=True,
-        )
-
-    def _write(self, step: Step) -> None:
+    def _write(self, stage: str, done: float, total: float | None, best: str) -> None:
         """Write a line for a new stage, at most one in two seconds, so that a log stays short."""
-        stage, since = self._last
-        if step.stage != stage and time.monotonic() - since > _SECONDS_BETWEEN_LINES:
-            note(f"{step.stage}: {best_equation(step.front)}".rstrip(": "))
-            self._last = (step.stage, time.monotonic())
+        last, since = self._last
+        now = time.monotonic()
+        if stage != last and (now - since >= _SECONDS_BETWEEN_LINES or done == total):
+            share = f"[{done:g}/{total:g}] " if total else ""
+            note(f"{share}{stage}: {best}".rstrip(": "))
+            self._last = (stage, now)
 
 
 def best_equation(front: ParetoFront) -> str:
