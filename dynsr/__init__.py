@@ -14,6 +14,7 @@ _PUBLIC = {
     "Candidate": "dynsr.pareto",
     "ParetoFront": "dynsr.pareto",
     "Samples": "dynsr.samples",
+    "Score": "dynsr.scoring",
     "System": "dynsr.system",
     "Trajectory": "dynsr.trajectory",
     "DynsrError": "dynsr.errors",
@@ -22,11 +23,16 @@ _PUBLIC = {
     "InputError": "dynsr.errors",
     "SYSTEMS": "dynsr.catalogue",
     "add_noise": "dynsr.simulate",
+    "audit": "dynsr.audit",
+    "equation_rmse": "dynsr.scoring",
     "find_engine": "dynsr.engines.select",
     "find_system": "dynsr.catalogue",
     "make_samples": "dynsr.samples",
     "parse": "dynsr.expression",
+    "printed_loss": "dynsr.scoring",
+    "score_expressions": "dynsr.scoring",
     "simulate": "dynsr.simulate",
+    "trajectory_loss": "dynsr.scoring",
 }
 
 __all__ = [*_PUBLIC, "__version__"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import sympy
@@ -47,6 +47,12 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
     return Candidate(expr, rmse(predicted, samples.y), expression.complexity(expr), source)
 
 
+@lru_cache(maxsize=4096)
+def _text(expr: sympy.Expr) -> str:
+    """Order ties; kept, because fronts grow by many small additions and printing is slow."""
+    return str(expr)
+
+
 @dataclass(frozen=True)
 class ParetoFront:
     """Candidates of which none is both simpler and better than another, simplest first.
@@ -64,7 +70,7 @@ class ParetoFront:
         kept: list[Candidate] = []
         ordered = sorted(
             (c for c in candidates if math.isfinite(c.loss) and math.isfinite(c.complexity)),
-            key=lambda c: (c.complexity, c.loss, str(c.expr)),
+            key=lambda c: (c.complexity, c.loss, _text(c.expr)),
         )
         for candidate in ordered:
             if not kept or candidate.loss < kept[-1].loss:

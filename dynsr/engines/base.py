@@ -7,7 +7,7 @@ object of the engine's own, never a Python callback. Nothing is left to an engin
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -20,6 +20,7 @@ from dynsr.expression import parse
 DEFAULT_RELTOL = 1e-3
 DEFAULT_ABSTOL = 1e-6
 Release = Literal["2021", "2021-corrected"]
+Optimizer = Literal["SR3", "ADMM", "STLSQ"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +94,7 @@ class SparseProblem:
     optimizer : "SR3", "ADMM" or "STLSQ".
     settings : the optimizer's own numbers. SR3: ``lambda`` or ``threshold``, ``nu`` and, today,
         ``proximal`` ("hard" or "soft"); ADMM: ``lambda`` or ``threshold``, and ``rho``;
-        STLSQ: ``threshold``, ``rho``.
+        STLSQ: ``threshold``, ``rho``. ``threshold`` may be a tuple of thresholds to try.
     normalize : divide each library row by its 2-norm during the solve (releases of 2021 only).
     max_iterations : iteration cap.
     implicit : search for q with [dx theta; theta]' q = 0 instead (SINDy-PI).
@@ -103,8 +104,8 @@ class SparseProblem:
 
     theta: np.ndarray
     dx: np.ndarray
-    optimizer: Literal["SR3", "ADMM", "STLSQ"] = "SR3"
-    settings: Mapping[str, float | str] = field(default_factory=dict)
+    optimizer: Optimizer = "SR3"
+    settings: Mapping[str, float | str | tuple[float, ...]] = field(default_factory=dict)
     normalize: bool = True
     max_iterations: int = 5000
     implicit: bool = False
@@ -131,12 +132,18 @@ class SparseProblem:
         if int(self.max_iterations) < 1:
             raise InputError(f"max_iterations {self.max_iterations} must be at least 1")
         for key, value in self.settings.items():
-            if key != "proximal" and not (
-                isinstance(value, (int, float)) and np.isfinite(value) and value >= 0
-            ):
-                raise InputError(f"setting {key} = {value!r} must be a number from 0 up")
+            if key != "proximal":
+                _check_setting(key, value)
         object.__setattr__(self, "theta", theta)
         object.__setattr__(self, "dx", dx)
+
+
+def _check_setting(key: str, value: object) -> None:
+    """Refuse what is not a number from 0 up, or for the threshold a sequence of such."""
+    several = key == "threshold" and isinstance(value, (tuple, list)) and len(value) > 0
+    for number in value if several else [value]:  # type: ignore[attr-defined]
+        if not (isinstance(number, (int, float)) and np.isfinite(number) and number >= 0):
+            raise InputError(f"setting {key} = {value!r} must be a number from 0 up")
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +168,10 @@ class AbstractEngine(ABC):
     @abstractmethod
     def integrate(self, problem: InitialValueProblem) -> Integration:
         """Solve an initial value problem by Tsit5; a divergence is a result, not an error."""
+
+    def integrate_all(self, problems: Sequence[InitialValueProblem]) -> list[Integration]:
+        """Solve many problems, one answer each in the same order; an engine may do so at once."""
+        return [self.integrate(problem) for problem in problems]
 
     @abstractmethod
     def regress(self, problem: SparseProblem) -> SparseSolution:

@@ -73,7 +73,7 @@ def _solve_2021(problem: SparseProblem) -> SparseSolution:
 
 def _solve_current(problem: SparseProblem) -> SparseSolution:
     _check_keys(problem, _KEYS_CURRENT[problem.optimizer])
-    settings = problem.settings
+    settings: Mapping[str, Any] = problem.settings
     proximal = settings.get("proximal", "hard")
     if proximal not in ("hard", "soft"):
         raise InputError(f"proximal {proximal!r} is unknown; use hard or soft")

@@ -131,6 +131,7 @@ def error_of_step(
 
 
 _F32 = np.float32
+_F32_MAX = float(np.finfo(_F32).max)
 _LOG2_A, _LOG2_B, _LOG2_C = _F32(0.338953), _F32(2.198599), _F32(1.523692)
 
 
@@ -140,9 +141,11 @@ def fast_power(x: float, y: float) -> float:
     exp2(y log2(x)) with Goldberg's rational log2, good to about 1e-3. The step times of the
     reference depend on this approximation in their fifth digit. Needs x >= 0.
     """
+    if not x < _F32_MAX:
+        return math.inf
     single = _F32(x)
-    if not 0 < single < math.inf:
-        return 0.0 if single == 0 else math.inf
+    if single == 0:
+        return 0.0
     mantissa, exponent = math.frexp(float(single))
     if mantissa < 0.75:
         mantissa, exponent = 2 * mantissa, exponent - 1

@@ -1,0 +1,233 @@
+"""From functions that the screen or the Gram matrices picked to formulas with all their constants.
+
+Here, and only here, all rows are looked at.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import partial
+
+import numpy as np
+import sympy
+
+from dynsr.methods.feynman.bank import Bank
+from dynsr.methods.feynman.fitting import fit_robustly
+from dynsr.methods.feynman.pool import Found, Writer, measure
+from dynsr.methods.feynman.problem import Problem
+
+# What a fitted constant and a change of the target count in letters.
+_CONSTANT, _CHANGE = 4.0, 2.0
+_SNAP = 0.02
+
+
+class Finisher:
+    """Fits the constants of chosen functions of a bank to a problem on all rows."""
+
+    def __init__(self, bank: Bank, X: np.ndarray, y: np.ndarray) -> None:
+        """Take the bank and all rows, (n, p) and (n,)."""
+        self.bank, self.X, self.y = bank, X, y
+        self._values: dict[int, np.ndarray] = {}
+
+    def finish(self, problem: Problem, groups: Sequence[tuple[int, ...]]) -> list[Found]:
+        """Give formulas for groups of equally many function numbers."""
+        if not groups:
+            return []
+        values = np.empty((len(groups), len(groups[0]), len(self.y)))
+        for k, group in enumerate(groups):
+            for place, number in enumerate(group):
+                values[k, place] = self._evaluate(number)
+        features = problem.feature(values)
+        good = np.isfinite(features).all(axis=(1, 2))
+        kept = [group for group, fine in zip(groups, good, strict=True) if fine]
+        if not kept:
+            return []
+        if problem.target.change.name == "log" and (problem.by_log or problem.powers):
+            return self._finish_products(problem, kept, values[good], features[good])
+        return self._finish_sums(problem, kept, features[good])
+
+    def _evaluate(self, number: int) -> np.ndarray:
+        if number not in self._values:
+            self._values[number] = self.bank.evaluate(number, self.X)
+        return self._values[number]
+
+    def _finish_sums(
+        self, problem: Problem, groups: list[tuple[int, ...]], features: np.ndarray
+    ) -> list[Found]:
+        """T(y) = sum c_i f_i + d, the same with d = 0, and for one function with c = 1."""
+        design = np.concatenate([np.ones((len(groups), 1, len(self.y))), features], axis=1)
+        design = design.transpose(0, 2, 1)
+        scales, z = problem.target.weights, problem.target.values
+        full = fit_robustly(design, z, scales)
+        forms = [full]
+        if features.shape[1]:
+            bare = fit_robustly(design[:, :, 1:], z, scales)
+            forms.append(np.column_stack([np.zeros(len(bare)), bare]))
+        if features.shape[1] == 1:
+            one = np.ones(len(full))
+            shift = fit_robustly(design[:, :, :1], z - features[:, 0], scales)[:, 0]
+            forms += [np.column_stack([shift, one]), np.column_stack([0 * one, one])]
+        found = []
+        for numbers in forms:
+            fitted = np.einsum("kni,ki->kn", design, numbers)
+            write = partial(self._sum, problem, groups, numbers)
+            found += measure(problem.target.invert(fitted), self.y, write)
+        return found
+
+    def _sum(
+        self, problem: Problem, groups: list[tuple[int, ...]], numbers: np.ndarray, k: int
+    ) -> tuple[float, Writer]:
+        group, constants = groups[k], numbers[k]
+        size = sum(self.bank.size(f) + 1.0 for f in group) + _CHANGE * (problem.name != "y")
+        size += _CONSTANT * np.count_nonzero((constants != 0) & (constants != 1))
+
+        def write() -> sympy.Expr:
+            functions = map(self.bank.expression, group)
+            terms = [_number(c) * f for c, f in zip(constants[1:], functions, strict=True)]
+            return problem.target.build(sympy.Add(*terms, _number(constants[0])))
+
+        return size, write
+
+    def _finish_products(
+        self,
+        problem: Problem,
+        groups: list[tuple[int, ...]],
+        values: np.ndarray,
+        features: np.ndarray,
+    ) -> list[Found]:
+        """y = C prod x^a prod f^b, or C prod x^a exp(sum b f), exponents as fitted and snapped."""
+        logs = np.broadcast_to(problem.logs, (len(groups), *problem.logs.shape))
+        ones = np.ones((*logs.shape[:2], 1))
+        inside = features.transpose(0, 2, 1)
+        scales, z = problem.target.weights, problem.target.values
+        fitted = fit_robustly(np.concatenate([ones, logs, inside], axis=2), z, scales)[:, 1:]
+        split = len(problem.powers)
+        found: list[Found] = []
+        done = fitted[:0]
+        for snap in (True, False):
+            numbers = (
+                _snap_all(fitted, len(fitted.T) if problem.by_log else split) if snap else fitted
+            )
+            if snap and not problem.by_log:
+                left = z - numbers[:, :split] @ problem.logs.T
+                rates = fit_robustly(np.concatenate([ones, inside], axis=2), left, scales)
+                numbers = np.concatenate([numbers[:, :split], rates[:, 1:]], axis=1)
+            elif not snap and np.array_equal(numbers, done):
+                break
+            done = numbers
+            found += self._products(problem, groups, values, features, numbers)
+        return found
+
+    def _products(
+        self,
+        problem: Problem,
+        groups: list[tuple[int, ...]],
+        values: np.ndarray,
+        features: np.ndarray,
+        numbers: np.ndarray,
+    ) -> list[Found]:
+        """Formulas with given exponents; the factor C of each is fitted."""
+        split = len(problem.powers)
+        exponents, inner = numbers[:, :split], numbers[:, split:]
+        with np.errstate(all="ignore"):
+            predicted = np.exp(
+                exponents @ problem.logs.T + np.einsum("kmn,km->kn", features, inner)
+            )
+            for place, column in enumerate(problem.powers):
+                predicted *= _signs(self.X[:, column], exponents[:, place])
+            if problem.by_log:
+                for k in range(len(groups)):
+                    for v, b in zip(values[k], inner[k], strict=True):
+                        predicted[k] *= _signs(v, np.array([b]))[0]
+        good = np.isfinite(predicted).all(axis=1) & predicted.any(axis=1)
+        if not good.any():
+            return []
+        factors = np.full(len(groups), np.nan)
+        design = predicted[good][:, :, None]
+        factors[good] = fit_robustly(design, self.y, np.ones(len(self.y)))[:, 0]
+        write = partial(self._product, problem, groups, values, numbers, factors)
+        return measure(factors[:, None] * predicted, self.y, write)
+
+    def _product(
+        self,
+        problem: Problem,
+        groups: list[tuple[int, ...]],
+        values: np.ndarray,
+        numbers: np.ndarray,
+        factors: np.ndarray,
+        k: int,
+    ) -> tuple[float, Writer]:
+        split = len(problem.powers)
+        powers = [_as_power(a) for a in numbers[k, :split]]
+        inner = [_as_power(b) if problem.by_log else sympy.Float(b) for b in numbers[k, split:]]
+        size = sum(self.bank.size(f) for f in groups[k]) + _price([*powers, *inner]) + _CONSTANT
+
+        def write() -> sympy.Expr:
+            functions = [self.bank.expression(f) for f in groups[k]]
+            if problem.by_log:
+                parts = [*map(_write_power, functions, values[k], inner)]
+            else:
+                parts = [sympy.exp(sympy.Add(*map(operator.mul, inner, functions)))]
+            return sympy.Mul(_number(factors[k]), *self._write_powers(problem, powers), *parts)
+
+        return size, write
+
+    def _write_powers(self, problem: Problem, powers: list[sympy.Expr]) -> list[sympy.Expr]:
+        return [
+            _write_power(self.bank.leaves[j], self.X[:, j], power)
+            for j, power in zip(problem.powers, powers, strict=True)
+        ]
+
+
+def _number(value: float) -> sympy.Expr:
+    return sympy.Integer(int(value)) if value in (0, 1) else sympy.Float(float(value))
+
+
+def _snap_all(numbers: np.ndarray, columns: int) -> np.ndarray:
+    """Bring numbers of the first columns to a multiple of 1/2 or 1/3 where one is close."""
+    snapped = numbers.copy()
+    steps = np.array([1.0, 2.0, 3.0])
+    near = np.round(numbers[:, :columns, None] * steps) / steps
+    distance = np.abs(near - numbers[:, :columns, None])
+    best = np.argmin(distance - 1e-9 / steps, axis=2)[:, :, None]
+    close = np.take_along_axis(distance, best, axis=2)[:, :, 0] < _SNAP
+    snapped[:, :columns] = np.where(
+        close, np.take_along_axis(near, best, axis=2)[:, :, 0], numbers[:, :columns]
+    )
+    return snapped
+
+
+def _as_power(value: float) -> sympy.Expr:
+    """A multiple of 1/2 or 1/3 as the rational it is; a float otherwise."""
+    near = Fraction(float(value)).limit_denominator(3)
+    if abs(float(near) - value) < 1e-12:
+        return sympy.Rational(near.numerator, near.denominator)
+    return sympy.Float(float(value))
+
+
+def _signs(base: np.ndarray, exponents: np.ndarray) -> np.ndarray:
+    """(k, n) signs of base^exponent: NaN for a fraction of a base of mixed sign.
+
+    A base that is negative throughout counts as -base under a fraction.
+    """
+    negative = base < 0
+    if not negative.any():
+        return np.ones((len(exponents), 1))
+    whole = np.abs(exponents - np.round(exponents)) < 1e-12
+    odd = whole & (np.round(exponents) % 2 == 1)
+    signs = np.where(negative & odd[:, None], -1.0, 1.0)
+    return signs if negative.all() else np.where(whole[:, None], signs, np.nan)
+
+
+def _write_power(base: sympy.Expr, values: np.ndarray, power: sympy.Expr) -> sympy.Expr:
+    return base**power if power.is_Integer or not (values < 0).any() else (-base) ** power
+
+
+def _price(powers: list[sympy.Expr]) -> float:
+    """Letters that exponents cost: none for 0, two for 1, three for another simple number."""
+    prices = {True: 0.0, False: 3.0}
+    return sum(
+        3.0 + _CONSTANT if p.is_Float else 2.0 if abs(p) == 1 else prices[p == 0] for p in powers
+    )

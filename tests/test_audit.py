@@ -1,0 +1,71 @@
+import json
+import math
+import statistics
+
+import pytest
+import sympy
+
+from dynsr.audit import agrees_cut, audit
+from dynsr.catalogue import find_system
+from dynsr.expression import parse
+from dynsr.paper.printed import appendix_mean
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Audit once, without the search for SINDy's own models."""
+    return audit(unrounded=lambda engine: {})
+
+
+def test_all_but_two_printed_losses_are_reproduced(rows):
+    """31 of 33 agree to every printed digit; the two that cannot have rounded coefficients."""
+    assert len(rows) == 33
+    missed = {(row.system, row.method) for row in rows if not row.agrees}
+    assert missed == {("pendulum", "SINDy"), ("lotka-volterra", "SINDy")}
+
+
+def test_digits_are_cut_not_rounded():
+    """0.2139 agrees with a printed 0.213 but not with 0.214."""
+    assert agrees_cut("0.213", 0.2139) and not agrees_cut("0.214", 0.2139)
+    assert not agrees_cut("0.213", 0.2129999) and not agrees_cut("0.213", math.inf)
+
+
+def test_every_row_has_its_corrected_value(rows):
+    """The pendulum's first run is 0.187 from the right start, SINDy's 0.237, as measured."""
+    assert all(math.isfinite(row.corrected) and row.equation_rmse > 0 for row in rows)
+    by_key = {(row.system, row.method, row.run): row for row in rows}
+    assert by_key["pendulum", "DynAIFeynman", 1].corrected == pytest.approx(0.187, abs=6e-4)
+    assert by_key["pendulum", "SINDy", 1].corrected == pytest.approx(0.237, abs=6e-4)
+    assert by_key["pendulum", "DynAIFeynman", 2].corrected == pytest.approx(3.0, abs=0.05)
+
+
+def test_means_over_the_runs_are_the_appendix_ones(rows):
+    """Our own losses have the means that the printed ones have, to the digits printed."""
+    for key in {(row.system, row.method) for row in rows} - {("lotka-volterra", "SINDy")}:
+        ours = [row.ours for row in rows if (row.system, row.method) == key]
+        tolerance = 0.02 if key == ("pendulum", "SINDy") else 1e-3
+        assert statistics.fmean(ours) == pytest.approx(appendix_mean(*key)[0], abs=tolerance)
+
+
+def test_rows_are_json(rows):
+    """A row holds the names that other programs read, and nothing that JSON lacks."""
+    record = json.loads(json.dumps(rows[0].as_dict(), allow_nan=False))
+    assert {"system", "method", "run", "printed", "ours", "agrees", "note"} <= set(record)
+    assert record["printed"] == 1.035 and record["agrees"] is True
+
+
+def test_unrounded_models_stand_beside_the_rows_that_miss():
+    """A model with all its digits is scored by the same protocol, only where it is needed."""
+
+    def models(engine):
+        return {
+            "pendulum": parse("-(sin(theta1) - 0.0079752*theta1 + 0.0147241*theta2)/0.1008029"),
+            "cart-pole": sympy.Float(0.0),
+        }
+
+    rows = audit(unrounded=models)
+    beside = {row.system: row for row in rows if row.unrounded is not None}
+    assert set(beside) == {"pendulum"}
+    assert agrees_cut(beside["pendulum"].printed_digits, beside["pendulum"].unrounded)
+    text = beside["pendulum"].unrounded_expression
+    assert parse(text, find_system("pendulum").states) == models(None)["pendulum"]

@@ -1,0 +1,153 @@
+import json
+import math
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+from dynsr.catalogue import CART_POLE, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM
+from dynsr.errors import EngineError, InputError
+from dynsr.expression import parse
+from dynsr.scoring import (
+    Score,
+    compared_states,
+    equation_rmse,
+    printed_loss,
+    score_expressions,
+    score_model,
+    trajectory_loss,
+)
+from dynsr.system import System
+
+# Two states that do not touch each other, so that losses have closed forms.
+DECAYS = System.from_strings(
+    {"a": "-a", "b": "-b"}, x0=[2.0, 1.0], test=(0.0, 1.0), name="two decays"
+)
+
+
+def test_the_true_equation_has_no_loss():
+    """All three losses of the true right-hand side are exactly 0, from the right start."""
+    for system in (LOTKA_VOLTERRA, CART_POLE):
+        losses = score_model(system, system.rhs[-1], "ga")
+        assert (losses.equation_rmse, losses.printed_loss, losses.trajectory_loss) == (0, 0, 0)
+
+
+def test_the_equation_rmse_has_its_closed_form():
+    """f_hat - f = c b along b = exp(-t) gives c sqrt(mean exp(-2t))."""
+    found = equation_rmse(DECAYS, parse("-0.5*b"))
+    assert found == pytest.approx(0.5 * math.sqrt((1 - math.exp(-2)) / 2), rel=2e-3)
+
+
+def test_the_trajectory_loss_has_its_closed_form():
+    """db/dt = 0 from 1 stays at 1 while the truth is exp(-t)."""
+    squared_mean = 1 - 2 * (1 - math.exp(-1)) + (1 - math.exp(-2)) / 2
+    assert trajectory_loss(DECAYS, sympy.Float(0.0)) == pytest.approx(
+        math.sqrt(squared_mean), rel=1e-3
+    )
+
+
+def test_squares_of_states_are_added_not_averaged():
+    """Both states off by the same number count sqrt(2) times one of them."""
+    system = System.from_strings({"a": "b*0", "b": "0*b"}, x0=[0.0, 0.0], test=(0.0, 1.0))
+    one = trajectory_loss(system, parse("1.0"), target="b")
+    both = System.from_strings({"a": "b", "b": "0*b"}, x0=[0.0, 0.0], test=(0.0, 1.0))
+    # a = t^2 / 2 and b = t: sum of squares t^2 + t^4 / 4.
+    assert one == pytest.approx(math.sqrt(1 / 3), rel=1e-3)
+    assert trajectory_loss(both, parse("1.0"), "b") == pytest.approx(
+        math.sqrt(1 / 3 + 1 / 20), rel=1e-3
+    )
+
+
+def test_the_trajectory_loss_agrees_with_scipy():
+    """An altered cart-pole, integrated by DOP853, is as far from the truth."""
+    t = np.linspace(10.0, 15.0, 5001)
+
+    def states(z_slope):
+        def slopes(s, x):
+            w, _, y, z = x
+            force, sin, cos = -0.2 + 0.5 * np.sin(6 * s), np.sin(w), np.cos(w)
+            over = 2 - cos**2
+            y_slope = -(19.62 * sin + sin * cos * y**2 + force * cos) / over
+            return [y, z, y_slope, z_slope(w, y, force, sin, cos, over)]
+
+        start = [0.3, 0.0, 1.0, 0.0]
+        return solve_ivp(slopes, (10, 15), start, "DOP853", t, rtol=1e-10, atol=1e-10).y
+
+    true = states(lambda w, y, F, sin, cos, over: -(sin * y**2 + 9.81 * sin * cos + F) / over)
+    altered = states(lambda w, y, F, sin, cos, over: F - 4 * w)
+    expected = math.sqrt(np.mean(np.sum((altered - true) ** 2, axis=0)))
+    assert trajectory_loss(CART_POLE, parse("F - 4*w")) == pytest.approx(expected, rel=5e-3)
+
+
+def test_the_printed_loss_of_the_pendulum_has_the_wrong_start():
+    """Even the true equation has a printed loss there: its start is the cart-pole's."""
+    losses = score_model(PENDULUM, PENDULUM.rhs[-1], "ga")
+    assert losses.printed_loss > 2 and losses.trajectory_loss == 0
+
+
+def test_sindy_counts_all_states_and_the_others_two():
+    """The cart-pole's four states count for SINDy; position and angle for the others."""
+    assert compared_states(CART_POLE, "SINDy") == ("w", "x", "y", "z")
+    assert compared_states(CART_POLE, "dynaifeynman") == ("w", "x")
+    expr = parse("-2*w")
+    assert printed_loss(CART_POLE, expr, "sindy") == trajectory_loss(CART_POLE, expr)
+    assert printed_loss(CART_POLE, expr, "ga") < printed_loss(CART_POLE, expr, "sindy")
+
+
+@pytest.mark.parametrize("text", ["y^3 + 1000*x", "log(-y)", "exp(exp(y))", "-1/sqrt(y)"])
+def test_a_diverging_equation_has_infinite_loss(text):
+    """Blow-ups and left domains are a loss, not an exception."""
+    losses = score_model(LOTKA_VOLTERRA, parse(text), "ga")
+    assert losses.trajectory_loss == math.inf and losses.printed_loss == math.inf
+
+
+def test_many_equations_score_as_each_alone():
+    """Duplicates and company change no score."""
+    exprs = [parse(text) for text in ("-y*(3-x)", "x-3", "y^3+1000*x", "x-3", "2.5*x*y-y")]
+    together = score_expressions(LOTKA_VOLTERRA, exprs, "GA")
+    for expr, score in zip(exprs, together, strict=True):
+        assert score.expr == expr
+        alone = score_model(LOTKA_VOLTERRA, expr, "GA")
+        assert score.equation_rmse == alone.equation_rmse
+        assert score.trajectory_loss == pytest.approx(alone.trajectory_loss, rel=1e-6)
+        assert score.printed_loss == pytest.approx(alone.printed_loss, rel=1e-6)
+
+
+@pytest.mark.parametrize("system", PAPER_SYSTEMS, ids=lambda s: s.name)
+def test_one_call_gives_what_the_three_functions_give(system):
+    """score_model and the single functions are the same definitions."""
+    expr = parse(f"0.5*{system.states[0]} - {system.states[-1]}")
+    losses = score_model(system, expr, "DynAIFeynman")
+    assert losses.equation_rmse == equation_rmse(system, expr)
+    assert losses.printed_loss == printed_loss(system, expr, "DynAIFeynman")
+    assert losses.trajectory_loss == trajectory_loss(system, expr)
+
+
+def test_another_target_can_be_scored():
+    """The first equation is altered, the last kept."""
+    assert score_model(LOTKA_VOLTERRA, LOTKA_VOLTERRA.rhs[0], "ga", target="x").trajectory_loss == 0
+    assert equation_rmse(LOTKA_VOLTERRA, parse("1.0 + x*(1.5 - y)"), target="x") == pytest.approx(1)
+
+
+def test_a_score_survives_json():
+    """A record reads back as the same score; infinity is written as null."""
+    score = score_expressions(LOTKA_VOLTERRA, [parse("y^3 + 1000.1*x")], "ga", seed=3)[0]
+    text = json.dumps(score.as_dict(), allow_nan=False)
+    again = Score.from_dict(json.loads(text))
+    assert again.expr == score.expr and again.trajectory_loss == math.inf
+    assert again.equation_rmse == score.equation_rmse and math.isnan(again.seconds)
+    assert again.seed == 3 and again.origin["engine"] == "embedded"
+
+
+def test_an_unknown_name_is_refused():
+    """An expression in a variable that the system lacks is named."""
+    with pytest.raises(InputError, match="unknown name 'q'"):
+        score_model(PENDULUM, parse("q + 1"), "ga")
+
+
+def test_a_true_system_without_a_solution_is_refused():
+    """Nothing can be compared with a truth that blows up."""
+    system = System.from_strings({"x": "x^2"}, x0=[1.0], test=(0.0, 2.0))
+    with pytest.raises(EngineError, match="itself has no solution"):
+        trajectory_loss(system, parse("x"))
