@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Sequence
 
 import numpy as np
 import scipy
 import sympy
 
 from dynsr import __version__
-from dynsr.engines import tsit5
+from dynsr.engines import tsit5, tsit5_groups
 from dynsr.engines.base import (
     AbstractEngine,
     InitialValueProblem,
@@ -31,6 +32,10 @@ class EmbeddedEngine(AbstractEngine):
     def integrate(self, problem: InitialValueProblem) -> Integration:
         """Solve an initial value problem by :func:`dynsr.engines.tsit5.solve`."""
         return tsit5.solve(problem)
+
+    def integrate_all(self, problems: Sequence[InitialValueProblem]) -> list[Integration]:
+        """Solve many problems by :func:`dynsr.engines.tsit5_groups.solve_all`."""
+        return tsit5_groups.solve_all(problems)
 
     def regress(self, problem: SparseProblem) -> SparseSolution:
         """Solve a sparse regression problem by :func:`dynsr.engines.sparse.solve_sparse`."""

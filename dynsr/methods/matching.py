@@ -17,7 +17,7 @@ from scipy.interpolate import make_interp_spline
 
 from dynsr.derivatives import estimate_noise
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy
+from dynsr.expression import compile_numpy, parse
 from dynsr.methods.flow import Flow, Windows, cut_windows, free_constants
 from dynsr.methods.shooting import Shooting
 from dynsr.trajectory import Trajectory
@@ -76,10 +76,9 @@ def match_trajectories(
     shortest = min(len(run) for run in runs)
     if not len(values) or shortest < 3:
         return replace(untouched, success=not len(values))
-    noise = np.mean([estimate_noise(run) for run in runs if len(run) > 4] or [np.zeros(1)], axis=0)
     spread = np.std(np.concatenate([run.x for run in runs]), axis=0)
     columns = [runs[0].index(state) for state in flow.rhs]
-    free = bool(len(noise) > 1 or noise.any()) and bool(np.any(noise > 1e-5 * spread))
+    free = is_noisy(runs)
     length = window or (min(100, max(20, max(map(len, runs)) // 10)) if free else 10)
     shooting = Shooting(
         flow,
@@ -89,6 +88,22 @@ def match_trajectories(
     )
     fitted = _fit(shooting, np.array(values), time.monotonic() + max_seconds)
     return untouched if fitted is None else _match(flow, owners, *fitted)
+
+
+def is_noisy(runs: Sequence[Trajectory]) -> bool:
+    """Say whether measurement noise of a state is above 1e-5 of its spread."""
+    long = [run for run in runs if len(run) > 4]
+    if not long:
+        return False
+    noise = np.mean([estimate_noise(run) for run in long], axis=0)
+    return bool(np.any(noise > 1e-5 * np.std(np.concatenate([run.x for run in runs]), axis=0)))
+
+
+def read_inputs(
+    exprs: Mapping[str, str | sympy.Expr], names: Sequence[str]
+) -> dict[str, sympy.Expr]:
+    """Read expressions in ``names``, one a key; raises InputError where one cannot be read."""
+    return {key: parse(expr, names) for key, expr in exprs.items()}
 
 
 def _prepare(
@@ -187,3 +202,33 @@ def _match(
         loss,
         True,
     )
+
+
+def forecast_miss(
+    exprs: Mapping[str, sympy.Expr],
+    trajectories: Trajectory | Sequence[Trajectory],
+    *,
+    inputs: Mapping[str, sympy.Expr] | None = None,
+    window: int = 50,
+) -> float:
+    """Give the median miss of forecasts over ``window`` intervals, in units of the spread.
+
+    Each window starts at its first measurement; states without an expression are read from the
+    data. inf when most forecasts diverge.
+
+    >>> t = np.linspace(0, 1, 51)
+    >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
+    >>> forecast_miss({"x": -2 * sympy.Symbol("x")}, decay) < 1e-6
+    True
+    """
+    runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
+    flow, values, _ = _prepare(exprs, runs, inputs or {})
+    columns = [runs[0].index(state) for state in flow.rhs]
+    spread = np.std(np.concatenate([run.x for run in runs]), axis=0)[columns]
+    windows = _cut(flow, runs, inputs or {}, window)
+    shooting = Shooting(flow, windows, np.maximum(spread, 1e-300), False)
+    with np.errstate(all="ignore"):
+        starts, constants = windows.x[0], np.array(values)
+        substeps = _choose_substeps(shooting, constants, starts)
+        misses = np.abs(replace(shooting, substeps=substeps).misses(constants, starts))
+    return float(np.median(np.nan_to_num(misses, nan=np.inf)))

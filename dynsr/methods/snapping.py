@@ -244,7 +244,7 @@ def as_decimals(expr: sympy.Expr) -> sympy.Expr:
     finite = {
         number: sympy.Float(float(number))
         for number in expr.atoms(sympy.Rational)
-        if not number.is_Integer and 10 ** _MOST_DIGITS * 10 % int(number.q) == 0
+        if not number.is_Integer and 10**_MOST_DIGITS * 10 % int(number.q) == 0
     }
     return sympy.Add(*[_keep_powers(t, finite) for t in sympy.Add.make_args(expr)])
 
