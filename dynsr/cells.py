@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 import time
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,12 +20,13 @@ from dynsr.methods.base import AbstractMethod
 from dynsr.methods.select import make_method
 from dynsr.paper.bases import STATE_STEPS
 from dynsr.paper.recipes import sindy_samples
-from dynsr.records import Record, describe_settings
+from dynsr.records import Record, describe_settings, write_record
 from dynsr.samples import Samples, forward_difference
 from dynsr.scoring import score_expressions
 from dynsr.simulate import training_trajectory
 from dynsr.system import System
 
+_WATCH_SECONDS = 1.0
 MakeMethod = Callable[[str, str, "str | None"], AbstractMethod]
 
 
@@ -35,7 +40,10 @@ class Plan:
     seed: int
     preset: str
     engine: str
-    make: MakeMethod = make_method
+    make: _WATCH_SECONDS = 1.0
+
+
+MakeMethod = make_method
 
 
 @dataclass(frozen=True)
@@ -126,6 +134,28 @@ def failed_record(cell: Cell, plan: Plan, reason: str) -> Record:
         {},
         error=reason,
     )
+
+
+def record_cell(cell: Cell, plan: Plan, path: Path) -> Record:
+    """Compute a cell and write its record to ``path`` in one move."""
+    record = compute_cell(cell, plan)
+    write_record(record, path)
+    return record
+
+
+def start_worker(parent: int) -> None:
+    """Prepare a worker process: Ctrl-C is its parent's, and it does not outlive it.
+
+    A search would answer an interrupt with what it has found so far, which is no result here.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+
+
+def _leave_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_WATCH_SECONDS)
+    os._exit(1)
 
 
 def _search(cell: Cell, plan: Plan, method: AbstractMethod) -> dict[str, Any]:

@@ -8,7 +8,6 @@ interrupted, at any moment and in any way, is continued by the next one with the
 from __future__ import annotations
 
 import os
-import signal
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,7 +29,15 @@ from rich.progress import (
 
 from dynsr import __version__
 from dynsr.catalogue import PAPER_SYSTEMS, find_system
-from dynsr.cells import Cell, MakeMethod, Plan, cell_method, compute_cell, failed_record
+from dynsr.cells import (
+    Cell,
+    MakeMethod,
+    Plan,
+    cell_method,
+    failed_record,
+    record_cell,
+    start_worker,
+)
 from dynsr.engines.select import find_engine
 from dynsr.errors import InputError
 from dynsr.methods.select import METHODS, make_method
@@ -228,31 +235,17 @@ def _compute_in_pool(
 ) -> Iterator[tuple[Cell, Record]]:
     if not cells:
         return
-    pool = ProcessPoolExecutor(jobs, initializer=_ignore_interrupts, env=_ONE_THREAD)
+    pool = ProcessPoolExecutor(
+        jobs, initializer=start_worker, initargs=(os.getpid(),), env=_ONE_THREAD
+    )
     try:
-        futures = {
-            pool.submit(_compute_and_write, c, plan, _path(c, folder), os.getpid()): c
-            for c in cells
-        }
+        futures = {pool.submit(record_cell, c, plan, _path(c, folder)): c for c in cells}
         for future in as_completed(futures):
             yield futures[future], future.result()
     except BaseException:
         pool.shutdown(wait=True, kill_workers=True)
         raise
     pool.shutdown(wait=True)
-
-
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent: a search would answer it with what it has found so far."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _compute_and_write(cell: Cell, plan: Plan, path: Path, parent: int) -> Record:
-    if os.getppid() != parent:
-        raise SystemExit("the process that asked for this cell is gone")
-    record = compute_cell(cell, plan)
-    write_record(record, path)
-    return record
 
 
 @contextmanager

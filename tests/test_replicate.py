@@ -1,5 +1,6 @@
-import json
 import os
+import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,13 +25,22 @@ replicate(["pendulum"], ["guess0.15"], runs=8, seed=3, jobs=2, out=sys.argv[1], 
 """
 
 
-@pytest.fixture
-def make(monkeypatch):
-    """Make fake methods, which worker processes can import too."""
-    monkeypatch.syspath_prepend(HERE)
-    from fake_methods import make
+sys.path.insert(0, str(HERE))
+from fake_methods import make  # noqa: E402 (worker processes import it by this name too)
 
-    return make
+CELLS = {"systems": ["pendulum"], "methods": ["guess0.15"], "runs": 8, "seed": 3, "make": make}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Eight cells by two workers, never interrupted."""
+    return replicate(**CELLS, jobs=2, out=tmp_path_factory.mktemp("whole"))
+
+
+@pytest.fixture
+def copied(whole, tmp_path):
+    """Give a folder with the same results."""
+    return shutil.copytree(whole.folder, tmp_path / "copied")
 
 
 def timeless(records):
@@ -38,98 +48,114 @@ def timeless(records):
     return [replace(r, seconds=0.0) for r in records]
 
 
-def test_the_result_does_not_depend_on_the_number_of_workers(make, tmp_path):
-    """One worker and three give equal records, tables and pictures, from one seed."""
-    arguments = (["pendulum", "lotka-volterra"], ["guess"], 2, 5)
-    one = replicate(*arguments, jobs=1, out=tmp_path / "one", make=make)
-    three = replicate(*arguments, jobs=3, out=tmp_path / "three", make=make)
-    assert timeless(one.records) == timeless(three.records)
-    assert len({r.expression for r in one.records}) == 4
-    pictures = [(tmp_path / name / "figure1.png").read_bytes() for name in ("one", "three")]
-    assert pictures[0] == pictures[1]
-
-
-def test_another_seed_or_selection(make, tmp_path):
-    """A seed decides the formulas; what else is replicated with a cell does not."""
-    alone = replicate(["pendulum"], ["guess"], 1, 5, 1, tmp_path / "a", make=make)
-    more = replicate(["cart-pole", "pendulum"], ["guess"], 2, 5, 1, tmp_path / "b", make=make)
-    other = replicate(["pendulum"], ["guess"], 1, 6, 1, tmp_path / "c", make=make)
-    same = [r for r in more.records if r.system == "pendulum" and r.run == 1]
-    assert timeless(alone.records) == timeless(same)
-    assert alone.records[0].expression != other.records[0].expression
+def test_the_result_depends_on_the_seed_alone(whole, tmp_path):
+    """One worker gives the records that two give, whatever else is run; another seed does not."""
+    chosen = {**CELLS, "systems": ["lotka-volterra", "pendulum"], "runs": 2}
+    more = replicate(**chosen, jobs=1, out=tmp_path / "more").records
+    same = [r for r in more if r.system == "pendulum"]
+    assert timeless(same) == timeless(whole.records[:2])
+    other = replicate(**{**CELLS, "runs": 1, "seed": 4}, jobs=1, out=tmp_path / "other").records
+    formulas = [r.expression for r in (*whole.records, *other)]
+    assert len(set(formulas)) == len(formulas) == 9
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0.0, 0.23, 0.55])
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_a_killed_replication_is_continued_to_the_same_result(make, tmp_path, delay, number):
-    """Killed or interrupted at some moment, the next call ends with the records of a whole run."""
-    program = tmp_path / "program.py"
+def test_a_killed_replication_is_continued_to_the_same_result(whole, tmp_path, number):
+    """Killed or interrupted at a random moment, the next call ends with a whole run's records."""
+    program, out = tmp_path / "program.py", tmp_path / "out"
     program.write_text(PROGRAM.format(here=str(HERE)))
-    out = tmp_path / "out"
-    environment = {**os.environ, "PYTHONPATH": str(HERE.parent)}
     child = subprocess.Popen(
-        [sys.executable, program, out], env=environment, stderr=subprocess.DEVNULL
+        [sys.executable, program, out],
+        env={**os.environ, "PYTHONPATH": str(HERE.parent)},
+        stderr=subprocess.DEVNULL,
     )
     while not list(out.glob("cells/*.json")):
         assert child.poll() is None
-        time.sleep(0.01)
+        time.sleep(0.005)
+    delay = random.uniform(0.0, 0.4)
     time.sleep(delay)
     child.send_signal(number)
-    assert child.wait(timeout=20) != 0
+    assert child.wait(timeout=30) != 0
     left = len(list(out.glob("cells/*.json")))
-    assert 1 <= left < 8 and not (out / "report.html").exists()
-    continued = replicate(
-        ["pendulum"], ["guess0.15"], runs=8, seed=3, jobs=2, out=out, make=make
-    )
-    whole = replicate(
-        ["pendulum"], ["guess0.15"], runs=8, seed=3, jobs=2, out=tmp_path / "whole", make=make
-    )
-    assert timeless(continued.records) == timeless(whole.records)
+    assert left >= 1 and not (out / "report.html").exists(), f"killed after {delay} s"
+    continued = replicate(**CELLS, jobs=2, out=out)
+    assert timeless(continued.records) == timeless(whole.records), f"killed after {delay} s"
     assert (out / "report.html").exists()
 
 
-def test_records_are_used_again(make, tmp_path):
-    """A second call computes nothing: it gives the records of the first, seconds included."""
-    first = replicate(["pendulum"], ["guess"], 2, jobs=1, out=tmp_path, make=make)
-    again = replicate(["pendulum"], ["guess"], 2, jobs=1, out=tmp_path, make=make)
-    assert first == again
-
-
-@pytest.mark.parametrize("damage", ["cut", "changed", "other", "empty", "list"])
-def test_a_damaged_record_is_computed_again(make, tmp_path, damage):
-    """A record that is cut short, altered or misplaced gives a warning and the right result."""
-    first = replicate(["pendulum"], ["guess"], 2, jobs=1, out=tmp_path, make=make)
-    one, two = (tmp_path / "cells" / f"pendulum.guess.{run}.json" for run in (1, 2))
-    text = one.read_text()
-    one.write_text(
-        {
-            "cut": text[: len(text) // 2],
-            "changed": text.replace('"theta2"', '"theta1"'),
-            "other": two.read_text(),
-            "empty": "",
-            "list": "[1, 2]",
-        }[damage]
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks into /proc")
+def test_workers_do_not_outlive_their_parent(tmp_path):
+    """When the parent is killed, its workers end within seconds, in the midst of a long search."""
+    program, out = tmp_path / "program.py", tmp_path / "out"
+    text = PROGRAM.format(here=str(HERE)).replace("guess0.15", "guess600")
+    program.write_text(text.replace("jobs=2", "jobs=1"))
+    child = subprocess.Popen(
+        [sys.executable, program, out], env={**os.environ, "PYTHONPATH": str(HERE.parent)}
     )
-    with pytest.warns(RecordWarning, match="computing it again"):
-        again = replicate(["pendulum"], ["guess"], 2, jobs=1, out=tmp_path, make=make)
-    assert timeless(again.records) == timeless(first.records)
+    try:
+        workers = wait_for(lambda: workers_of(child.pid))
+    finally:
+        child.kill()
+        child.wait()
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
 
 
-def test_a_record_of_other_settings_is_computed_again(make, tmp_path):
+def workers_of(parent):
+    """Give the numbers of the worker processes of a process."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            pid, rest = status.read_text().split(" ", 1)
+            line = (status.parent / "cmdline").read_text()
+        except OSError:
+            continue
+        if rest.rsplit(")", 1)[1].split()[1] == str(parent) and "LokyProcess" in line:
+            found.append(int(pid))
+    return found
+
+
+def wait_for(condition, seconds=30.0):
+    """Wait until a condition holds, and give its value."""
+    end = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.05)
+    return value
+
+
+def test_records_are_used_again(whole, copied):
+    """A second call computes nothing: it gives the records of the first, seconds included."""
+    again = replicate(**CELLS, jobs=1, out=copied)
+    assert again.records == whole.records
+
+
+def test_damaged_records_are_computed_again(whole, copied):
+    """Records that are cut short, altered or misplaced give warnings and the right result."""
+    one, two, three, four, five, six = (
+        copied / "cells" / f"pendulum.guess0.15.{run}.json" for run in range(1, 7)
+    )
+    one.write_text(one.read_text()[:200])
+    two.write_text(two.read_text().replace('"theta2"', '"theta1"'))
+    three.write_text(six.read_text())
+    four.write_text("")
+    five.write_bytes(b"\xff[1, 2]")
+    with pytest.warns(RecordWarning, match="computing it again") as warned:
+        again = replicate(**CELLS, jobs=1, out=copied)
+    assert len(warned) == 5
+    assert timeless(again.records) == timeless(whole.records)
+
+
+def test_a_record_of_other_settings_is_computed_again(copied):
     """When a method's own settings changed, its old records are not used."""
-    replicate(["pendulum"], ["guess"], 1, jobs=1, out=tmp_path, make=make)
-    old = tmp_path / "cells" / "pendulum.guess.1.json"
-    assert json.loads(old.read_text())["settings"]["pause"] == 0.0
-
-    def slower(name, preset, system_name):
-        return make("guess0.01", preset, system_name)
-
+    chosen = {**CELLS, "runs": 1, "make": lambda name, *rest: make("guess0.01", *rest)}
     with pytest.warns(RecordWarning, match="other settings of the method"):
-        replicate(["pendulum"], ["guess"], 1, jobs=1, out=tmp_path, make=slower)
+        again = replicate(**chosen, jobs=1, out=copied)
+    assert again.records[0].settings["pause"] == 0.01
 
 
-def test_a_failed_cell_is_a_record_and_is_tried_again(make, tmp_path):
+def test_a_failed_cell_is_a_record_and_is_tried_again(tmp_path):
     """A method that raises, finds nothing or kills its process fails alone, and says why."""
     methods = ["guess", "broken-raises", "broken-finds-nothing", "broken-dies"]
     result = replicate(["pendulum"], methods, 1, jobs=2, out=tmp_path, make=make)
@@ -139,25 +165,28 @@ def test_a_failed_cell_is_a_record_and_is_tried_again(make, tmp_path):
     assert "finite values" in errors[1] and "process died" in errors[2]
     page = (tmp_path / "report.html").read_text()
     assert "no luck today" in page and "process died" in page
-
-    def repaired(name, preset, system_name):
-        return make("guess", preset, system_name)
-
-    assert not replicate(["pendulum"], methods, 1, jobs=2, out=tmp_path, make=repaired).failed
+    repaired = replicate(
+        ["pendulum"],
+        methods,
+        1,
+        jobs=2,
+        out=tmp_path,
+        make=lambda name, *rest: make("guess", *rest),
+    )
+    assert not repaired.failed
 
 
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"seed": 1}, r"holds results with seed 0, not 1; give another folder, or seed 0"),
+        ({"seed": 1}, r"holds results with seed 3, not 1; give another folder, or seed 3"),
         ({"quick": True}, "holds results with quick False, not True"),
     ],
 )
-def test_other_settings_in_the_same_folder_are_refused(make, tmp_path, change, message):
+def test_other_settings_in_the_same_folder_are_refused(whole, change, message):
     """A folder of results is only continued with the settings that it was begun with."""
-    replicate(["pendulum"], ["guess"], 1, jobs=1, out=tmp_path, make=make)
     with pytest.raises(InputError, match=message):
-        replicate(["pendulum"], ["guess"], 1, **{"jobs": 1, "out": tmp_path, "make": make, **change})
+        replicate(**{**CELLS, **change}, out=whole.folder)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +208,7 @@ def test_bad_arguments_are_named_before_anything_is_written(tmp_path, arguments,
     assert "\n" not in str(caught.value) and not (tmp_path / "new").exists()
 
 
-def test_quick_runs_say_so(make, tmp_path):
+def test_quick_runs_say_so(tmp_path):
     """Quick means two runs with the quick preset, and the record and the report say it."""
     result = replicate(["pendulum"], ["ga"], jobs=1, out=tmp_path, quick=True)
     assert [r.preset for r in result.records] == ["quick", "quick"]
