@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -46,6 +46,7 @@ class Context:
     depth : how many reductions lie between the caller's problem and the present one.
     solve : finds formulas for a reduced problem; by default none.
     surrogate : gives the stand-in for the function behind some samples.
+    interrupted : set by a stage that was interrupted and gave what it had; the search then ends.
     """
 
     rng: np.random.Generator
@@ -55,6 +56,7 @@ class Context:
     depth: int = 0
     solve: Callable[[Samples, Context], list[Candidate]] = lambda samples, context: []
     surrogate: Callable[[Samples, Context], Surrogate] | None = None
+    interrupted: bool = False
 
     @property
     def seconds_left(self) -> float:
@@ -65,6 +67,11 @@ class Context:
         """Report how far a stage is, with the front so far."""
         name = stage if self.depth == 0 else f"{stage} (level {self.depth})"
         self.report(Progress(name, done, total, self.front))
+
+    def offer(self, candidates: Iterable[Candidate]) -> None:
+        """Put formulas of the caller's own problem on the front as soon as they are there."""
+        if self.depth == 0:
+            self.front = self.front.add(*candidates)
 
     def deeper(self) -> Context:
         """Give the context of a problem reduced from this one."""
