@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from dynsr import __version__
-from dynsr.commands import benchmarking, checks, discovering, experiments, known
+from dynsr.commands import benchmarking, checks, discovering, experiments, known, saved
 from dynsr.commands.group import INTERRUPTED, CommandGroup
 
 app = typer.Typer(
@@ -59,10 +59,10 @@ app.command(rich_help_panel=_DISCOVERY, epilog="Example: dynsr discover l.csv --
 )
 app.command(
     rich_help_panel=_DISCOVERY, epilog="Example: dynsr score lorenz/discovery.json other.csv"
-)(discovering.score)
+)(saved.score)
 app.command(
     rich_help_panel=_DISCOVERY, epilog="Example: dynsr report lorenz/discovery.json -o report.html"
-)(discovering.report)
+)(saved.report)
 app.command(
     rich_help_panel=_PAPER, epilog="Example: dynsr replicate --systems pendulum --methods sindy"
 )(experiments.replicate)

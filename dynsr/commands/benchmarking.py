@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dynsr.commands import options, output
-from dynsr.commands.discovering import MethodName, Preset, check_engine
+from dynsr.commands.discovering import check_engine, search
 from dynsr.commands.progress import SearchProgress
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
+    import sympy
+
     from dynsr.benchmarks.recovery import Recovery, Search
+    from dynsr.trajectory import Trajectory
 
 BENCHMARKS = {
     "recovery": "equations of known systems found again from their data, at levels of noise",
@@ -36,8 +39,8 @@ def benchmark(
         ),
     ] = "0,0.01",
     seeds: Annotated[int, typer.Option(min=1, help="Draws of the noise at each level.")] = 1,
-    method: MethodName = "auto",
-    preset: Preset = "best",
+    method: options.MethodName = "auto",
+    preset: options.Preset = "best",
     jobs: options.Jobs = -1,
     engine: options.Engine = "embedded",
     json: options.Json = False,
@@ -57,8 +60,8 @@ def benchmark(
     levels = options.read_numbers(noise, "--noise") or []
     rows: list[Recovery] = []
     with SearchProgress(quiet) as progress:
-        search = _make_search(progress, method, preset, jobs, engine)
-        for row in measure_recovery(chosen, search, levels, range(seeds)):
+        find = _make_search(progress, method, preset, jobs, engine)
+        for row in measure_recovery(chosen, find, levels, range(seeds)):
             rows.append(row)
             if not quiet:
                 progress.say(_line(row))
@@ -75,21 +78,13 @@ def _list(json: bool) -> None:
 def _make_search(
     progress: SearchProgress, method: str, preset: str, jobs: int, engine: str
 ) -> Search:
-    from dynsr.discovery import discover
-
-    def search(data: Any, seed: int) -> Any:
-        found = discover(
-            data,
-            method=method,
-            preset=preset,
-            seed=seed,
-            jobs=jobs,
-            engine=engine,
-            report=progress,
+    def find(data: Trajectory, seed: int) -> Mapping[str, sympy.Expr]:
+        found = search(
+            [data], progress, method=method, preset=preset, seed=seed, jobs=jobs, engine=engine
         )
         return found.equations
 
-    return search
+    return find
 
 
 def _line(row: Recovery) -> str:

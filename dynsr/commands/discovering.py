@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,47 +10,17 @@ import typer
 
 from dynsr.commands import options, output
 from dynsr.commands.known import read_equations
-from dynsr.commands.progress import SearchProgress
+from dynsr.commands.progress import SearchProgress, best_equation
+from dynsr.commands.reading import load_table, split_inputs
+from dynsr.commands.saved import keep, score_discovery, show_discovery, summarise
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
     from dynsr.discovery import Discovery
     from dynsr.trajectory import Trajectory
 
-Names = list[str] | None
 
-TimeColumn = Annotated[
-    str | None, typer.Option("--time", help="Time column.", rich_help_panel=options.DATA)
-]
-StateColumns = Annotated[
-    Names, typer.Option("--states", help="State columns: x,y.", rich_help_panel=options.DATA)
-]
-Inputs = Annotated[
-    Names,
-    typer.Option(
-        "--inputs",
-        help='Input columns, or expressions in t: u or "F=0.5*sin(6*t)".',
-        rich_help_panel=options.DATA,
-    ),
-]
-TrajectoryColumn = Annotated[
-    str | None,
-    typer.Option(
-        "--trajectory", help="Column that names trajectories.", rich_help_panel=options.DATA
-    ),
-]
-MethodName = Annotated[
-    str,
-    typer.Option(
-        "--method", help="auto, dynaifeynman, sindy or ga.", rich_help_panel=options.SEARCH
-    ),
-]
-Preset = Annotated[
-    str, typer.Option(help="best, or paper (as published).", rich_help_panel=options.SEARCH)
-]
-DiscoveryFile = Annotated[
-    Path, typer.Argument(metavar="DISCOVERY.json", help="A discovery that was saved.")
-]
+_METHOD_ALIASES = {"ga": "genetic"}
 
 
 def discover(
@@ -67,14 +36,14 @@ def discover(
             rich_help_panel=options.DATA,
         ),
     ] = None,
-    time_column: TimeColumn = None,
-    states: StateColumns = None,
-    inputs: Inputs = None,
-    trajectory: TrajectoryColumn = None,
-    method: MethodName = "auto",
-    preset: Preset = "best",
+    time_column: options.TimeColumn = None,
+    states: options.StateColumns = None,
+    inputs: options.Inputs = None,
+    trajectory: options.TrajectoryColumn = None,
+    method: options.MethodName = "auto",
+    preset: options.Preset = "best",
     targets: Annotated[
-        Names,
+        options.Names,
         typer.Option(
             "--targets",
             "--target",
@@ -83,7 +52,7 @@ def discover(
         ),
     ] = None,
     known: Annotated[
-        Names,
+        options.Names,
         typer.Option(
             help='Part of an equation that is known: "y\'=-3*y".',
             rich_help_panel=options.SEARCH,
@@ -109,27 +78,37 @@ def discover(
     Columns are guessed and the guess is shown; --time, --states, --inputs and --trajectory say
     otherwise. Ctrl-C ends the search with the best equations so far.
     """
-    began = time.monotonic()
     check_engine(engine)
     if bool(files) == bool(system):
         raise InputError("give a file of data or --system, one of the two")
-    folder = output.make_folder(out) if out else None
+    columns, formulas = split_inputs(inputs)
     if files:
-        data = load_table(files, time_column, states, inputs, trajectory, quiet)
+        data = load_table(files, time_column, states, columns, trajectory, quiet)
     else:
-        data = [_training_data(str(system), engine)]
+        data, formulas = _training_data(str(system), engine)
+    folder = _choose_folder(out, files[0].stem if files else str(system), json)
     with SearchProgress(quiet) as progress:
-        found = _search(data, progress, method, preset, targets, known, seed, jobs, engine)
-    seconds = time.monotonic() - began
-    if folder:
-        found.save(folder / "discovery.json")
-        found.report(folder / "report.html")
+        found = search(
+            data,
+            progress,
+            method=method,
+            preset=preset,
+            targets=options.read_names(targets) or "all",
+            inputs=formulas or None,
+            known=read_equations(known) if known else None,
+            seed=seed,
+            jobs=jobs,
+            engine=engine,
+            out=folder,
+        )
+    saved = keep(found, folder)
+    scores = score_discovery(found, data, system, engine)
     if json:
-        output.print_json({**summarise(found), "seconds": seconds})
+        output.print_json({**summarise(found), "scores": scores, "files": saved})
     else:
-        show_discovery(found, seconds)
-        if folder:
-            output.note(f"saved: {folder / 'discovery.json'}; open: {folder / 'report.html'}")
+        show_discovery(found, scores)
+        for path in saved:
+            output.note(f"{'open' if path.suffix == '.html' else 'saved'}: {path}")
 
 
 def check_engine(engine: str) -> None:
@@ -139,166 +118,54 @@ def check_engine(engine: str) -> None:
     find_engine(engine)
 
 
-def load_table(
-    files: Sequence[Path],
-    time_column: str | None,
-    states: Names,
-    inputs: Names,
-    trajectory: str | None,
-    quiet: bool = False,
-) -> list[Trajectory]:
-    """Read the trajectories of files and say on stderr how their columns were understood."""
-    from dynsr.tabular import read_trajectories
-
-    table = read_trajectories(
-        list(files) if len(files) > 1 else files[0],
-        time_column,
-        options.read_names(states),
-        _read_inputs(inputs),
-        trajectory,
-    )
-    if not quiet:
-        output.note(table.guess)
-    return table.trajectories
-
-
-def _read_inputs(inputs: Names) -> list[str] | None:
-    """Split columns at commas, but not formulas, which may hold commas of their own."""
-    if inputs is None:
-        return None
-    formulas = [text for text in inputs if "=" in text]
-    return [*formulas, *(options.read_names([t for t in inputs if "=" not in t]) or [])]
-
-
-def _training_data(name: str, engine: str) -> Trajectory:
+def _training_data(name: str, engine: str) -> tuple[list[Trajectory], dict[str, Any]]:
     from dynsr.catalogue import find_system
     from dynsr.simulate import training_trajectory
 
-    return training_trajectory(find_system(name), engine)
+    system = find_system(name)
+    return [training_trajectory(system, engine)], dict(system.inputs)
 
 
-def _search(
-    data: list[Trajectory],
+def _choose_folder(out: Path | None, stem: str, json: bool) -> Path | None:
+    """Give the folder to keep results in: the one asked for, or for readers one named after data.
+
+    Programs, which read JSON, get files only where they ask for them.
+    """
+    if out is None and json:
+        return None
+    return output.make_folder(out or Path(f"{stem}-dynsr"))
+
+
+def search(
+    data: Sequence[Trajectory],
     progress: SearchProgress,
+    *,
     method: str,
-    preset: str,
-    targets: Names,
-    known: Names,
-    seed: int,
-    jobs: int,
-    engine: str,
+    out: Path | None = None,
+    **settings: Any,
 ) -> Discovery:
-    from dynsr.discovery import discover as search
+    """Run a discovery and show its progress; what is finished is kept in ``out``."""
+    from dynsr.discovery import Step
+    from dynsr.discovery import discover as run
 
-    return search(
-        data,
-        method=method,
-        preset=preset,
-        targets=options.read_names(targets) or "all",
-        known=read_equations(known) if known else None,
-        seed=seed,
-        jobs=jobs,
-        engine=engine,
-        report=progress,
-    )
+    def tell(step: Step) -> None:
+        progress(step.what, step.done, step.total, _best(step.record))
 
-
-def load_discovery(path: Path) -> Discovery:
-    """Load a saved discovery; raises InputError when the file is not one, or is cut short."""
-    if path.is_dir() and (path / "discovery.json").exists():
-        path = path / "discovery.json"
-    if path.is_dir():
-        raise InputError(f"{str(path)!r} is a directory without a discovery.json; give the file")
-    if not path.exists():
-        raise InputError(f"there is no file {str(path)!r}; dynsr discover --out makes one")
-    from dynsr.discovery import Discovery
-
-    return Discovery.load(path)
+    progress("searching", 0, None, "")
+    name = _METHOD_ALIASES.get(method, method)
+    try:
+        return run(list(data), method=name, out=out, progress=tell, **settings)
+    except KeyboardInterrupt:
+        if out is not None:
+            progress.say(f"what is finished is kept in {out}; the same command goes on from there")
+        raise
 
 
-def summarise(found: Discovery) -> dict[str, Any]:
-    """Give what a program wants of a discovery: equations, fronts, scores, provenance."""
-    return {
-        "equations": found.equations,
-        "scores": found.scores,
-        "front": found.front,
-        "engine": found.engine,
-        "seed": found.seed,
-    }
+def _best(record: Mapping[str, Any]) -> str:
+    """Give the best equation in the record of a finished part, as a few words."""
+    from dynsr.discovery import read_candidates
+    from dynsr.pareto import ParetoFront
 
-
-def show_discovery(found: Discovery, seconds: float) -> None:
-    """Print the equations and the words that explain the choice."""
-    output.console().print(found)
-    output.note(f"{seconds:.1f} s")
-
-
-def score(
-    model: DiscoveryFile,
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Data to score it on.")],
-    time_column: TimeColumn = None,
-    states: StateColumns = None,
-    inputs: Inputs = None,
-    trajectory: TrajectoryColumn = None,
-    json: options.Json = False,
-) -> None:
-    """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
-    found = load_discovery(model)
-    data = load_table(files, time_column, states, inputs, trajectory, quiet=json)
-    scores = found.score(data)
-    if json:
-        output.print_json(scores)
-        return
-    plain = output.to_plain(scores)
-    output.print_table(
-        f"{model} on {', '.join(map(str, files))}", ("score", "value"), list(plain.items())
-    )
-
-
-def report(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DISCOVERY.json|RESULTS", help="A saved discovery, or a replication's folder."
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="HTML file; beside the source by default.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
-    json: options.Json = False,
-) -> None:
-    """Make one self-contained HTML report of a saved discovery or of a replication's results."""
-    from dynsr.records import MANIFEST
-
-    if (source / MANIFEST).exists():
-        _report_replication(source, out, json)
-        return
-    found = load_discovery(source)
-    target = out or (source if source.is_dir() else source.parent) / "report.html"
-    found.report(target)
-    if json:
-        output.print_json({"report": target})
-    else:
-        output.note(f"open: {target}")
-
-
-def _report_replication(folder: Path, out: Path | None, json: bool) -> None:
-    from dynsr.commands.experiments import deliver_results, load_results
-    from dynsr.records import write_text
-    from dynsr.report import render_replication
-
-    records, settings = load_results(folder)
-    if out is None:
-        deliver_results(folder, records, settings, json)
-        return
-    write_text(out, render_replication(records, settings))
-    if json:
-        output.print_json({"report": out})
-    else:
-        output.note(f"open: {out}")
+    rivals = [rival["candidate"] for rival in record.get("rivals", [])[:1]]
+    found = best_equation(ParetoFront(read_candidates(rivals or record.get("front", []))))
+    return f"{record['target']}' = {found}" if found and "target" in record else found

@@ -252,7 +252,7 @@ def simulate(
 
 
 def _discovered_system(path: Path, inputs: Sequence[str] | None, x0: str | None) -> System:
-    from dynsr.commands.discovering import load_discovery
+    from dynsr.commands.saved import load_discovery
     from dynsr.expression import to_text
     from dynsr.system import System
 

@@ -64,6 +64,33 @@ OutFile = Annotated[
 ]
 
 
+Names = list[str] | None
+
+TimeColumn = Annotated[
+    str | None, typer.Option("--time", help="Time column.", rich_help_panel=DATA)
+]
+StateColumns = Annotated[
+    Names, typer.Option("--states", help="State columns: x,y.", rich_help_panel=DATA)
+]
+Inputs = Annotated[
+    Names,
+    typer.Option(
+        "--inputs",
+        help='Input columns, or expressions in t: u or "F=0.5*sin(6*t)".',
+        rich_help_panel=DATA,
+    ),
+]
+TrajectoryColumn = Annotated[
+    str | None,
+    typer.Option("--trajectory", help="Column that names trajectories.", rich_help_panel=DATA),
+]
+MethodName = Annotated[
+    str,
+    typer.Option("--method", help="auto, dynaifeynman, sindy or ga.", rich_help_panel=SEARCH),
+]
+Preset = Annotated[str, typer.Option(help="best, or paper (as published).", rich_help_panel=SEARCH)]
+
+
 def read_numbers(text: str | None, option: str, count: int | None = None) -> list[float] | None:
     """Read ``1,2.5`` as numbers; raises InputError that names the option.
 
