@@ -320,3 +320,24 @@ def test_julia_without_julia_is_one_line():
     pytest.importorskip("dynsr.engines.julia")
     line = refuse("generate", "lorenz", "--engine", "julia")
     assert "ulia" in line
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("dynsr gen", "generate"),
+        ("dynsr generate lot", "lotka-volterra"),
+        ("dynsr discover --system pen", "pendulum"),
+        ("dynsr generate lorenz --engine emb", "embedded"),
+    ],
+)
+def test_shell_completion(typed, offered):
+    """The shell completes commands, systems and engines."""
+    words = typed.split()
+    environment = {
+        "_DYNSR_COMPLETE": "complete_bash",
+        "COMP_WORDS": typed,
+        "COMP_CWORD": str(len(words) - 1),
+    }
+    result = CliRunner().invoke(app, [], prog_name="dynsr", env=environment)
+    assert result.stdout.split() == [offered]
