@@ -17,11 +17,12 @@ from dynsr.methods.feynman.stage import Context
 from dynsr.samples import Samples, make_samples
 from dynsr.trajectory import Trajectory
 
-GOLDEN = Path(__file__).parent / "golden"
+GOLDEN = Path(__file__).parent / "golden" / "tsit5"
 SMALL = BruteForce(max_size=5, max_candidates=50_000, device="cpu")
 
 
 def planted(formula: str, names: str, rows: int = 300, seed: int = 0) -> Samples:
+    """Samples of a formula of one-letter variables drawn from (0.5, 2)."""
     X = np.random.default_rng(seed).uniform(0.5, 2.0, (rows, len(names)))
     y = evaluate(parse(formula, list(names)), dict(zip(names, X.T, strict=True)))
     return Samples(X, y, tuple(names), "y", "given", np.arange(float(rows)))
@@ -58,7 +59,8 @@ def test_planted_functions_are_found_exactly(formula):
 
 
 def load(name: str, states: tuple[str, ...]) -> Trajectory:
-    rows = np.loadtxt(GOLDEN / f"{name}_train.csv.gz", delimiter=",")
+    """The paper's training data from OrdinaryDiffEq."""
+    rows = np.loadtxt(GOLDEN / f"{name}_train_saveat0.01_default.csv.gz", delimiter=",")
     return Trajectory(rows[:, 0], rows[:, 1:], states)
 
 
@@ -85,7 +87,7 @@ def test_the_papers_systems_are_found_from_its_own_data(system, states, target, 
 
 
 def test_no_function_is_tested_twice():
-    """Over x alone with + and *, the distinct tests are the polynomial classes counted by hand."""
+    """Over x alone with + and *, the tests are the polynomial classes counted by hand."""
     x = np.linspace(0.5, 2.0, 100)
     settings = BruteForce(
         operators=("+", "*"),
@@ -98,8 +100,8 @@ def test_no_function_is_tested_twice():
     )
     y = np.cos(7 * x)
     result = search_values(x[:, None], y, ["x"], settings)
-    # Size 1: x. Size 3: 2x (affine in x) and x^2. Size 5, a leaf with one of size 3: x + x^2 and x^3
-    # beside 3x and 2x^2, which are affine in earlier ones.
+    # Size 1: x. Size 3: 2x (affine in x) and x^2. Size 5, a leaf with one of size 3: x + x^2 and
+    # x^3 beside 3x and 2x^2, which are affine in earlier ones.
     assert result.distinct == 4
     assert result.formed == 1 + 2 + 4
     assert result.complete == 5

@@ -207,17 +207,32 @@ class _Run:
             column = np.repeat(np.arange(len(h)), count)
             first = np.cumsum(count) - count
             point = np.arange(total) - first[column] + self.next[column]
-            theta = (self.times[point] - self.t[column]) / h[column]
-            c1, c2, c3, c4 = np.tensordot(INTERPOLANT.T, stages, 1)[:, :, column]
-            rise = h[column] * (theta * (c1 + theta * (c2 + theta * (c3 + theta * c4))))
-            values = np.where(theta == 1.0, new[:, column], self.x[:, column] + rise)
-            self.saved[self.lanes[column], point] = values.T
+            theta = ((self.times[point] - self.t[column]) / h[column])[:, None]
+            powers = (np.tensordot(INTERPOLANT.T, stages, 1) * h).reshape(4 * len(new), -1)
+            # One row a lane: its four coefficients of each state, then the state it starts from.
+            rows = np.vstack([powers, self.x]).T.copy().take(column, axis=0)
+            values = _polynomials(rows, theta)
+            ends = np.flatnonzero(theta[:, 0] == 1.0)
+            values[ends] = new.T[column[ends]]
+            flat = self.saved.reshape(-1, len(new))
+            flat[self.lanes[column] * len(self.times) + point] = values
         self.next = np.maximum(after, self.next)
 
     def _keep(self, going: np.ndarray) -> None:
         for name in ("lanes", "t", "h", "next", "last_error"):
             setattr(self, name, getattr(self, name)[going])
         self.x, self.k1 = self.x[:, going], self.k1[:, going]
+
+
+def _polynomials(rows: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Evaluate k polynomials a row, of coefficients of theta, ..., theta^4, then the constant."""
+    c1, c2, c3, c4, constant = np.split(rows, 5, axis=1)
+    values = c4 * theta
+    for coefficient in (c3, c2, c1):
+        values += coefficient
+        values *= theta
+    values += constant
+    return values
 
 
 def _rms(values: np.ndarray) -> np.ndarray:

@@ -156,6 +156,7 @@ class BruteForceStage(AbstractStage):
             context.tell(self.name, progress.done, progress.total)
 
         result = search_values(samples.X, samples.y, samples.names, settings, report=tell)
+        context.interrupted |= result.stopped == "interrupted"
         return list(result.candidates)
 
 

@@ -5,13 +5,32 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
 from dynsr.methods.base import Progress, Report, silent
 from dynsr.pareto import Candidate, ParetoFront
 from dynsr.samples import Samples
+
+
+class Surrogate(Protocol):
+    """A smooth stand-in for the unknown function, such as the network trained on its samples.
+
+    ``validation_error`` is its RMSE, in units of y, on rows it was not fitted to.
+    """
+
+    @property
+    def validation_error(self) -> float:
+        """RMSE on rows it was not fitted to."""
+
+    def predict(self, X: np.ndarray) -> np.ndarray:
+        """(n,) values at n rows."""
+
+    def gradient(self, X: np.ndarray) -> np.ndarray:
+        """(n, p) derivatives at n rows."""
 
 
 @dataclass
@@ -25,6 +44,9 @@ class Context:
     report : where progress goes.
     front : best front so far of the caller's own problem (not of a reduced one).
     depth : how many reductions lie between the caller's problem and the present one.
+    solve : finds formulas for a reduced problem; by default none.
+    surrogate : gives the stand-in for the function behind some samples.
+    interrupted : set by a stage that was interrupted and gave what it had; the search then ends.
     """
 
     rng: np.random.Generator
@@ -32,6 +54,9 @@ class Context:
     report: Report = silent
     front: ParetoFront = field(default_factory=ParetoFront)
     depth: int = 0
+    solve: Callable[[Samples, Context], list[Candidate]] = lambda samples, context: []
+    surrogate: Callable[[Samples, Context], Surrogate] | None = None
+    interrupted: bool = False
 
     @property
     def seconds_left(self) -> float:
@@ -42,6 +67,15 @@ class Context:
         """Report how far a stage is, with the front so far."""
         name = stage if self.depth == 0 else f"{stage} (level {self.depth})"
         self.report(Progress(name, done, total, self.front))
+
+    def offer(self, candidates: Iterable[Candidate]) -> None:
+        """Put formulas of the caller's own problem on the front as soon as they are there."""
+        if self.depth == 0:
+            self.front = self.front.add(*candidates)
+
+    def deeper(self) -> Context:
+        """Give the context of a problem reduced from this one."""
+        return replace(self, depth=self.depth + 1)
 
 
 class AbstractStage(ABC):

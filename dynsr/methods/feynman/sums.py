@@ -72,9 +72,9 @@ def best_triples(gram: Gram, pairs: Sequence[np.ndarray], keep: int) -> np.ndarr
         both = np.linalg.solve(system, np.column_stack([gram.inner[pair], gram.moments[pair]]))
         left = 1 - np.einsum("ij,ij->j", gram.inner[pair], both[:, :-1])
         rest = gram.moments - gram.inner[:, pair] @ both[:, -1]
-        left[(left < _DISTINCT) | ~gram.usable] = np.inf
-        share = gram.moments[pair] @ both[:, -1] + rest**2 / left
-        share[pair] = -np.inf
+        share = gram.moments[pair] @ both[:, -1] + rest**2 / np.maximum(left, _DISTINCT)
+        share[(left < _DISTINCT) | ~gram.usable] = 0.0
+        share[pair] = 0.0
         for third in _largest(share, 4):
             rows.append(sorted((*pair, third)))
             shares.append(share[third])
@@ -85,11 +85,11 @@ def best_triples(gram: Gram, pairs: Sequence[np.ndarray], keep: int) -> np.ndarr
 
 
 def _largest(values: np.ndarray, keep: int) -> np.ndarray:
-    """Places of the largest values, largest first; equal ones in order of place."""
+    """Places of the largest values above 0, largest first; equal ones in order of place."""
     if len(values) > keep:
         least = np.partition(values, len(values) - keep)[len(values) - keep]
         places = np.flatnonzero(values >= least)
     else:
         places = np.arange(len(values))
-    places = places[np.isfinite(values[places])]
+    places = places[values[places] > 0]
     return places[np.argsort(-values[places], kind="stable")][:keep]

@@ -1,0 +1,201 @@
+"""The enumeration's speed, its time to the right form on two systems, and its growth.
+
+Peers run on the same samples when they are installed: pyoperon and gplearn (pip install), and
+aifeynman 2.0.7. All figures are for one process; times are CPU seconds of that process with the
+wall clock beside them, so that a busy machine shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import sympy
+from rich.console import Console
+from rich.table import Table
+
+from dynsr.catalogue import LOTKA_VOLTERRA, PENDULUM
+from dynsr.expression import parse
+from dynsr.methods.feynman.bruteforce import BruteForce, BruteForceResult, search_values
+from dynsr.methods.feynman.description import choose
+from dynsr.samples import Samples, make_samples
+from dynsr.simulate import training_trajectory
+from dynsr.system import System
+
+SCHEME, TOLERANCE = "central4", 0.01
+SYSTEMS = (LOTKA_VOLTERRA, PENDULUM)
+SHALLOW = BruteForce(max_size=5, device="cpu")
+console = Console(width=160, highlight=False)
+
+
+def clock(work: Callable[[], object]) -> tuple[object, float, float]:
+    """Give what ``work`` gives, CPU seconds and wall seconds."""
+    cpu, wall = time.process_time(), time.perf_counter()
+    result = work()
+    return result, time.process_time() - cpu, time.perf_counter() - wall
+
+
+def is_right(found: sympy.Expr, truth: sympy.Expr) -> bool:
+    """Whether the terms are those of the truth and every coefficient is within 1 %."""
+    terms = [sympy.expand(e).as_coefficients_dict() for e in (sympy.N(found), sympy.N(truth))]
+    return set(terms[0]) == set(terms[1]) and all(
+        abs(terms[0][t] - c) <= TOLERANCE * abs(c) for t, c in terms[1].items()
+    )
+
+
+def problems() -> list[tuple[System, str, Samples, sympy.Expr]]:
+    """Give each system's targets with samples and true slope."""
+    made = []
+    for system in SYSTEMS:
+        trajectory = training_trajectory(system)
+        for target, truth in zip(system.states, system.rhs, strict=True):
+            made.append((system, target, make_samples(trajectory, target, SCHEME), truth))
+    return made
+
+
+def show_speed(samples: Samples, settings: BruteForce) -> None:
+    """Print candidates per second and core."""
+    found, cpu, wall = clock(lambda: search_values(samples.X, samples.y, samples.names, settings))
+    assert isinstance(found, BruteForceResult)
+    console.print(
+        f"one core, {settings.probes} probe rows, up to {settings.max_candidates:.0e} functions "
+        f"(CPU {cpu:.2f} s, wall {wall:.2f} s, stopped by {found.stopped}):"
+    )
+    for label, count in (
+        (f"strings covered (all up to {found.complete} letters)", found.covered),
+        ("functions formed and evaluated", found.formed),
+        ("distinct functions tested, up to affine maps", found.distinct),
+    ):
+        console.print(f"  {label:48} {count:12,d}  {count / cpu / 1e6:8.2f} M/s")
+
+
+def show_times() -> None:
+    """Print the time from samples to the chosen formula on both systems."""
+    table = Table(
+        "system", "target", "right", "CPU s", "wall s", "chosen", title="time to the right form"
+    )
+    for system, target, samples, truth in problems():
+
+        def work(samples: Samples = samples) -> sympy.Expr:
+            result = search_values(samples.X, samples.y, samples.names, SHALLOW)
+            return choose(result.candidates, samples).expr
+
+        found, cpu, wall = clock(work)
+        right = is_right(found, truth)
+        table.add_row(
+            system.name, target, "yes" if right else "NO", f"{cpu:.2f}", f"{wall:.2f}", str(found)
+        )
+    console.print(table)
+
+
+def show_growth(samples: Samples) -> None:
+    """Print CPU seconds against rows, probe rows and size."""
+    table = Table(
+        "rows", "probe rows", "size", "formed", "distinct", "strings", "CPU s", title="growth"
+    )
+    bare = replace(SHALLOW, max_candidates=1e7)
+    for rows, probes, size in (
+        *((n, 32, 5) for n in (250, 500, 997)),
+        *((997, r, 5) for r in (16, 64, 128)),
+        *((997, 32, s) for s in (4, 6, 7)),
+    ):
+        part = samples.select(np.linspace(0, len(samples) - 1, rows).astype(int))
+        settings = replace(bare, probes=probes, max_size=size)
+        found, cpu, _ = clock(
+            lambda part=part, settings=settings: search_values(part.X, part.y, part.names, settings)
+        )
+        counts = (found.formed, found.distinct, found.covered)
+        table.add_row(str(rows), str(probes), str(size), *(f"{c:,}" for c in counts), f"{cpu:.2f}")
+    console.print(table)
+
+
+def run_operon(samples: Samples) -> str:
+    """Fit with pyoperon on one thread."""
+    from pyoperon.sklearn import SymbolicRegressor
+
+    model = SymbolicRegressor(
+        allowed_symbols="add,sub,mul,div,sin,cos,exp,log,sqrt,square,constant,variable",
+        n_threads=1,
+        max_evaluations=200_000,
+        max_length=20,
+        random_state=0,
+    ).fit(samples.X, samples.y)
+    return model.get_model_string(model.model_, 6, list(samples.names))
+
+
+def run_gplearn(samples: Samples) -> str:
+    """Fit with gplearn on one process."""
+    from gplearn.genetic import SymbolicRegressor
+
+    model = SymbolicRegressor(
+        population_size=1000,
+        generations=20,
+        function_set=("add", "sub", "mul", "div", "sin", "cos"),
+        parsimony_coefficient=0.001,
+        random_state=0,
+        feature_names=list(samples.names),
+    ).fit(samples.X, samples.y)
+    return str(model._program)
+
+
+def run_aifeynman(samples: Samples) -> str:
+    """Run the original in a scratch folder, 20 s of brute force and 100 epochs."""
+    import aifeynman
+
+    with tempfile.TemporaryDirectory() as folder:
+        np.savetxt(Path(folder) / "data.txt", np.column_stack([samples.X, samples.y]))
+        aifeynman.run_aifeynman(f"{folder}/", "data.txt", 20, "14ops.txt", 4, 100)
+    return "see its own output"
+
+
+def show_peers() -> None:
+    """Print what the peers find on the same samples, and in what time."""
+    table = Table("peer", "system", "target", "right", "CPU s", "wall s", "found", title="peers")
+    peers = {"pyoperon": run_operon, "gplearn": run_gplearn, "aifeynman": run_aifeynman}
+    for name, runner in peers.items():
+        if importlib.util.find_spec(name) is None:
+            console.print(f"{name}: skipped, it is not installed here")
+            continue
+        for system, target, samples, truth in problems():
+            try:
+                found, cpu, wall = clock(lambda samples=samples, runner=runner: runner(samples))
+            except Exception as error:  # A peer's fault must not hide the other peers' figures.
+                console.print(f"{name}: failed on {system.name} {target}: {error!r}")
+                continue
+            row = (name, system.name, target, judge(str(found), samples, truth))
+            table.add_row(*row, f"{cpu:.2f}", f"{wall:.2f}", str(found)[:60])
+    console.print(table)
+
+
+def judge(text: str, samples: Samples, truth: sympy.Expr) -> str:
+    """Say whether a peer's text, if it reads as a formula, has the right form."""
+    try:
+        return "yes" if is_right(parse(text, samples.names), truth) else "no"
+    except ValueError:
+        return "?"
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--candidates", type=float, default=3e6)
+    parser.add_argument("--no-peers", action="store_true")
+    options = parser.parse_args()
+    samples = problems()[1][2]
+    search_values(samples.X, samples.y, samples.names, BruteForce(max_size=2))
+    bare = replace(SHALLOW, max_size=12, sums=(), max_candidates=options.candidates)
+    show_speed(samples, bare)
+    show_times()
+    show_growth(samples)
+    if not options.no_peers:
+        show_peers()
+
+
+if __name__ == "__main__":
+    main()
