@@ -17,12 +17,12 @@ from dynsr import __version__
 from dynsr.checkpoint import Part, Record, RunFolder, fingerprint, run_parts
 from dynsr.derivatives import choose_samples
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy, evaluate, parse, to_text
+from dynsr.expression import compile_numpy, parse, to_text
 from dynsr.found import Discovery
 from dynsr.intake import split_held_back, take_trajectories
 from dynsr.methods.base import AbstractMethod
 from dynsr.methods.matching import read_inputs
-from dynsr.pareto import Candidate, ParetoFront, score_candidate
+from dynsr.pareto import Candidate, ParetoFront
 from dynsr.polishing import polish
 from dynsr.portfolio import choose_methods
 from dynsr.samples import Samples

@@ -32,6 +32,8 @@ _NUMBERS = (
     "trajectory_loss",
     "seconds",
 )
+# What a folder may hold before it has a manifest: a call may end between any two files.
+_OURS = ("cells", "tables")
 _STALE_SECONDS = 3600.0
 
 
@@ -127,9 +129,9 @@ def open_folder(out: str | Path, settings: Mapping[str, Any]) -> Path:
         content = sorted(p.name for p in folder.iterdir()) if folder.exists() else []
         if MANIFEST in content:
             _check_manifest(folder / MANIFEST, settings)
-        elif [name for name in content if not _is_part(name)]:
+        elif foreign := [n for n in content if not (n in _OURS or _is_part(n))]:
             raise InputError(
-                f"{folder} holds {content[0]!r} and no results of dynsr; "
+                f"{folder} holds {foreign[0]!r} and no results of dynsr; "
                 "give a new or an empty folder"
             )
         (folder / "cells").mkdir(parents=True, exist_ok=True)

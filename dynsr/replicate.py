@@ -105,6 +105,7 @@ def replicate(
     quick: bool = False,
     engine: str = "embedded",
     progress: bool = False,
+    report: bool = True,
     make: MakeMethod = make_method,
 ) -> Replication:
     """Run the cells that have no record in ``out`` yet; give and write up the results of all.
@@ -119,6 +120,7 @@ def replicate(
     quick : small search budgets, for a first look; every record says so.
     engine : "embedded" or "julia".
     progress : show a bar with the time left on the terminal.
+    report : write the tables, Figure 1 and report.html into ``out`` at the end.
     make : gives a method for its name, a preset and the name of a system.
 
     A cell that fails leaves a record that says why; the next call tries it again. Raises
@@ -141,7 +143,8 @@ def replicate(
             records[cell.name] = record
             finished(cell, record)
     result = Replication(folder, settings, tuple(records[cell.name] for cell in cells))
-    result.write()
+    if report:
+        result.write()
     return result
 
 

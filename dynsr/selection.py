@@ -17,8 +17,8 @@ from dynsr.pareto import Candidate, score_candidate
 from dynsr.samples import Samples
 from dynsr.trajectory import Trajectory
 
-_MOST_SNAPPED = 8
-_MOST_IMPROVED = 2
+_MOST_SNAPPED = 6
+_MOST_IMPROVED = 3
 _MOST_COMPARED = 5
 # Errors on held-back data this close are taken for equal; then fewer bits decide.
 _EQUAL = 1.25
@@ -93,7 +93,7 @@ def pick_equation(
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
     noise = noise_of(candidates, samples)
-    ranked = _rank(candidates, samples, noise)[:_MOST_SNAPPED]
+    ranked = _one_a_form(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
     snapped = _rank(_distinct(score_snapped(c, samples, noise) for c in ranked), samples, noise)
     varied = [improve(c, samples, noise) for c in snapped[:_MOST_IMPROVED]]
     last = _rank(_distinct([*varied, *snapped]), samples, noise)[:_MOST_COMPARED]
@@ -116,6 +116,16 @@ def _order(rivals: list[Rival]) -> list[Rival]:
 
 def _distinct(pool: Iterable[Candidate]) -> list[Candidate]:
     return list({c.expr: c for c in pool}.values())
+
+
+def _one_a_form(ranked: list[Candidate]) -> list[Candidate]:
+    """Keep the best of the formulas that differ in constants alone."""
+    forms: dict[sympy.Expr, Candidate] = {}
+    for candidate in ranked:
+        numbers = candidate.expr.atoms(sympy.Float)
+        form = candidate.expr.xreplace({n: n / abs(n) * sympy.pi for n in numbers if n != 0})
+        forms.setdefault(form, candidate)
+    return list(forms.values())
 
 
 def _rank(pool: list[Candidate], samples: Samples, noise: Noise) -> list[Candidate]:

@@ -37,8 +37,7 @@ def simulate(
     reltol, abstol : tolerances of Tsit5.
     engine : "embedded", "julia" or an engine.
 
-    Raises InputError when the start or the times do not fit, EngineError, naming the time, when
-    the solution diverges.
+    Raises InputError for a start or times that do not fit, EngineError for a divergence.
 
     >>> from dynsr.catalogue import PENDULUM
     >>> simulate(PENDULUM).x.shape
@@ -47,25 +46,19 @@ def simulate(
     chosen = find_engine(engine)
     times = system.times(system.train) if t is None else np.asarray(t, dtype=float)
     start = np.asarray(system.x0 if x0 is None else x0, dtype=float)
-    problem = InitialValueProblem(
-        system.closed_rhs(), system.states, start, times, reltol=reltol, abstol=abstol
-    )
+    rhs = system.closed_rhs()
+    problem = InitialValueProblem(rhs, system.states, start, times, reltol, abstol)
     integration = chosen.integrate(problem)
     if not integration.success:
         raise EngineError(_divergence(system, problem, integration))
+    origin = {"system": system.name, "engine": chosen.name, "versions": chosen.versions()}
     return Trajectory(
         times,
         integration.x,
         system.states,
         _input_columns(system, times),
         tuple(system.inputs),
-        origin={
-            "system": system.name,
-            "engine": chosen.name,
-            "versions": chosen.versions(),
-            "reltol": reltol,
-            "abstol": abstol,
-        },
+        origin={**origin, "reltol": reltol, "abstol": abstol},
     )
 
 

@@ -25,6 +25,7 @@ class Truth:
     """A surrogate as good as a network of relative error 1e-3 would be, made from the law."""
 
     def __init__(self, law: str, names: tuple[str, ...], spread: float):
+        """Make it from the law; ``spread`` is the size of y."""
         expr = parse(law)
         slopes = [expr.diff(parse(name)) for name in names]
         self._value, self._slopes = compile_numpy([expr], names), compile_numpy(slopes, names)
@@ -32,10 +33,12 @@ class Truth:
         self._rng = np.random.default_rng(8)
 
     def predict(self, X: np.ndarray) -> np.ndarray:
+        """(n,) values with a ripple."""
         values = self._value(X.T)[0]
         return values + 0.3 * self.validation_error * np.sin(40 * X.sum(axis=1))
 
     def gradient(self, X: np.ndarray) -> np.ndarray:
+        """(n, p) slopes with noise of one percent."""
         slopes = self._slopes(X.T).T
         return slopes * (1 + 0.01 * self._rng.normal(size=slopes.shape))
 

@@ -124,21 +124,18 @@ def take_steps(
     PI controller with exponents 7/50 and 2/25, safety 0.9, a step at most five times shorter
     or ten times longer than the last; the last one is cut to hit the end.
     """
-    t, end = span
-    x = list(x0)
+    (t, end), x = span, list(x0)
     times, states, rejected, last_error = [t], [x], 0, FIRST_ERROR
     stages: list[tuple[Sequence[float], ...]] = []
     k1 = _slopes_or_none(slopes, x, t)
     if k1 is None:
         return _as_steps(times, states, stages, 0, f"the equations have no value at t = {t:g}")
     h = first_step(slopes, x, k1, span, reltol, abstol)
-    deadline = time.perf_counter() + max_seconds
+    deadline, message = time.perf_counter() + max_seconds, ""
     shortest = sys.float_info.epsilon * max(abs(t), abs(end))
-    message = ""
     while t < end:
         h = min(h, end - t)
-        message = _limit_met(h, shortest, t, len(stages) + rejected, max_steps, deadline)
-        if message:
+        if message := _limit_met(h, shortest, t, len(stages) + rejected, max_steps, deadline):
             break
         error, ks, new = _try_step(slopes, x, t, h, k1, reltol, abstol)
         step, h = h, h / divisor(error, last_error)

@@ -58,8 +58,8 @@ def match_trajectories(
         read from the data like inputs.
     trajectories : one or many, of the same columns.
     inputs : input name -> expression in ``t``, where it is known; other inputs are interpolated.
-    window : intervals a window; by default 10 for clean data, and for noisy data, where each window's
-        start state is fitted too, a tenth of the longest trajectory but 20 to 100.
+    window : intervals a window; by default 10 for clean data, and for noisy data, where the start
+        of each window is fitted too, a tenth of the longest trajectory but 20 to 100.
     max_seconds : the best constants found by then are given.
 
     Integers and rationals are structure and stay. Raises InputError when a state is unknown.

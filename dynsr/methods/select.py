@@ -7,6 +7,8 @@ from dynsr.methods.base import AbstractMethod
 
 METHODS = ("dynaifeynman", "ga", "sindy")
 PRESETS = ("paper", "best", "quick")
+# The paper's settings of DynAIFeynman but for these.
+_QUICK = {"epochs": 100, "candidates": 50_000.0, "branches": 1, "max_depth": 1}
 
 
 def make_method(name: str, preset: str = "paper", system_name: str | None = None) -> AbstractMethod:
@@ -38,5 +40,7 @@ def make_method(name: str, preset: str = "paper", system_name: str | None = None
     if name == "dynaifeynman":
         from dynsr.methods.feynman.search import DynAIFeynman
 
+        if preset == "quick":
+            return DynAIFeynman.preset("paper", **_QUICK)
         return DynAIFeynman.preset(preset)
     raise InputError(f"unknown method {name!r}; the methods are: {', '.join(METHODS)}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 import sympy
 
 from dynsr.expression import complexity
@@ -54,12 +55,17 @@ def improve(candidate: Candidate, samples: Samples, noise: Noise) -> Candidate:
     for _ in range(_ROUNDS):
         if complexity(best.expr) > _LONGEST:
             break
-        loose = [loosen(n) for n in neighbours(best.expr)]
-        fitted = [score_candidate(refit(e, samples, noise.floor), samples) for e in loose]
-        fitted.sort(key=lambda c: (description_length(c, samples, noise), str(c.expr)))
+        mine, *fitted = [
+            score_candidate(refit(loosen(e), samples, noise.floor), samples)
+            for e in [best.expr, *neighbours(best.expr)]
+        ]
+        # Before snapping all have dear constants, so only among themselves are they comparable.
+        bound = description_length(mine, samples, noise)
+        bits = [description_length(c, samples, noise) for c in fitted]
+        order = [i for i in np.argsort(bits, kind="stable") if bits[i] < bound][:_MOST_SNAPPED]
         snapped = [
-            score_candidate(snap(c.expr, samples, noise), samples, candidate.source)
-            for c in fitted[:_MOST_SNAPPED]
+            score_candidate(snap(fitted[i].expr, samples, noise), samples, candidate.source)
+            for i in order
         ]
         bits = [description_length(c, samples, noise) for c in snapped]
         if not bits or min(bits) >= least:

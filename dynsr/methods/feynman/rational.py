@@ -11,14 +11,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import sympy
 
+from dynsr.expression import complexity
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.feynman.features import Features, build_features
 from dynsr.methods.feynman.subsets import RatioFit, SubsetSearch, fit_ratio
-from dynsr.pareto import Candidate, ParetoFront, score_candidate
+from dynsr.pareto import Candidate, ParetoFront, rmse, score_candidate
 from dynsr.samples import Samples
 
 _EXACT = 1e-9
@@ -88,11 +90,7 @@ class RationalSearch(AbstractMethod):
             numerators = self._numerators(rows.columns, cost, used)
             for _ in range(self.rounds):
                 ranked = self._search_once(rows, numerators, cost, weights)
-                yield [
-                    score_candidate(formula.expr, samples, self.name)
-                    for group in ranked
-                    for formula in group[: self.keep]
-                ]
+                yield [formula.score(samples) for group in ranked for formula in group[: self.keep]]
                 plain = _plainest(ranked)
                 if float(np.abs(plain.residual).max()) < _EXACT * float(np.ptp(rows.y)):
                     return
@@ -124,19 +122,33 @@ class RationalSearch(AbstractMethod):
         floor = max(np.nanmin(medians), 1e-12 * float(np.abs(rows.y).max()))
         ranked = []
         for group in fits:
-            formulas = [
-                _Formula(_expression(fit, numerators, denominators), fit.residual, floor)
-                for fit in group
-            ]
+            formulas = [_Formula(fit, numerators, denominators, floor) for fit in group]
             ranked.append(sorted(formulas, key=lambda formula: formula.bits))
         return ranked
 
 
 @dataclass(frozen=True, eq=False)
 class _Formula:
-    expr: sympy.Expr
-    residual: np.ndarray
+    fit: RatioFit
+    numerators: Features
+    denominators: Features
     floor: float
+
+    @cached_property
+    def expr(self) -> sympy.Expr:
+        """The formula itself; only those that are handed on need it."""
+        return _expression(self.fit, self.numerators, self.denominators)
+
+    @property
+    def residual(self) -> np.ndarray:
+        return self.fit.residual
+
+    def score(self, samples: Samples) -> Candidate:
+        """Make the candidate; its loss is at hand when the fit used all samples."""
+        if len(samples) != len(self.residual):
+            return score_candidate(self.expr, samples, RationalSearch.name)
+        loss = rmse(self.residual, np.zeros(len(samples)))
+        return Candidate(self.expr, loss, complexity(self.expr), RationalSearch.name)
 
     @property
     def median(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +13,8 @@ _COLLINEAR = 1e-7
 _CANCELLATION = 50.0
 # Squared errors fall to less than this share, or a further term was not worth it.
 _IDLE = 0.9**2
+# Subsets extended in one stack: enough to be quick, few enough to stay in the cache.
+_CHUNK = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,61 +59,53 @@ class SubsetSearch:
         weighted = self.denominators * (self.weights / self.weights.sum())
         return weighted.sum(axis=1), weighted @ self.denominators.T
 
-    def extend(self, support: Support) -> np.ndarray:
-        """Score of the subset with each of the m + q columns added; inf where that is useless.
+    def extend(self, supports: Sequence[Support]) -> np.ndarray:
+        """(b, m + q) score of each of b subsets of one size with each column added.
 
-        By the bordered normal equations all additions together cost O((m + q) s^2) for s columns.
+        Useless additions score inf. By the bordered normal equations all additions to a subset of
+        s columns together cost O((m + q) s^2).
         """
         gram, projections, total = self._gram
-        chosen = sorted(support)
-        rest = total
-        pivots = np.ones(len(gram))
-        moments = projections
-        solved = np.zeros((0, len(gram)))
-        fitted = np.zeros(0)
-        if chosen:
-            rows = gram[chosen]
-            system = rows[:, chosen]
-            try:
-                both = np.linalg.solve(system, np.column_stack([rows, projections[chosen]]))
-            except np.linalg.LinAlgError:
-                return np.full(len(gram), np.inf)
-            solved, fitted = both[:, :-1], both[:, -1]
-            pivots = 1 - np.einsum("ij,ij->j", rows, solved)
-            moments = projections - rows.T @ fitted
-            rest = total - float(projections[chosen] @ fitted)
+        chosen = np.array([sorted(support) for support in supports], dtype=int)
+        rows = gram[chosen]
+        systems = np.take_along_axis(rows, chosen[:, None, :], axis=2)
+        right = np.concatenate([rows, projections[chosen][..., None]], axis=2)
+        both = _solve(systems, right)
+        solved, fitted = both[..., :-1], both[..., -1]
+        pivots = 1 - np.einsum("bij,bij->bj", rows, solved)
+        moments = projections - np.einsum("bij,bi->bj", rows, fitted)
+        rest = total - np.einsum("bi,bi->b", projections[chosen], fitted)
         usable = pivots > _COLLINEAR
-        usable[chosen] = False
+        np.put_along_axis(usable, chosen, False, axis=1)
         added = np.where(usable, moments / np.where(usable, pivots, 1.0), 0.0)
-        coefficients = fitted[:, None] - solved * added
-        size = np.abs(added)
-        if chosen:
-            size = np.maximum(size, np.abs(coefficients).max(axis=0))
+        coefficients = fitted[..., None] - solved * added[:, None, :]
+        size = np.maximum(np.abs(added), np.abs(coefficients).max(axis=1, initial=0.0))
         usable &= size < _CANCELLATION * np.sqrt(total)
         # The difference below is exact only to rounding of the total.
-        error = np.maximum(rest - added * moments, 1e-15 * total)
-        square = self._mean_square_denominator(chosen, coefficients, added)
+        error = np.maximum(rest[:, None] - added * moments, 1e-15 * total)
+        square = self._mean_square_denominators(chosen, coefficients, added)
         return np.where(usable, error / np.maximum(square, 1e-9), np.inf)
 
-    def _mean_square_denominator(
-        self, chosen: list[int], coefficients: np.ndarray, added: np.ndarray
+    def _mean_square_denominators(
+        self, chosen: np.ndarray, coefficients: np.ndarray, added: np.ndarray
     ) -> np.ndarray:
-        """Mean of D^2 after each addition."""
+        """(b, m + q) mean of D^2 after each addition."""
         m = len(self.numerators)
-        square = np.ones(coefficients.shape[1])
+        square = np.ones(added.shape)
         if not len(self.denominators):
             return square
         _, norms = self._columns
         first, second = self._denominator_moments
-        inside = [k for k, column in enumerate(chosen) if column >= m]
-        own = added[m:] / norms[m:]
-        square[m:] += -2 * own * first + own**2 * np.diag(second)
-        if inside:
-            index = [chosen[k] - m for k in inside]
-            b = coefficients[inside] / norms[[chosen[k] for k in inside]][:, None]
-            square += -2 * first[index] @ b
-            square += np.einsum("aj,ab,bj->j", b, second[np.ix_(index, index)], b)
-            square[m:] += 2 * own * np.einsum("aj,aj->j", b[:, m:], second[index])
+        own = added[:, m:] / norms[m:]
+        square[:, m:] += -2 * own * first + own**2 * np.diag(second)
+        # Columns of the numerator take no part in D: their coefficients count as 0 there.
+        inside = chosen >= m
+        index = np.where(inside, chosen - m, 0)
+        b = np.where(inside[..., None], coefficients / norms[chosen][..., None], 0.0)
+        square -= 2 * np.einsum("bs,bsj->bj", first[index], b)
+        pairs = second[index[:, :, None], index[:, None, :]]
+        square += np.einsum("bsj,bsj->bj", b, pairs @ b)
+        square[:, m:] += 2 * own * np.einsum("bsj,bsj->bj", b[..., m:], second[index])
         return square
 
     def search(self, max_size: int) -> list[list[Support]]:
@@ -125,8 +120,7 @@ class SubsetSearch:
         parents: list[Support] = [frozenset()]
         for _ in range(max_size):
             pool: dict[Support, float] = {}
-            for support in parents:
-                self._grow(support, 40, pool)
+            self._grow(parents, 40, pool)
             kept = self._swap(pool)
             if not kept:
                 break
@@ -137,12 +131,16 @@ class SubsetSearch:
                 break
         return found
 
-    def _grow(self, support: Support, most: int, pool: dict[Support, float]) -> None:
-        scores = self.extend(support)
-        most = min(most, len(scores))
-        for column in np.argpartition(scores, most - 1)[:most]:
-            if np.isfinite(scores[column]):
-                pool[support | {int(column)}] = float(scores[column])
+    def _grow(self, supports: Sequence[Support], most: int, pool: dict[Support, float]) -> None:
+        for start in range(0, len(supports), _CHUNK):
+            chunk = supports[start : start + _CHUNK]
+            scores = self.extend(chunk)
+            most = min(most, scores.shape[1])
+            best = np.argpartition(scores, most - 1, axis=1)[:, :most]
+            values = np.take_along_axis(scores, best, axis=1)
+            for row, column in zip(*np.nonzero(np.isfinite(values)), strict=True):
+                grown = chunk[row] | {int(best[row, column])}
+                pool.setdefault(grown, float(values[row, column]))
 
     def _best(self, pool: dict[Support, float]) -> dict[Support, float]:
         ordered = sorted(pool.items(), key=lambda item: (item[1], sorted(item[0])))
@@ -157,15 +155,23 @@ class SubsetSearch:
             if not waiting:
                 break
             pool = dict(kept)
-            for support in waiting:
-                tried.add(support)
-                for member in sorted(support):
-                    smaller = support - {member}
-                    if smaller not in reduced:
-                        reduced.add(smaller)
-                        self._grow(smaller, 10, pool)
+            tried.update(waiting)
+            smaller = dict.fromkeys(s - {member} for s in waiting for member in sorted(s))
+            fresh = [support for support in smaller if support not in reduced]
+            reduced.update(fresh)
+            self._grow(fresh, 10, pool)
             kept = self._best(pool)
         return kept
+
+
+def _solve(systems: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a stack of normal equations; a singular one among them as if barely regular."""
+    if not systems.shape[1]:
+        return np.zeros(right.shape)
+    try:
+        return np.linalg.solve(systems, right)
+    except np.linalg.LinAlgError:
+        return np.linalg.solve(systems + 1e-12 * np.eye(systems.shape[1]), right)
 
 
 @dataclass(frozen=True, eq=False)
