@@ -223,6 +223,67 @@ def test_scores_as_lines():
     assert list(flatten({"a": {"b": 1, "c": {"d": None}}})) == [("a b", 1), ("a c d", None)]
 
 
+def test_columns_go_with_a_file():
+    """Options about columns are refused beside a known system, which has its own."""
+    for option, value in (("--time", "t"), ("--states", "x"), ("--inputs", "F=t")):
+        line = refuse("discover", "--system", "lorenz", option, value)
+        assert f"{option} goes with a file" in line
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """Discover decay for real and keep it; gives the data and the saved discovery."""
+    from dynsr.discovery import discover
+
+    folder = tmp_path_factory.mktemp("kept")
+    data = decay(folder / "data.csv")
+    discover(str(data), preset="fast", jobs=1).save(folder / "discovery.json")
+    return data, folder / "discovery.json"
+
+
+def test_score_of_a_saved_discovery(kept):
+    """A saved discovery is scored on other data; its folder stands for it."""
+    data, saved = kept
+    found = json.loads(run("score", saved, data, "--json").stdout)
+    assert found["x"]["trajectory_rmse"] < 1e-4
+    assert "trajectory_rmse" in run("score", saved.parent, data).stdout
+    assert "unknown state 'x'" in refuse("score", saved, decay_of_y(data.parent / "y.csv"))
+
+
+def decay_of_y(path):
+    """Write data that have no state x."""
+    pandas.DataFrame({"t": T, "y": np.exp(-T)}).to_csv(path, index=False)
+    return path
+
+
+def test_simulate_a_saved_discovery(kept):
+    """A saved discovery is integrated from another start."""
+    _, saved = kept
+    found = json.loads(run("simulate", saved, "--x0", "4", "--span", "0,2", "--json").stdout)
+    t, x = np.array(found["columns"]["t"]), np.array(found["columns"]["x"])
+    assert np.allclose(x, 4 * np.exp(-0.5 * t), rtol=1e-3)
+    assert "needs a start state" in refuse("simulate", saved)
+
+
+def test_report_of_a_saved_discovery(kept, tmp_path):
+    """A saved discovery is reported on as one page."""
+    pytest.importorskip("dynsr.discovery_report")
+    found = json.loads(run("report", kept[1], "-o", tmp_path / "page.html", "--json").stdout)
+    assert "<html" in open(found["report"], encoding="utf-8").read()
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", "{}", '{"format": "other"}', "\0\1", "x,y\n"])
+def test_files_that_are_no_discovery(kept, tmp_path, content):
+    """A file that is no discovery, or the first half of one, is refused in one line."""
+    data, saved = kept
+    path = tmp_path / "cut.json"
+    path.write_text(content)
+    for words in (("score", path, data), ("simulate", path, "--x0", "1"), ("report", path)):
+        assert "cut.json" in refuse(*words)
+    path.write_bytes(saved.read_bytes()[:200])
+    assert "cut.json" in refuse("score", path, data)
+
+
 def test_interrupt_of_a_search_is_130(tmp_path):
     """Ctrl-C in a running search ends it with exit code 130 and without a traceback."""
     path = decay(tmp_path / "data.csv", y=np.sin(3 * T), z=np.cos(T) * T)

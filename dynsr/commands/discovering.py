@@ -85,6 +85,7 @@ def discover(
     if files:
         data = load_table(files, time_column, states, columns, trajectory, quiet)
     else:
+        _refuse_columns(time_column, states, trajectory, [*(columns or []), *formulas])
         data, formulas = _training_data(str(system), engine)
     folder = _choose_folder(out, files[0].stem if files else str(system), json)
     with SearchProgress(quiet) as progress:
@@ -116,6 +117,20 @@ def check_engine(engine: str) -> None:
     from dynsr.engines.select import find_engine
 
     find_engine(engine)
+
+
+def _refuse_columns(
+    time_column: str | None, states: options.Names, trajectory: str | None, inputs: list[str]
+) -> None:
+    """A known system has its columns; only a file leaves them open."""
+    for option, value in (
+        ("--time", time_column),
+        ("--states", states),
+        ("--trajectory", trajectory),
+        ("--inputs", inputs),
+    ):
+        if value:
+            raise InputError(f"{option} goes with a file of data; a known system has its own")
 
 
 def _training_data(name: str, engine: str) -> tuple[list[Trajectory], dict[str, Any]]:
