@@ -63,9 +63,9 @@ def discover(
     Parameters
     ----------
     data : a Trajectory, a list of them, ``(t, x)`` arrays, or what
-        :func:`dynsr.sources.read_trajectories` reads: a file, a frame, a mapping.
+        :func:`dynsr.tabular.read_trajectories` reads: a file, a frame, a mapping.
     method : "auto", the name of a method, a method with its settings, or several.
-    preset : "best", "fast" or "paper" (:data:`dynsr.portfolio.PRESETS`).
+    preset : "best", "quick" or "paper".
     targets : the states whose equations are sought; "all" of them by default.
     inputs : columns that are inputs, or input name -> expression in ``t``.
     known : state -> the part of its equation that is given; the rest is searched.
@@ -81,7 +81,7 @@ def discover(
     constants are fitted to all of it. Raises InputError when the data cannot be used.
 
     >>> t = np.linspace(0, 3, 301)
-    >>> found = discover((t, np.exp(-0.5 * t)[:, None]), preset="fast", jobs=1)
+    >>> found = discover((t, np.exp(-0.5 * t)[:, None]), preset="quick", jobs=1)
     >>> found.equations
     {'x': -0.5*x}
     """
@@ -115,7 +115,7 @@ def discover(
             "preset": preset,
             "seed": seed,
             "scheme": {s: problem.samples(s, runs).scheme for s in states},
-            "engine": engine,
+            "engine": engine if isinstance(engine, str) else engine.name,
             "version": __version__,
         },
         seconds=time.monotonic() - began,

@@ -23,7 +23,7 @@ def take_trajectories(
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
     ``data`` is a Trajectory, a list of them, ``(t, x)`` arrays or a source of
-    :func:`dynsr.sources.read_trajectories`. ``inputs`` names columns that are inputs, or maps
+    :func:`dynsr.tabular.read_trajectories`. ``inputs`` names columns that are inputs, or maps
     names to expressions in ``t``. Raises InputError when nothing usable is there.
 
     >>> runs, inputs = take_trajectories(([0.0, *range(1, 9)], np.ones((9, 1))), {"F": "sin(t)"})
@@ -56,9 +56,9 @@ def _read(data: Any) -> list[Trajectory]:
         return [_from_arrays(*data)]
     if isinstance(data, list) and data and all(isinstance(d, tuple) for d in data):
         return [_from_arrays(*pair) for pair in data]
-    from dynsr.sources import read_trajectories
+    from dynsr.tabular import read_trajectories
 
-    return list(read_trajectories(data))
+    return read_trajectories(data).trajectories
 
 
 def _from_arrays(t: Any, x: Any) -> Trajectory:

@@ -20,6 +20,7 @@ _MOST_ROUNDS = 8
 # Bits that a term saves besides its number, when its constant becomes 0.
 _TERM_BITS = 6.0
 _DIGITS = 8
+_SUREST = 1e-9
 
 
 def polish(
@@ -38,7 +39,9 @@ def polish(
     if not is_noisy(runs):
         snapped = {s: snap(_as_loose(e), samples[s], noise[s]) for s, e in exprs.items()}
         match = match_trajectories(snapped, runs, inputs=inputs)
-        return _written(match if match.success else _unmatched(snapped))
+        if not match.success:
+            return _written(_unmatched(snapped))
+        return _written(_snap_by_errors(match, runs, inputs))
     match = match_trajectories({s: loosen(e) for s, e in exprs.items()}, runs, inputs=inputs)
     if not match.success:
         return _written(_unmatched(exprs))
@@ -64,7 +67,7 @@ def _snap_by_errors(
         if snapped == match.exprs:
             break
         following = match_trajectories(snapped, runs, inputs=inputs)
-        if not following.success or following.loss > 1.05 * first.loss:
+        if not following.success or following.loss > 1.05 * first.loss + _SUREST:
             break
         match = following
     # Errors of the fit in which every constant was free: snapping does not make them sure.
@@ -92,7 +95,9 @@ def _miss_bits(simple: float, value: float, error: float) -> float:
     """Bits that the data lose when a constant moves: half its squared z-score, in base 2."""
     if not math.isfinite(error):
         return 0.0
-    return ((simple - value) / max(error, 1e-300)) ** 2 / (2 * math.log(2))
+    # Integration itself is not surer than this.
+    sure = max(error, _SUREST * abs(value), 1e-300)
+    return ((simple - value) / sure) ** 2 / (2 * math.log(2))
 
 
 def _rounded(value: float, error: float) -> float:

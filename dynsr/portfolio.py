@@ -6,44 +6,31 @@ from collections.abc import Callable, Sequence
 
 from dynsr.errors import InputError
 from dynsr.methods.base import AbstractMethod
-
-PRESETS = ("best", "fast", "paper")
-
-
-def _sindy(preset: str) -> AbstractMethod:
-    from dynsr.methods.sindy import SINDy
-
-    return SINDy.preset("paper" if preset == "paper" else "best")
-
-
-def _feynman(preset: str) -> AbstractMethod:
-    from dynsr.methods.feynman.search import DynAIFeynman
-
-    return DynAIFeynman.preset("paper" if preset == "paper" else "best")
-
-
-def _genetic(preset: str) -> AbstractMethod:
-    from dynsr.methods.genetic import GeneticAlgorithm
-
-    return GeneticAlgorithm()
+from dynsr.methods.select import PRESETS, make_method
 
 
 def _rational(preset: str) -> AbstractMethod:
     from dynsr.methods.feynman.rational import RationalSearch
 
-    return RationalSearch(costs=(3, 4)) if preset == "fast" else RationalSearch()
+    return RationalSearch(costs=(3, 4)) if preset == "quick" else RationalSearch()
+
+
+def _genetic(preset: str) -> AbstractMethod:
+    # Beside the other methods the paper's budget is enough; the best preset's takes hours.
+    return make_method("ga", "quick" if preset == "best" else preset)
 
 
 METHODS: dict[str, Callable[[str], AbstractMethod]] = {
     "rational": _rational,
-    "sindy": _sindy,
-    "dynaifeynman": _feynman,
+    "sindy": lambda preset: make_method("sindy", preset),
+    "dynaifeynman": lambda preset: make_method("dynaifeynman", preset),
     "genetic": _genetic,
 }
+_ALIASES = {"ga": "genetic"}
 # What "auto" runs, by preset.
 _AUTO = {
-    "best": ("rational",),
-    "fast": ("rational",),
+    "best": ("rational", "sindy", "genetic"),
+    "quick": ("rational", "sindy"),
     "paper": ("sindy", "dynaifeynman", "genetic"),
 }
 
@@ -66,6 +53,7 @@ def choose_methods(
         wanted = list(method)
     chosen: dict[str, AbstractMethod] = {}
     for item in wanted:
+        item = _ALIASES.get(item, item) if isinstance(item, str) else item
         if isinstance(item, AbstractMethod):
             chosen[item.name] = item
         elif item in METHODS:

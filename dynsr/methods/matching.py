@@ -195,13 +195,19 @@ def _match(
     flow: Flow, owners: Sequence[str], values: np.ndarray, errors: np.ndarray, loss: float
 ) -> Match:
     put = {c: sympy.Float(float(v)) for c, v in zip(flow.constants, values, strict=True)}
+    exprs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
     pairs = list(zip(owners, values.tolist(), errors.tolist(), strict=True))
-    return Match(
-        {state: expr.xreplace(put) for state, expr in flow.rhs.items()},
-        {s: tuple((v, e) for owner, v, e in pairs if owner == s) for s in flow.rhs},
-        loss,
-        True,
-    )
+    ordered = {
+        state: _in_order(expr, {v: e for owner, v, e in pairs if owner == state})
+        for state, expr in exprs.items()
+    }
+    return Match(exprs, ordered, loss, True)
+
+
+def _in_order(expr: sympy.Expr, errors: Mapping[float, float]) -> tuple[tuple[float, float], ...]:
+    """Pair constants with their errors as they now appear: SymPy sorts terms by their numbers."""
+    _, found = free_constants(expr, "constant ")
+    return tuple((value, errors.get(value, np.inf)) for value in found.values())
 
 
 def forecast_miss(
