@@ -12,6 +12,8 @@ from typer.testing import CliRunner
 
 from dynsr.cli import app
 from dynsr.commands.saved import flatten
+from dynsr.methods.genetic import GeneticAlgorithm
+from dynsr.methods.sindy import SINDy
 
 T = np.linspace(0.0, 3.0, 151)
 
@@ -165,14 +167,16 @@ def test_options_reach_the_search(tmp_path, seen):
     """Every option of the command reaches the search under its name."""
     path = decay(tmp_path / "data.csv", u=np.sin(T), v=np.cos(T))
     words = ["discover", path, "--states", "x,v", "--inputs", "u", "--inputs", "F=2*t"]
-    words += ["--method", "sindy", "--preset", "paper", "--targets", "x", "--seed", 7, "-j", 1]
+    words += ["--method", "sindy", "--preset", "quick", "--targets", "x", "--seed", 7, "-j", 1]
+    words += ["--scheme", "central4"]
     words += ["--known", "x'=-0.1*x", "--out", tmp_path / "kept", "--json"]
     found = json.loads(run(*words).stdout)
     (data,) = seen.pop("data")
     assert data.states == ("x", "v") and data.input_names == ("u",)
     assert seen == {
         "method": "sindy",
-        "preset": "paper",
+        "preset": "quick",
+        "scheme": "central4",
         "targets": ["x"],
         "inputs": {"F": "2*t"},
         "known": {"x": "-0.1*x"},
@@ -212,6 +216,29 @@ def test_json_keeps_nothing_unasked(tmp_path, monkeypatch, seen):
     assert seen["data"][0].input_names == ("F",) and set(seen["inputs"]) == {"F"}
 
 
+def test_the_paper_preset_of_a_system(seen):
+    """A system of the paper gets the paper's own settings and forward differences."""
+    run("discover", "--system", "lotka-volterra", "--preset", "paper", "--json", "-q")
+    found = {method.name: method for method in seen["method"]}
+    assert set(found) == {"dynaifeynman", "ga", "sindy"} and seen["scheme"] == "forward"
+    assert found["sindy"] == SINDy.preset("paper", "lotka-volterra")
+    assert found["ga"] == GeneticAlgorithm.preset("paper", "lotka-volterra")
+    run(
+        "discover",
+        "--system",
+        "lotka-volterra",
+        "--preset",
+        "paper",
+        "--method",
+        "ga",
+        "--json",
+        "-q",
+    )
+    assert [method.name for method in seen["method"]] == ["ga"]
+    run("discover", "--system", "lorenz", "--preset", "paper", "--method", "ga", "--json", "-q")
+    assert seen["method"] == "ga" and seen["scheme"] == "forward"
+
+
 def test_a_folder_that_cannot_be_written(tmp_path):
     """A folder for the results that is a file is refused before the search."""
     path = decay(tmp_path / "data.csv")
@@ -237,7 +264,7 @@ def kept(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("kept")
     data = decay(folder / "data.csv")
-    discover(str(data), preset="fast", jobs=1).save(folder / "discovery.json")
+    discover(str(data), method="rational", jobs=1).save(folder / "discovery.json")
     return data, folder / "discovery.json"
 
 
