@@ -67,7 +67,8 @@ def _snap_by_errors(
         if snapped == match.exprs:
             break
         following = match_trajectories(snapped, runs, inputs=inputs)
-        if not following.success or following.loss > 1.05 * first.loss + _SUREST:
+        worse = math.isfinite(following.loss) and following.loss > 1.05 * first.loss + _SUREST
+        if worse or not following.success:
             break
         match = following
     # Errors of the fit in which every constant was free: snapping does not make them sure.

@@ -20,16 +20,29 @@ def _genetic(preset: str) -> AbstractMethod:
     return make_method("ga", "quick" if preset == "best" else preset)
 
 
+def _feynman(preset: str) -> AbstractMethod:
+    return make_method("dynaifeynman", preset)
+
+
+def _feynman_beside() -> AbstractMethod:
+    """Give the stages that look at the samples as they are; reductions take a minute a state."""
+    from dynsr.methods.feynman.search import DynAIFeynman
+
+    return DynAIFeynman.preset("best", stages=_DIRECT, candidates=50_000, max_depth=1)
+
+
 METHODS: dict[str, Callable[[str], AbstractMethod]] = {
     "rational": _rational,
-    "sindy": lambda preset: make_method("sindy", preset),
-    "dynaifeynman": lambda preset: make_method("dynaifeynman", preset),
+    "sindy": lambda preset: make_method("sindy", "best" if preset == "quick" else preset),
+    "dynaifeynman": _feynman,
     "genetic": _genetic,
 }
+# Stages of DynAIFeynman that need no network.
+_DIRECT = ("rational", "polynomial", "brute force", "refinement", "snapping")
 _ALIASES = {"ga": "genetic"}
 # What "auto" runs, by preset.
 _AUTO = {
-    "best": ("rational", "sindy", "genetic"),
+    "best": ("sindy", "dynaifeynman", "genetic"),
     "quick": ("rational", "sindy"),
     "paper": ("sindy", "dynaifeynman", "genetic"),
 }
@@ -57,7 +70,8 @@ def choose_methods(
         if isinstance(item, AbstractMethod):
             chosen[item.name] = item
         elif item in METHODS:
-            chosen[item] = METHODS[item](preset)
+            quick = method == "auto" and preset == "best" and item == "dynaifeynman"
+            chosen[item] = _feynman_beside() if quick else METHODS[item](preset)
         else:
             raise InputError(
                 f"unknown method {str(item)!r}; the methods are: auto, {', '.join(METHODS)}"

@@ -22,6 +22,8 @@ _MOST_IMPROVED = 3
 _MOST_COMPARED = 5
 # Errors on held-back data this close are taken for equal; then fewer bits decide.
 _EQUAL = 1.25
+# Share of the slopes below which nothing is told apart.
+_FINEST = 1e-7
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def pick_equation(
     candidates = _distinct(pool)
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
-    noise = noise_of(candidates, samples)
+    noise = _never_too_fine(noise_of(candidates, samples), samples)
     ranked = _one_a_form(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
     snapped = _rank(_distinct(score_snapped(c, samples, noise) for c in ranked), samples, noise)
     varied = [improve(c, samples, noise) for c in snapped[:_MOST_IMPROVED]]
@@ -108,9 +110,15 @@ def pick_equation(
     return Pick(state, tuple(_order(rivals)), noise)
 
 
+def _never_too_fine(noise: Noise, samples: Samples) -> Noise:
+    """Slopes of clean data are still biased; formulas must not be chosen to follow that."""
+    size = float(np.sqrt(np.mean(samples.y**2)))
+    return Noise(max(noise.floor, _FINEST * size), noise.effective_rows)
+
+
 def _order(rivals: list[Rival]) -> list[Rival]:
     misses = [r.held_back for r in rivals if r.held_back is not None and np.isfinite(r.held_back)]
-    bound = _EQUAL * min(misses) + 1e-12 if misses else np.inf
+    bound = _EQUAL * min(misses) + _FINEST if misses else np.inf
     return sorted(rivals, key=lambda r: ((r.held_back or 0.0) > bound, r.bits))
 
 
