@@ -30,11 +30,6 @@ class SR3:
     weight: float
     nu: float
 
-    @classmethod
-    def at_threshold(cls, threshold: float, nu: float) -> SR3:
-        """Settings whose tau is the threshold: lambda = threshold^2 nu / 2."""
-        return cls(threshold**2 * nu / 2, nu)
-
     @property
     def threshold(self) -> float:
         """tau: coefficients of smaller magnitude become zero."""
@@ -55,11 +50,6 @@ class ADMM:
 
     weight: float
     rho: float
-
-    @classmethod
-    def at_threshold(cls, threshold: float, rho: float) -> ADMM:
-        """Settings whose tau is the threshold: lambda = threshold rho."""
-        return cls(threshold * rho, rho)
 
     @property
     def threshold(self) -> float:
