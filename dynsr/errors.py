@@ -6,6 +6,8 @@
     ├── InputError          what the user gave cannot be used (exit code 2)
     └── EngineError         an engine failed at what it was asked
         └── EngineUnavailable   the engine asked for is not installed (exit code 2)
+
+    DynsrWarning            the input was usable only after a change that the message names
 """
 
 
@@ -23,3 +25,7 @@ class EngineError(DynsrError, RuntimeError):
 
 class EngineUnavailable(EngineError):
     """The engine asked for is not there; the message says how to get it."""
+
+
+class DynsrWarning(UserWarning):
+    """The input was usable only after a change, or looks wrong; the message names it."""

@@ -281,6 +281,9 @@ def compile_numpy(
 
 
 def _real(value: Any) -> Any:
+    # Nearly every value is a plain array of floats; the checks below cost more than some formulas.
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        return value
     if isinstance(value, (complex, np.complexfloating)) or (
         isinstance(value, np.ndarray) and np.iscomplexobj(value)
     ):

@@ -19,7 +19,7 @@ from typing import Any
 
 import sympy
 
-from dynsr.errors import DynsrError, InputError
+from dynsr.errors import DynsrError, DynsrWarning, InputError
 from dynsr.expression import parse, to_text
 
 FORMAT = "dynsr replication 1"
@@ -41,7 +41,7 @@ class RecordError(DynsrError, ValueError):
     """A file is not the whole, undamaged record that it should be."""
 
 
-class RecordWarning(UserWarning):
+class RecordWarning(DynsrWarning):
     """A record could not be used; its cell is computed again."""
 
 

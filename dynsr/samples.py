@@ -23,6 +23,8 @@ class Samples:
     target : name of the state whose slope ``y`` is.
     scheme : how the slopes were made (forward, backward, central, ...).
     t : (n,) times in seconds of the rows.
+    noise : typical error of ``y`` (one standard deviation, state units per second); None when
+        nobody has estimated it.
     """
 
     X: np.ndarray
@@ -31,6 +33,7 @@ class Samples:
     target: str
     scheme: str
     t: np.ndarray
+    noise: float | None = None
 
     def __len__(self) -> int:
         """Count the rows."""
@@ -108,12 +111,12 @@ def finite_difference(trajectory: Trajectory, target: str, order: int) -> Sample
     column = trajectory.x[:, trajectory.index(target)]
     windows = np.lib.stride_tricks.sliding_window_view(trajectory.t, order + 1)
     values = np.lib.stride_tricks.sliding_window_view(column, order + 1)
-    weights = _derivative_weights(windows - windows[:, [half]], half)
+    weights = derivative_weights(windows - windows[:, [half]], half)
     slopes = np.einsum("ij,ij->i", weights, values)
     return _samples(trajectory, target, f"central{order}", slice(half, -half), slopes)
 
 
-def _derivative_weights(nodes: np.ndarray, at: int) -> np.ndarray:
+def derivative_weights(nodes: np.ndarray, at: int) -> np.ndarray:
     """Weights of the first derivative at node ``at`` (barycentric form), for each row of nodes."""
     gaps = nodes[:, :, None] - nodes[:, None, :]
     diagonal = np.arange(nodes.shape[1])

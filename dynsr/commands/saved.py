@@ -1,0 +1,172 @@
+"""Saved discoveries: keep them, show them, score them on other data, and report on them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dynsr.commands import options, output
+from dynsr.commands.reading import load_table
+from dynsr.errors import InputError
+
+if TYPE_CHECKING:
+    from dynsr.discovery import Discovery
+    from dynsr.trajectory import Trajectory
+
+DiscoveryFile = Annotated[
+    Path, typer.Argument(metavar="DISCOVERY.json", help="A discovery that was saved.")
+]
+
+
+def keep(found: Discovery, folder: Path | None) -> list[Path]:
+    """Save a discovery and its report in a folder; gives the files."""
+    if folder is None:
+        return []
+    saved, page = folder / "discovery.json", folder / "report.html"
+    found.save(saved)
+    found.report(page)
+    return [saved, page]
+
+
+def score_discovery(
+    found: Discovery, data: Sequence[Trajectory], system: str | None, engine: str
+) -> dict[str, Any]:
+    """Score on the data, and for a known system against the truth by all three losses."""
+    scores: dict[str, Any] = {"data": found.score(list(data))}
+    if system is not None:
+        from dynsr.catalogue import find_system
+        from dynsr.scoring import score_model
+
+        truth = find_system(system)
+        method = ",".join(found.settings.get("methods", ()))
+        scores["truth"] = {
+            state: score_model(truth, expr, method, engine, state)
+            for state, expr in found.equations.items()
+        }
+    return scores
+
+
+def load_discovery(path: Path) -> Discovery:
+    """Load a saved discovery; raises InputError when the file is not one, or is cut short."""
+    if path.is_dir() and (path / "discovery.json").exists():
+        path = path / "discovery.json"
+    if path.is_dir():
+        raise InputError(f"{str(path)!r} is a directory without a discovery.json; give the file")
+    if not path.exists():
+        raise InputError(f"there is no file {str(path)!r}; dynsr discover --out makes one")
+    from dynsr.discovery import Discovery
+
+    return Discovery.load(path)
+
+
+def summarise(found: Discovery) -> dict[str, Any]:
+    """Give what a program wants of a discovery: equations, fronts, provenance."""
+    return {
+        "equations": found.equations,
+        "errors": found.errors,
+        "front": {state: front.candidates for state, front in found.front.items()},
+        "explanation": found.explanation,
+        "inputs": found.inputs,
+        "settings": found.settings,
+        "seconds": found.seconds,
+        "engine": found.settings["engine"],
+        "seed": found.settings["seed"],
+    }
+
+
+def show_discovery(found: Discovery, scores: Mapping[str, Any]) -> None:
+    """Print the equations, their constants' errors, why they were chosen and how they score."""
+    from dynsr.expression import round_constants
+
+    for state, expr in found.equations.items():
+        typer.echo(f"{state}' = {round_constants(expr, 6)}")
+    for state, words in found.explanation.items():
+        output.note(f"{state}: {words}")
+    rows = [(name, value) for name, value in flatten(output.to_plain(scores))]
+    output.print_table("Scores", ("score", "value"), rows)
+    output.note(f"{found.seconds:.1f} s")
+
+
+def flatten(scores: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Give nested scores as lines of a table.
+
+    >>> list(flatten({"data": {"x": 1.0}, "rows": 3}))
+    [('data x', 1.0), ('rows', 3)]
+    """
+    if isinstance(scores, Mapping):
+        for key, value in scores.items():
+            yield from flatten(value, f"{name} {key}".strip())
+    else:
+        yield name, scores
+
+
+def score(
+    model: DiscoveryFile,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Data to score it on.")],
+    time_column: options.TimeColumn = None,
+    states: options.StateColumns = None,
+    inputs: options.Inputs = None,
+    trajectory: options.TrajectoryColumn = None,
+    json: options.Json = False,
+) -> None:
+    """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
+    found = load_discovery(model)
+    data = load_table(files, time_column, states, inputs, trajectory, quiet=json)
+    scores = found.score(data)
+    if json:
+        output.print_json(scores)
+        return
+    rows = list(flatten(output.to_plain(scores)))
+    output.print_table(f"{model} on {', '.join(map(str, files))}", ("score", "value"), rows)
+
+
+def report(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DISCOVERY.json|RESULTS", help="A saved discovery, or a replication's folder."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="HTML file; beside the source by default.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Make one self-contained HTML report of a saved discovery or of a replication's results."""
+    from dynsr.records import MANIFEST
+
+    if (source / MANIFEST).exists():
+        _report_replication(source, out, json)
+        return
+    found = load_discovery(source)
+    target = out or (source if source.is_dir() else source.parent) / "report.html"
+    found.report(target)
+    if json:
+        output.print_json({"report": target})
+    else:
+        output.note(f"open: {target}")
+
+
+def _report_replication(folder: Path, out: Path | None, json: bool) -> None:
+    from dynsr.commands.experiments import deliver_results, load_results
+    from dynsr.records import write_text
+    from dynsr.report import render_replication
+
+    records, settings = load_results(folder)
+    if out is None:
+        deliver_results(folder, records, settings, json)
+        return
+    write_text(out, render_replication(records, settings))
+    if json:
+        output.print_json({"report": out})
+    else:
+        output.note(f"open: {out}")

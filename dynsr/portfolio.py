@@ -1,0 +1,81 @@
+"""Portfolio: which methods a discovery runs, by name and preset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from dynsr.errors import InputError
+from dynsr.methods.base import AbstractMethod
+from dynsr.methods.select import PRESETS, make_method
+
+
+def _rational(preset: str) -> AbstractMethod:
+    from dynsr.methods.feynman.rational import RationalSearch
+
+    return RationalSearch(costs=(3, 4)) if preset == "quick" else RationalSearch()
+
+
+def _genetic(preset: str) -> AbstractMethod:
+    # Beside the other methods the paper's budget is enough; the best preset's takes hours.
+    return make_method("ga", "quick" if preset == "best" else preset)
+
+
+def _feynman(preset: str) -> AbstractMethod:
+    return make_method("dynaifeynman", preset)
+
+
+def _feynman_beside() -> AbstractMethod:
+    """Give the stages that look at the samples as they are; reductions take a minute a state."""
+    from dynsr.methods.feynman.search import DynAIFeynman
+
+    return DynAIFeynman.preset("best", stages=_DIRECT, candidates=50_000, max_depth=1)
+
+
+METHODS: dict[str, Callable[[str], AbstractMethod]] = {
+    "rational": _rational,
+    "sindy": lambda preset: make_method("sindy", "best" if preset == "quick" else preset),
+    "dynaifeynman": _feynman,
+    "genetic": _genetic,
+}
+# Stages of DynAIFeynman that need no network.
+_DIRECT = ("rational", "polynomial", "brute force", "refinement", "snapping")
+_ALIASES = {"ga": "genetic"}
+# What "auto" runs, by preset.
+_AUTO = {
+    "best": ("sindy", "dynaifeynman", "genetic"),
+    "quick": ("rational", "sindy"),
+    "paper": ("sindy", "dynaifeynman", "genetic"),
+}
+
+
+def choose_methods(
+    method: str | AbstractMethod | Sequence[str | AbstractMethod], preset: str
+) -> dict[str, AbstractMethod]:
+    """Give the methods to run by name; "auto" stands for those of the preset.
+
+    Raises InputError that lists the names when a method or preset is unknown.
+
+    >>> list(choose_methods("rational", "best"))
+    ['rational']
+    """
+    if preset not in PRESETS:
+        raise InputError(f"unknown preset {preset!r}; the presets are: {', '.join(PRESETS)}")
+    if isinstance(method, (str, AbstractMethod)):
+        wanted: list[str | AbstractMethod] = list(_AUTO[preset]) if method == "auto" else [method]
+    else:
+        wanted = list(method)
+    chosen: dict[str, AbstractMethod] = {}
+    for item in wanted:
+        item = _ALIASES.get(item, item) if isinstance(item, str) else item
+        if isinstance(item, AbstractMethod):
+            chosen[item.name] = item
+        elif item in METHODS:
+            quick = method == "auto" and preset == "best" and item == "dynaifeynman"
+            chosen[item] = _feynman_beside() if quick else METHODS[item](preset)
+        else:
+            raise InputError(
+                f"unknown method {str(item)!r}; the methods are: auto, {', '.join(METHODS)}"
+            )
+    if not chosen:
+        raise InputError("no method was given; use 'auto'")
+    return chosen

@@ -1,0 +1,162 @@
+"""Selection: from all that was found for one state to one equation, with the reasons in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy
+
+from dynsr.expression import evaluate, to_text
+from dynsr.methods.feynman.description import Noise, description_length, noise_of
+from dynsr.methods.matching import forecast_miss
+from dynsr.methods.snapping import as_decimals, score_snapped
+from dynsr.methods.variation import improve
+from dynsr.pareto import Candidate, score_candidate
+from dynsr.samples import Samples
+from dynsr.trajectory import Trajectory
+
+_MOST_SNAPPED = 6
+_MOST_IMPROVED = 3
+_MOST_COMPARED = 5
+# Errors on held-back data this close are taken for equal; then fewer bits decide.
+_EQUAL = 1.25
+# Share of the slopes below which nothing is told apart.
+_FINEST = 1e-7
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A formula in the last round: its bits in all and its error on held-back data.
+
+    ``held_back`` is the median miss of short forecasts in units of the state's spread; None where
+    nothing was held back.
+    """
+
+    candidate: Candidate
+    bits: float
+    held_back: float | None
+
+
+@dataclass(frozen=True)
+class Pick:
+    """The equation chosen for a state, the rivals (the winner first) and why it won."""
+
+    state: str
+    rivals: tuple[Rival, ...]
+    noise: Noise
+
+    @property
+    def candidate(self) -> Candidate:
+        """The winner."""
+        return self.rivals[0].candidate
+
+    @property
+    def explanation(self) -> str:
+        """Say in words why the winner won."""
+        winner, *others = self.rivals
+        shown = to_text(as_decimals(winner.candidate.expr))
+        words = [
+            f"{self.state}' = {shown} takes {winner.bits:.0f} bits in all, "
+            f"{winner.candidate.complexity:.0f} of them for the formula; found by "
+            f"{winner.candidate.source or 'search'}."
+        ]
+        if winner.held_back is not None:
+            words.append(f"On held-back data it misses by {winner.held_back:.2g} of the spread.")
+        words += [self._compare(winner, other) for other in others[:1]]
+        return " ".join(words)
+
+    def _compare(self, winner: Rival, other: Rival) -> str:
+        shown = to_text(as_decimals(other.candidate.expr))
+        shown = shown if len(shown) <= 80 else shown[:77] + "..."
+        if other.bits >= winner.bits:
+            return f"The next best, {shown}, takes {other.bits - winner.bits:.0f} bits more."
+        return (
+            f"{shown} takes {winner.bits - other.bits:.0f} bits less, but misses by "
+            f"{other.held_back:.2g} on held-back data."
+        )
+
+
+def pick_equation(
+    state: str,
+    pool: Iterable[Candidate],
+    samples: Samples,
+    held_back: Sequence[Trajectory] = (),
+    known: sympy.Expr = sympy.S.Zero,
+) -> Pick:
+    """Choose by description length among formulas that forecast held-back data equally well.
+
+    The constants of the shortest formulas are fitted and snapped, the best are varied, and the
+    rest are compared on ``held_back`` (never on test data). ``known`` is the given part of the
+    equation that ``samples.y`` leaves out. Raises ValueError when the pool is empty.
+    """
+    candidates = _distinct(pool)
+    if not candidates:
+        raise ValueError(f"nothing was found for {state}")
+    noise = _never_too_fine(noise_of(candidates, samples), samples)
+    ranked = _one_a_form(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
+    snapped = _rank(_distinct(score_snapped(c, samples, noise) for c in ranked), samples, noise)
+    varied = [improve(c, samples, noise) for c in snapped[:_MOST_IMPROVED]]
+    last = _rank(_distinct([*varied, *snapped]), samples, noise)[:_MOST_COMPARED]
+    rivals = [
+        Rival(
+            c,
+            description_length(c, samples, noise),
+            forecast_miss({state: known + c.expr}, held_back) if held_back else None,
+        )
+        for c in last
+    ]
+    return Pick(state, tuple(_order(rivals)), noise)
+
+
+def _never_too_fine(noise: Noise, samples: Samples) -> Noise:
+    """Slopes of clean data are still biased; formulas must not be chosen to follow that."""
+    size = float(np.sqrt(np.mean(samples.y**2)))
+    return Noise(max(noise.floor, _FINEST * size), noise.effective_rows)
+
+
+def _order(rivals: list[Rival]) -> list[Rival]:
+    misses = [r.held_back for r in rivals if r.held_back is not None and np.isfinite(r.held_back)]
+    bound = _EQUAL * min(misses) + _FINEST if misses else np.inf
+    return sorted(rivals, key=lambda r: ((r.held_back or 0.0) > bound, r.bits))
+
+
+def _distinct(pool: Iterable[Candidate]) -> list[Candidate]:
+    return list({c.expr: c for c in pool}.values())
+
+
+def _one_a_form(ranked: list[Candidate]) -> list[Candidate]:
+    """Keep the best of the formulas that differ in constants alone."""
+    forms: dict[sympy.Expr, Candidate] = {}
+    for candidate in ranked:
+        numbers = candidate.expr.atoms(sympy.Float)
+        form = candidate.expr.xreplace({n: n / abs(n) * sympy.pi for n in numbers if n != 0})
+        forms.setdefault(form, candidate)
+    return list(forms.values())
+
+
+def _rank(pool: list[Candidate], samples: Samples, noise: Noise) -> list[Candidate]:
+    bits = {c.expr: description_length(c, samples, noise) for c in pool}
+    finite = [c for c in pool if np.isfinite(bits[c.expr])]
+    return sorted(finite or pool, key=lambda c: (bits[c.expr], str(c.expr)))
+
+
+def trivial_candidates(samples: Samples) -> list[Candidate]:
+    """Give 0, the mean slope and every column as candidates: q' = v is found without a search."""
+    exprs = [sympy.S.Zero, sympy.Float(float(np.mean(samples.y)))]
+    exprs += [sympy.Symbol(name) for name in samples.names]
+    return [score_candidate(expr, samples, "a column") for expr in exprs]
+
+
+def explains_all(candidate: Candidate, samples: Samples) -> bool:
+    """Say whether a formula leaves nothing: misses below a thousandth of the slopes, or the noise.
+
+    >>> t = np.arange(9.0)
+    >>> s = Samples(t[:, None], t, ("v",), "q", "given", t)
+    >>> explains_all(score_candidate(sympy.Symbol("v"), s), s)
+    True
+    """
+    misses = np.abs(samples.y - evaluate(candidate.expr, samples.columns))
+    size = float(np.sqrt(np.mean(samples.y**2)))
+    return bool(np.median(misses) <= 5e-4 * size)

@@ -1,0 +1,152 @@
+import warnings
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dynsr.derivatives import (
+    BiasWarning,
+    choose_samples,
+    choose_scheme,
+    estimate_noise,
+    slope_bias,
+    warn_if_biased,
+)
+from dynsr.errors import InputError
+from dynsr.samples import forward_difference
+from dynsr.smoothers import smooth_column
+from dynsr.trajectory import Trajectory
+
+
+def lotka_volterra(t, noise=0.0, seed=0):
+    """Give the noisy trajectory, the exact states and the exact slopes."""
+
+    def slopes(_, s):
+        return [s[0] * (1.5 - s[1]), -s[1] * (3 - s[0])]
+
+    x = solve_ivp(slopes, (t[0], t[-1]), [1.0, 1.0], "DOP853", t, rtol=1e-12, atol=1e-12).y.T
+    noisy = x + noise * x.std(axis=0) * np.random.default_rng(seed).standard_normal(x.shape)
+    return Trajectory(t, noisy, ("x", "y")), x, np.column_stack(slopes(0, x.T))
+
+
+GRID = np.arange(1001) * 0.01
+
+
+@pytest.mark.parametrize("share", [1e-4, 0.01, 0.05])
+@pytest.mark.parametrize("order", [0, 1])
+def test_noise_is_estimated_within_a_tenth(share, order):
+    """The noise of each state is found within 10 %, on even and on uneven times."""
+    t = GRID if order == 0 else np.sort(np.random.default_rng(3).uniform(0, 10, 1001))
+    noisy, clean, _ = lotka_volterra(t, share)
+    assert estimate_noise(noisy) == pytest.approx(share * clean.std(axis=0), rel=0.1)
+
+
+def test_clean_data_show_no_noise():
+    """Exact data have a noise estimate far below a millionth of their size."""
+    exact, clean, _ = lotka_volterra(GRID)
+    assert np.all(estimate_noise(exact) < 1e-8 * clean.std(axis=0))
+
+
+def test_clean_data_take_high_order_differences():
+    """Without noise the slopes come from central differences and err below 1e-5."""
+    exact, _, slopes = lotka_volterra(GRID)
+    samples = choose_samples(exact, "y")
+    rows = np.searchsorted(GRID, samples.t)
+    assert samples.scheme.startswith("central")
+    assert np.sqrt(np.mean((samples.y - slopes[rows, 1]) ** 2)) < 1e-5
+    assert np.array_equal(samples.X, exact.x[rows])
+
+
+@pytest.mark.parametrize("share,limit", [(0.001, 0.004), (0.01, 0.03), (0.05, 0.06)])
+def test_noisy_data_are_smoothed(share, limit):
+    """Slopes of noisy data err by a small share, and far less than plain differences do."""
+    noisy, clean, slopes = lotka_volterra(GRID, share, 1)
+    samples = choose_samples(noisy, "y")
+    rows = np.searchsorted(GRID, samples.t)
+    size = slopes[:, 1].std()
+    error = np.sqrt(np.mean((samples.y - slopes[rows, 1]) ** 2)) / size
+    plain = smooth_column(GRID, noisy.x[:, 1], "central2")
+    plain_error = np.sqrt(np.mean((plain.slope - slopes[plain.rows, 1]) ** 2)) / size
+    assert error < limit and error < plain_error / 5
+    assert samples.noise == pytest.approx(error * size, rel=0.5)
+    kept = np.sqrt(np.mean((samples.X[:, 1] - clean[rows, 1]) ** 2))
+    assert kept < 0.6 * share * clean[:, 1].std()
+
+
+def test_the_choice_is_near_the_best_scheme():
+    """The chosen scheme errs at most 1.3 times as much as the best one in hindsight."""
+    noisy, _, slopes = lotka_volterra(GRID, 0.02, 4)
+    x = noisy.x[:, 0]
+
+    def error(scheme):
+        smooth = smooth_column(GRID, x, scheme)
+        return np.sqrt(np.mean((smooth.slope - slopes[smooth.rows, 0]) ** 2))
+
+    chosen = choose_scheme(GRID, x, estimate_noise(noisy)[0]).scheme
+    names = [f"savgol({w},{d})" for w in (9, 17, 31, 41, 55, 73) for d in (2, 4, 6)] + ["spline"]
+    assert error(chosen) < 1.3 * min(error(name) for name in names)
+
+
+def test_uneven_times_work():
+    """Random sampling times give slopes within 3 % from 1 % noise."""
+    t = np.sort(np.random.default_rng(5).uniform(0, 10, 900))
+    noisy, _, slopes = lotka_volterra(t, 0.01)
+    samples = choose_samples(noisy, "x")
+    rows = np.searchsorted(t, samples.t)
+    error = np.sqrt(np.mean((samples.y - slopes[rows, 0]) ** 2))
+    assert error < 0.03 * slopes[:, 0].std()
+
+
+@pytest.mark.parametrize("scheme", ["spline", "savgol(31,4)", "total-variation"])
+def test_named_schemes_recover_slopes(scheme):
+    """Each smoother by name beats plain differences on noisy data."""
+    if scheme == "total-variation":
+        pytest.importorskip("derivative")
+    t = GRID[:300]
+    noisy, _, slopes = lotka_volterra(t, 0.01)
+    samples = choose_samples(noisy, "x", scheme=scheme)
+    rows = np.searchsorted(t, samples.t)
+    plain = smooth_column(t, noisy.x[:, 0], "central2")
+    error = np.std(samples.y - slopes[rows, 0])
+    assert error < 0.5 * np.std(plain.slope - slopes[plain.rows, 0])
+    assert samples.scheme == scheme
+
+
+def test_own_slopes_are_used_and_checked():
+    """Slopes that the user gives come out unchanged; shifted ones raise a warning of bias."""
+    exact, _, slopes = lotka_volterra(GRID)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        samples = choose_samples(exact, "y", slopes=slopes[:, 1])
+    rows = np.searchsorted(GRID, samples.t)
+    assert samples.scheme == "given" and np.array_equal(samples.y, slopes[rows, 1])
+    with pytest.warns(BiasWarning, match="the slopes given of y look biased"):
+        choose_samples(exact, "y", slopes=slopes[:, 1] + 0.2)
+    with pytest.raises(InputError, match="1001"):
+        choose_samples(exact, "y", slopes=slopes[:50, 1])
+
+
+def test_forward_differences_are_known_to_be_biased():
+    """Forward differences at dt 0.01 are told apart from good slopes by their bias."""
+    exact, _, slopes = lotka_volterra(GRID)
+    forward = forward_difference(exact, "y")
+    expected = np.sqrt(np.mean((forward.y - slopes[:-1, 1]) ** 2) / np.mean(slopes[:, 1] ** 2))
+    found = slope_bias(exact, "y", forward.t, forward.y)
+    assert found == pytest.approx(expected, rel=0.1)
+    with pytest.warns(BiasWarning):
+        warn_if_biased(exact, "y", forward.t, forward.y, "forward differences")
+    noisy, _, _ = lotka_volterra(GRID, 0.01)
+    good = choose_samples(noisy, "y")
+    assert slope_bias(noisy, "y", good.t, good.y) < 0.01
+
+
+def test_many_trajectories_of_any_length():
+    """A short second trajectory with its own step joins the first."""
+    first, _, _ = lotka_volterra(GRID, 0.01)
+    second, _, _ = lotka_volterra(np.linspace(0, 0.5, 21), 0.01, 2)
+    samples = choose_samples([first, second], "x")
+    assert len(samples) > 900 and samples.X.shape[1] == 2
+    with pytest.raises(InputError, match="different columns"):
+        choose_samples([first, Trajectory(first.t, first.x, ("a", "b"))], "x")
+    with pytest.raises(InputError, match="unknown scheme"):
+        choose_samples(first, "x", scheme="forwards")

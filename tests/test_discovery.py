@@ -1,0 +1,241 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import sympy
+
+from dynsr.catalogue import CART_POLE, LORENZ, LOTKA_VOLTERRA, PENDULUM
+from dynsr.discovery import discover
+from dynsr.errors import InputError
+from dynsr.expression import parse
+from dynsr.found import Discovery
+from dynsr.methods.feynman.rational import RationalSearch
+from dynsr.methods.matching import is_noisy
+from dynsr.polishing import polish
+from dynsr.simulate import add_noise, simulate, training_trajectory
+
+QUICK = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
+
+
+def same(expr, text):
+    """Say whether two formulas are the same function of their symbols."""
+    return sympy.simplify(sympy.nsimplify(expr, rational=True) - sympy.nsimplify(parse(text))) == 0
+
+
+@pytest.fixture(scope="module")
+def decay():
+    """Two coupled linear states, solved in closed form: a cheap system to search."""
+    t = np.linspace(0, 6, 301)
+    x = np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * t + np.exp(-0.5 * t)])
+    return t, x
+
+
+@pytest.fixture(scope="module")
+def found(decay):
+    """Give the discovery of that system."""
+    return discover(decay, method=QUICK, jobs=1)
+
+
+def test_every_state_gets_its_equation_with_round_constants(found):
+    """x' = -x/2 and y' = x - y/2 are found exactly, with constants as they were meant."""
+    assert found.equations == {"x": parse("-0.5*x"), "y": parse("x - 0.5*y")}
+
+
+def test_the_choice_is_explained(found):
+    """The explanation names the equation, its bits and its error on held-back data."""
+    assert "y' = " in found.explanation["y"]
+    assert "bits" in found.explanation["y"]
+    assert "held-back" in found.explanation["y"]
+
+
+def test_the_number_of_jobs_does_not_change_the_result(decay, found):
+    """Two processes give exactly what one gives."""
+    twice = discover(decay, method=QUICK, jobs=2)
+    first, second = found.as_record(), twice.as_record()
+    assert {**first, "seconds": 0} == {**second, "seconds": 0}
+
+
+def test_a_state_whose_slope_is_a_column_needs_no_search():
+    """The angle's equation theta1' = theta2 comes from the columns themselves."""
+    data = training_trajectory(PENDULUM)
+    pendulum = discover(data, method=QUICK, targets="theta1", jobs=1)
+    assert pendulum.equations == {"theta1": sympy.Symbol("theta2")}
+    assert "a column" in pendulum.explanation["theta1"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("system", [LOTKA_VOLTERRA, PENDULUM], ids=lambda s: s.name)
+def test_the_papers_small_systems_are_found_exactly(system):
+    """From the paper's training data alone every equation and constant comes out as it is."""
+    result = discover(training_trajectory(system), method="rational", jobs=2)
+    for state, truth in zip(system.states, system.rhs, strict=True):
+        assert same(result.equations[state], truth)
+
+
+@pytest.mark.slow
+def test_the_cart_pole_is_found_exactly_with_its_force_as_input():
+    """The rational form of the cart's acceleration is found with F given as an expression."""
+    data = training_trajectory(CART_POLE)
+    result = discover(data, method="rational", targets=["x", "z"], jobs=2)
+    assert same(result.equations["x"], "z")
+    assert same(result.equations["z"], CART_POLE.rhs[3])
+
+
+@pytest.mark.slow
+def test_lorenz_with_noise_is_found_within_two_percent():
+    """With 1 % noise on the states all seven constants of Lorenz are within 2 %."""
+    clean = simulate(LORENZ, t=np.arange(2000) * 0.01, reltol=1e-9, abstol=1e-9)
+    noisy = add_noise(clean, 0.01, np.random.default_rng(0))
+    result = discover(noisy, method="rational", jobs=2)
+    x, y, z = sympy.symbols("x y z")
+    truth = {
+        "x": {x: -10, y: 10},
+        "y": {x: 28, x * z: -1, y: -1},
+        "z": {x * y: 1, z: -8 / 3},
+    }
+    for state, terms in truth.items():
+        coefficients = sympy.expand(result.equations[state]).as_coefficients_dict()
+        assert set(coefficients) == set(terms)
+        for term, value in terms.items():
+            assert float(coefficients[term]) == pytest.approx(value, rel=0.02)
+
+
+def test_a_known_part_is_left_to_the_user(decay):
+    """With x given as part of y', only -y/2 is searched, and the sum is reported."""
+    result = discover(decay, method=QUICK, targets="y", known={"y": "x"}, jobs=1)
+    assert result.equations["y"] == parse("x - 0.5*y")
+
+
+def test_several_trajectories_with_their_own_times_are_taken():
+    """Trajectories of different length and sampling are one discovery."""
+    runs = [(t, np.exp(-0.5 * t)[:, None]) for t in (np.linspace(0, 3, 200), np.linspace(1, 3, 90))]
+    assert discover(runs, method=QUICK, jobs=1).equations == {"x": parse("-0.5*x")}
+
+
+def test_own_slopes_are_used(decay):
+    """Slopes that the user gives stand in for those the data would give."""
+    t, x = decay
+    slopes = {"x": -0.5 * x[:, 0], "y": x[:, 0] - 0.5 * x[:, 1]}
+    result = discover(decay, method=QUICK, slopes=slopes, jobs=1)
+    assert result.equations["y"] == parse("x - 0.5*y")
+
+
+def test_noisy_constants_are_fitted_to_the_states():
+    """Constants that noise has moved come back within their standard errors, and snap."""
+    t = np.linspace(0, 10, 1001)
+    clean = simulate(LOTKA_VOLTERRA, t=t, reltol=1e-9, abstol=1e-9)
+    noisy = add_noise(clean, 0.01, np.random.default_rng(1))
+    assert is_noisy([noisy])
+    rough = {"x": parse("1.47*x - 0.97*x*y"), "y": parse("-2.9*y + 1.04*x*y")}
+    match = polish(rough, [noisy], {}, {}, {})
+    assert match.exprs == {"x": parse("1.5*x - x*y"), "y": parse("x*y - 3*y")}
+    for value, error in match.errors["y"]:
+        assert abs(abs(value) - (3 if abs(value) > 2 else 1)) < 4 * error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"targets": "q"}, "unknown state 'q'; the states are: x, y"),
+        ({"method": "magic"}, "unknown method 'magic'"),
+        ({"preset": "magic"}, "unknown preset 'magic'"),
+        ({"known": {"q": "x"}}, "unknown state 'q'"),
+        ({"inputs": {"x": "sin(t)"}}, "input 'x' is already a state"),
+        ({"inputs": {"F": "sin(q)"}}, "unknown name 'q'"),
+        ({"inputs": ["x", "y"]}, "leave at least one state"),
+    ],
+)
+def test_bad_settings_are_one_clear_line(decay, arguments, message):
+    """A setting that cannot be used is an input error that names it."""
+    with pytest.raises(InputError, match=message):
+        discover(decay, jobs=1, **arguments)
+
+
+def test_too_few_rows_are_refused():
+    """Three rows are refused with the number that is needed."""
+    with pytest.raises(InputError, match="3 rows are too few"):
+        discover((np.arange(3.0), np.ones((3, 1))), jobs=1)
+
+
+def test_finished_parts_are_not_done_again(decay, found, tmp_path):
+    """A second run in the same folder reads every part and gives the same discovery."""
+    discover(decay, method=QUICK, jobs=1, out=tmp_path)
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "parts").iterdir()}
+    again = discover(decay, method=QUICK, jobs=1, out=tmp_path)
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "parts").iterdir()} == before
+    assert {**again.as_record(), "seconds": 0} == {**found.as_record(), "seconds": 0}
+
+
+def test_a_damaged_part_is_done_again(decay, found, tmp_path):
+    """A record that is cut short counts as unfinished."""
+    discover(decay, method=QUICK, jobs=1, out=tmp_path)
+    for path in (tmp_path / "parts").iterdir():
+        path.write_text(path.read_text()[: -len(path.read_text()) // 2])
+    again = discover(decay, method=QUICK, jobs=1, out=tmp_path)
+    assert again.equations == found.equations
+
+
+CHILD = """
+import sys
+import numpy as np
+from dynsr.discovery import discover
+from dynsr.methods.feynman.rational import RationalSearch
+t = np.linspace(0, 6, 301)
+x = np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * t + np.exp(-0.5 * t)])
+quick = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
+discover((t, x), method=quick, jobs=1, out=sys.argv[1], progress=lambda s: print(s.what, flush=True))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", [1, 2, 3])
+def test_a_killed_discovery_goes_on_to_the_same_result(found, decay, tmp_path, parts):
+    """After kill -9 finished parts are kept and the rerun ends in the same result."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    for _ in range(parts):
+        child.stdout.readline()
+    time.sleep(0.02 * parts)
+    os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    child.stdout.close()
+    kept = [p for p in (tmp_path / "parts").iterdir() if not p.name.startswith(".")]
+    assert len(kept) >= parts
+    for path in kept:
+        assert "key" in json.loads(path.read_text())
+    before = {p: p.stat().st_mtime_ns for p in kept}
+    again = discover(decay, method=QUICK, jobs=1, out=tmp_path)
+    assert {p: p.stat().st_mtime_ns for p in kept} == before
+    assert {**again.as_record(), "seconds": 0} == {**found.as_record(), "seconds": 0}
+
+
+def test_a_saved_discovery_loads_as_it_was(found, tmp_path):
+    """Saving and loading gives the same equations, fronts, reasons and settings."""
+    again = Discovery.load(found.save(tmp_path / "d.json"))
+    assert again.as_record() == found.as_record()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "dynsr discovery 1"}'])
+def test_a_broken_file_is_refused(tmp_path, text):
+    """A file that is no whole discovery is an input error, not a traceback."""
+    path = tmp_path / "d.json"
+    path.write_text(text)
+    with pytest.raises(InputError):
+        Discovery.load(path)
+
+
+def test_code_in_a_saved_file_is_never_run(found, tmp_path):
+    """An equation that is Python code is refused by the parser."""
+    record = found.as_record()
+    record["equations"]["x"] = "__import__('os').getcwd()"
+    path = tmp_path / "d.json"
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError):
+        Discovery.load(path)

@@ -1,0 +1,326 @@
+import warnings
+
+import numpy as np
+import pandas
+import polars
+import pytest
+
+from dynsr.errors import DynsrWarning, InputError
+from dynsr.tabular import read_trajectories, write_csv
+from dynsr.trajectory import Trajectory
+
+T = np.linspace(0.0, 2.0, 21)
+X = np.column_stack([np.sin(3 * T), np.cos(T)])
+
+
+def table_text(header="t,x,y", delimiter=",", rows=None):
+    """Write rows as delimited text below a header."""
+    rows = np.column_stack([T, X]) if rows is None else rows
+    lines = [delimiter.join(str(cell) for cell in row) for row in rows]
+    return "\n".join([header.replace(",", delimiter), *lines]) + "\n"
+
+
+def put(folder, text, name="data.csv"):
+    """Write a file and give its path."""
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|", " "])
+def test_delimiters(tmp_path, delimiter):
+    """A table is read to the last bit whatever sign delimits its cells."""
+    table = read_trajectories(put(tmp_path, table_text(delimiter=delimiter)))
+    (part,) = table.trajectories
+    assert part.states == ("x", "y")
+    assert np.array_equal(part.t, T) and np.array_equal(part.x, X)
+
+
+def test_decimal_comma(tmp_path):
+    """A table in the European manner, 1,5;2,5, gives the same numbers."""
+    text = table_text(delimiter=";").replace(".", ",")
+    (part,) = read_trajectories(put(tmp_path, text)).trajectories
+    assert np.array_equal(part.x, X)
+
+
+def sources(folder):
+    """Make the same table in every form that can be read."""
+    columns = {"t": T, "x": X[:, 0], "y": X[:, 1]}
+    pandas.DataFrame(columns).to_parquet(folder / "data.parquet")
+    np.savez(folder / "data.npz", **columns)
+    np.savez(folder / "matrix.npz", t=T, x=X, states=np.array(["x", "y"]))
+    np.save(folder / "data.npy", np.column_stack([T, X]))
+    return {
+        "csv": put(folder, table_text()),
+        "text path": str(put(folder, table_text())),
+        "parquet": folder / "data.parquet",
+        "npz": folder / "data.npz",
+        "npz with names": folder / "matrix.npz",
+        "npy": folder / "data.npy",
+        "pandas": pandas.DataFrame(columns),
+        "pandas with the time as index": pandas.DataFrame(columns).set_index("t"),
+        "polars": polars.DataFrame(columns),
+        "mapping": columns,
+        "pair": (T, X),
+        "array": np.column_stack([T, X]),
+        "trajectory": Trajectory(T, X, ("x", "y")),
+    }
+
+
+def test_every_source_gives_the_same(tmp_path):
+    """Files, frames, arrays and mappings of the same numbers give the same trajectory."""
+    for kind, source in sources(tmp_path).items():
+        (part,) = read_trajectories(source, states=["x", "y"]).trajectories
+        assert part.states == ("x", "y"), kind
+        assert np.array_equal(part.t, T) and np.array_equal(part.x, X), kind
+
+
+def test_times_apart():
+    """An array of states alone takes its times as an argument."""
+    (part,) = read_trajectories(X, time=T, states="a, b").trajectories
+    assert part.states == ("a", "b") and np.array_equal(part.t, T)
+
+
+def test_named_trajectories():
+    """A column that names the trajectory splits the rows, in their order of appearance."""
+    frame = pandas.DataFrame(
+        {"run": ["b"] * 21 + ["a"] * 21, "time": [*T, *(T**2 + T)], "x": [*X[:, 0], *X[:, 1]]}
+    )
+    table = read_trajectories(frame)
+    first, second = table.trajectories
+    assert np.array_equal(first.x[:, 0], X[:, 0]) and np.array_equal(second.t, T**2 + T)
+    assert "2 trajectories named by 'run'" in table.guess
+    assert "uneven steps" in table.guess
+
+
+def test_restarting_time():
+    """A time that starts again begins a new trajectory, and the guess says so."""
+    table = read_trajectories({"t": [*T, *T], "x": [*X[:, 0], *X[:, 1]]})
+    assert [len(part) for part in table.trajectories] == [21, 21]
+    assert "2 trajectories, each starting the time again" in table.guess
+
+
+def test_list_of_sources(tmp_path):
+    """A list gives one trajectory a source; differing columns are refused."""
+    table = read_trajectories([put(tmp_path, table_text()), {"t": T, "x": T, "y": T**2}])
+    assert len(table.trajectories) == 2
+    with pytest.raises(InputError, match="different columns"):
+        read_trajectories([{"t": T, "x": T}, {"t": T, "y": T}])
+
+
+def test_inputs_by_name_column_and_formula():
+    """Inputs are a guess from the name, named columns, or expressions in t."""
+    columns = {"t": T, "x": X[:, 0], "F": X[:, 1]}
+    assert read_trajectories(columns).trajectories[0].input_names == ("F",)
+    (part,) = read_trajectories(columns, inputs=["F", "G=2*sin(t)"]).trajectories
+    assert part.input_names == ("F", "G")
+    assert np.allclose(part.inputs[:, 1], 2 * np.sin(T), rtol=1e-15)
+    (part,) = read_trajectories(columns, inputs={"F": "t^2"}, states=["x"]).trajectories
+    assert np.array_equal(part.inputs[:, 0], T**2)
+    assert read_trajectories(columns, inputs=[]).trajectories[0].states == ("x", "F")
+    # FitzHugh-Nagumo's states are called u and v.
+    assert read_trajectories({"t": T, "u": T, "v": T**2}).trajectories[0].states == ("u", "v")
+
+
+def test_dates_become_seconds():
+    """A time column of dates counts in seconds from the first."""
+    stamps = [f"2024-01-01T00:00:{second:02d}Z" for second in range(20)]
+    (part,) = read_trajectories({"date": np.array(stamps), "x": np.arange(20.0) ** 2}).trajectories
+    assert np.array_equal(part.t, np.arange(20.0))
+
+
+def test_round_trip(tmp_path):
+    """What write_csv writes is read back to the last bit: one or many, with inputs."""
+    first = Trajectory(T, X, ("x", "y"), T[:, None] ** 2, ("F",))
+    second = Trajectory(T[:11], X[5:16], ("x", "y"), X[:11, :1], ("F",))
+    for parts in ([first], [first, second]):
+        write_csv(parts, tmp_path / "out.csv")
+        back = read_trajectories(tmp_path / "out.csv").trajectories
+        assert len(back) == len(parts)
+        for ours, theirs in zip(parts, back, strict=True):
+            assert theirs.states == ("x", "y") and theirs.input_names == ("F",)
+            assert np.array_equal(ours.t, theirs.t)
+            assert np.array_equal(ours.columns, theirs.columns)
+
+
+def bent(row, column, value):
+    """Write the table with one cell replaced."""
+    rows = np.column_stack([T, X]).astype(object)
+    rows[row, column] = value
+    return table_text(rows=rows)
+
+
+REFUSED = {
+    "empty file": ("", "is empty"),
+    "blank lines": ("\n\n\n", "holds no rows"),
+    "header alone": ("t,x,y\n", "header but no rows"),
+    "three rows": ("t,x\n0,1\n1,2\n2,4\n", "3 rows"),
+    "one row": ("t,x\n0,1\n", "1 row,"),
+    "unknown delimiter": (table_text(delimiter="!"), "cannot tell the columns"),
+    "ragged rows": (table_text() + "3,1,2,4\n", "one cell a column"),
+    "short last row": (table_text() + "3,1\n", "'y' of data.csv has no value"),
+    "duplicate time": (bent(5, 0, T[4]), "time 't' repeats in row 6 of data.csv (0.4 twice)"),
+    "unsorted time": (bent(5, 0, 0.1), "runs backwards at row 6 of data.csv (0.4 then 0.1)"),
+    "reversed time": (table_text(rows=np.column_stack([T, X])[::-1]), "runs backwards at row 2"),
+    "time not a number": (bent(3, 0, "nan"), "time 't' of data.csv is nan in row 4"),
+    "NaN run": (
+        table_text(rows=np.column_stack([T, np.where((T > 0.9) & (T < 1.4), np.nan, T), T**2])),
+        "'x' of data.csv has no value (NaN) in rows 11 to 14 (4 in all)",
+    ),
+    "infinite value": (bent(7, 2, "inf"), "'y' of data.csv holds inf in row 8"),
+    "text cell": (bent(7, 1, "broken"), "'x' of data.csv holds the text 'broken' in row 8"),
+    "dangerous cell": (bent(7, 1, "__import__('os')"), "holds the text"),
+    "constant column": (
+        table_text(rows=np.column_stack([T, T**2, 0 * T + 3])),
+        "'y' of data.csv is 3 in every row",
+    ),
+    "no time": (
+        table_text(header="a,x,y", rows=np.column_stack([X[:, 0], X])),
+        "looks like the time",
+    ),
+    "time alone": ("t\n" + "\n".join(map(str, range(20))), "no column left for a state"),
+    "same name twice": (table_text(header="t,x,x"), "'x' is used twice"),
+    "binary": (bytes(range(256)) * 20, "is binary"),
+    "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "is a picture"),
+    "Excel file": (b"PK\x03\x04" + bytes(100), "Excel"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_tables_are_refused(tmp_path, case):
+    """A table that cannot be used is refused in one line that names the value and the remedy."""
+    text, said = REFUSED[case]
+    with pytest.raises(InputError) as caught:
+        read_trajectories(put(tmp_path, text))
+    message = str(caught.value)
+    assert said in message
+    assert "\n" not in message and len(message) < 250
+
+
+OPTIONS = {
+    "missing time": ({"time": "tau"}, "no column 'tau' for the time"),
+    "missing state": ({"states": ["z"]}, "no column 'z' for the state"),
+    "missing input": ({"inputs": ["z"]}, "no column 'z' for the input"),
+    "missing trajectory": ({"trajectory": "run"}, "no column 'run' for the trajectory"),
+    "two roles": ({"states": ["x"], "inputs": ["x"]}, "both a state and an input"),
+    "time as state": ({"states": ["t"]}, "both a state and the time"),
+    "named twice": ({"states": ["x", "x"]}, "named twice"),
+    "code as input": ({"inputs": "F=__import__('os').system('true')"}, "cannot read expression"),
+    "input in a state": ({"inputs": "F=2*x"}, "unknown name 'x'"),
+    "infinite input": ({"inputs": "F=1/t"}, "F = 1/t is inf at t = 0"),
+}
+
+
+@pytest.mark.parametrize("case", OPTIONS)
+def test_bad_options_are_refused(tmp_path, case):
+    """Options that do not fit the table are refused in one line."""
+    options, said = OPTIONS[case]
+    with pytest.raises(InputError) as caught:
+        read_trajectories(put(tmp_path, table_text()), **options)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("missing.csv", None, "there is no file"),
+        ("folder", "folder", "is a directory"),
+        ("cut.npz", b"PK\x03\x04", "damaged or not a npz archive"),
+        ("cut.parquet", b"PAR1", "damaged or not a Parquet file"),
+        ("cut.csv.gz", b"\x1f\x8b", "cannot read"),
+    ],
+)
+def test_bad_paths_are_refused(tmp_path, name, content, said):
+    """A missing file, a folder and damaged archives are refused in one line."""
+    if content == "folder":
+        (tmp_path / name).mkdir()
+    elif content is not None:
+        put(tmp_path, content, name)
+    with pytest.raises(InputError, match=said):
+        read_trajectories(tmp_path / name)
+
+
+def test_pickled_objects_are_not_run(tmp_path):
+    """An archive of pickled objects is refused, and nothing in it runs."""
+
+    class Trap:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "sprung"), "w"))
+
+    np.savez(tmp_path / "trap.npz", t=T, x=np.array([Trap()] * 21, dtype=object))
+    with pytest.raises(InputError, match="could run code"):
+        read_trajectories(tmp_path / "trap.npz")
+    assert not (tmp_path / "sprung").exists()
+
+
+WARNED = {
+    "identical columns": (
+        table_text(rows=np.column_stack([T, T**2, T**2])),
+        "'x' and 'y' of data.csv are identical",
+        ("x", "y"),
+    ),
+    "units a billion apart": (
+        table_text(rows=np.column_stack([T, T**2, 1e9 * X[:, 0]])),
+        "vary by 1 and 7e+08",
+        ("x", "y"),
+    ),
+    "function name": (table_text(header="t,sin,y"), "'sin' -> sin_1", ("sin_1", "y")),
+    "no identifier": (table_text(header="t,2nd run,x-y"), "'2nd run' -> x2nd_run", None),
+    "code as name": (
+        table_text(header="t,__import__('os'),y"),
+        "\"__import__('os')\" -> import_os",
+        ("import_os", "y"),
+    ),
+    "keyword": (table_text(header="t,lambda,y"), "'lambda' -> lambda_1", ("lambda_1", "y")),
+    "clash after change": (table_text(header="t,x!,x"), "'x!' -> x_2", ("x_2", "x")),
+    "Latin-1": (table_text(header="t,é,y").encode("latin-1"), "read as Latin-1", ("é", "y")),
+}
+
+
+@pytest.mark.parametrize("case", WARNED)
+def test_odd_tables_are_read_with_a_warning(tmp_path, case):
+    """A table that is odd but usable is read, and one warning names what is odd."""
+    text, said, states = WARNED[case]
+    with pytest.warns(DynsrWarning) as caught:
+        (part,) = read_trajectories(put(tmp_path, text)).trajectories
+    assert any(said in str(warning.message) for warning in caught)
+    assert states is None or part.states == states
+
+
+def test_units_in_names_go_without_loss():
+    """Units in brackets leave the name; the time is still found."""
+    with pytest.warns(DynsrWarning, match="renamed"):
+        table = read_trajectories({"time [s]": T, "theta (rad)": X[:, 0], "v [m/s]": X[:, 1]})
+    assert table.trajectories[0].states == ("theta", "v")
+
+
+def test_a_constant_state_that_was_asked_for_is_kept():
+    """A constant column that the caller names as a state is kept, with a warning."""
+    with pytest.warns(DynsrWarning, match="can only be 0"):
+        table = read_trajectories({"t": T, "x": T**2, "c": 0 * T}, states=["x", "c"])
+    assert table.trajectories[0].states == ("x", "c")
+
+
+def test_ten_million_rows_are_thinned():
+    """Ten million rows are thinned evenly to the bound, with a warning that says how."""
+    t = np.linspace(0.0, 1e4, 10_000_000)
+    with pytest.warns(DynsrWarning, match="10000000 rows; every 50th was kept"):
+        (part,) = read_trajectories((t, np.sin(t))).trajectories
+    assert len(part) == 200_000
+    assert np.array_equal(part.t, t[::50])
+
+
+def test_row_numbers_are_left_out(tmp_path):
+    """The nameless row numbers that pandas writes are not taken for a state."""
+    pandas.DataFrame({"t": T, "x": X[:, 0]}).to_csv(tmp_path / "data.csv")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        table = read_trajectories(tmp_path / "data.csv")
+    assert table.trajectories[0].states == ("x",)
+
+
+@pytest.mark.parametrize("value", [3, None, object()])
+def test_things_that_are_no_data(value):
+    """What is no table at all is refused by the name of its type."""
+    with pytest.raises(InputError, match=f"from a {type(value).__name__}"):
+        read_trajectories(value)
