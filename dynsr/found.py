@@ -129,6 +129,20 @@ class Discovery:
 
         return EquationModule(self.equations)
 
+    def hybrid(self, **settings: Any) -> Any:
+        """Train networks on what the equations leave (:func:`dynsr.hybrid.fit_hybrid`)."""
+        from dynsr.hybrid import fit_hybrid
+
+        return fit_hybrid(self, **settings)
+
+    def plot(self) -> Any:
+        """Draw the data and the equations integrated from their start; gives the figure."""
+        from dynsr.plots import draw_states
+
+        if not self.trajectories:
+            raise InputError("the data are not here; discover again before plotting")
+        return draw_states(self.trajectories[0], self.simulate())
+
     def report(self, path: str | Path) -> Path:
         """Write one self-contained HTML page; gives its path."""
         from dynsr.discovery_report import write_report
