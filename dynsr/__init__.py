@@ -12,6 +12,8 @@ __version__ = "0.1.0"
 # Public name -> the module it lives in; loaded on first use so that `import dynsr` is quick.
 _PUBLIC = {
     "Candidate": "dynsr.pareto",
+    "Discovery": "dynsr.found",
+    "DynsrRegressor": "dynsr.estimator",
     "ParetoFront": "dynsr.pareto",
     "Samples": "dynsr.samples",
     "Score": "dynsr.scoring",
@@ -24,6 +26,8 @@ _PUBLIC = {
     "SYSTEMS": "dynsr.catalogue",
     "add_noise": "dynsr.simulate",
     "audit": "dynsr.audit",
+    "bootstrap": "dynsr.ensemble",
+    "discover": "dynsr.discovery",
     "equation_rmse": "dynsr.scoring",
     "find_engine": "dynsr.engines.select",
     "find_system": "dynsr.catalogue",

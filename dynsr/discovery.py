@@ -6,7 +6,7 @@ import json
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from dynsr.found import Discovery
 from dynsr.intake import split_held_back, take_trajectories
 from dynsr.methods.base import AbstractMethod
 from dynsr.methods.matching import read_inputs
+from dynsr.methods.snapping import as_decimals
 from dynsr.pareto import Candidate, ParetoFront
 from dynsr.polishing import polish
 from dynsr.portfolio import choose_methods
@@ -94,8 +95,8 @@ def discover(
     methods = choose_methods(method, preset)
     problem = _Problem(runs, scheme, slopes or {}, parts_known, seed, RunFolder(_path(out)))
     tell = _Teller(progress, len(states) * (len(methods) + 1))
-    fronts = problem.search(states, methods, jobs, tell)
-    picks = problem.pick(states, fronts, jobs, tell)
+    pools = problem.search(states, methods, jobs, tell)
+    picks = problem.pick(states, pools, jobs, tell)
     polished = polish(
         {s: parts_known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()},
         runs,
@@ -106,7 +107,7 @@ def discover(
     return Discovery(
         equations=polished.exprs,
         errors=polished.errors,
-        front=fronts,
+        front={s: _whole_front(pools[s], picks[s]) for s in states},
         explanation={s: p.explanation for s, p in picks.items()},
         trajectories=tuple(runs),
         inputs=drives,
@@ -120,6 +121,13 @@ def discover(
         },
         seconds=time.monotonic() - began,
     )
+
+
+def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
+    """Merge what the methods found with what fitting and snapping made of it."""
+    rivals = [rival.candidate for rival in pick.rivals]
+    written = [replace(c, expr=as_decimals(c.expr)) for c in rivals]
+    return ParetoFront([*pool, *written])
 
 
 def _path(out: str | Path | None) -> Path | None:
@@ -190,8 +198,8 @@ class _Problem:
         methods: Mapping[str, AbstractMethod],
         jobs: int,
         tell: _Teller,
-    ) -> dict[str, ParetoFront]:
-        """Run every method on every state; gives the merged fronts."""
+    ) -> dict[str, list[Candidate]]:
+        """Run every method on every state; gives all fronts' members."""
         training, _ = split_held_back(self.runs)
         parts = []
         for state in states:
@@ -203,14 +211,13 @@ class _Problem:
                 parts.append(Part(f"search-{state}-{name}", key, search_one, arguments))
         # The dear searches of hard states first would be better balanced, but nobody knows them.
         records = run_parts(parts, self.folder, jobs, tell)
-        fronts = {state: ParetoFront() for state in states}
+        pools: dict[str, list[Candidate]] = {state: [] for state in states}
         for part, record in zip(parts, records, strict=True):
-            state = part.arguments[1].target
-            fronts[state] = fronts[state].merge(ParetoFront(read_candidates(record["front"])))
-        return fronts
+            pools[part.arguments[1].target] += read_candidates(record["front"])
+        return pools
 
     def pick(
-        self, states: Sequence[str], fronts: Mapping[str, ParetoFront], jobs: int, tell: _Teller
+        self, states: Sequence[str], pools: Mapping[str, list[Candidate]], jobs: int, tell: _Teller
     ) -> dict[str, Pick]:
         """Choose one equation a state."""
         training, held_back = split_held_back(self.runs)
@@ -218,7 +225,7 @@ class _Problem:
         for state in states:
             samples = self.samples(state, training)
             known = to_text(self.known.get(state, sympy.S.Zero))
-            written = write_candidates(fronts[state])
+            written = write_candidates(pools[state])
             key = self._key(state, json.dumps(written), known)
             arguments = (written, samples, held_back, known)
             parts.append(Part(f"pick-{state}", key, pick_one, arguments))

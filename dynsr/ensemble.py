@@ -4,6 +4,10 @@ Every member of an ensemble sees trajectories, or windows of them, drawn with re
 the terms again and drops those that do not pay for themselves. The share of members that keep a
 term is its inclusion probability, and the spread of its coefficient an interval (the bagging of
 Fasel et al. 2022, "Ensemble-SINDy", with the description length in the place of a threshold).
+
+The fit is that of the weak form (Schaeffer and McCalla 2017): with a bump phi that vanishes at the
+ends of a window, the integral of phi' x is minus that of phi f(x). No slope is ever taken, so no
+smoother biases the intervals.
 """
 
 from __future__ import annotations
@@ -15,14 +19,14 @@ import numpy as np
 import sympy
 from joblib import Parallel, delayed
 
-from dynsr.derivatives import choose_samples
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy
 from dynsr.found import Discovery
 from dynsr.methods.feynman.description import Noise, data_bits, estimate_noise
-from dynsr.samples import Samples, join
+from dynsr.trajectory import Trajectory
 
 _WINDOWS = 20
+_POWER = 4
 # Bits of a coefficient and of the term it stands before.
 _TERM_BITS = 20.0
 
@@ -56,7 +60,7 @@ def bootstrap(
     rivals : formulas of the front whose terms compete with those of the equation.
     seed, jobs : the result depends on the seed, not on the jobs.
 
-    Windows of a twentieth of a trajectory are drawn, and whole trajectories where there are five
+    Twentieths of a trajectory are drawn, and whole trajectories where there are five
     or more. Raises InputError when the data are not there.
 
     >>> from dynsr.discovery import discover
@@ -72,27 +76,63 @@ def bootstrap(
     result = {}
     sequences = np.random.SeedSequence(seed).spawn(len(found.equations))
     for (state, expr), sequence in zip(found.equations.items(), sequences, strict=True):
-        parts = [choose_samples(run, state) for run in found.trajectories]
-        blocks = _cut_blocks(parts)
-        terms = _terms(expr, [c.expr for c in list(found.front[state])[-rivals:]])
-        noise = estimate_noise([_residual(expr, s) for s in [join(parts)]], join(parts).y)
+        exprs, bottom = _terms(expr, [c.expr for c in list(found.front[state])[-rivals:]])
+        blocks = [b for run in found.trajectories for b in _weaken(run, state, exprs, bottom)]
+        if len(found.trajectories) >= 5:
+            blocks = [_join(_weaken(r, state, exprs, bottom)) for r in found.trajectories]
+        whole = _join(blocks)
+        coefficients = np.linalg.lstsq(whole.values.T, whole.y, rcond=None)[0]
+        noise = estimate_noise([whole.y - coefficients @ whole.values], whole.y)
         draws = Parallel(n_jobs=jobs)(
-            delayed(_fit_member)(blocks, terms, noise, child) for child in sequence.spawn(members)
+            delayed(_fit_member)(blocks, noise, child) for child in sequence.spawn(members)
         )
-        result[state] = _summarise(terms[0], np.array(list(draws)), level)
+        result[state] = _summarise(exprs, np.array(list(draws)), level)
     return result
 
 
-def _cut_blocks(parts: Sequence[Samples]) -> list[Samples]:
-    if len(parts) >= 5:
-        return list(parts)
-    blocks = []
-    for part in parts:
-        edges = np.linspace(0, len(part), min(_WINDOWS, len(part) // 4) + 1).astype(int)
-        blocks += [
-            part.select(slice(a, b)) for a, b in zip(edges, edges[1:], strict=False) if b > a
-        ]
-    return blocks
+@dataclass(frozen=True, eq=False)
+class _Weak:
+    """Integrals of terms, (m, r), and of the slope, (r,), over the windows of one block."""
+
+    values: np.ndarray
+    y: np.ndarray
+
+
+def _join(blocks: Sequence[_Weak]) -> _Weak:
+    return _Weak(
+        np.concatenate([b.values for b in blocks], axis=1), np.concatenate([b.y for b in blocks])
+    )
+
+
+def _weaken(
+    run: Trajectory, state: str, exprs: Sequence[sympy.Expr], bottom: sympy.Expr
+) -> list[_Weak]:
+    """Give one block for each twentieth of a trajectory, of the bumps whose middle lies there."""
+    evaluated = compile_numpy([*exprs, bottom], [*run.names, "t"])
+    *rows, below = evaluated(np.concatenate([run.columns.T, run.t[None]]))
+    values, x = np.array(rows) / below, run.x[:, run.index(state)]
+    width = max(8, len(run) // _WINDOWS)
+    starts = np.arange(0, len(run) - width, max(1, width // 4))
+    if len(starts) < 4:
+        raise InputError(f"{len(run)} rows are too few for an ensemble; give at least 24")
+    index = starts[:, None] + np.arange(width + 1)
+    t = run.t[index]
+    half = (t[:, -1:] - t[:, :1]) / 2
+    s = (t - t[:, :1]) / half - 1
+    bump, slope = (1 - s**2) ** _POWER, -2 * _POWER * s * (1 - s**2) ** (_POWER - 1) / half
+    # The measure makes the integral of the bump 1, so that y is a mean slope.
+    steps = _trapezoid_weights(t)
+    steps /= np.sum(steps * bump, axis=1, keepdims=True)
+    y = -np.einsum("wi,wi,wi->w", steps, slope, x[index])
+    integrals = np.einsum("wi,wi,mwi->mw", steps, bump, values[:, index])
+    owner = np.arange(len(starts)) * _WINDOWS // len(starts)
+    return [_Weak(integrals[:, owner == b], y[owner == b]) for b in np.unique(owner)]
+
+
+def _trapezoid_weights(t: np.ndarray) -> np.ndarray:
+    steps = np.diff(t, axis=1)
+    edge = np.zeros((len(t), 1))
+    return (np.hstack([edge, steps]) + np.hstack([steps, edge])) / 2
 
 
 def _terms(
@@ -112,25 +152,14 @@ def _is_ratio(expr: sympy.Expr) -> bool:
     return bool(sympy.fraction(expr)[1].free_symbols)
 
 
-def _residual(expr: sympy.Expr, samples: Samples) -> np.ndarray:
-    evaluated = compile_numpy([expr], [*samples.names, "t"])
-    return evaluated(np.concatenate([samples.X.T, samples.t[None]]))[0] - samples.y
-
-
 def _fit_member(
-    blocks: Sequence[Samples],
-    terms: tuple[tuple[sympy.Expr, ...], sympy.Expr],
-    noise: Noise,
-    sequence: np.random.SeedSequence,
+    blocks: Sequence[_Weak], noise: Noise, sequence: np.random.SeedSequence
 ) -> np.ndarray:
     """(m,) coefficients on one draw; 0 for a term that was dropped."""
     rng = np.random.default_rng(sequence)
-    drawn = join([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))])
-    exprs, bottom = terms
-    evaluated = compile_numpy([*exprs, bottom], [*drawn.names, "t"])
-    *rows, below = evaluated(np.concatenate([drawn.X.T, drawn.t[None]]))
-    values = np.array(rows) / below
-    keep = list(range(len(exprs)))
+    drawn = _join([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))])
+    values = drawn.values
+    keep = list(range(len(values)))
     coefficients, bits = _fit(values, keep, drawn.y, noise)
     while len(keep) > 1:
         trials = [_fit(values, [k for k in keep if k != out], drawn.y, noise) for out in keep]
@@ -139,7 +168,7 @@ def _fit_member(
             break
         coefficients, bits = trials[best]
         keep.pop(best)
-    full = np.zeros(len(exprs))
+    full = np.zeros(len(values))
     full[keep] = coefficients
     return full
 

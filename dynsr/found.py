@@ -60,13 +60,13 @@ class Discovery:
         times = self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
         if x0 is None:
             x0 = self.trajectories[0].select(slice(0, 1)).x[0][self._positions()]
-        given = {**self._inputs_at(times), **(inputs or {})}
+        given = {**self.inputs_at(times), **(inputs or {})}
         return predict(self.equations, x0, times, given, self.settings.get("engine", "embedded"))
 
     def _positions(self) -> list[int]:
         return [self.trajectories[0].index(state) for state in self.equations]
 
-    def _inputs_at(self, times: np.ndarray, run: Trajectory | None = None) -> dict[str, Any]:
+    def inputs_at(self, times: np.ndarray, run: Trajectory | None = None) -> dict[str, Any]:
         """Inputs as they were in the data; states without an equation are read from there."""
         given: dict[str, Any] = dict(self.inputs)
         source = run or (self.trajectories[0] if self.trajectories else None)
@@ -103,7 +103,7 @@ class Discovery:
     def _whole(self, run: Trajectory) -> np.ndarray:
         start = [run.x[0, run.index(state)] for state in self.equations]
         try:
-            return predict(self.equations, start, run.t, self._inputs_at(run.t, run)).x
+            return predict(self.equations, start, run.t, self.inputs_at(run.t, run)).x
         except DynsrError:
             return np.full((len(run), len(self.equations)), np.nan)
 
@@ -128,6 +128,20 @@ class Discovery:
         from dynsr.trainable import EquationModule
 
         return EquationModule(self.equations)
+
+    def hybrid(self, **settings: Any) -> Any:
+        """Train networks on what the equations leave (:func:`dynsr.hybrid.fit_hybrid`)."""
+        from dynsr.hybrid import fit_hybrid
+
+        return fit_hybrid(self, **settings)
+
+    def plot(self) -> Any:
+        """Draw the data and the equations integrated from their start; gives the figure."""
+        from dynsr.plots import draw_states
+
+        if not self.trajectories:
+            raise InputError("the data are not here; discover again before plotting")
+        return draw_states(self.trajectories[0], self.simulate())
 
     def report(self, path: str | Path) -> Path:
         """Write one self-contained HTML page; gives its path."""

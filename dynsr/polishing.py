@@ -19,6 +19,8 @@ from dynsr.trajectory import Trajectory
 _MOST_ROUNDS = 8
 # Bits that a term saves besides its number, when its constant becomes 0.
 _TERM_BITS = 6.0
+# A tie goes to the simple number.
+_TIE_BITS = 0.5
 _DIGITS = 8
 _SUREST = 1e-9
 
@@ -84,7 +86,7 @@ def _snap_surest(expr: sympy.Expr, pairs: Sequence[tuple[float, float]]) -> symp
         for simple in simple_numbers(value):
             gain = stay - number_bits(simple) - _miss_bits(float(simple), value, error)
             gain += _TERM_BITS if simple == 0 else 0.0
-            if gain > 0 and (best is None or gain > best[0]):
+            if gain > -_TIE_BITS and (best is None or gain > best[0]):
                 best = (gain, symbol, simple)
     if best is None:
         return expr

@@ -25,7 +25,11 @@ def _feynman(preset: str) -> AbstractMethod:
 
 
 def _feynman_beside() -> AbstractMethod:
-    """Give the stages that look at the samples as they are; reductions take a minute a state."""
+    """Give the stages that look at the samples as they are; reductions take a minute a state.
+
+    The search for sums and ratios runs beside it as a method of its own, so that its formulas
+    meet the others before any is snapped.
+    """
     from dynsr.methods.feynman.search import DynAIFeynman
 
     return DynAIFeynman.preset("best", stages=_DIRECT, candidates=50_000, max_depth=1)
@@ -38,11 +42,11 @@ METHODS: dict[str, Callable[[str], AbstractMethod]] = {
     "genetic": _genetic,
 }
 # Stages of DynAIFeynman that need no network.
-_DIRECT = ("rational", "polynomial", "brute force", "refinement", "snapping")
+_DIRECT = ("polynomial", "brute force", "refinement", "snapping")
 _ALIASES = {"ga": "genetic"}
 # What "auto" runs, by preset.
 _AUTO = {
-    "best": ("sindy", "dynaifeynman", "genetic"),
+    "best": ("rational", "sindy", "dynaifeynman", "genetic"),
     "quick": ("rational", "sindy"),
     "paper": ("sindy", "dynaifeynman", "genetic"),
 }

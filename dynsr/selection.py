@@ -20,8 +20,9 @@ from dynsr.trajectory import Trajectory
 _MOST_SNAPPED = 6
 _MOST_IMPROVED = 3
 _MOST_COMPARED = 5
-# Errors on held-back data this close are taken for equal; then fewer bits decide.
-_EQUAL = 1.25
+# Errors on held-back data within this factor are taken for equal, since the data have errors of
+# their own; then fewer bits decide.
+_EQUAL = 2.0
 # Share of the slopes below which nothing is told apart.
 _FINEST = 1e-7
 

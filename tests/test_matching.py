@@ -12,6 +12,7 @@ from dynsr.trajectory import Trajectory
 
 
 def lotka_volterra(noise=0.0, rows=601, seed=0):
+    """Give predators and prey, solved by scipy, with noise relative to each state."""
     t = np.linspace(0, 6, rows)
     exact = solve_ivp(
         lambda t, u: [u[0] * (1.5 - u[1]), -u[1] * (3 - u[0])],
@@ -30,6 +31,7 @@ TRUE = {"x": (1.5, -1.0), "y": (-3.0, 1.0)}
 
 
 def constants(match):
+    """Give the constants of every state, sorted."""
     return {s: sorted(v for v, _ in pairs) for s, pairs in match.errors.items()}
 
 

@@ -182,7 +182,8 @@ def _snap_form(expr: sympy.Expr, samples: Samples, noise: Noise) -> tuple[float,
         ranked = sorted(_snap_one(form, numbers, free, noise), key=lambda item: item[0])
         tried = [_follow(form, numbers, free, noise, *item) for item in ranked[:_MOST_TRIED]]
         best = min(tried, key=lambda item: item[0], default=None)
-        if best is None or best[0] >= least:
+        # A tie goes to the snapped one: later fits leave it alone.
+        if best is None or best[0] > least:
             break
         least, numbers, free = best
     return least, form.put(numbers)

@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dynsr.catalogue import CART_POLE
+from dynsr.errors import InputError
+from dynsr.exports import to_julia, to_latex, to_numpy, to_python
+from dynsr.expression import parse
+from dynsr.prediction import predict
+from dynsr.simulate import simulate
+
+EQUATIONS = dict(zip(CART_POLE.states, CART_POLE.rhs, strict=True))
+STATE = np.array([0.3, -0.2, 1.1, 0.4])
+FORCE = 0.7
+
+
+@pytest.fixture(scope="module")
+def expected():
+    """Give the slopes of the cart-pole written out by hand."""
+    w, _, y, z = STATE
+    below = 2 - np.cos(w) ** 2
+    return np.array(
+        [
+            y,
+            z,
+            -(19.62 * np.sin(w) + np.sin(w) * np.cos(w) * y**2 + FORCE * np.cos(w)) / below,
+            -(np.sin(w) * y**2 + 9.81 * np.sin(w) * np.cos(w) + FORCE) / below,
+        ]
+    )
+
+
+def test_the_numpy_function_is_the_equations(expected):
+    """One state or many at once give the slopes worked out by hand."""
+    rhs = to_numpy(EQUATIONS)
+    assert np.allclose(rhs(0.0, STATE, F=FORCE), expected, rtol=1e-14)
+    many = rhs(0.0, np.column_stack([STATE, STATE]), F=np.array([FORCE, FORCE]))
+    assert np.allclose(many, expected[:, None], rtol=1e-14)
+
+
+def test_the_python_code_runs_on_its_own(expected):
+    """The written module holds all it needs, and integrates with scipy."""
+    space: dict = {}
+    exec(to_python(EQUATIONS), space)  # noqa: S102 (our own output is what is under test)
+    assert np.allclose(space["rhs"](0.0, STATE, lambda t: FORCE), expected, rtol=1e-14)
+    solved = solve_ivp(space["rhs"], (0, 1), STATE, args=(lambda t: FORCE,))
+    assert solved.success
+
+
+def test_the_torch_module_is_the_equations_and_can_be_trained(expected):
+    """It gives the same slopes, and the gradient by a constant is the true one."""
+    import torch
+
+    from dynsr.trainable import EquationModule
+
+    module = EquationModule(EQUATIONS)
+    out = module(0.0, torch.tensor(STATE), F=torch.tensor(FORCE, dtype=torch.float64))
+    assert np.allclose(out.detach().numpy(), expected, rtol=1e-12)
+    decay = EquationModule({"x": parse("-0.5*x")})
+    decay(0.0, torch.tensor([3.0], dtype=torch.float64)).sum().backward()
+    assert decay.constants.grad.tolist() == [3.0]
+    assert decay.equations() == {"x": "-0.5*x"}
+
+
+def test_the_julia_code_parses_as_julia():
+    """A Julia parser finds no error in the function written."""
+    tree_sitter = pytest.importorskip("tree_sitter", reason="tree-sitter is not installed")
+    julia = pytest.importorskip("tree_sitter_julia", reason="tree-sitter-julia is not installed")
+    parser = tree_sitter.Parser(tree_sitter.Language(julia.language()))
+    code = to_julia({**EQUATIONS, "r": parse("x/3 + abs(y)^1.5")})
+    assert not parser.parse(code.encode()).root_node.has_error
+    assert "p.F(t)" in code and ".*" not in code
+
+
+def test_latex_is_short_and_complete():
+    """Constants have six digits and every state its dot."""
+    text = to_latex({"theta1": parse("9.810000001*theta2"), "theta2": parse("1/theta1")})
+    assert r"\dot{\theta_{1}} &= 9.81 \theta_{2}" in text
+    assert r"\frac{1}{\theta_{1}}" in text
+
+
+def test_prediction_by_expression_by_values_and_by_the_simulator_agree():
+    """The force as expression or as sampled values gives the simulator's own trajectory."""
+    t = np.linspace(0, 3, 301)
+    truth = simulate(CART_POLE, t=t, reltol=1e-10, abstol=1e-12).x
+    by_expression = predict(EQUATIONS, CART_POLE.x0, t, CART_POLE.inputs)
+    values = -0.2 + 0.5 * np.sin(6 * t)
+    by_values = predict(EQUATIONS, CART_POLE.x0, t, {"F": values})
+    assert np.allclose(by_expression.x, truth, atol=1e-6)
+    assert np.allclose(by_values.x, truth, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([1.0], [0.0, 1.0]), "nothing says what 'F' does"),
+        (([1.0], [0.0, 1.0], {"F": [1.0]}), r"input 'F' has shape \(1,\)"),
+        (([1.0, 2.0], [0.0, 1.0], {"F": "t"}), "x0 must be 1 numbers"),
+    ],
+)
+def test_what_is_missing_is_named(arguments, message):
+    """A missing input, one of the wrong length, and a wrong start are each one clear line."""
+    with pytest.raises(InputError, match=message):
+        predict({"x": parse("F - x")}, *arguments)

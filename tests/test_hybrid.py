@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dynsr.errors import InputError
+from dynsr.expression import evaluate, parse
+from dynsr.found import Discovery
+from dynsr.methods.feynman.rational import RationalSearch
+from dynsr.pareto import ParetoFront, rmse
+from dynsr.trajectory import Trajectory
+
+
+@pytest.fixture(scope="module")
+def lacking():
+    """Give an oscillator whose cubic spring, -0.8 q^3, is missing from its equations."""
+    t = np.linspace(0, 20, 1001)
+    x = solve_ivp(
+        lambda t, u: [u[1], -u[0] - 0.8 * u[0] ** 3 - 0.1 * u[1]],
+        (0, 20),
+        [1.5, 0.0],
+        t_eval=t,
+        rtol=1e-10,
+        atol=1e-10,
+    ).y.T
+    run = Trajectory(t, x, ("q", "v"))
+    equations = {"q": parse("v"), "v": parse("-q - 0.1*v")}
+    none = {"q": (), "v": ()}
+    fronts = {"q": ParetoFront(), "v": ParetoFront()}
+    return Discovery(equations, none, fronts, {}, (run,))
+
+
+@pytest.fixture(scope="module")
+def model(lacking):
+    """Train the hybrid once."""
+    return lacking.hybrid(epochs=300)
+
+
+def test_the_network_learns_the_missing_term(model, lacking):
+    """The network of v follows -0.8 q^3 to a few per cent of its size."""
+    samples = model.residual_samples("v")
+    missing = -0.8 * samples.columns["q"] ** 3
+    assert rmse(samples.y, missing) < 0.1 * np.std(missing)
+
+
+def test_it_says_how_much_the_network_carries(model):
+    """The complete equation leaves nothing to carry, the incomplete one much."""
+    assert model.shares["q"] < 0.001
+    assert model.shares["v"] > 0.05
+
+
+def test_prediction_with_both_parts_is_far_better(model, lacking):
+    """The trajectory of both parts misses the data far less than the equations alone."""
+    run = lacking.trajectories[0]
+    times = run.t[:501]
+    both = model.simulate(t=times)
+    alone = lacking.simulate(t=times)
+    assert rmse(both.x, run.x[:501]) < 0.2 * rmse(alone.x, run.x[:501])
+
+
+def test_the_residual_goes_back_to_the_symbolic_search(model):
+    """A search on what the network learned gives the cubic term."""
+    search = RationalSearch(costs=(3,), max_terms=1, denominators=False, rounds=1)
+    expr = model.explain("v", search).best_fit.expr
+    q = np.linspace(-1.2, 1.2, 50)
+    assert rmse(evaluate(expr, {"q": q, "v": 0 * q}), -0.8 * q**3) < 0.1
+
+
+def test_the_same_seed_gives_the_same_network(lacking):
+    """Two trainings with one seed agree to the last digit."""
+    X = lacking.trajectories[0].columns[:10]
+    first, second = (lacking.hybrid(epochs=5, seed=1).residuals["v"] for _ in range(2))
+    assert np.array_equal(first.evaluate(X), second.evaluate(X))
+
+
+def test_data_are_needed(lacking, tmp_path):
+    """A loaded discovery has no data to train on, and says so."""
+    loaded = Discovery.load(lacking.save(tmp_path / "d.json"))
+    with pytest.raises(InputError, match="data are not here"):
+        loaded.hybrid()

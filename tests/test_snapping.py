@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+import sympy
+
+from dynsr.expression import parse
+from dynsr.methods.feynman.description import Noise
+from dynsr.methods.snapping import as_decimals, normal_forms, refit, simple_numbers, snap
+from dynsr.methods.variation import improve, loosen, neighbours
+from dynsr.pareto import score_candidate
+from dynsr.samples import Samples
+
+
+@pytest.fixture
+def ratio():
+    """Give slopes of a ratio with a small error, of which a few are wild."""
+    rng = np.random.default_rng(0)
+    X = rng.uniform(0.2, 2.0, (300, 2))
+    x, v = X.T
+    y = (2.5 * x - 3 * v) / (2 + x**2) + rng.normal(0, 1e-4, 300)
+    y[::50] += 0.05
+    return Samples(X, y, ("x", "v"), "v", "given", np.arange(300.0))
+
+
+def same(expr, text):
+    """Say whether two formulas are the same function."""
+    return sympy.simplify(expr - sympy.nsimplify(parse(text), rational=True)) == 0
+
+
+def test_simple_numbers_hold_the_usual_ones():
+    """Near 2.6665 are 0, 3, 8/3 and short decimals, each once."""
+    found = simple_numbers(2.6665)
+    assert sympy.Rational(8, 3) in found and sympy.Rational(27, 10) in found
+    assert len(found) == len(set(found))
+
+
+def test_constants_of_a_ratio_snap_in_the_form_where_they_are_simple(ratio):
+    """A ratio normalised otherwise is brought to the form with simple constants."""
+    rough = parse("(1.26*x - 1.49*v)/(1 + 0.51*x^2)")
+    found = snap(rough, ratio, Noise(1e-4, 300.0))
+    assert same(found, "(2.5*x - 3*v)/(2 + x^2)")
+    assert not found.atoms(sympy.Float)
+
+
+def test_terms_that_do_not_pay_are_dropped(ratio):
+    """A term whose constant is within the errors becomes 0."""
+    rough = parse("(1.26*x - 1.49*v + 0.0001*v^2)/(1 + 0.51*x^2)")
+    assert same(snap(rough, ratio, Noise(1e-4, 300.0)), "(2.5*x - 3*v)/(2 + x^2)")
+
+
+def test_constants_that_are_not_simple_stay():
+    """A constant that no short number explains keeps its digits."""
+    x = np.linspace(1, 2, 100)
+    samples = Samples(x[:, None], 2.718281828 * x, ("x",), "x", "given", x)
+    found = snap(parse("2.7*x"), samples, Noise(1e-9, 100.0))
+    assert float(found.coeff(sympy.Symbol("x"))) == pytest.approx(2.718281828, abs=1e-8)
+
+
+def test_wild_rows_do_not_move_the_fit(ratio):
+    """The robust fit is right although every fiftieth slope is wild."""
+    found = refit(parse("(1.2*x - 1.4*v)/(1 + 0.6*x^2)"), ratio, 1e-4)
+    values = sorted(float(a) for a in found.atoms(sympy.Float))
+    assert values == pytest.approx([-1.5, 0.5, 1.25], abs=1e-3)
+
+
+def test_every_normal_form_is_the_same_function():
+    """The forms of a ratio agree in value."""
+    forms = normal_forms(parse("(1.5*x + 2.0)/(4.0 + 0.5*x)"))
+    assert len(forms) == 3
+    assert {round(float(f.subs("x", 0.7)), 12) for f in forms} == {round(3.05 / 4.35, 12)}
+
+
+def test_decimals_are_written_as_such_and_thirds_stay():
+    """981/100 becomes 9.81, 8/3 and powers stay."""
+    found = as_decimals(parse("981/100*x^2 - 8/3*y"))
+    assert found == sympy.Float(9.81) * parse("x^2") - sympy.Rational(8, 3) * sympy.Symbol("y")
+
+
+def test_loosening_frees_every_coefficient_but_one():
+    """Above the line all coefficients are floats; below it the last stays."""
+    loose = loosen(parse("(x - 3*v)/(2 - x)"))
+    assert len(loose.atoms(sympy.Float)) == 3
+
+
+def test_a_variable_gives_way_to_its_sine():
+    """Where y = sin(w) x, the near miss w x is led to it."""
+    rng = np.random.default_rng(1)
+    X = rng.uniform(-0.5, 0.5, (400, 2))
+    y = 3 * np.sin(X[:, 0]) * X[:, 1] + rng.normal(0, 1e-5, 400)
+    samples = Samples(X, y, ("w", "x"), "x", "given", np.arange(400.0))
+    start = score_candidate(parse("2.9*w*x"), samples, "planted")
+    found = improve(start, samples, Noise(1e-5, 400.0))
+    assert same(found.expr, "3*sin(w)*x")
+    assert parse("x*sin(w)") in neighbours(parse("w*x"))
