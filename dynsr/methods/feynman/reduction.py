@@ -23,6 +23,8 @@ from dynsr.samples import Samples
 
 _SPREAD = 0.15
 _LEAST_ROWS = 20
+# Most free constants of a short formula.
+_SHORT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +146,9 @@ class AbstractReducer(AbstractStage):
 class Reduce(AbstractStage):
     """Train the surrogate, ask every reducer, and solve what the surest reductions leave.
 
+    Nothing is taken apart when a short formula already follows the samples more closely than the
+    surrogate does: what the surrogate shows can then not be told from its own errors.
+
     Parameters
     ----------
     reducers : which properties to look for.
@@ -164,6 +169,8 @@ class Reduce(AbstractStage):
             return []
         context.tell("network", 0, 1)
         surrogate = context.surrogate(samples, context)
+        if context.depth == 0 and _explained(context.front, surrogate.validation_error):
+            return []
         found: list[AbstractReduction] = []
         for done, reducer in enumerate(self.reducers):
             context.tell(reducer.name, done, len(self.reducers))
@@ -176,3 +183,8 @@ class Reduce(AbstractStage):
             for expr in reduction.solve(samples, context):
                 candidates.append(score_candidate(expr, samples, reduction.kind))
         return candidates
+
+
+def _explained(front: ParetoFront, error: float) -> bool:
+    short = (c for c in front if len(c.expr.atoms(sympy.Float)) <= _SHORT)
+    return min((c.loss for c in short), default=np.inf) <= error

@@ -23,6 +23,7 @@ from dynsr.methods.feynman.rational import RationalSearch
 from dynsr.methods.feynman.reduction import AbstractReducer, Reduce
 from dynsr.methods.feynman.refinement import Refinement
 from dynsr.methods.feynman.separability import Separability
+from dynsr.methods.feynman.snap import polish
 from dynsr.methods.feynman.stage import AbstractStage, Context, Surrogate
 from dynsr.methods.feynman.symmetry import Symmetry
 from dynsr.methods.feynman.transforms import DOMAIN_CHANGES, DomainChange
@@ -43,6 +44,7 @@ STAGES = (
     "snapping",
 )
 SELECTIONS = ("lowest error", "description length")
+_DIRECT = ("rational", "polynomial", "brute force")
 _EXACT = 1e-9
 
 
@@ -82,6 +84,8 @@ class DynAIFeynman(AbstractMethod):
     max_depth : reductions after each other at most.
     changes : domain changes of the target.
     selection : which of SELECTIONS :meth:`choose` goes by.
+    agreement : so many of the direct stages (sums and ratios, polynomials, brute force) whose best
+        formulas, refined and snapped, are the same end the search; 0 never ends it early.
     time_budget : seconds after which no new part is begun; by default there is no limit, since a
         limit makes the result depend on the machine's speed.
 
@@ -98,9 +102,10 @@ class DynAIFeynman(AbstractMethod):
     epochs: int = 500
     candidates: float = 500_000
     branches: int = 2
-    max_depth: int = 3
+    max_depth: int = 2
     changes: tuple[str, ...] = DOMAIN_CHANGES
     selection: str = "description length"
+    agreement: int = 2
     time_budget: float | None = None
 
     name = "dynaifeynman"
@@ -171,20 +176,28 @@ class DynAIFeynman(AbstractMethod):
         return front.best_fit if self.selection == "lowest error" else choose(front, samples)
 
     def _solve(self, samples: Samples, context: Context) -> list[Candidate]:
-        """Run the stages in order until one is exact."""
+        """Run the stages in order until one is exact or several agree."""
         found: list[Candidate] = []
+        bests: list[sympy.Expr] = []
         size = float(np.std(samples.y))
+        settled = False
         for stage in self._pipeline(samples, context.depth):
             if context.seconds_left <= 0 or context.interrupted:
                 break
-            if found and min(c.loss for c in found) <= _EXACT * size and stage.name != "refinement":
-                continue
-            context.tell(stage.name, 0, None)
             if isinstance(stage, Refinement):
                 stage = replace(stage, candidates=tuple(found))
+            elif settled:
+                continue
+            context.tell(stage.name, 0, None)
             fresh = stage.run(samples, context)
             found += fresh
             context.offer(fresh)
+            settled = bool(found) and min(c.loss for c in found) <= _EXACT * size
+            if self.agreement and context.depth == 0 and stage.name in _DIRECT and not settled:
+                polished = polish(fresh, samples, 2)
+                context.offer(polished)
+                bests += [c.expr for c in polished[:1]]
+                settled = bests.count(bests[-1]) >= self.agreement if bests else False
         return found
 
     def _pipeline(self, samples: Samples, depth: int) -> list[AbstractStage]:
@@ -232,8 +245,8 @@ PRESETS = {
         sparse=False,
         candidates=200_000,
         branches=1,
-        max_depth=2,
         selection="lowest error",
+        agreement=0,
     ),
     "best": DynAIFeynman(),
 }
