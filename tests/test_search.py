@@ -61,7 +61,7 @@ def test_a_law_beyond_the_direct_stages_is_found_through_the_network():
         stages=("polynomial", "domain change", "symmetry"),
         sparse=False,
         changes=changes,
-        epochs=120,
+        epochs=250,
     )
     found, missed = (m.search(samples, _rng()).best_fit.loss for m in (reduced, direct))
     assert found < 1e-6 * missed
