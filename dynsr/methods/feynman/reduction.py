@@ -9,6 +9,7 @@ for: a trajectory is a thin curve, and off it a surrogate knows nothing.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,6 @@ from dynsr.samples import Samples
 
 _SPREAD = 0.15
 _LEAST_ROWS = 20
-# Most free constants of a short formula.
 _SHORT = 8
 
 
@@ -185,6 +185,10 @@ class Reduce(AbstractStage):
         return candidates
 
 
+def short(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Give the formulas of at most 8 free constants."""
+    return [c for c in candidates if len(c.expr.atoms(sympy.Float)) <= _SHORT]
+
+
 def _explained(front: ParetoFront, error: float) -> bool:
-    short = (c for c in front if len(c.expr.atoms(sympy.Float)) <= _SHORT)
-    return min((c.loss for c in short), default=np.inf) <= error
+    return min((c.loss for c in short(front)), default=np.inf) <= error

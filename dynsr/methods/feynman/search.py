@@ -20,7 +20,7 @@ from dynsr.methods.feynman.compositionality import (
 from dynsr.methods.feynman.description import choose
 from dynsr.methods.feynman.polynomial import Polynomial
 from dynsr.methods.feynman.rational import RationalSearch
-from dynsr.methods.feynman.reduction import AbstractReducer, Reduce
+from dynsr.methods.feynman.reduction import AbstractReducer, Reduce, short
 from dynsr.methods.feynman.refinement import Refinement
 from dynsr.methods.feynman.separability import Separability
 from dynsr.methods.feynman.snap import polish
@@ -193,12 +193,20 @@ class DynAIFeynman(AbstractMethod):
             found += fresh
             context.offer(fresh)
             settled = bool(found) and min(c.loss for c in found) <= _EXACT * size
-            if self.agreement and context.depth == 0 and stage.name in _DIRECT and not settled:
-                polished = polish(fresh, samples, 2)
-                context.offer(polished)
-                bests += [c.expr for c in polished[:1]]
-                settled = bests.count(bests[-1]) >= self.agreement if bests else False
+            if context.depth == 0 and not settled and stage.name in _DIRECT:
+                bests += self._agree(fresh, samples, context)
+                settled = bool(bests) and bests.count(bests[-1]) >= self.agreement > 0
         return found
+
+    def _agree(
+        self, fresh: list[Candidate], samples: Samples, context: Context
+    ) -> list[sympy.Expr]:
+        """Snap a stage's best short formula, so that stages can be compared."""
+        if not self.agreement or "snapping" not in self.stages:
+            return []
+        polished = polish(short(fresh), samples, 2)
+        context.offer(polished)
+        return [candidate.expr for candidate in polished[:1]]
 
     def _pipeline(self, samples: Samples, depth: int) -> list[AbstractStage]:
         polynomial = Polynomial(self.degree, self.sparse and depth == 0)
