@@ -11,7 +11,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
+from decimal import Decimal
 from functools import lru_cache
 from typing import Any
 
@@ -381,9 +381,10 @@ def number_bits(number: sympy.Expr) -> float:
     """Bits that one number of an expression costs.
 
     An integer n costs log2(1 + |n|), a rational p/q costs log2((1 + |p|) q), and a real the
-    cheaper of its shortest decimal as a rational and log2(1 + (|r| / 2^-30)^2) / 2 (Udrescu et
-    al. 2020, "AI Feynman 2.0", table 1, with the same resolution as for residuals). So a constant
-    that is rounded to the digits which the data support becomes cheaper.
+    cheaper of its shortest decimal, n/10^k at log2((1 + |n|) 10^k), and
+    log2(1 + (|r| / 2^-30)^2) / 2 (Udrescu et al. 2020, "AI Feynman 2.0", table 1, with the same
+    resolution as for residuals). So a constant that is rounded to the digits which the data
+    support becomes cheaper.
 
     >>> round(number_bits(sympy.Integer(3)), 3)
     2.0
@@ -394,8 +395,9 @@ def number_bits(number: sympy.Expr) -> float:
     if not math.isfinite(value):
         return math.inf
     real = 0.5 * math.log2(1 + (value / REAL_RESOLUTION) ** 2) if abs(value) < 1e150 else 530.0
-    decimal = Fraction(repr(value))
-    return min(real, math.log2(1 + abs(decimal.numerator)) + math.log2(decimal.denominator))
+    _, digits, exponent = Decimal(repr(value)).normalize().as_tuple()
+    shifted = int("".join(map(str, digits))) * 10 ** max(int(exponent), 0)
+    return min(real, math.log2(1 + shifted) + max(-int(exponent), 0) * math.log2(10))
 
 
 def complexity(expr: sympy.Expr) -> float:

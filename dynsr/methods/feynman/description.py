@@ -21,7 +21,7 @@ import numpy as np
 
 from dynsr.expression import REAL_RESOLUTION, complexity, evaluate
 from dynsr.pareto import Candidate
-from dynsr.samples import Samples
+from dynsr.samples import SCHEMES, Samples
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,14 @@ class Noise:
     effective_rows: float
 
 
-def estimate_noise(residuals: Iterable[np.ndarray], y: np.ndarray) -> Noise:
+def estimate_noise(
+    residuals: Iterable[np.ndarray], y: np.ndarray, rows_per_run: float = 2.0
+) -> Noise:
     """Take the noise from the residuals of the formula that explains most rows best.
 
     The floor is the smallest median of |r| over the given residual vectors, at least 2^-30 of the
-    size of ``y``. Residuals of a trajectory keep their sign over many rows; the number of runs of
-    one sign says how many of them are independent (n rows of white noise have n / 2 runs).
+    size of ``y``. Residuals of a trajectory keep their sign over many rows, so a run of one sign
+    counts as ``rows_per_run`` independent rows (n rows of white noise have n / 2 runs).
 
     >>> estimate_noise([np.array([1.0, -1.0, 1.0, -1.0])], np.ones(4))
     Noise(floor=1.0, effective_rows=4.0)
@@ -50,8 +52,11 @@ def estimate_noise(residuals: Iterable[np.ndarray], y: np.ndarray) -> Noise:
             best, floor = residual, median
     if not math.isfinite(floor):
         floor = size
+    if floor <= REAL_RESOLUTION * size:
+        # Rounding errors are no noise: their signs say nothing, and every row is exact.
+        return Noise(REAL_RESOLUTION * size, float(len(y)))
     runs = 1 + int(np.count_nonzero(np.diff(np.signbit(best))))
-    return Noise(max(floor, REAL_RESOLUTION * size), float(min(len(y), 2 * runs)))
+    return Noise(floor, float(min(len(y), rows_per_run * runs)))
 
 
 def data_bits(residual: np.ndarray, noise: Noise) -> float:
@@ -76,8 +81,14 @@ def description_length(candidate: Candidate, samples: Samples, noise: Noise) -> 
 
 
 def noise_of(candidates: Iterable[Candidate], samples: Samples) -> Noise:
-    """Estimate the noise of samples from the residuals of many candidates."""
-    return estimate_noise((residuals(c, samples) for c in candidates), samples.y)
+    """Estimate the noise of samples from the residuals of many candidates.
+
+    Errors of plain differences change their sign inside every step of the solver that made the
+    states and average out; those of a smoother hang together over its whole window, beyond the
+    runs of their sign, and count half.
+    """
+    rows_per_run = 2.0 if samples.scheme in SCHEMES or samples.scheme == "given" else 1.0
+    return estimate_noise((residuals(c, samples) for c in candidates), samples.y, rows_per_run)
 
 
 def choose(

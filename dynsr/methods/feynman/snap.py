@@ -69,7 +69,7 @@ def snap(expr: sympy.Expr, samples: Samples, noise: Noise) -> sympy.Expr:
 
 
 def _bits(refined: Refined, noise: Noise) -> float:
-    return complexity(refined.expr) + data_bits(refined.residual, noise)
+    return complexity(tidy(refined.expr)) + data_bits(refined.residual, noise)
 
 
 def _snapped_once(
@@ -96,7 +96,7 @@ def _options(now: Refined, samples: Samples, noise: Noise) -> list[tuple[float, 
             data = data_bits(samples.y - predicted, noise)
             if math.isfinite(data):
                 numbers: list[float | sympy.Expr] = [float(v) for v in moved]
-                numbers[index] = number
+                numbers[index] = tidy(number)
                 options.append((data + complexity(now.template.fill(numbers)), index, number))
     return sorted(options, key=lambda option: (option[0], option[1], str(option[2])))
 

@@ -1,0 +1,248 @@
+"""The genetic algorithm over bitstrings that the paper compares with (GA-Baseline, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import sympy
+
+from dynsr.errors import InputError
+from dynsr.methods.base import AbstractMethod, Progress, Report, silent
+from dynsr.methods.grammar import (
+    DEFAULT_CONSTANTS,
+    DEFAULT_FUNCTIONS,
+    DEFAULT_OPERATORS,
+    PAD,
+    Grammar,
+)
+from dynsr.methods.words import evaluate_words, to_postfix, to_sympy, word_bits
+from dynsr.pareto import ParetoFront, score_candidate
+from dynsr.samples import Samples
+
+# Table 2 of the paper, and per system the terminals of its printed words, which hold the true
+# coefficients ("an optimistic estimate", section 4). Twenty bits hold those words only with eight
+# symbols and four functions (see the grammar's own text); sixty hold the whole grammar.
+_PAPER: dict[str, dict] = {
+    "lotka-volterra": {
+        "bits": 20,
+        "population": 70,
+        "iterations": 100,
+        "constants": (1.0, -3.0),
+        "operators": ("+", "*", "^"),
+        "functions": ("sin", "cos", "exp", "identity"),
+    },
+    "pendulum": {
+        "bits": 20,
+        "population": 70,
+        "iterations": 40,
+        "constants": (-9.81, -0.1, -1.0),
+        "operators": ("+", "*"),
+        "functions": ("sin", "cos", "exp", "identity"),
+    },
+    "cart-pole": {
+        "bits": 60,
+        "population": 100,
+        "iterations": 100,
+        "constants": (-1.0, 2.0, 9.81, 0.5, 6.0, -0.2),
+        "variables": ("w", "x", "y", "z"),
+    },
+}
+
+
+@dataclass(frozen=True)
+class GeneticAlgorithm(AbstractMethod):
+    """Evolve bitstrings that decode to words of a grammar.
+
+    Each bit of the first population is 1 with probability 1/2. In every iteration the fitness of
+    each word is its RMSE on the samples, the best half survives, and one mutant of each survivor,
+    every bit flipped with probability ``mutation``, fills the rest. A string that is no word is
+    drawn (or mutated) again until it is one. The front holds everything seen.
+
+    Parameters
+    ----------
+    bits : length of a bitstring.
+    population, iterations : sizes; Table 2 of the paper.
+    mutation : probability that a mutation flips a bit.
+    constants, operators, functions : terminals and operations of the grammar.
+    variables : names of the samples' columns that may occur; all of them when None.
+    scaled : judge each word f by a f + b with a, b fitted by least squares; the paper does not.
+
+    >>> x = np.linspace(0.0, 6.0, 50)
+    >>> samples = Samples(x[:, None], np.sin(x) + 2.0, ("x",), "x", "given", x)
+    >>> GeneticAlgorithm().search(samples, np.random.default_rng(1)).best_fit.expr
+    sin(x) + 2.0
+    """
+
+    bits: int = 60
+    population: int = 100
+    iterations: int = 100
+    mutation: float = 0.1
+    constants: tuple[float, ...] = DEFAULT_CONSTANTS
+    operators: tuple[str, ...] = DEFAULT_OPERATORS
+    functions: tuple[str, ...] = DEFAULT_FUNCTIONS
+    variables: tuple[str, ...] | None = None
+    scaled: bool = False
+    name: str = field(default="ga", init=False)
+
+    def __post_init__(self) -> None:
+        """Check the numbers; raises InputError."""
+        for key, least in (("bits", 1), ("population", 2), ("iterations", 0)):
+            value = getattr(self, key)
+            if int(value) != value or value < least:
+                raise InputError(
+                    f"{key} {value!r} of the GA must be a whole number from {least} up"
+                )
+        if not 0 < self.mutation < 1:
+            raise InputError(f"mutation rate {self.mutation} of the GA must lie between 0 and 1")
+
+    @classmethod
+    def preset(cls, name: str = "paper", system_name: str | None = None) -> GeneticAlgorithm:
+        """Give the settings called ``name``: "paper" (Table 2), "best" or "quick".
+
+        A system that the paper does not have gets the cart-pole's sizes and general constants.
+        "best" scales every word and searches far more of them; "quick" is a tenth of the paper's.
+
+        >>> GeneticAlgorithm.preset("paper", "pendulum").iterations
+        40
+        """
+        paper = cls(**_PAPER.get(system_name or "", {}))
+        if name == "paper":
+            return paper
+        if name == "quick":
+            return replace(paper, iterations=max(4, paper.iterations // 10))
+        if name == "best":
+            return cls(bits=120, population=1000, iterations=200, mutation=0.05, scaled=True)
+        raise InputError(f"unknown preset {name!r} of the GA; the presets are: paper, best, quick")
+
+    def grammar(self, names: Sequence[str]) -> Grammar:
+        """Give the grammar over the columns ``names`` of some samples."""
+        chosen = tuple(names) if self.variables is None else self.variables
+        unknown = [name for name in chosen if name not in names]
+        if unknown:
+            raise InputError(
+                f"the samples have no column {unknown[0]!r}; their columns are: {', '.join(names)}"
+            )
+        return Grammar(chosen, self.constants, self.operators, self.functions)
+
+    def search(
+        self, samples: Samples, rng: np.random.Generator, report: Report = silent
+    ) -> ParetoFront:
+        """Evolve; see AbstractMethod. Duplicate words are evaluated once in the whole search."""
+        seen = _Seen(self.grammar(samples.names), samples, self.scaled)
+        try:
+            self._evolve(seen, rng, report)
+        except KeyboardInterrupt:
+            pass
+        return seen.front()
+
+    def _evolve(self, seen: _Seen, rng: np.random.Generator, report: Report) -> None:
+        parents = np.zeros((self.population, self.bits), dtype=bool)
+        population, words = self._valid(seen.grammar, parents, 0.5, rng)
+        loss = seen.losses(words)
+        survivors = (self.population + 1) // 2
+        for iteration in range(self.iterations):
+            best = np.argsort(loss, kind="stable")[:survivors]
+            parents = population[best][: self.population - survivors]
+            mutants, new = self._valid(seen.grammar, parents, self.mutation, rng)
+            population = np.concatenate([population[best], mutants])
+            loss = np.concatenate([loss[best], seen.losses(new)])
+            if report is not silent:
+                report(Progress("generations", iteration + 1, self.iterations, seen.front()))
+
+    def _valid(
+        self, grammar: Grammar, parents: np.ndarray, rate: float, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Flip bits of each parent with probability ``rate``, again until the child is a word."""
+        width = self.bits // max(grammar.symbol_bits, 1) + 1
+        children, words = parents.copy(), np.full((len(parents), width), PAD)
+        rows = np.arange(len(parents))
+        if self.bits < grammar.symbol_bits:
+            raise InputError(
+                f"{self.bits} bits hold no symbol; this grammar needs {grammar.symbol_bits} each"
+            )
+        while rows.size:
+            drawn = parents[rows] ^ (rng.random((rows.size, self.bits)) < rate)
+            infix, valid = grammar.decode(drawn)
+            postfix = to_postfix(infix[valid], grammar)[:, :width]
+            words[rows[valid], : postfix.shape[1]] = postfix
+            children[rows[valid]] = drawn[valid]
+            rows = rows[~valid]
+        return children, words
+
+
+class _Seen:
+    """Every distinct word seen, with its loss; and the front of them."""
+
+    def __init__(self, grammar: Grammar, samples: Samples, scaled: bool) -> None:
+        self.grammar, self.samples, self.scaled = grammar, samples, scaled
+        columns = [samples.names.index(name) for name in grammar.variables]
+        self.columns = np.ascontiguousarray(samples.X[:, columns].T)
+        self.known: dict[bytes, float] = {}
+        self.words = np.empty((0, 0), dtype=np.int64)
+        self.bits = self.loss = np.empty(0)
+        self.made: tuple[bytes, ParetoFront] = (b"", ParetoFront())
+
+    def losses(self, words: np.ndarray) -> np.ndarray:
+        """RMSE of each word (N, T) on the samples; only words not seen before are evaluated."""
+        keys = [word.tobytes() for word in words]
+        new = {key: row for row, key in reversed(list(enumerate(keys))) if key not in self.known}
+        if new:
+            fresh = words[sorted(new.values())]
+            loss = self._evaluate(fresh)
+            self.known.update(zip((w.tobytes() for w in fresh), loss.tolist(), strict=True))
+            self._keep(fresh, loss)
+        return np.array([self.known[key] for key in keys])
+
+    def _evaluate(self, words: np.ndarray) -> np.ndarray:
+        values, y = evaluate_words(words, self.columns, self.grammar), self.samples.y
+        with np.errstate(all="ignore"):
+            if self.scaled:
+                slope, offset = _line(values, y)
+                values = slope[:, None] * values + offset[:, None]
+            loss = np.sqrt(np.mean((values - y) ** 2, axis=1))
+        return np.where(np.isfinite(loss), loss, np.inf)
+
+    def _keep(self, words: np.ndarray, loss: np.ndarray) -> None:
+        """Keep what no other word beats in both loss and length as it is written."""
+        finite = np.isfinite(loss)
+        if not finite.any():
+            return
+        words, loss = words[finite], loss[finite]
+        bits = word_bits(words, self.grammar)
+        if len(self.words):
+            words = np.concatenate([self.words, words])
+            loss, bits = np.concatenate([self.loss, loss]), np.concatenate([self.bits, bits])
+        order = np.lexsort((loss, bits))
+        lowest = np.minimum.accumulate(loss[order])
+        better = np.append(True, loss[order][1:] < lowest[:-1])
+        kept = order[better]
+        self.words, self.loss, self.bits = words[kept], loss[kept], bits[kept]
+
+    def front(self) -> ParetoFront:
+        """Give the front as SymPy candidates; made anew only when it has changed."""
+        key = self.words.tobytes()
+        if key != self.made[0]:
+            found = [e for e in map(self._expression, self.words) if e is not None]
+            front = ParetoFront(score_candidate(e, self.samples, "ga") for e in found)
+            self.made = (key, front)
+        return self.made[1]
+
+    def _expression(self, word: np.ndarray) -> sympy.Expr | None:
+        expr = to_sympy(word, self.grammar)
+        if expr is None or not self.scaled:
+            return expr
+        values = evaluate_words(word[None], self.columns, self.grammar)
+        slope, offset = _line(values, self.samples.y)
+        return sympy.Float(slope[0]) * expr + sympy.Float(offset[0])
+
+
+def _line(values: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes and offsets a, b (N,) of the least-squares lines y = a f + b, a = 0 for constant f."""
+    mean = values.mean(axis=1)
+    centred = values - mean[:, None]
+    spread = np.einsum("ij,ij->i", centred, centred)
+    flat = spread <= 1e-24 * (1 + mean**2) * len(y)
+    slope = np.where(flat, 0.0, centred @ (y - y.mean()) / np.where(flat, 1.0, spread))
+    return slope, y.mean() - slope * mean

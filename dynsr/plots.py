@@ -1,0 +1,257 @@
+"""Pictures, as matplotlib figures; no other file of dynsr names matplotlib.
+
+Every function gives a new figure of its own and touches no global state. Colours are those of
+Okabe and Ito, which colour-blind readers tell apart, and each curve has its own line style too.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from dynsr.pareto import ParetoFront
+from dynsr.samples import Samples
+from dynsr.trajectory import Trajectory
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+STYLES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
+MARKERS = ("o", "s", "^", "D", "v", "P")
+# What a curve that runs away may take of the picture: this many spans of the truth.
+_ROOM = 0.6
+_STYLE = {
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "legend.frameon": False,
+    "svg.hashsalt": "dynsr",
+    "path.simplify_threshold": 0.5,
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One state over time: the truth, and what was inferred.
+
+    Parameters
+    ----------
+    title, state, unit : what is shown; the state's name labels the axis.
+    t : (n,) times in seconds.
+    truth : (n,) true values, in the state's unit.
+    found : label -> (r, n) values of r runs; NaN from where a run diverged.
+    """
+
+    title: str
+    state: str
+    t: np.ndarray
+    truth: np.ndarray
+    found: Mapping[str, np.ndarray] = field(default_factory=dict)
+    unit: str = ""
+
+
+def draw_panels(panels: Sequence[Panel]) -> Figure:
+    """Draw true and inferred curves, one panel beside the other (the paper's Figure 1).
+
+    Every run is a thin line and the first run of each label a thick one. The axis follows the
+    truth, so that a run that leaves it does not flatten the rest.
+    """
+    figure, axes = _canvas(1, len(panels), (5.2 * len(panels), 3.6))
+    for axis, panel in zip(axes.flat, panels, strict=True):
+        axis.plot(panel.t, panel.truth, color="black", lw=2.6, label="truth", alpha=0.8)
+        for k, (label, runs) in enumerate(panel.found.items()):
+            for r, run in enumerate(np.atleast_2d(runs)):
+                axis.plot(
+                    panel.t,
+                    run,
+                    color=COLOURS[k % len(COLOURS)],
+                    ls=STYLES[k % len(STYLES)],
+                    lw=1.6 if r == 0 else 0.7,
+                    alpha=1.0 if r == 0 else 0.45,
+                    label=label if r == 0 else None,
+                )
+        _follow(axis, panel.truth, [np.asarray(runs) for runs in panel.found.values()])
+        axis.set(title=panel.title, xlabel="time t (s)", ylabel=_label(panel.state, panel.unit))
+    _legend_below(figure, axes.flat[0])
+    return figure
+
+
+def draw_states(
+    true: Trajectory,
+    found: Trajectory | None = None,
+    intervals: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Figure:
+    """Draw every state of a trajectory over time, with the one found and its intervals.
+
+    ``intervals`` gives (lower, upper) arrays at the times of ``found`` for some states.
+    """
+    figure, axes = _canvas(len(true.states), 1, (6.4, 1.9 * len(true.states) + 0.8), sharex=True)
+    for axis, state in zip(axes.flat, true.states, strict=True):
+        column = true.x[:, true.index(state)]
+        axis.plot(true.t, column, color="black", lw=2.2, alpha=0.8, label="data")
+        if found is not None:
+            curve = found.x[:, found.index(state)]
+            axis.plot(found.t, curve, color=COLOURS[1], ls="--", lw=1.4, label="found")
+            if intervals and state in intervals:
+                axis.fill_between(
+                    found.t, *intervals[state], color=COLOURS[1], alpha=0.25, label="interval"
+                )
+            _follow(axis, column, [curve])
+        axis.set_ylabel(_label(state, (units or {}).get(state, "")))
+    axes.flat[-1].set_xlabel("time t (s)")
+    _legend_below(figure, axes.flat[0])
+    return figure
+
+
+def draw_fronts(fronts: Mapping[str, ParetoFront], noise_floor: float | None = None) -> Figure:
+    """Draw Pareto fronts: loss against description length, one line of steps a label."""
+    figure, axes = _canvas(1, 1, (5.6, 3.8))
+    axis = axes.flat[0]
+    for k, (label, front) in enumerate(fronts.items()):
+        bits = [c.complexity for c in front]
+        # A loss of 0 has no logarithm; it is drawn at the smallest float's scale.
+        loss = [max(c.loss, 1e-16) for c in front]
+        colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
+        axis.step(bits, loss, where="post", color=colour, alpha=0.6)
+        axis.plot(bits, loss, marker, color=colour, label=label)
+    if noise_floor:
+        axis.axhline(noise_floor, color="black", ls=":", lw=1, label="noise floor")
+    axis.set(
+        yscale="log",
+        xlabel="description length (bits)",
+        ylabel="RMSE on the samples (state units / s)",
+    )
+    axis.legend()
+    return figure
+
+
+def draw_residuals(samples: Samples, predicted: np.ndarray) -> Figure:
+    """Draw what a formula leaves over: residuals over time, and how they are distributed."""
+    residuals = samples.y - np.asarray(predicted, dtype=float)
+    figure, axes = _canvas(1, 2, (8.4, 3.2), width_ratios=(3, 1), sharey=True)
+    over_time, histogram = axes.flat
+    over_time.plot(samples.t, residuals, ".", ms=2.5, color=COLOURS[0])
+    over_time.axhline(0.0, color="black", lw=0.8)
+    over_time.set(xlabel="time t (s)", ylabel=f"residual of d{samples.target}/dt (state units / s)")
+    finite = residuals[np.isfinite(residuals)]
+    histogram.hist(finite, bins=40, orientation="horizontal", color=COLOURS[0], alpha=0.7)
+    histogram.set(xlabel="samples")
+    return figure
+
+
+def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str, up: str) -> Figure:
+    """Draw one state against another: the true path and the one found."""
+    figure, axes = _canvas(1, 1, (4.8, 4.4))
+    axis = axes.flat[0]
+    i, j = true.index(across), true.index(up)
+    axis.plot(true.x[:, i], true.x[:, j], color="black", lw=2.2, alpha=0.8, label="data")
+    axis.plot(*true.x[0, [i, j]], "o", color="black", label="start")
+    if found is not None:
+        path = found.x[:, [found.index(across), found.index(up)]]
+        axis.plot(*path.T, color=COLOURS[1], ls="--", lw=1.4, label="found")
+        _follow(axis, true.x[:, j], [path[:, 1]])
+        low, high = _limits(true.x[:, i], [path[:, 0]])
+        axis.set_xlim(low, high)
+    axis.set(xlabel=across, ylabel=up)
+    axis.legend()
+    return figure
+
+
+def draw_recovery(
+    levels: Sequence[float],
+    rates: Mapping[str, Sequence[float]],
+    intervals: Mapping[str, tuple[Sequence[float], Sequence[float]]] | None = None,
+) -> Figure:
+    """Draw how often each method recovers the equation (0 to 1) as the noise grows.
+
+    ``levels`` are relative noise levels, 0 included if wanted; ``intervals`` (lower, upper).
+    """
+    figure, axes = _canvas(1, 1, (5.6, 3.6))
+    axis = axes.flat[0]
+    at = np.arange(len(levels))
+    for k, (label, rate) in enumerate(rates.items()):
+        colour = COLOURS[k % len(COLOURS)]
+        style = STYLES[k % len(STYLES)]
+        axis.plot(at, rate, color=colour, ls=style, marker=MARKERS[k % len(MARKERS)], label=label)
+        if intervals and label in intervals:
+            axis.fill_between(at, *intervals[label], color=colour, alpha=0.15)
+    axis.set_xticks(at, [f"{100 * level:g}" for level in levels])
+    axis.set(ylim=(-0.03, 1.03), xlabel="noise (% of each state's deviation)")
+    axis.set_ylabel("share of runs that recover the equation")
+    axis.legend()
+    return figure
+
+
+def to_bytes(figure: Figure, kind: str = "png", dpi: int = 150) -> bytes:
+    """Give the picture as a file's content; the same figure gives the same bytes."""
+    out = io.BytesIO()
+    # Without a date and a version, so that equal pictures are equal files.
+    metadata: dict[str, None] = {"Software": None} if kind == "png" else {"Date": None}
+    if kind == "pdf":
+        metadata = {"CreationDate": None}
+    with rc_context(_STYLE):
+        figure.savefig(out, format=kind, dpi=dpi, metadata=metadata)
+    return out.getvalue()
+
+
+def to_data_uri(figure: Figure) -> str:
+    """Give the picture as a data URI, to be put into a page as it is."""
+    encoded = base64.b64encode(to_bytes(figure, "png", 160)).decode()
+    return f"data:image/png;base64,{encoded}"
+
+
+def _canvas(
+    rows: int,
+    columns: int,
+    size: tuple[float, float],
+    width_ratios: Sequence[float] | None = None,
+    sharex: bool = False,
+    sharey: bool = False,
+) -> tuple[Figure, np.ndarray]:
+    with rc_context(_STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(
+            rows,
+            columns,
+            squeeze=False,
+            sharex=sharex,
+            sharey=sharey,
+            gridspec_kw={"width_ratios": width_ratios} if width_ratios else None,
+        )
+    return figure, axes
+
+
+def _limits(truth: np.ndarray, found: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Limits that hold the truth, and as much of the rest as is near it."""
+    low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
+    room = _ROOM * ((high - low) or 1.0)
+    for values in found:
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            low = min(low, max(float(finite.min()), float(np.nanmin(truth)) - room))
+            high = max(high, min(float(finite.max()), float(np.nanmax(truth)) + room))
+    margin = 0.05 * ((high - low) or 1.0)
+    return low - margin, high + margin
+
+
+def _follow(axis: Axes, truth: np.ndarray, found: Sequence[np.ndarray]) -> None:
+    axis.set_ylim(*_limits(truth, found))
+
+
+def _label(state: str, unit: str) -> str:
+    return f"{state} ({unit})" if unit else state
+
+
+def _legend_below(figure: Figure, axis: Axes) -> None:
+    handles, labels = axis.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))

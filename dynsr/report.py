@@ -1,0 +1,141 @@
+"""Reports: results as one HTML page that needs nothing else, and every table and picture as a file.
+
+Pages are made from the templates beside this file; pictures are put into them as data URIs, so
+that a page can be mailed, printed and read on a phone without a network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from dynsr.records import Record, write_bytes, write_text
+from dynsr.results import all_tables, drawable, figure_1
+from dynsr.tables import Formula, Table, format_value
+
+FORMATS = ("csv", "md", "tex")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture as a data URI, with the sentence that says what it shows."""
+
+    uri: str
+    caption: str
+
+
+def render_page(template: str, **content: Any) -> str:
+    """Fill a template of ``dynsr/templates``; every text in ``content`` is escaped.
+
+    Tables are shown by ``show_table`` of ``parts.html.j2``, a Picture by ``show_picture``, pairs
+    of names and values by ``show_facts``.
+    """
+    environment = Environment(
+        loader=PackageLoader("dynsr"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["read"] = format_value
+    environment.tests["formula"] = lambda value: isinstance(value, Formula)
+    return environment.get_template(template).render(**content)
+
+
+def render_replication(
+    records: Sequence[Record], settings: Mapping[str, Any], tables: Sequence[Table] | None = None
+) -> str:
+    """Give the report of a replication as one page: tables, pictures, and how it was made."""
+    from dynsr.plots import to_data_uri
+
+    engine = str(settings["engine"])
+    pictures = [
+        Picture(to_data_uri(figure_1(records, systems, engine)), caption)
+        for systems, caption in _pictures(records)
+    ]
+    failed = [r for r in records if not r.done]
+    return render_page(
+        "replication.html.j2",
+        summary=_summary(records),
+        quick=settings["quick"],
+        failures=[f"{r.system}, {r.method}, run {r.run}: {r.error}" for r in failed],
+        tables=tables or all_tables(records),
+        pictures=pictures,
+        facts=_facts(records, settings),
+    )
+
+
+def write_results(
+    folder: Path, records: Sequence[Record], settings: Mapping[str, Any]
+) -> list[Path]:
+    """Write the tables as CSV, Markdown and LaTeX, Figure 1 and report.html; give their paths."""
+    from dynsr.plots import to_bytes
+
+    written = []
+    tables = all_tables(records)
+    for table in tables:
+        written += write_table(table, folder / "tables")
+    systems, _ = drawable(records)
+    if systems:
+        figure = figure_1(records, systems, str(settings["engine"]))
+        for kind in ("png", "pdf"):
+            written.append(folder / f"figure1.{kind}")
+            write_bytes(written[-1], to_bytes(figure, kind, 200))
+    written.append(folder / "report.html")
+    write_text(written[-1], render_replication(records, settings, tables))
+    return written
+
+
+def write_table(table: Table, folder: Path) -> list[Path]:
+    """Write one table in every format; gives the paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{table.name}.{kind}" for kind in FORMATS]
+    texts = (table.to_csv(), table.to_markdown(), table.to_latex())
+    for path, text in zip(paths, texts, strict=True):
+        write_text(path, text)
+    return paths
+
+
+def _pictures(records: Iterable[Record]) -> list[tuple[list[str], str]]:
+    """Give the systems of each picture and what it shows."""
+    of_paper, others = drawable(records)
+    how = (
+        "Truth and what each method inferred over the test span, for the state whose equation "
+        "was sought. The thick line is a method's best run, the thin ones are its others; the "
+        "axis follows the truth."
+    )
+    return [
+        *([(of_paper, f"Figure 1. {how}")] if of_paper else []),
+        *([(others, f"The systems that Figure 1 does not show. {how}")] if others else []),
+    ]
+
+
+def _summary(records: Sequence[Record]) -> str:
+    def some(count: int, one: str) -> str:
+        return f"{count} {one}{'' if count == 1 else 's'}"
+
+    systems, methods = {r.system for r in records}, {r.method for r in records}
+    runs = max((r.run for r in records), default=0)
+    return (
+        f"{some(len(methods), 'method')} on {some(len(systems), 'system')}, "
+        f"{some(runs, 'run')} each: {some(len(records), 'cell')}, "
+        f"{sum(r.done for r in records)} with a formula."
+    )
+
+
+def _facts(records: Sequence[Record], settings: Mapping[str, Any]) -> list[tuple[str, str]]:
+    versions: dict[str, str] = {}
+    for record in records:
+        versions.update(record.versions)
+    total = sum(r.seconds for r in records if r.done)
+    return [
+        ("seed", str(settings["seed"])),
+        ("engine", str(settings["engine"])),
+        ("settings", "quick" if settings["quick"] else "the paper's"),
+        ("time of the searches", f"{total:.0f} s, all cells together"),
+        *sorted(versions.items()),
+    ]

@@ -1,0 +1,128 @@
+"""
+    Formulas
+
+Where right-hand sides are compiled. The functions below shadow Julia's own, which throw where
+they have no real value; a solver needs NaN there, to retry with a shorter step or to give up.
+"""
+module Formulas
+
+not_a_number(x) = oftype(float(x), NaN)
+
+for name in (:sin, :cos, :tan)
+    @eval $name(x) = isfinite(x) ? Base.$name(x) : not_a_number(x)
+end
+for name in (:asin, :acos)
+    @eval $name(x) = abs(x) <= 1 ? Base.$name(x) : not_a_number(x)
+end
+for name in (:sqrt, :log)
+    @eval $name(x) = x >= 0 ? Base.$name(x) : not_a_number(x)
+end
+power(x, y) = x >= 0 || isinteger(y) ? x^y : not_a_number(x)
+
+end
+
+const COMPILED = Dict{String, Function}()
+
+"""
+    compile(source) -> Function
+
+Compile the text of a function `(du, u, p, t) -> ...`; the same text gives the same function.
+"""
+function compile(source::AbstractString)
+    return get!(COMPILED, String(source)) do
+        Core.eval(Formulas, Meta.parse(source))
+    end
+end
+
+"""
+    integrate(source, x0, t, reltol, abstol, max_steps, max_seconds)
+        -> (x, accepted, rejected, message)
+
+Solve `dx/dt = f(x, t)` by Tsit5 from `x0` at `t[1]` and give `x` (n, k) at all n times `t`.
+
+`source` is the text of `(du, u, p, t) -> ...`, which writes the k slopes at state `u` and time
+`t` into `du`. `x` is NaN from the time on where the solver gave up, and `message` then says
+why; it is empty when the end was reached. Step sizes follow the PI controller with a growth of
+at most ten, also after the first step, for which later releases of OrdinaryDiffEq allow more.
+"""
+function integrate(source, x0, t, reltol, abstol, max_steps, max_seconds)
+    slopes! = compile(source)
+    # What was just compiled can only be called from a newer world than this method's.
+    return Base.invokelatest(
+        run_tsit5, slopes!, Vector{Float64}(x0), Vector{Float64}(t),
+        Float64(reltol), Float64(abstol), Int(max_steps), Float64(max_seconds),
+    )
+end
+
+function run_tsit5(slopes!, x0, t, reltol, abstol, max_steps, max_seconds)
+    algorithm = Tsit5()
+    options = (;
+        saveat = t, save_start = true, save_end = true, save_everystep = false, dense = false,
+        reltol, abstol, maxiters = max_steps, callback = clock(max_seconds),
+    )
+    controller = first_step_controller(algorithm)
+    if controller !== nothing
+        options = (; options..., controller)
+    end
+    problem = ODEProblem(slopes!, x0, (first(t), last(t)))
+    # A divergence is told by the result; the solver's warnings would only repeat it.
+    solution = Base.CoreLogging.with_logger(Base.CoreLogging.NullLogger()) do
+        solve(problem, algorithm; options...)
+    end
+    return (
+        rows_at(t, solution, length(x0)), Int(solution.stats.naccept),
+        Int(solution.stats.nreject), ending(solution, max_seconds),
+    )
+end
+
+"A callback that ends the solution once `max_seconds` have passed; it changes no step."
+function clock(max_seconds)
+    deadline = time() + max_seconds
+    late(u, t, integrator) = time() > deadline
+    stop!(integrator) = terminate!(integrator, ReturnCode.MaxTime)
+    return DiscreteCallback(late, stop!; save_positions = (false, false))
+end
+
+"""
+    first_step_controller(algorithm)
+
+The PI controller that limits the growth after the first step to ten, or `nothing` where the
+solver's own does: releases before that limit was raised to 10000 have no such option.
+"""
+function first_step_controller(algorithm)
+    core = parentmodule(OrdinaryDiffEqTsit5.alg_cache)
+    for name in (:NewPIController, :PIController)
+        isdefined(core, name) || continue
+        controller = getfield(core, name)
+        try
+            return controller(Float64, algorithm; qmax_first_step = 10.0)
+        catch problem
+            problem isa MethodError || rethrow()
+        end
+    end
+    return nothing
+end
+
+"States at the times asked for; a solution that ended early may hold one more time of its own."
+function rows_at(t, solution, k)
+    x = fill(NaN, length(t), k)
+    row = 1
+    for (time, state) in zip(solution.t, solution.u)
+        while row <= length(t) && t[row] < time
+            row += 1
+        end
+        row <= length(t) && all(isfinite, state) || break
+        if t[row] == time
+            x[row, :] .= state
+        end
+    end
+    return x
+end
+
+function ending(solution, max_seconds)
+    code = string(solution.retcode)
+    stop = last(solution.t)
+    code == "Success" && return ""
+    code == "MaxTime" && return "not finished within $max_seconds s, at t = $stop"
+    return "Tsit5 ended with $code at t = $stop"
+end

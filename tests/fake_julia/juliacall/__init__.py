@@ -1,0 +1,141 @@
+"""A stand-in for juliacall: its calls, answered in Python, and ways to fail on purpose.
+
+``max_steps`` of an integration chooses the failure; anything else is solved by small
+Runge-Kutta steps from the Julia source that was sent.
+"""
+
+import math
+import os
+import re
+import signal
+import sys
+import time
+from types import SimpleNamespace
+
+import numpy as np
+
+__version__ = "0.0-fake"
+
+STEPS = 40
+DIE, HANG, RAISE, CHATTER, NOT_FINITE, WRONG_SHAPE = 13, 14, 15, 16, 17, 18
+
+if os.environ.get("FAKE_JULIA_START") == "fail":
+    raise RuntimeError("PythonCall.jl did not start properly\nsecond line")
+if os.environ.get("FAKE_JULIA_START") == "slow":
+    print("[ Info: Precompiling Symbolics [0c5d862f]", file=sys.stderr, flush=True)
+    time.sleep(1.5)
+
+
+class JuliaError(Exception):
+    """As juliacall raises it: the words of Julia, then a stack."""
+
+
+def _not_a_number(function):
+    def call(*arguments):
+        try:
+            return function(*arguments)
+        except (ValueError, ZeroDivisionError, OverflowError):
+            return math.nan
+
+    return call
+
+
+_SCOPE = {
+    name: _not_a_number(getattr(math, name))
+    for name in "sin cos tan asin acos atan sinh cosh tanh exp log sqrt".split()
+}
+_SCOPE |= {"power": _not_a_number(pow), "abs": abs, "sign": lambda x: (x > 0) - (x < 0)}
+_SCOPE |= {"NaN": math.nan, "Inf": math.inf}
+
+
+def slopes_of(source):
+    """Read the Julia source of right-hand sides as Python."""
+    lines = source.split("\n")
+    assert lines[0] == "(du, u, p, t) -> begin" and lines[-2:] == ["    nothing", "end"]
+    body = re.sub(r"\[(\d+)\]", lambda m: f"[{int(m[1]) - 1}]", "\n".join(lines[1:-2]))
+    text = f"def slopes(t, u):\n    du = [0.0] * len(u)\n{body.replace('^', '**')}\n    return du"
+    scope = dict(_SCOPE)
+    exec(text, scope)
+    return scope["slopes"]
+
+
+def _runge_kutta(slopes, x0, t):
+    rows = [x0]
+    for start, end in zip(t[:-1], t[1:], strict=True):
+        x, h = rows[-1], (end - start) / STEPS
+        for now in start + h * np.arange(STEPS):
+            a = np.array(slopes(now, x))
+            b = np.array(slopes(now + h / 2, x + h / 2 * a))
+            c = np.array(slopes(now + h / 2, x + h / 2 * b))
+            d = np.array(slopes(now + h, x + h * c))
+            x = x + h / 6 * (a + 2 * b + 2 * c + d)
+        rows.append(x)
+    return np.array(rows)
+
+
+def _integrate(source, x0, t, reltol, abstol, max_steps, max_seconds):
+    assert isinstance(source, str) and x0.flags.writeable and t.dtype == float
+    if max_steps == DIE:
+        print("something broke", file=sys.stderr, flush=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+    if max_steps == HANG:
+        time.sleep(60)
+    if max_steps == RAISE:
+        raise JuliaError("UndefVarError: `foo` not defined\nStacktrace:\n [1] deep inside")
+    if max_steps == CHATTER:
+        print("on standard output")
+        os.write(1, b"straight to the descriptor\n")
+    x = _runge_kutta(slopes_of(source), x0, t)
+    if max_steps == NOT_FINITE:
+        x[-1] = np.nan
+    if max_steps == WRONG_SHAPE:
+        x = x.T
+    return x, STEPS * (len(t) - 1), 0, ""
+
+
+def _regress(
+    theta,
+    dx,
+    optimizer,
+    release,
+    weights,
+    relaxation,
+    proximal,
+    normalize,
+    max_iterations,
+    implicit,
+):
+    if implicit:
+        return np.zeros(2 * len(theta)), -1, False
+    coefficients = np.linalg.lstsq(theta.T, dx, rcond=None)[0]
+    coefficients[np.abs(coefficients) < weights.min()] = 0.0
+    return coefficients, int(max_iterations), bool(normalize)
+
+
+_MODULE = SimpleNamespace(
+    integrate=_integrate,
+    regress=_regress,
+    versions=lambda: f"julia 1.10.0-fake\nOrdinaryDiffEqTsit5 process{os.getpid()}",
+)
+
+
+class _Main:
+    loaded = ""
+
+    def seval(self, code):
+        """Answer the two pieces of Julia that the worker evaluates."""
+        if code == "path -> Base.include(Main, path)":
+            return self.include
+        if code == "Main.DynSR":
+            assert self.loaded, "the sources were not included"
+            return _MODULE
+        raise JuliaError(f"ParseError: {code}")
+
+    def include(self, path):
+        """Take note of the module's file."""
+        with open(path) as file:
+            assert "module DynSR" in file.read()
+        self.loaded = path
+
+
+Main = _Main()

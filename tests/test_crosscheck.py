@@ -1,0 +1,123 @@
+"""The comparison of engines with records and peers."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from dynsr.comparison import absent
+from dynsr.crosscheck import SECTIONS, CrosscheckRow, coefficient_difference, crosscheck
+from dynsr.engines.base import SparseProblem, SparseSolution
+from dynsr.engines.embedded import EmbeddedEngine
+from dynsr.errors import EngineError, EngineUnavailable, InputError
+from dynsr.paper.bases import BASES
+
+CASES = [(s, system) for s in ("corrected", "pysindy") for system in BASES]
+
+
+# Each record is held by a test of its own; here one system shows that they make rows.
+@pytest.mark.parametrize(("section", "system"), [("records", "cart-pole"), *CASES])
+def test_the_embedded_engine_agrees_with_julia_and_pysindy(section: str, system: str):
+    """Every sparse row of every system is filled, and its verdict is that both agree."""
+    rows = crosscheck([system], ["embedded"], [section])
+    assert rows
+    assert {row.verdict for row in rows} == {"agrees"}
+    assert all(row.compared > 0 for row in rows)
+
+
+class _Skewed(EmbeddedEngine):
+    """An engine whose coefficients are off by one part in ten thousand."""
+
+    name = "skewed"
+
+    def regress(self, problem: SparseProblem) -> SparseSolution:
+        solution = super().regress(problem)
+        skewed = solution.coefficients.copy()
+        nonzero = np.flatnonzero(skewed)
+        skewed[nonzero[np.argmax(np.abs(skewed[nonzero]))]] *= 1.0001
+        return SparseSolution(skewed, solution.iterations, solution.converged)
+
+
+@pytest.mark.parametrize(("section", "system"), [("records", "cart-pole"), ("pysindy", "pendulum")])
+def test_a_wrong_engine_is_found_out(section: str, system: str):
+    """An error of 1e-4 in one coefficient turns the verdict of every row."""
+    rows = list(SECTIONS[section](system, _Skewed()))
+    assert {row.verdict for row in rows} == {"differs"}
+    assert all(row.difference == pytest.approx(1e-4, rel=0.5) for row in rows)
+
+
+def test_without_pysindy_the_row_says_so(monkeypatch: pytest.MonkeyPatch):
+    """An absent peer is a row with the remedy, not an error."""
+    monkeypatch.setitem(sys.modules, "pysindy", None)
+    (row,) = crosscheck(["pendulum"], ["embedded"], ["pysindy"])
+    assert row.verdict == "absent"
+    assert row.difference is None
+    assert "pip install pysindy" in row.worst
+
+
+def test_without_an_engine_each_section_says_so(monkeypatch: pytest.MonkeyPatch):
+    """An engine that is not installed gives one absent row a section and system."""
+
+    def unavailable(name: str) -> None:
+        raise EngineUnavailable("Julia is not installed; run dynsr doctor --install")
+
+    monkeypatch.setattr("dynsr.crosscheck.find_engine", unavailable)
+    rows = crosscheck(["pendulum"], engines=["julia"])
+    assert [row.section for row in rows] == list(SECTIONS)
+    assert {row.verdict for row in rows} == {"absent"}
+
+
+def test_relations_are_compared_up_to_a_factor_and_sums_are_not():
+    """A multiple of a relation is the same relation; a multiple of a sum is another sum."""
+    a = np.array([1.0, -2.0, 0.5])
+    assert coefficient_difference(-3 * a, a, True) < 1e-15
+    assert coefficient_difference(3 * a, a, False) == pytest.approx(2.0)
+
+
+def test_a_difference_at_the_limit_agrees_and_one_above_does_not():
+    """The verdict follows from the difference and the limit alone."""
+
+    def verdict(difference: float | None) -> str:
+        return CrosscheckRow("s", "y", "t", "a", "b", 1, difference, 1e-6).verdict
+
+    assert [verdict(d) for d in (1e-6, 2e-6, np.nan, None)] == [
+        "agrees",
+        "differs",
+        "differs",
+        "absent",
+    ]
+
+
+def test_unknown_names_are_refused():
+    """The message lists the systems, the sections or the further programs."""
+    with pytest.raises(InputError, match="cart-pole"):
+        crosscheck(["lorenz"])
+    with pytest.raises(InputError, match="records"):
+        crosscheck(["pendulum"], sections=["weather"])
+    with pytest.raises(InputError, match="diffeqpy"):
+        crosscheck(["pendulum"], extra=["matlab"])
+
+
+def test_an_engine_that_fails_is_no_absence(monkeypatch: pytest.MonkeyPatch):
+    """An engine that is there and breaks down differs, and the row holds its words."""
+
+    class Failing(EmbeddedEngine):
+        def integrate(self, problem):
+            raise EngineError("julia ended unexpectedly")
+
+    monkeypatch.setattr("dynsr.crosscheck.find_engine", lambda name: Failing())
+    (row,) = crosscheck(["pendulum"], ["julia"], ["trajectories"])
+    assert (row.verdict, row.worst) == ("differs", "julia ended unexpectedly")
+
+
+def test_rows_are_plain_data():
+    """Every row, an absent one too, can be written as strict JSON with its verdict."""
+    rows = [
+        absent("s", "pendulum", "julia", "everything", "not installed"),
+        CrosscheckRow("s", "pendulum", "t", "a", "b", 1, 1e-9, 1e-8),
+        CrosscheckRow("s", "pendulum", "t", "a", "b", 1, np.inf, 1e-8),
+    ]
+    found = json.loads(json.dumps([row.as_dict() for row in rows], allow_nan=False))
+    assert [row["verdict"] for row in found] == ["absent", "agrees", "differs"]
+    assert found[0]["limit"] is None

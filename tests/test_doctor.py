@@ -1,0 +1,111 @@
+import json
+from importlib import metadata
+
+import numpy as np
+import pytest
+
+from dynsr import doctor
+from dynsr.engines.base import AbstractEngine, Integration, SparseSolution
+from dynsr.engines.embedded import EmbeddedEngine
+from dynsr.errors import EngineError, EngineUnavailable
+
+
+class Broken(EmbeddedEngine):
+    """An engine whose integrations are slightly wrong and whose regressions fail."""
+
+    name = "broken"
+
+    def integrate(self, problem) -> Integration:
+        """Be off by a thousandth."""
+        return Integration(super().integrate(problem).x + 1e-3, True, 1, 0)
+
+    def regress(self, problem) -> SparseSolution:
+        """Fail."""
+        raise EngineError("UndefVarError: foo")
+
+
+def by_name(checks):
+    """Give the checks by their names."""
+    return {check.name: check for check in checks}
+
+
+def use_engine(monkeypatch, engine: AbstractEngine | Exception) -> None:
+    """Let every name give this engine."""
+
+    def find(name):
+        if isinstance(engine, Exception):
+            raise engine
+        return engine
+
+    monkeypatch.setattr(doctor, "find_engine", find)
+
+
+def test_what_is_installed_is_named_with_its_version():
+    """Every required package has a row with the version that pip knows."""
+    found = by_name(doctor.examine([]))
+    for name in doctor.REQUIRED:
+        assert found[name].state == "ok" and found[name].detail == metadata.version(name)
+
+
+def test_the_embedded_engine_works():
+    """Its integration and regression are tried and found right."""
+    found = by_name(doctor.examine(["embedded"]))
+    assert found["embedded: integration"].state == "ok"
+    assert found["embedded: regression"].state == "ok"
+    assert doctor.is_healthy(found.values())
+
+
+def test_what_is_missing_comes_with_its_remedy(monkeypatch):
+    """Without Julia, a row says so and how to mend it, and all is well nevertheless."""
+    missing = EngineUnavailable("Julia is not set up yet; run dynsr doctor --install")
+    use_engine(monkeypatch, missing)
+    checks = doctor.examine(["julia"])
+    row = by_name(checks)["julia: engine"]
+    assert (row.state, row.remedy) == ("missing", "dynsr doctor --install")
+    assert row.detail == "Julia is not set up yet" and not row.required
+    assert doctor.is_healthy(checks)
+
+
+def test_a_missing_package_is_named_with_the_line_that_installs_it(monkeypatch):
+    """Required packages make dynsr ill when they are missing, optional ones do not."""
+    monkeypatch.setattr(doctor, "REQUIRED", ("no-such-package",))
+    monkeypatch.setattr(doctor, "OPTIONAL", {"no-such-extra": "extra"})
+    checks = doctor.examine([])
+    found = by_name(checks)
+    assert found["no-such-package"].remedy == "pip install no-such-package"
+    assert found["no-such-extra"].remedy == "pip install 'dynsr[extra]'"
+    assert not doctor.is_healthy(checks)
+    assert doctor.is_healthy([c for c in checks if c.name != "no-such-package"])
+
+
+def test_an_engine_that_is_there_but_wrong_is_found_out(monkeypatch):
+    """A wrong answer and an error are failures, each with what was seen."""
+    use_engine(monkeypatch, Broken())
+    checks = doctor.examine(["broken"])
+    found = by_name(checks)
+    assert found["broken: integration"].state == "fails"
+    assert "off by 1.0e-03" in found["broken: integration"].detail
+    assert found["broken: regression"].detail == "UndefVarError: foo"
+    assert found["broken: numpy"].detail == np.__version__
+    assert not doctor.is_healthy(checks)
+
+
+def test_checks_are_plain_data():
+    """A check can be written as JSON."""
+    row = doctor.Check("julia", "missing", "not set up", "dynsr doctor --install", False)
+    assert json.loads(json.dumps(row.as_dict()))["remedy"] == "dynsr doctor --install"
+
+
+def test_installing_without_juliacall_says_what_to_install_first(monkeypatch):
+    """The remedy is pip's line, in an error of one line."""
+    monkeypatch.setattr(doctor.julia.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(EngineUnavailable, match=r"pip install 'dynsr\[julia\]'"):
+        doctor.install()
+
+
+def test_nothing_is_installed_into_a_project_of_the_users_own(monkeypatch, tmp_path):
+    """With a Julia and a project given by the environment, there is nothing to install."""
+    monkeypatch.setattr(doctor.julia.importlib.util, "find_spec", lambda name: object())
+    monkeypatch.setenv("PYTHON_JULIACALL_EXE", "julia")
+    monkeypatch.setenv("PYTHON_JULIACALL_PROJECT", str(tmp_path))
+    assert doctor.install() == f"nothing to install: PYTHON_JULIACALL_PROJECT names {tmp_path}"

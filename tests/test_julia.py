@@ -1,0 +1,291 @@
+import importlib.util
+import inspect
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynsr.catalogue import CART_POLE, PENDULUM
+from dynsr.engines import julia, julia_worker, worker_process
+from dynsr.engines.base import InitialValueProblem, SparseProblem
+from dynsr.engines.julia import JuliaEngine, find_missing, find_sources
+from dynsr.engines.select import find_engine
+from dynsr.errors import EngineError, EngineUnavailable
+from dynsr.expression import parse
+from dynsr.simulate import simulate
+
+FAKE = Path(__file__).parent / "fake_julia"
+DIE, HANG, RAISE, CHATTER, NOT_FINITE, WRONG_SHAPE = 13, 14, 15, 16, 17, 18
+LINE = SparseProblem(np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 2.0]]), np.array([0.0, 2.0, 4.0]))
+
+
+def decay(max_steps: int = 1000, **settings) -> InitialValueProblem:
+    """Pose dx/dt = -x from 1; the number of steps tells the stand-in how to behave."""
+    t = np.linspace(0.0, 1.0, 5)
+    return InitialValueProblem(
+        (parse("-x", ["x"]),), ("x",), [1.0], t, max_steps=max_steps, **settings
+    )
+
+
+@pytest.fixture(scope="module")
+def fake_julia(tmp_path_factory):
+    """Put the stand-in for juliacall on the path, as a Julia of the user's own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(FAKE))
+        patch.setenv("PYTHON_JULIACALL_EXE", sys.executable)
+        patch.setenv("PYTHON_JULIACALL_PROJECT", str(tmp_path_factory.mktemp("project")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def engine(fake_julia):
+    """Give an engine over the stand-in and end its process afterwards."""
+    engine = JuliaEngine(start_seconds=60.0)
+    yield engine
+    engine.close()
+
+
+def process_of(engine: JuliaEngine) -> str:
+    """Give the number of the process that answers."""
+    engine._versions = {}
+    return engine.versions()["OrdinaryDiffEqTsit5"]
+
+
+def test_states_travel_to_julia_and_back(engine):
+    """Equations sent as Julia source come back as the states they have at every time."""
+    solved = engine.integrate(decay())
+    assert solved.success and solved.accepted > 0
+    assert np.abs(solved.x[:, 0] - np.exp(-np.linspace(0.0, 1.0, 5))).max() < 1e-9
+
+
+@pytest.mark.parametrize("system", [PENDULUM, CART_POLE], ids=lambda s: s.name)
+def test_a_system_simulates_on_the_engine(engine, system):
+    """A trajectory by this engine is that of the embedded one, and names its origin."""
+    t = np.linspace(0.0, 2.0, 21)
+    here = simulate(system, t=t, engine=engine)
+    there = simulate(system, t=t, reltol=1e-9, abstol=1e-9)
+    assert np.abs(here.x - there.x).max() < 1e-7
+    assert here.origin["engine"] == "julia"
+    assert here.origin["versions"]["juliacall"] == "0.0-fake"
+
+
+def test_regressions_travel_to_julia_and_back(engine):
+    """Library, settings and coefficients pass unharmed; -1 iterations mean an empty search."""
+    solution = engine.regress(LINE)
+    assert solution.coefficients.round(9).tolist() == [0.0, 2.0]
+    assert solution.iterations == LINE.max_iterations and solution.converged
+    empty = engine.regress(SparseProblem(LINE.theta, LINE.dx, implicit=True))
+    assert empty.iterations is None and not empty.coefficients.any()
+
+
+def test_one_process_answers_until_the_engine_is_closed(engine):
+    """The worker lives as long as the engine, is none of ours, and a closed engine starts again."""
+    first = process_of(engine)
+    assert engine.integrate(decay()).success and process_of(engine) == first
+    assert first != f"process{os.getpid()}"
+    engine.close()
+    assert process_of(engine) != first
+
+
+def test_a_crash_is_an_error_and_the_next_call_works(engine):
+    """When Julia dies, the session goes on: an error tells how, then a new process answers."""
+    before = process_of(engine)
+    with pytest.raises(EngineError, match="SIGKILL.*something broke"):
+        engine.integrate(decay(DIE))
+    assert engine.integrate(decay()).success
+    assert process_of(engine) != before
+
+
+def test_a_worker_killed_between_calls_is_replaced(engine):
+    """A process that somebody killed is noticed and started anew without an error."""
+    before = process_of(engine)
+    number = int(before.removeprefix("process"))
+    os.kill(number, signal.SIGKILL)
+    engine._process._process.wait(timeout=10)
+    assert engine.integrate(decay()).success
+    assert process_of(engine) != before
+
+
+def test_what_takes_too_long_is_stopped(engine, monkeypatch):
+    """A call past its limit is an EngineError in time, and the next call works."""
+    monkeypatch.setattr(julia, "GRACE_SECONDS", 0.5)
+    assert engine.integrate(decay()).success
+    start = time.monotonic()
+    with pytest.raises(EngineError, match=r"did not answer within 1 s and was stopped"):
+        engine.integrate(decay(HANG, max_seconds=0.5))
+    assert time.monotonic() - start < 5
+    assert engine.integrate(decay(max_seconds=30.0)).success
+
+
+def test_an_error_of_julia_is_told_in_its_words(engine):
+    """What Julia raises becomes one line without its stack, and the process lives on."""
+    before = process_of(engine)
+    with pytest.raises(EngineError) as caught:
+        engine.integrate(decay(RAISE))
+    assert str(caught.value) == "UndefVarError: `foo` not defined"
+    assert process_of(engine) == before
+
+
+def test_what_julia_prints_does_not_harm_the_protocol(engine):
+    """Output of Julia or a library, even straight to the descriptor, reaches no frame."""
+    assert engine.integrate(decay(CHATTER)).success
+
+
+def test_success_is_judged_by_the_states(engine):
+    """A solution that Julia calls fine is none when a state is not finite."""
+    solved = engine.integrate(decay(NOT_FINITE))
+    assert not solved.success and solved.message == "the solution is not finite"
+    with pytest.raises(EngineError, match=r"x of shape \(1, 5\) where \(5, 1\)"):
+        engine.integrate(decay(WRONG_SHAPE))
+
+
+def test_a_julia_that_does_not_start_is_unavailable(engine, monkeypatch):
+    """A failing start is one line with the remedy, and is tried afresh the next time."""
+    monkeypatch.setenv("FAKE_JULIA_START", "fail")
+    engine.close()
+    with pytest.raises(EngineUnavailable, match="PythonCall.jl did not start properly") as caught:
+        engine.integrate(decay())
+    assert "\n" not in str(caught.value) and "Project.toml" in str(caught.value)
+    monkeypatch.delenv("FAKE_JULIA_START")
+    assert engine.integrate(decay()).success
+
+
+def test_a_long_start_shows_its_progress(fake_julia, monkeypatch):
+    """While Julia precompiles, a line says so."""
+    monkeypatch.setenv("FAKE_JULIA_START", "slow")
+    monkeypatch.setattr(worker_process, "QUIET_SECONDS", 0.3)
+    lines: list[str] = []
+    engine = JuliaEngine(start_seconds=60.0, announce=lines.append)
+    assert engine.integrate(decay()).success
+    engine.close()
+    assert "julia: [ Info: Precompiling Symbolics [0c5d862f]" in lines
+
+
+def test_an_interrupt_ends_the_call_and_leaves_no_late_answer(engine, monkeypatch):
+    """After Ctrl-C during a call, the next call gets its own answer."""
+    before = process_of(engine)
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(worker_process.WorkerProcess, "_wait", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            engine.integrate(decay())
+    assert np.isclose(engine.integrate(decay()).x[-1, 0], np.exp(-1.0))
+    assert process_of(engine) != before
+
+
+def test_a_program_that_is_no_julia_is_told_in_its_words():
+    """What a program says on its standard error is part of the one line."""
+    problem = subprocess.CalledProcessError(1, ["julia"], stderr="x\nERROR: no julia here\n")
+    assert julia_worker._one_line(problem).endswith("It said: ERROR: no julia here")
+    assert len(julia_worker._one_line(RuntimeError("word " * 1000))) <= 600
+
+
+def test_an_engine_travels_as_settings(engine):
+    """A copy in another process is an engine of its own, which starts a Julia of its own."""
+    assert engine.integrate(decay()).success
+    copy = pickle.loads(pickle.dumps(engine))
+    assert copy.start_seconds == 60.0 and copy._process is None
+
+
+def test_the_worker_knows_no_torch(engine):
+    """Torch is not loaded where Julia runs, whatever the session has loaded."""
+    code = (
+        "import sys, dynsr.engines.julia_worker; "
+        "print([m for m in ('torch', 'matplotlib', 'pandas') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_without_juliacall_the_engine_is_unavailable(monkeypatch):
+    """The message says what to install, within two seconds; nothing else is used instead."""
+    monkeypatch.setattr(julia.importlib.util, "find_spec", lambda name: None)
+    find_engine.__globals__["_start"].cache_clear()
+    start = time.monotonic()
+    with pytest.raises(EngineUnavailable, match=r"pip install 'dynsr\[julia\]'"):
+        find_engine("julia")
+    assert time.monotonic() - start < 2
+
+
+@pytest.mark.parametrize(
+    ("program", "project", "words"),
+    [
+        (None, ".", "PYTHON_JULIACALL_PROJECT is set without PYTHON_JULIACALL_EXE; set both"),
+        (sys.executable, None, "PYTHON_JULIACALL_EXE is set without PYTHON_JULIACALL_PROJECT"),
+        ("/no/julia", ".", "PYTHON_JULIACALL_EXE names no program: '/no/julia'"),
+        (sys.executable, "/no/project", "PYTHON_JULIACALL_PROJECT does not exist: '/no/project'"),
+        (sys.executable, ".", ""),
+        (None, None, "dynsr doctor --install"),
+    ],
+)
+def test_settings_of_the_environment_are_checked(fake_julia, monkeypatch, program, project, words):
+    """Half a setting, or one that points nowhere, is told in one line before anything starts."""
+    monkeypatch.setattr(julia, "_is_resolved", lambda: False)
+    for name, value in (("EXE", program), ("PROJECT", project)):
+        monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
+        if value is not None:
+            monkeypatch.setenv(f"PYTHON_JULIACALL_{name}", value)
+    found = find_missing()
+    assert words in found and bool(words) == bool(found)
+
+
+def test_settings_that_juliapkg_refuses_are_told(fake_julia, monkeypatch):
+    """A setting of juliapkg's own that it cannot use is one line, not its stack."""
+    for name in ("EXE", "PROJECT"):
+        monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
+
+    def refuse():
+        raise Exception("PYTHON_JULIAPKG_PROJECT must be an absolute path")
+
+    monkeypatch.setattr(julia, "_is_resolved", refuse)
+    assert find_missing() == (
+        "juliapkg refuses its settings: PYTHON_JULIAPKG_PROJECT must be an absolute path; "
+        "mend PYTHON_JULIAPKG_*"
+    )
+
+
+def test_juliapkg_is_asked_for_julia_when_none_is_given(fake_julia, monkeypatch, tmp_path):
+    """Installing runs juliapkg in a process of its own and tells where Julia is."""
+    for name in ("EXE", "PROJECT"):
+        monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
+    (tmp_path / "juliapkg.py").write_text(
+        "import os\n"
+        "def resolve():\n"
+        "    print('Found dependencies')\n"
+        "    assert os.environ['JULIA_CONDAPKG_BACKEND'] == 'Null'\n"
+        "    if os.environ.get('FAKE_JULIAPKG') == 'fail': raise SystemExit(3)\n"
+        "executable = lambda: '/opt/julia'\n"
+        "project = lambda: '/opt/project'\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert julia.install() == "Julia and its packages are set up: /opt/julia in /opt/project"
+    monkeypatch.setenv("FAKE_JULIAPKG", "fail")
+    with pytest.raises(EngineError, match="juliapkg ended with exit code 3"):
+        julia.install()
+
+
+def test_the_stand_in_takes_what_julia_takes():
+    """The arguments of integrate and regress in Julia are, in order, those tested here."""
+    spec = importlib.util.spec_from_file_location("stand_in", FAKE / "juliacall" / "__init__.py")
+    stand_in = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(stand_in)
+    for name, function in (("integrate", stand_in._integrate), ("regress", stand_in._regress)):
+        text = (find_sources() / "src" / f"{name}.jl").read_text()
+        (arguments,) = re.findall(rf"^function {name}\(([^)]*)\)", text, re.M)
+        in_julia = [word for word in re.split(r"[,\s]+", arguments) if word]
+        assert list(inspect.signature(function).parameters) == in_julia
+
+
+def test_the_sources_are_found_from_a_checkout():
+    """The julia folder beside the package is found."""
+    assert (find_sources() / "src" / "DynSR.jl").is_file()

@@ -1,0 +1,117 @@
+import base64
+
+import numpy as np
+import pytest
+import sympy
+from matplotlib.image import imread
+
+from dynsr import plots
+from dynsr.pareto import Candidate, ParetoFront
+from dynsr.samples import Samples
+from dynsr.trajectory import Trajectory
+
+T = np.linspace(0.0, 5.0, 60)
+TRUE = Trajectory(T, np.column_stack([np.sin(T), np.cos(T)]), ("a", "b"))
+FOUND = Trajectory(T, np.column_stack([np.sin(T) * 1.1, np.cos(T)]), ("a", "b"))
+
+
+def panel(**found):
+    """Give a panel of a sine and what was found."""
+    return plots.Panel("Title", "a", T, np.sin(T), found, "m")
+
+
+def test_a_panel_shows_the_truth_and_every_run():
+    """Each curve holds the values given; each label stands once in the legend; axes have units."""
+    runs = np.array([np.cos(T), np.sin(2 * T)])
+    figure = plots.draw_panels([panel(One=runs, Two=np.sin(T)), panel(One=runs)])
+    first, second = figure.axes
+    lines = [line.get_ydata() for line in first.lines]
+    np.testing.assert_array_equal(lines, [np.sin(T), *runs, np.sin(T)])
+    assert len(second.lines) == 3
+    assert (first.get_xlabel(), first.get_ylabel()) == ("time t (s)", "a (m)")
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["truth", "One", "Two"]
+
+
+def test_no_two_methods_look_alike():
+    """Curves of different methods differ in colour and in line style."""
+    figure = plots.draw_panels([panel(**{f"m{k}": np.cos(T) for k in range(6)})])
+    found = figure.axes[0].lines[1:]
+    assert len({line.get_color() for line in found}) == 6
+    assert len({str(line._dash_pattern) for line in found}) == 6
+
+
+def test_a_run_that_runs_away_does_not_flatten_the_truth():
+    """The axis stays near the truth when a curve explodes, ends or is not there at all."""
+    wild = np.where(T > 3, np.nan, np.exp(5 * T))
+    figure = plots.draw_panels([panel(Wild=wild, Lost=np.full_like(T, np.nan))])
+    low, high = figure.axes[0].get_ylim()
+    assert -1.2 < low <= -1 and 1 <= high < 3
+    assert len(plots.to_bytes(figure)) > 5000
+
+
+def test_states_are_drawn_with_intervals():
+    """One panel a state, the found curve over the data, the interval as a band."""
+    band = {"a": (FOUND.x[:, 0] - 0.1, FOUND.x[:, 0] + 0.1)}
+    figure = plots.draw_states(TRUE, FOUND, band, {"a": "m"})
+    assert [axis.get_ylabel() for axis in figure.axes] == ["a (m)", "b"]
+    assert [len(axis.collections) for axis in figure.axes] == [1, 0]
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["data", "found", "interval"]
+    assert len(plots.draw_states(TRUE).axes) == 2
+
+
+def test_fronts_are_drawn_on_a_logarithmic_scale():
+    """Loss over bits, logarithmic, also for a loss of 0; the noise floor is a line."""
+    x = sympy.Symbol("x")
+    front = ParetoFront([Candidate(x, 1.0, 1.0), Candidate(x**2, 0.0, 5.0)])
+    figure = plots.draw_fronts({"one": front, "empty": ParetoFront()}, noise_floor=0.01)
+    axis = figure.axes[0]
+    assert axis.get_yscale() == "log" and "bits" in axis.get_xlabel()
+    labels = [t.get_text() for t in axis.get_legend().get_texts()]
+    assert labels == ["one", "empty", "noise floor"]
+    assert len(plots.to_bytes(figure)) > 3000
+
+
+def test_residuals_are_the_samples_less_the_prediction():
+    """The points are y - prediction; a prediction that is not a number leaves a gap."""
+    samples = Samples(T[:, None], np.sin(T), ("x",), "x", "given", T)
+    predicted = np.where(T < 1, np.nan, np.cos(T))
+    figure = plots.draw_residuals(samples, predicted)
+    np.testing.assert_array_equal(figure.axes[0].lines[0].get_ydata(), np.sin(T) - predicted)
+
+
+def test_a_phase_portrait_sets_one_state_against_another():
+    """Its curves are the two columns asked for."""
+    figure = plots.draw_phase_portrait(TRUE, FOUND, "b", "a")
+    path = figure.axes[0].lines[0]
+    np.testing.assert_array_equal(path.get_xydata(), TRUE.x[:, ::-1])
+    assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("b", "a")
+    assert len(plots.draw_phase_portrait(TRUE, None, "a", "b").axes[0].lines) == 2
+
+
+def test_recovery_over_noise():
+    """Rates from 0 to 1 over noise in percent, with a band where intervals are given."""
+    figure = plots.draw_recovery(
+        [0.0, 0.01, 0.1],
+        {"SINDy": [1.0, 0.5, 0.0], "GA": [0.2, 0.1, 0.0]},
+        {"SINDy": ([0.9, 0.3, 0.0], [1.0, 0.7, 0.1])},
+    )
+    axis = figure.axes[0]
+    assert [t.get_text() for t in axis.get_xticklabels()] == ["0", "1", "10"]
+    assert len(axis.lines) == 2 and len(axis.collections) == 1
+
+
+@pytest.mark.parametrize("kind, head", [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
+def test_equal_figures_are_equal_files(kind, head):
+    """The same picture drawn twice gives the same bytes, without date or version."""
+    one, two = (plots.to_bytes(plots.draw_panels([panel(One=np.cos(T))]), kind) for _ in range(2))
+    assert one == two and one.startswith(head)
+
+
+def test_a_data_uri_is_the_picture(tmp_path):
+    """Decoded, the URI is a PNG that is not blank."""
+    uri = plots.to_data_uri(plots.draw_panels([panel()]))
+    head, body = uri.split(",", 1)
+    assert head == "data:image/png;base64"
+    path = tmp_path / "picture.png"
+    path.write_bytes(base64.b64decode(body))
+    assert imread(path)[..., :3].std() > 0.05

@@ -1,0 +1,125 @@
+import base64
+import re
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from dynsr.report import Picture, render_page, render_replication, write_results
+from dynsr.tables import Formula, Table
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fake_records import PRINTED, record  # noqa: E402 (found beside this file)
+
+SETTINGS = {"seed": 5, "engine": "embedded", "quick": False, "version": "0.1.0"}
+
+
+@pytest.fixture(scope="module")
+def records():
+    """Give records of two systems."""
+    runs = [record(s, text, r) for s, some in PRINTED.items() for r, text in enumerate(some[2:], 1)]
+    return [*runs, record("pendulum", "-9.81*sin(theta1)", method="sindy")]
+
+
+class Page(HTMLParser):
+    """Collects what a page holds, and fails on a tag that is not closed."""
+
+    EMPTY = ("meta", "img", "br")
+
+    def __init__(self, text):
+        """Read a page."""
+        super().__init__()
+        self.open, self.links, self.images, self.tables, self.text = [], [], [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        """Keep what the page refers to."""
+        attrs = dict(attrs)
+        self.links += [v for k, v in attrs.items() if k in ("href", "src", "srcset", "action")]
+        if tag == "img":
+            self.images.append(attrs)
+        if tag == "table":
+            self.tables.append(attrs.get("id"))
+        if tag not in self.EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        """Close the tag that is open."""
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        """Keep the text."""
+        self.text.append(data)
+
+
+def test_the_report_needs_nothing_but_itself(records):
+    """Every picture is in the page; there is no script, no style sheet and no address outside."""
+    text = render_replication(records, SETTINGS)
+    page = Page(text)
+    assert all(link.startswith(("data:image/png;base64,", "#")) for link in page.links)
+    assert not re.search(r"<script|<link|@import|url\(|https?:", text)
+    assert len(page.images) == 2 and all(len(i["alt"]) > 40 for i in page.images)
+    for image in page.images:
+        assert base64.b64decode(image["src"].split(",")[1]).startswith(b"\x89PNG")
+    anchors = {link[1:] for link in page.links if link.startswith("#")}
+    assert anchors <= set(re.findall(r'id="([^"]+)"', text))
+
+
+def test_the_report_shows_every_formula_and_where_it_comes_from(records):
+    """Table 1, a table for each system and method, every formula, seed, engine and failures."""
+    failed = [*records, replace(records[0], run=9, status="failed", error="a < b & c")]
+    page = Page(render_replication(failed, SETTINGS))
+    assert page.tables == ["table1", "appendix_ga_lotka-volterra", "appendix_ga_cart-pole",
+                           "appendix_sindy_pendulum"]  # fmt: skip
+    words = " ".join(page.text)
+    for entry in records:
+        assert entry.expression in words
+    assert "2.13 ± 1.11" in words and "a < b & c" in words and "seed" in words
+    assert "2 methods on 3 systems" in words and "8 cells, 7 with a formula" in words
+
+
+def test_the_report_fits_a_phone_and_a_printer(records):
+    """The page sets its width by the device, scrolls wide tables, and has rules for print."""
+    text = render_replication(records, SETTINGS)
+    assert 'name="viewport" content="width=device-width' in text
+    assert "@media print" in text and "max-width: 100%" in text and "overflow-x: auto" in text
+    assert text.count('<div class="scroll">') == text.count("<table")
+
+
+def test_what_users_name_is_escaped():
+    """Text from outside cannot become a tag, in tables, pictures or facts."""
+    evil = "<script>alert(1)</script>"
+    table = Table("t", evil, (evil,), ((Formula(evil),), (evil,)), evil)
+    text = render_page(
+        "replication.html.j2",
+        summary=evil,
+        quick=False,
+        failures=[evil],
+        tables=[table, table],
+        pictures=[Picture("data:,", '"' + evil)],
+        facts=[(evil, evil)],
+    )
+    assert "<script" not in text and text.count("&lt;script") >= 8
+
+
+def test_results_are_written_as_files(records, tmp_path):
+    """Every table in three formats, the figure, the report; a second time they are the same."""
+    paths = write_results(tmp_path, records, SETTINGS)
+    assert all(path.stat().st_size > 50 for path in paths)
+    names = {str(path.relative_to(tmp_path)) for path in paths}
+    assert {"report.html", "figure1.png", "figure1.pdf", "tables/table1.tex"} <= names
+    assert len(names) == 3 + 3 * 4
+    before = {path: path.read_bytes() for path in paths}
+    assert write_results(tmp_path, records, SETTINGS) == paths
+    assert {path: path.read_bytes() for path in paths} == before
+
+
+def test_nothing_to_draw_is_still_a_report(tmp_path):
+    """With no system of Figure 1, and with failures alone, a report is written without it."""
+    failed = replace(record("pendulum", "theta1"), status="failed", error="no luck")
+    paths = write_results(tmp_path, [failed], SETTINGS)
+    assert not any("figure1" in path.name for path in paths)
+    assert "no luck" in (tmp_path / "report.html").read_text()

@@ -1,0 +1,124 @@
+import csv
+import io
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dynsr.catalogue import LORENZ, LOTKA_VOLTERRA, PENDULUM
+from dynsr.expression import compile_numpy, parse
+from dynsr.results import (
+    all_tables,
+    appendix_table,
+    drawable,
+    figure_1,
+    groups,
+    panel,
+    table_1,
+    table_2,
+)
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fake_records import PRINTED, record  # noqa: E402 (found beside this file)
+
+
+@pytest.fixture(scope="module")
+def records():
+    """Give the paper's printed GA expressions as if they were ours, and a failed cell."""
+    done = [
+        record(system, text, run)
+        for system, texts in PRINTED.items()
+        for run, text in enumerate(texts, 1)
+    ]
+    failed = replace(done[0], run=6, status="failed", error="no luck", expression="")
+    return [*done, failed]
+
+
+def test_table_1_of_the_papers_own_formulas_is_the_papers(records):
+    """Mean and deviation of the printed expressions' losses are the printed Table 1, digits cut."""
+    rows = list(csv.DictReader(io.StringIO(table_1(records[:-1]).to_csv())))
+    assert [(r["System"], r["Method"], r["Runs"]) for r in rows] == [
+        ("Lotka-Volterra", "GA-Baseline", "5"),
+        ("Cart-pole", "GA-Baseline", "5"),
+    ]
+    assert [r["As printed: paper"] for r in rows] == ["2.13 ± 1.11", "0.771 ± 0.79"]
+    for row, (mean, deviation) in zip(rows, [(2.134, 1.107), (0.771, 0.786)], strict=True):
+        assert float(row["As printed: ours, mean"]) == pytest.approx(mean, abs=1e-3)
+        assert float(row["As printed: ours, deviation"]) == pytest.approx(deviation, abs=1e-3)
+        for kind in ("Corrected", "Equation RMSE"):
+            ours, paper = (float(row[f"{kind}: {who}, mean"]) for who in ("ours", "paper"))
+            assert ours == pytest.approx(paper, rel=1e-9)
+
+
+def test_failed_runs_are_counted_and_not_averaged(records):
+    """A cell that failed shows in the runs and in its table of the appendix, and nowhere else."""
+    table = table_1(records)
+    assert [row[2] for row in table.rows] == ["5 of 6", "5"]
+    assert table.rows[0][3] == table_1(records[:-1]).rows[0][3]
+    last = appendix_table(groups(records)[0]).rows[-1]
+    assert last[:2] == (6, "failed: no luck") and all(math.isnan(v) for v in last[2:5])
+
+
+def test_the_appendix_holds_every_formula_with_its_losses(records):
+    """One table a system and method; its rows are the records, in the order of the runs."""
+    tables = all_tables(records)
+    assert [t.name for t in tables] == ["table1", "appendix_ga_lotka-volterra",
+                                        "appendix_ga_cart-pole"]  # fmt: skip
+    rows = tables[2].to_records()
+    assert [r["Formula"] for r in rows] == PRINTED["cart-pole"]
+    assert rows[3]["As printed"] == pytest.approx(0.301, abs=1e-3)
+    assert rows[3]["Seconds"] == 2.0
+
+
+def test_a_system_that_the_paper_lacks_has_empty_columns():
+    """Lorenz has our losses, and nothing on the paper's side."""
+    row = table_1([record("lorenz", "x*y - 8/3*z")]).to_records()[0]
+    assert row["As printed: paper"] == "" and math.isnan(row["Corrected: paper, mean"])
+    assert row["Corrected: ours, mean"] < 1.0
+
+
+def test_table_2_is_the_printed_one():
+    """Bitstring length, candidates and iterations are those of the paper's Table 2."""
+    assert [row[1:] for row in table_2().rows] == [(20, 20, 60), (70, 70, 100), (100, 40, 100)]
+
+
+def test_curves_of_the_figure_are_solutions_of_the_formulas():
+    """Truth and inferred curve agree with scipy's DOP853 at tight tolerance; best run first."""
+    runs = [record("lotka-volterra", text, run) for run, text in enumerate(["x - 3", "-y*(3 - x)"])]
+    shown = panel(LOTKA_VOLTERRA, groups(runs))
+    for found, curve in ((-1, shown.truth), (0, shown.found["GA-Baseline"][1])):
+        text = "x - 3" if found == 0 else "-y*(3 - x)"
+        system = LOTKA_VOLTERRA.with_rhs("y", parse(text))
+        rhs = compile_numpy(system.closed_rhs(), [*system.states, "t"])
+        exact = solve_ivp(
+            lambda t, x, f=rhs: f(np.array([*x, t])),
+            (10, 15),
+            system.x0,
+            method="DOP853",
+            t_eval=shown.t,
+            rtol=1e-10,
+            atol=1e-10,
+        )
+        np.testing.assert_allclose(curve, exact.y[1], atol=0.02)
+    np.testing.assert_allclose(shown.found["GA-Baseline"][0], shown.truth, atol=1e-12)
+
+
+def test_a_formula_that_diverges_ends_its_curve():
+    """A run that explodes is NaN from there on, and the picture is still drawn."""
+    shown = panel(PENDULUM, groups([record("pendulum", "exp(theta2^2)")]))
+    curve = shown.found["GA-Baseline"][0]
+    assert np.isfinite(curve[0]) and np.isnan(curve[-1]) and np.isfinite(shown.truth).all()
+
+
+def test_figure_1_has_the_papers_two_panels(records):
+    """Lotka-Volterra and the cart-pole, each with its target; other systems are apart."""
+    figure = figure_1(records)
+    assert [axis.get_title() for axis in figure.axes] == ["Lotka-Volterra", "Cart-pole"]
+    assert [axis.get_ylabel() for axis in figure.axes] == ["y", "z (m/s)"]
+    assert [len(axis.lines) for axis in figure.axes] == [6, 6]
+    more = [*records, record("pendulum", "theta1"), record(LORENZ.name, "z")]
+    assert drawable(more) == (["lotka-volterra", "cart-pole"], ["pendulum", "lorenz"])
