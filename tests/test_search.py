@@ -90,6 +90,20 @@ def test_an_interrupted_search_gives_the_front_so_far():
     assert {c.expr for c in seen[-1].front} <= {c.expr for c in front}
 
 
+def test_an_interruption_inside_brute_force_ends_the_search():
+    """Brute force gives what it has when interrupted; no later stage is begun."""
+    seen: list[str] = []
+
+    def stop(progress: Progress) -> None:
+        seen.append(progress.stage)
+        if seen.count("brute force") == 3:
+            raise KeyboardInterrupt
+
+    front = _QUICK.search(_samples("sin(a*b) + 0.1*a^3"), _rng(), stop)
+    assert seen[-1] == "brute force"
+    assert any(c.source.startswith("brute force") for c in front)
+
+
 def test_progress_names_the_stages_and_carries_the_front():
     """Reports come stage by stage, and the front on them only gets better."""
     seen: list[Progress] = []
