@@ -9,6 +9,7 @@ for: a trajectory is a thin curve, and off it a surrogate knows nothing.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from dynsr.samples import Samples
 
 _SPREAD = 0.15
 _LEAST_ROWS = 20
+_SHORT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +146,9 @@ class AbstractReducer(AbstractStage):
 class Reduce(AbstractStage):
     """Train the surrogate, ask every reducer, and solve what the surest reductions leave.
 
+    Nothing is taken apart when a short formula already follows the samples more closely than the
+    surrogate does: what the surrogate shows can then not be told from its own errors.
+
     Parameters
     ----------
     reducers : which properties to look for.
@@ -164,6 +169,8 @@ class Reduce(AbstractStage):
             return []
         context.tell("network", 0, 1)
         surrogate = context.surrogate(samples, context)
+        if context.depth == 0 and _explained(context.front, surrogate.validation_error):
+            return []
         found: list[AbstractReduction] = []
         for done, reducer in enumerate(self.reducers):
             context.tell(reducer.name, done, len(self.reducers))
@@ -176,3 +183,12 @@ class Reduce(AbstractStage):
             for expr in reduction.solve(samples, context):
                 candidates.append(score_candidate(expr, samples, reduction.kind))
         return candidates
+
+
+def short(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Give the formulas of at most 8 free constants."""
+    return [c for c in candidates if len(c.expr.atoms(sympy.Float)) <= _SHORT]
+
+
+def _explained(front: ParetoFront, error: float) -> bool:
+    return min((c.loss for c in short(front)), default=np.inf) <= error

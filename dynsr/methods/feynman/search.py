@@ -20,9 +20,10 @@ from dynsr.methods.feynman.compositionality import (
 from dynsr.methods.feynman.description import choose
 from dynsr.methods.feynman.polynomial import Polynomial
 from dynsr.methods.feynman.rational import RationalSearch
-from dynsr.methods.feynman.reduction import AbstractReducer, Reduce
+from dynsr.methods.feynman.reduction import AbstractReducer, Reduce, short
 from dynsr.methods.feynman.refinement import Refinement
 from dynsr.methods.feynman.separability import Separability
+from dynsr.methods.feynman.snap import polish
 from dynsr.methods.feynman.stage import AbstractStage, Context, Surrogate
 from dynsr.methods.feynman.symmetry import Symmetry
 from dynsr.methods.feynman.transforms import DOMAIN_CHANGES, DomainChange
@@ -43,6 +44,7 @@ STAGES = (
     "snapping",
 )
 SELECTIONS = ("lowest error", "description length")
+_DIRECT = ("rational", "polynomial", "brute force")
 _EXACT = 1e-9
 
 
@@ -82,6 +84,8 @@ class DynAIFeynman(AbstractMethod):
     max_depth : reductions after each other at most.
     changes : domain changes of the target.
     selection : which of SELECTIONS :meth:`choose` goes by.
+    agreement : so many of the direct stages (sums and ratios, polynomials, brute force) whose best
+        formulas, refined and snapped, are the same end the search; 0 never ends it early.
     time_budget : seconds after which no new part is begun; by default there is no limit, since a
         limit makes the result depend on the machine's speed.
 
@@ -98,9 +102,10 @@ class DynAIFeynman(AbstractMethod):
     epochs: int = 500
     candidates: float = 500_000
     branches: int = 2
-    max_depth: int = 3
+    max_depth: int = 2
     changes: tuple[str, ...] = DOMAIN_CHANGES
     selection: str = "description length"
+    agreement: int = 2
     time_budget: float | None = None
 
     name = "dynaifeynman"
@@ -171,21 +176,37 @@ class DynAIFeynman(AbstractMethod):
         return front.best_fit if self.selection == "lowest error" else choose(front, samples)
 
     def _solve(self, samples: Samples, context: Context) -> list[Candidate]:
-        """Run the stages in order until one is exact."""
+        """Run the stages in order until one is exact or several agree."""
         found: list[Candidate] = []
+        bests: list[sympy.Expr] = []
         size = float(np.std(samples.y))
+        settled = False
         for stage in self._pipeline(samples, context.depth):
             if context.seconds_left <= 0 or context.interrupted:
                 break
-            if found and min(c.loss for c in found) <= _EXACT * size and stage.name != "refinement":
-                continue
-            context.tell(stage.name, 0, None)
             if isinstance(stage, Refinement):
                 stage = replace(stage, candidates=tuple(found))
+            elif settled:
+                continue
+            context.tell(stage.name, 0, None)
             fresh = stage.run(samples, context)
             found += fresh
             context.offer(fresh)
+            settled = bool(found) and min(c.loss for c in found) <= _EXACT * size
+            if context.depth == 0 and not settled and stage.name in _DIRECT:
+                bests += self._agree(fresh, samples, context)
+                settled = bool(bests) and bests.count(bests[-1]) >= self.agreement > 0
         return found
+
+    def _agree(
+        self, fresh: list[Candidate], samples: Samples, context: Context
+    ) -> list[sympy.Expr]:
+        """Snap a stage's best short formula, so that stages can be compared."""
+        if not self.agreement or "snapping" not in self.stages:
+            return []
+        polished = polish(short(fresh), samples, 2)
+        context.offer(polished)
+        return [_whole(candidate.expr) for candidate in polished[:1]]
 
     def _pipeline(self, samples: Samples, depth: int) -> list[AbstractStage]:
         polynomial = Polynomial(self.degree, self.sparse and depth == 0)
@@ -226,14 +247,20 @@ class DynAIFeynman(AbstractMethod):
         return fit_network(samples, context.rng, max(1, self.epochs >> min(context.depth, 1)))
 
 
+def _whole(expr: sympy.Expr) -> sympy.Expr:
+    """Write floats that are whole as integers, so that equal formulas compare equal."""
+    floats = expr.atoms(sympy.Float)
+    return expr.xreplace({a: sympy.Integer(int(a)) for a in floats if float(a).is_integer()})
+
+
 PRESETS = {
     "paper": DynAIFeynman(
         stages=tuple(name for name in STAGES if name != "rational"),
         sparse=False,
         candidates=200_000,
         branches=1,
-        max_depth=2,
         selection="lowest error",
+        agreement=0,
     ),
     "best": DynAIFeynman(),
 }

@@ -32,7 +32,7 @@ class Symmetry(AbstractReducer):
     whether its value stays too. Moving one of the two alone must change it much more.
     """
 
-    tolerance: float = 1.0
+    tolerance: float = 2.0
     translation: bool = True
     scaling: bool = True
     name = "symmetry"
