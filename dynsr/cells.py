@@ -27,7 +27,7 @@ from dynsr.simulate import training_trajectory
 from dynsr.system import System
 
 _WATCH_SECONDS = 1.0
-MakeMethod = Callable[[str, str, "str | None"], AbstractMethod]
+MakeMethod = Callable[[str, str, str | None], AbstractMethod]
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,7 @@ class Plan:
     seed: int
     preset: str
     engine: str
-    make: _WATCH_SECONDS = 1.0
-
-
-MakeMethod = make_method
+    make: MakeMethod = make_method
 
 
 @dataclass(frozen=True)
@@ -87,12 +84,19 @@ def cell_method(cell: Cell, plan: Plan) -> AbstractMethod:
 def cell_samples(cell: Cell, engine: str) -> Samples:
     """Give the training samples of a cell.
 
-    They are forward differences of the training trajectory (ERRATA of the paper's method section:
-    forward, not backward); SINDy's on the paper's systems are those that its rows were made from.
+    They are forward differences of the training trajectory (the paper's section 3 says backward,
+    its printed numbers forward); SINDy's on the paper's systems are those that its rows were made
+    from. On those systems the other methods see the states alone: no formula that the paper
+    prints for the cart-pole holds the force, and its polynomial has the terms of four variables.
     """
-    if cell.method == "sindy" and cell.system.name in STATE_STEPS:
-        return sindy_samples(cell.system, engine)
-    return forward_difference(training_trajectory(cell.system, engine), cell.system.target)
+    system = cell.system
+    if cell.method == "sindy" and system.name in STATE_STEPS:
+        return sindy_samples(system, engine)
+    samples = forward_difference(training_trajectory(system, engine), system.target)
+    if system.name not in STATE_STEPS:
+        return samples
+    count = len(system.states)
+    return replace(samples, X=samples.X[:, :count], names=samples.names[:count])
 
 
 def compute_cell(cell: Cell, plan: Plan) -> Record:

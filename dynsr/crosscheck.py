@@ -9,47 +9,25 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cache
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from dynsr.comparison import CrosscheckRow, absent
 from dynsr.engines.base import AbstractEngine, SparseProblem
-from dynsr.engines.select import find_engine
-from dynsr.errors import EngineUnavailable, InputError
+from dynsr.engines.diffeqpy import DiffeqpyEngine
+from dynsr.engines.select import ENGINES, find_engine
+from dynsr.errors import EngineError, EngineUnavailable, InputError
 from dynsr.paper.bases import BASES
 from dynsr.paper.records import SparseRecord, sparse_records
+from dynsr.trajectory_checks import trajectory_rows
 
 COEFFICIENT_LIMIT = 1e-6
 # Both take the same steps, so that a cap changes what is compared, not how well it agrees.
 PYSINDY_STEPS = 500
-
-
-@dataclass(frozen=True)
-class CrosscheckRow:
-    """One comparison.
-
-    ``difference`` is the largest over all that was compared, relative for coefficients; None where
-    one side is absent. ``worst`` says where it occurred, or why a side is absent.
-    """
-
-    section: str
-    system: str
-    subject: str
-    ours: str
-    theirs: str
-    compared: int
-    difference: float | None
-    limit: float
-    worst: str = ""
-
-    @property
-    def verdict(self) -> str:
-        """One of agrees, differs, absent."""
-        if self.difference is None:
-            return "absent"
-        return "agrees" if self.difference <= self.limit else "differs"
 
 
 Section = Callable[[str, AbstractEngine], Iterator[CrosscheckRow]]
@@ -57,38 +35,57 @@ Section = Callable[[str, AbstractEngine], Iterator[CrosscheckRow]]
 
 def crosscheck(
     systems: Sequence[str] = tuple(BASES),
-    engines: Sequence[str] = ("embedded",),
+    engines: Sequence[str] = ENGINES,
     sections: Sequence[str] | None = None,
+    extra: Sequence[str] = (),
 ) -> list[CrosscheckRow]:
     """Compare engines with recorded answers and other programs, on the paper's systems.
 
-    Raises InputError on an unknown system, engine or section.
+    ``extra`` names further programs whose trajectories are compared: "diffeqpy".
 
-    >>> rows = crosscheck(["cart-pole"], sections=["corrected"])
+    Raises InputError on an unknown system, engine, section or program.
+
+    >>> rows = crosscheck(["cart-pole"], ["embedded"], ["corrected", "trajectories"])
     >>> {row.verdict for row in rows}
     {'agrees'}
     """
     chosen = tuple(SECTIONS) if sections is None else tuple(sections)
-    for kind, names, known in (("system", systems, BASES), ("section", chosen, SECTIONS)):
+    for kind, names, known in (
+        ("system", systems, tuple(BASES)),
+        ("section", chosen, tuple(SECTIONS)),
+        ("program", extra, tuple(PROGRAMS)),
+    ):
         for name in names:
             if name not in known:
                 raise InputError(
                     f"unknown {kind} {name!r} of crosscheck; there are: {', '.join(known)}"
                 )
     rows: list[CrosscheckRow] = []
-    for engine_name in engines:
+    for engine in engines:
         for section in chosen:
             for system in systems:
-                try:
-                    rows.extend(SECTIONS[section](system, find_engine(engine_name)))
-                except EngineUnavailable as error:
-                    rows.append(absent(section, system, engine_name, "everything", str(error)))
+                rows.extend(_compare(section, system, engine, find_engine))
+    for program in extra:
+        for system in systems:
+            rows.extend(_compare("trajectories", system, program, _start_program))
     return rows
 
 
-def absent(section: str, system: str, ours: str, theirs: str, reason: str) -> CrosscheckRow:
-    """Give the row of a comparison that cannot be made."""
-    return CrosscheckRow(section, system, "", ours, theirs, 0, None, math.nan, reason)
+def _compare(
+    section: str, system: str, name: str, find: Callable[[str], AbstractEngine]
+) -> list[CrosscheckRow]:
+    try:
+        return list(SECTIONS[section](system, find(name)))
+    except EngineUnavailable as error:
+        return [absent(section, system, name, "everything", str(error))]
+    except EngineError as error:
+        # An engine that is there and fails is as far off as can be.
+        return [CrosscheckRow(section, system, "", name, "", 0, math.inf, 0.0, str(error))]
+
+
+@cache
+def _start_program(name: str) -> AbstractEngine:
+    return PROGRAMS[name]()
 
 
 def coefficient_difference(found: np.ndarray, expected: np.ndarray, implicit: bool) -> float:
@@ -250,7 +247,10 @@ def _solve_by_pysindy(pysindy: ModuleType, problem: SparseProblem, steps: int) -
 
 
 SECTIONS: dict[str, Section] = {
+    "trajectories": trajectory_rows,
     "records": record_rows,
     "corrected": corrected_rows,
     "pysindy": pysindy_rows,
 }
+
+PROGRAMS: dict[str, Callable[[], AbstractEngine]] = {"diffeqpy": DiffeqpyEngine}

@@ -154,6 +154,6 @@ def _try_regression(engine: AbstractEngine) -> float:
 
 
 def _split_remedy(message: str) -> tuple[str, str]:
-    """Part what is wrong from the remedy that follows "; run"."""
-    what, _, remedy = message.partition("; run ")
-    return what, remedy
+    """Part what is wrong from the remedy, which is what follows the last semicolon."""
+    what, _, remedy = message.rpartition("; ")
+    return what, remedy.removeprefix("run ")

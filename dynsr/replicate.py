@@ -113,7 +113,7 @@ def replicate(
     Parameters
     ----------
     systems, methods : their names; all of the paper's by default.
-    runs : runs of each method on each system; 5 by default, 2 when quick.
+    runs : of each method on each system; 5 by default, 2 when quick.
     seed : all chance comes from it; a cell's own from it and the cell's names.
     jobs : worker processes; one a core by default. The result does not depend on it.
     out : folder of the results; made when it is not there, continued when it is.
@@ -135,6 +135,17 @@ def replicate(
         cell_method(cell, plan)
     settings = {"seed": plan.seed, "engine": engine, "quick": quick, "version": __version__}
     folder = open_folder(out, settings)
+    records = _complete(cells, plan, folder, workers, progress)
+    result = Replication(folder, settings, tuple(records[cell.name] for cell in cells))
+    if report:
+        result.write()
+    return result
+
+
+def _complete(
+    cells: Sequence[Cell], plan: Plan, folder: Path, workers: int, progress: bool
+) -> dict[str, Record]:
+    """Give the record of every cell by its name; those that are not there yet are computed."""
     records = {c.name: r for c in cells if (r := _usable_record(c, plan, folder)) is not None}
     todo = [cell for cell in cells if cell.name not in records]
     todo.sort(key=lambda cell: -_COST.get(cell.method, 1.0))
@@ -142,10 +153,7 @@ def replicate(
         for cell, record in _compute(todo, plan, folder, workers):
             records[cell.name] = record
             finished(cell, record)
-    result = Replication(folder, settings, tuple(records[cell.name] for cell in cells))
-    if report:
-        result.write()
-    return result
+    return records
 
 
 def _cells(systems: Sequence[str | System], methods: Sequence[str], runs: int) -> list[Cell]:
@@ -192,7 +200,7 @@ def _usable_record(cell: Cell, plan: Plan, folder: Path) -> Record | None:
         record = read_record(path)
         _check_same(record, cell, plan, path)
     except RecordError as error:
-        warnings.warn(f"{error}; computing it again", RecordWarning, stacklevel=3)
+        warnings.warn(f"{error}; computing it again", RecordWarning, stacklevel=5)
         return None
     return record if record.done else None
 

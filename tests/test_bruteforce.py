@@ -18,7 +18,7 @@ from dynsr.samples import Samples, make_samples
 from dynsr.trajectory import Trajectory
 
 GOLDEN = Path(__file__).parent / "golden" / "tsit5"
-SMALL = BruteForce(max_size=5, max_candidates=50_000, device="cpu")
+SMALL = BruteForce(max_size=5, beam=0, device="cpu")
 
 
 def planted(formula: str, names: str, rows: int = 300, seed: int = 0) -> Samples:
@@ -112,7 +112,7 @@ def test_no_function_is_tested_twice():
 def test_two_searches_agree_to_the_last_digit():
     """The same samples and settings give the same candidates, counts and order."""
     samples = planted("sin(x) + cos(y)*exp(x)/y", "xy")
-    settings = BruteForce(max_size=5, max_candidates=5_000, device="cpu")
+    settings = BruteForce(max_size=4, beam=16, sums=(50,), device="cpu")
     first = search_values(samples.X, samples.y, samples.names, settings)
     second = search_values(samples.X, samples.y, samples.names, settings)
     assert first.candidates == second.candidates
@@ -206,3 +206,26 @@ def test_bad_values_are_refused():
         search_values(X, np.arange(4.0), ["x", "y"], BruteForce(changes=("cube",)))
     with pytest.raises(InputError, match="unknown device 'tpu'"):
         search_values(X, np.arange(4.0), ["x", "y"], BruteForce(device="tpu"))
+
+
+@pytest.mark.parametrize(
+    "formula",
+    ["a*exp(-b*c/(d*e))", "c*(1.5*a*sin(b) + d - 2)", "(a+b)*c/(1 + c*d)"],
+)
+def test_ratios_and_beam_find_what_no_single_function_is(formula):
+    """Nested power laws, a variable times a sum, and products with a sum come out to rounding."""
+    samples = planted(formula, "abcde" if "*e" in formula else "abcd")
+    settings = BruteForce(max_candidates=60_000, ratios=True, device="cpu")
+    result = search_values(samples.X, samples.y, samples.names, settings)
+    assert result.stopped == "exact"
+    alone = BruteForce(max_candidates=60_000, beam=0, sums=(), device="cpu")
+    assert search_values(samples.X, samples.y, samples.names, alone).stopped != "exact"
+
+
+def test_an_exact_formula_is_chosen_though_its_errors_have_one_sign():
+    """Rounding errors of one sign do not make thousands of exact rows count as two."""
+    samples = planted("0.3989422804*exp(-0.5*(x/y)^2)/y", "xy")
+    result = search_values(samples.X, samples.y, samples.names, SMALL)
+    fresh = planted("0.3989422804*exp(-0.5*(x/y)^2)/y", "xy", seed=1)
+    chosen = choose(result.candidates, samples)
+    assert np.allclose(evaluate(chosen.expr, fresh.columns), fresh.y, rtol=1e-9)

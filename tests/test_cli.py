@@ -1,5 +1,8 @@
+import dataclasses
+import importlib.util
 import json
 import os
+import resource
 import shlex
 import signal
 import subprocess
@@ -316,7 +319,74 @@ def test_audit():
 
 
 def test_julia_without_julia_is_one_line():
-    """Asking for an engine that is absent ends within two seconds of work in one line, code 2."""
-    pytest.importorskip("dynsr.engines.julia")
-    line = refuse("generate", "lorenz", "--engine", "julia")
-    assert "ulia" in line
+    """Asking for an engine that is absent takes one line, exit code 2 and under two seconds."""
+    if importlib.util.find_spec("juliacall"):
+        pytest.skip("juliacall is installed here")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    for words in (("generate", "lorenz"), ("discover", "--system", "lorenz"), ("audit",)):
+        child = spawn(*words, "--engine", "julia")
+        out, errors = child.communicate()
+        assert child.returncode == 2 and out == "" and errors.count("\n") == 1
+        assert "pip install 'dynsr[julia]'" in errors
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    # The time of the processor, since the machine may have other things to do.
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 3 * 2.0
+
+
+def test_doctor():
+    """The doctor names what is installed with its version, and what mends what is missing."""
+    found = {check["name"]: check for check in json.loads(run("doctor", "--json").stdout)}
+    assert found["numpy"]["detail"] == np.__version__
+    assert found["embedded: integration"]["state"] == "ok"
+    assert all(check["remedy"] for check in found.values() if check["state"] == "missing")
+    assert "embedded: regression" in run("doctor").stdout
+
+
+def test_doctor_fails_on_what_is_needed(monkeypatch):
+    """Something needed that is missing makes exit code 2, after the whole table."""
+    import dynsr.doctor
+
+    broken = dynsr.doctor.Check("numpy", "missing", "not installed", "pip install numpy")
+    monkeypatch.setattr(dynsr.doctor, "examine", lambda: [broken])
+    assert "pip install numpy" in run("doctor", code=2).stdout
+
+
+def test_crosscheck(monkeypatch):
+    """A crosscheck gives a verdict a row, and exit code 2 when one differs."""
+    import dynsr.crosscheck
+
+    words = ("crosscheck", "--systems", "cart-pole", "--sections", "corrected")
+    rows = json.loads(run(*words, "--json").stdout)
+    assert rows and {row["verdict"] for row in rows} == {"agrees"}
+    assert "unknown section 'nope'" in refuse("crosscheck", "--sections", "nope")
+    (row,) = dynsr.crosscheck.crosscheck(["cart-pole"], sections=["corrected"])
+    wrong = dataclasses.replace(row, difference=1.0)
+    monkeypatch.setattr(dynsr.crosscheck, "crosscheck", lambda **_: [wrong])
+    assert json.loads(run("crosscheck", "--json", code=2).stdout)[0]["verdict"] == "differs"
+
+
+def test_benchmarks_are_listed():
+    """Without a name the benchmarks are listed."""
+    (one,) = json.loads(run("benchmark", "--json").stdout)
+    assert one["name"] == "recovery" and "recovery" in run("benchmark").stdout
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("dynsr gen", "generate"),
+        ("dynsr generate lot", "lotka-volterra"),
+        ("dynsr discover --system pen", "pendulum"),
+        ("dynsr generate lorenz --engine emb", "embedded"),
+    ],
+)
+def test_shell_completion(typed, offered):
+    """The shell completes commands, systems and engines."""
+    words = typed.split()
+    environment = {
+        "_DYNSR_COMPLETE": "complete_bash",
+        "COMP_WORDS": typed,
+        "COMP_CWORD": str(len(words) - 1),
+    }
+    result = CliRunner().invoke(app, [], prog_name="dynsr", env=environment)
+    assert result.stdout.split() == [offered]

@@ -1,14 +1,16 @@
 """The comparison of engines with records and peers."""
 
+import json
 import sys
 
 import numpy as np
 import pytest
 
+from dynsr.comparison import absent
 from dynsr.crosscheck import SECTIONS, CrosscheckRow, coefficient_difference, crosscheck
 from dynsr.engines.base import SparseProblem, SparseSolution
 from dynsr.engines.embedded import EmbeddedEngine
-from dynsr.errors import EngineUnavailable, InputError
+from dynsr.errors import EngineError, EngineUnavailable, InputError
 from dynsr.paper.bases import BASES
 
 CASES = [(s, system) for s in ("corrected", "pysindy") for system in BASES]
@@ -18,7 +20,7 @@ CASES = [(s, system) for s in ("corrected", "pysindy") for system in BASES]
 @pytest.mark.parametrize(("section", "system"), [("records", "cart-pole"), *CASES])
 def test_the_embedded_engine_agrees_with_julia_and_pysindy(section: str, system: str):
     """Every sparse row of every system is filled, and its verdict is that both agree."""
-    rows = crosscheck([system], sections=[section])
+    rows = crosscheck([system], ["embedded"], [section])
     assert rows
     assert {row.verdict for row in rows} == {"agrees"}
     assert all(row.compared > 0 for row in rows)
@@ -48,7 +50,7 @@ def test_a_wrong_engine_is_found_out(section: str, system: str):
 def test_without_pysindy_the_row_says_so(monkeypatch: pytest.MonkeyPatch):
     """An absent peer is a row with the remedy, not an error."""
     monkeypatch.setitem(sys.modules, "pysindy", None)
-    (row,) = crosscheck(["pendulum"], sections=["pysindy"])
+    (row,) = crosscheck(["pendulum"], ["embedded"], ["pysindy"])
     assert row.verdict == "absent"
     assert row.difference is None
     assert "pip install pysindy" in row.worst
@@ -88,8 +90,34 @@ def test_a_difference_at_the_limit_agrees_and_one_above_does_not():
 
 
 def test_unknown_names_are_refused():
-    """The message lists the systems, or the sections."""
+    """The message lists the systems, the sections or the further programs."""
     with pytest.raises(InputError, match="cart-pole"):
         crosscheck(["lorenz"])
     with pytest.raises(InputError, match="records"):
         crosscheck(["pendulum"], sections=["weather"])
+    with pytest.raises(InputError, match="diffeqpy"):
+        crosscheck(["pendulum"], extra=["matlab"])
+
+
+def test_an_engine_that_fails_is_no_absence(monkeypatch: pytest.MonkeyPatch):
+    """An engine that is there and breaks down differs, and the row holds its words."""
+
+    class Failing(EmbeddedEngine):
+        def integrate(self, problem):
+            raise EngineError("julia ended unexpectedly")
+
+    monkeypatch.setattr("dynsr.crosscheck.find_engine", lambda name: Failing())
+    (row,) = crosscheck(["pendulum"], ["julia"], ["trajectories"])
+    assert (row.verdict, row.worst) == ("differs", "julia ended unexpectedly")
+
+
+def test_rows_are_plain_data():
+    """Every row, an absent one too, can be written as strict JSON with its verdict."""
+    rows = [
+        absent("s", "pendulum", "julia", "everything", "not installed"),
+        CrosscheckRow("s", "pendulum", "t", "a", "b", 1, 1e-9, 1e-8),
+        CrosscheckRow("s", "pendulum", "t", "a", "b", 1, np.inf, 1e-8),
+    ]
+    found = json.loads(json.dumps([row.as_dict() for row in rows], allow_nan=False))
+    assert [row["verdict"] for row in found] == ["absent", "agrees", "differs"]
+    assert found[0]["limit"] is None

@@ -1,5 +1,8 @@
+import importlib.util
+import inspect
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -10,7 +13,7 @@ import numpy as np
 import pytest
 
 from dynsr.catalogue import CART_POLE, PENDULUM
-from dynsr.engines import julia, worker_process
+from dynsr.engines import julia, julia_worker, worker_process
 from dynsr.engines.base import InitialValueProblem, SparseProblem
 from dynsr.engines.julia import JuliaEngine, find_missing, find_sources
 from dynsr.engines.select import find_engine
@@ -180,6 +183,13 @@ def test_an_interrupt_ends_the_call_and_leaves_no_late_answer(engine, monkeypatc
     assert process_of(engine) != before
 
 
+def test_a_program_that_is_no_julia_is_told_in_its_words():
+    """What a program says on its standard error is part of the one line."""
+    problem = subprocess.CalledProcessError(1, ["julia"], stderr="x\nERROR: no julia here\n")
+    assert julia_worker._one_line(problem).endswith("It said: ERROR: no julia here")
+    assert len(julia_worker._one_line(RuntimeError("word " * 1000))) <= 600
+
+
 def test_an_engine_travels_as_settings(engine):
     """A copy in another process is an engine of its own, which starts a Julia of its own."""
     assert engine.integrate(decay()).success
@@ -226,6 +236,38 @@ def test_settings_of_the_environment_are_checked(fake_julia, monkeypatch, progra
             monkeypatch.setenv(f"PYTHON_JULIACALL_{name}", value)
     found = find_missing()
     assert words in found and bool(words) == bool(found)
+
+
+def test_juliapkg_is_asked_for_julia_when_none_is_given(fake_julia, monkeypatch, tmp_path):
+    """Installing runs juliapkg in a process of its own and tells where Julia is."""
+    for name in ("EXE", "PROJECT"):
+        monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
+    (tmp_path / "juliapkg.py").write_text(
+        "import os\n"
+        "def resolve():\n"
+        "    print('Found dependencies')\n"
+        "    assert os.environ['JULIA_CONDAPKG_BACKEND'] == 'Null'\n"
+        "    if os.environ.get('FAKE_JULIAPKG') == 'fail': raise SystemExit(3)\n"
+        "executable = lambda: '/opt/julia'\n"
+        "project = lambda: '/opt/project'\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert julia.install() == "Julia and its packages are set up: /opt/julia in /opt/project"
+    monkeypatch.setenv("FAKE_JULIAPKG", "fail")
+    with pytest.raises(EngineError, match="juliapkg ended with exit code 3"):
+        julia.install()
+
+
+def test_the_stand_in_takes_what_julia_takes():
+    """The arguments of integrate and regress in Julia are, in order, those tested here."""
+    spec = importlib.util.spec_from_file_location("stand_in", FAKE / "juliacall" / "__init__.py")
+    stand_in = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(stand_in)
+    for name, function in (("integrate", stand_in._integrate), ("regress", stand_in._regress)):
+        text = (find_sources() / "src" / f"{name}.jl").read_text()
+        (arguments,) = re.findall(rf"^function {name}\(([^)]*)\)", text, re.M)
+        in_julia = [word for word in re.split(r"[,\s]+", arguments) if word]
+        assert list(inspect.signature(function).parameters) == in_julia
 
 
 def test_the_sources_are_found_from_a_checkout():

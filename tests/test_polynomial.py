@@ -64,3 +64,13 @@ def test_few_rows_bound_the_degree(rows):
     samples = _samples(rng.normal(size=(rows, 2)), rng.normal(size=rows))
     found = Polynomial(sparse=False).run(samples, Context(rng))
     assert 1 <= len(found) <= (1 if rows == 3 else 3)
+
+
+def test_a_polynomial_that_only_follows_the_samples_is_left_out():
+    """On a curve in five variables degree 4 fits well and fails ahead; it is not given in full."""
+    t = np.linspace(0, 10, 800)
+    X = np.column_stack([np.sin(t), np.cos(2 * t), 0.2 * t, np.sin(3 * t + 0.1 * t**2), 0.1 * t**2])
+    samples = _samples(X, np.exp(X[:, 0]) * np.cos(2 * X[:, 3]))
+    found = Polynomial(sparse=False).run(samples, Context(np.random.default_rng(0)))
+    assert fit_full(samples, 4).loss < 0.1 * min(c.loss for c in found)
+    assert "polynomial 4" not in {c.source for c in found}

@@ -228,3 +228,10 @@ def test_the_genetic_algorithm_replicates_in_the_paper_settings(tmp_path):
     assert record.trajectory_loss == pytest.approx(trajectory_loss(PENDULUM, record.expr))
     assert record.versions["numpy"] and record.engine == "embedded" and record.seconds > 0
     assert record.front[-1]["expression"] == record.expression
+
+
+def test_replicate_is_public():
+    """``dynsr.replicate`` is the function, also after its module was imported."""
+    import dynsr
+
+    assert dynsr.replicate is replicate and callable(dynsr.replicate)

@@ -37,8 +37,9 @@ def test_every_record_of_julia_is_reproduced(record: SparseRecord):
     elif record.iterations == record.problem.max_iterations:
         assert solution.iterations == record.iterations
     else:
-        # The stop compares with machine epsilon: Julia's own count moves with the BLAS.
-        slack = 3 + 0.02 * record.iterations if record.problem.release else 1
+        # 2021 stops below 2.2e-16, where rounding decides: writing P (r + w) as P r + P w moves the
+        # count by 5. Today's 1.5e-8 leaves it no such room.
+        slack = 8 + 0.02 * record.iterations if record.problem.release else 1
         assert abs(solution.iterations - record.iterations) <= slack
 
 

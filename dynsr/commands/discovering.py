@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,10 +18,8 @@ from dynsr.errors import InputError
 
 if TYPE_CHECKING:
     from dynsr.discovery import Discovery
+    from dynsr.methods.base import AbstractMethod
     from dynsr.trajectory import Trajectory
-
-
-_METHOD_ALIASES = {"ga": "genetic"}
 
 
 def discover(
@@ -58,6 +57,13 @@ def discover(
             rich_help_panel=options.SEARCH,
         ),
     ] = None,
+    scheme: Annotated[
+        str | None,
+        typer.Option(
+            help="How slopes are made: auto, forward, central4, ... The data choose by default.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = -1,
     engine: options.Engine = "embedded",
@@ -85,14 +91,16 @@ def discover(
     if files:
         data = load_table(files, time_column, states, columns, trajectory, quiet)
     else:
+        _refuse_columns(time_column, states, trajectory, [*(columns or []), *formulas])
         data, formulas = _training_data(str(system), engine)
     folder = _choose_folder(out, files[0].stem if files else str(system), json)
     with SearchProgress(quiet) as progress:
         found = search(
             data,
             progress,
-            method=method,
+            method=_choose_method(method, preset, system, engine),
             preset=preset,
+            scheme=scheme or ("forward" if preset == "paper" else "auto"),
             targets=options.read_names(targets) or "all",
             inputs=formulas or None,
             known=read_equations(known) if known else None,
@@ -118,6 +126,20 @@ def check_engine(engine: str) -> None:
     find_engine(engine)
 
 
+def _refuse_columns(
+    time_column: str | None, states: options.Names, trajectory: str | None, inputs: list[str]
+) -> None:
+    """A known system has its columns; only a file leaves them open."""
+    for option, value in (
+        ("--time", time_column),
+        ("--states", states),
+        ("--trajectory", trajectory),
+        ("--inputs", inputs),
+    ):
+        if value:
+            raise InputError(f"{option} goes with a file of data; a known system has its own")
+
+
 def _training_data(name: str, engine: str) -> tuple[list[Trajectory], dict[str, Any]]:
     from dynsr.catalogue import find_system
     from dynsr.simulate import training_trajectory
@@ -136,11 +158,27 @@ def _choose_folder(out: Path | None, stem: str, json: bool) -> Path | None:
     return output.make_folder(out or Path(f"{stem}-dynsr"))
 
 
+def _choose_method(
+    method: str, preset: str, system: str | None, engine: str
+) -> str | list[AbstractMethod]:
+    """Give the paper's own settings for a system of the paper; else the name is enough."""
+    from dynsr.catalogue import PAPER_SYSTEMS
+    from dynsr.methods.select import METHODS, make_method
+
+    ours = preset == "paper" and system in [known.name for known in PAPER_SYSTEMS]
+    if not ours or (method != "auto" and method not in METHODS):
+        return method
+    names = METHODS if method == "auto" else (method,)
+    made = [make_method(name, preset, system) for name in names]
+    # Methods are frozen dataclasses of settings, which their interface does not say.
+    return [replace(m, engine=engine) if hasattr(m, "engine") else m for m in made]  # type: ignore[type-var]
+
+
 def search(
     data: Sequence[Trajectory],
     progress: SearchProgress,
     *,
-    method: str,
+    method: str | list[AbstractMethod],
     out: Path | None = None,
     **settings: Any,
 ) -> Discovery:
@@ -152,9 +190,8 @@ def search(
         progress(step.what, step.done, step.total, _best(step.record))
 
     progress("searching", 0, None, "")
-    name = _METHOD_ALIASES.get(method, method)
     try:
-        return run(list(data), method=name, out=out, progress=tell, **settings)
+        return run(list(data), method=method, out=out, progress=tell, **settings)
     except KeyboardInterrupt:
         if out is not None:
             progress.say(f"what is finished is kept in {out}; the same command goes on from there")

@@ -258,9 +258,10 @@ def _discovered_system(path: Path, inputs: Sequence[str] | None, x0: str | None)
 
     found = load_discovery(path)
     equations = {state: to_text(expr) for state, expr in found.equations.items()}
+    formulas = {name: to_text(expr) for name, expr in found.inputs.items()}
     start = options.read_numbers(x0, "--x0", len(equations))
     if start is None:
         raise InputError("a discovery needs a start state: --x0, one number a state")
     return System.from_strings(
-        equations, x0=start, inputs=read_equations(inputs or []), name=path.stem
+        equations, x0=start, inputs={**formulas, **read_equations(inputs or [])}, name=path.stem
     )

@@ -88,7 +88,9 @@ MethodName = Annotated[
     str,
     typer.Option("--method", help="auto, dynaifeynman, sindy or ga.", rich_help_panel=SEARCH),
 ]
-Preset = Annotated[str, typer.Option(help="best, or paper (as published).", rich_help_panel=SEARCH)]
+Preset = Annotated[
+    str, typer.Option(help="best, paper (as published) or quick.", rich_help_panel=SEARCH)
+]
 
 
 def read_numbers(text: str | None, option: str, count: int | None = None) -> list[float] | None:

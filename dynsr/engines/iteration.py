@@ -51,8 +51,7 @@ def run(iteration: AbstractIteration, cap: int) -> tuple[np.ndarray, np.ndarray,
 
 def shrink(x: np.ndarray, width: float, out: np.ndarray, work: np.ndarray) -> None:
     """Write ``sign(x) max(|x| - width, 0)`` to ``out``; ``work`` is scratch."""
-    np.minimum(x, width, out=work)
-    np.maximum(work, -width, out=work)
+    np.clip(x, -width, width, out=work)
     np.subtract(x, work, out=out)
 
 

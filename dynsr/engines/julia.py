@@ -7,6 +7,7 @@ know juliacall.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -69,6 +70,8 @@ class JuliaEngine(AbstractEngine):
     """
 
     name = "julia"
+    # What the worker is asked for.
+    integration = "integrate"
 
     def __init__(
         self,
@@ -89,12 +92,12 @@ class JuliaEngine(AbstractEngine):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as settings; that process starts a Julia of its own."""
-        return (JuliaEngine, (self.regress_seconds, self.start_seconds, self.announce))
+        return (type(self), (self.regress_seconds, self.start_seconds, self.announce))
 
     def integrate(self, problem: InitialValueProblem) -> Integration:
         """Solve an initial value problem by OrdinaryDiffEqTsit5."""
         header = {
-            "call": "integrate",
+            "call": self.integration,
             "slopes": write_slopes(problem.rhs, problem.states),
             "reltol": float(problem.reltol),
             "abstol": float(problem.abstol),
@@ -172,7 +175,7 @@ class JuliaEngine(AbstractEngine):
             except EngineUnavailable as problem:
                 # What failed to load is not loaded by trying again in the same process.
                 self._process.close()
-                raise EngineUnavailable(f"Julia does not start: {problem} ({_remedy()})") from None
+                raise EngineUnavailable(f"Julia does not start: {problem}; {_remedy()}") from None
 
 
 def _expect(results: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -225,22 +228,40 @@ def _is_resolved() -> bool:
 
 def _remedy() -> str:
     if os.environ.get(_OWN_PROJECT[0]):
-        return "the project must hold the packages of dynsr's julia/Project.toml and PythonCall"
+        return "give a project with the packages of dynsr's julia/Project.toml and PythonCall"
     return "run dynsr doctor --install"
 
 
-def install() -> str:
-    """Resolve Julia and its packages through juliapkg and say where they are.
+def locate() -> tuple[str, str]:
+    """Give the Julia program and project in use; juliapkg sets them up where they are not yet.
 
-    juliapkg's own output goes to standard error. Raises EngineUnavailable when juliacall is not
-    installed, EngineError when juliapkg fails.
+    Raises EngineUnavailable when juliacall is not installed, EngineError when juliapkg fails;
+    juliapkg's own output goes to standard error.
     """
     if importlib.util.find_spec("juliacall") is None:
         raise EngineUnavailable(f"juliacall is not installed; run {INSTALL}")
-    if all(os.environ.get(name) for name in _OWN_PROJECT):
-        return f"nothing to install: {_OWN_PROJECT[1]} names {os.environ[_OWN_PROJECT[1]]}"
-    code = "import juliapkg; juliapkg.resolve(); print(juliapkg.executable(), juliapkg.project())"
-    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    own = [os.environ.get(name) for name in _OWN_PROJECT]
+    if own[0] and own[1]:
+        return own[0], own[1]
+    code = (
+        f"import sys; sys.path[:] = {json.dumps(sys.path)}; import juliapkg; juliapkg.resolve(); "
+        "print(juliapkg.executable()); print(juliapkg.project())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**_ENVIRONMENT, **os.environ},
+    )
     if done.returncode:
         raise EngineError(f"juliapkg ended with exit code {done.returncode}; see its output above")
-    return f"Julia and its packages are set up: {done.stdout.strip().splitlines()[-1]}"
+    program, project = done.stdout.splitlines()[-2:]
+    return program, project
+
+
+def install() -> str:
+    """Set up Julia and its packages through juliapkg and say where they are; raises as locate."""
+    program, project = locate()
+    if os.environ.get(_OWN_PROJECT[0]):
+        return f"nothing to install: {_OWN_PROJECT[1]} names {project}"
+    return f"Julia and its packages are set up: {program} in {project}"

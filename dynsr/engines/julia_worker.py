@@ -27,29 +27,17 @@ class Session:
         self._tell = tell
         self._module: Any = None
         self._warm: set[str] = set()
-        self._calls = {"integrate": self._integrate, "regress": self._regress}
+        self._calls = {
+            "integrate": self._integrate,
+            "regress": self._regress,
+            "diffeqpy": self._integrate_by_diffeqpy,
+        }
         self._versions: dict[str, str] = {}
 
-    def prepare(self, header: dict[str, Any]) -> None:
-        """Load Julia and compile what the call needs, so that its own time is the work's alone."""
-        call = header["call"]
-        if self._module is None:
-            self._load(header["source"])
-        if call in self._calls and call not in self._warm:
-            self._tell(f"compiling {call}, once a session")
-            warm_up = {"integrate": _tiny_integration, "regress": _tiny_regression}[call]
-            self._calls[call](*warm_up(header))
-            self._warm.add(call)
-
-    def answer(
-        self, header: dict[str, Any], arrays: dict[str, np.ndarray]
-    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Do what is asked: "integrate", "regress" or "versions"."""
-        if header["call"] == "versions":
-            return {"versions": self._versions}, {}
-        return self._calls[header["call"]](header, arrays)
-
-    def _load(self, source: str) -> None:
+    def load(self, source: str) -> None:
+        """Start Julia and load dynsr's module from its file; nothing happens the second time."""
+        if self._module is not None:
+            return
         self._tell("starting Julia (packages that are missing are installed, which takes minutes)")
         import juliacall
 
@@ -62,6 +50,23 @@ class Session:
             **dict(line.split(" ", 1) for line in lines),
             "juliacall": str(juliacall.__version__),
         }
+
+    def warm_up(self, header: dict[str, Any]) -> None:
+        """Compile what the call needs, so that the time it is given is for its work alone."""
+        call = header["call"]
+        if call in self._calls and call not in self._warm:
+            self._tell(f"compiling {call}, once a session")
+            tiny = _tiny_regression if call == "regress" else _tiny_integration
+            self._calls[call](*tiny(header))
+            self._warm.add(call)
+
+    def answer(
+        self, header: dict[str, Any], arrays: dict[str, np.ndarray]
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Do what is asked: "integrate", "regress" or "versions"."""
+        if header["call"] == "versions":
+            return {"versions": self._versions}, {}
+        return self._calls[header["call"]](header, arrays)
 
     def _integrate(
         self, header: dict[str, Any], arrays: dict[str, np.ndarray]
@@ -76,7 +81,35 @@ class Session:
             float(header["max_seconds"]),
         )
         facts = {"accepted": int(accepted), "rejected": int(rejected), "message": str(message)}
-        return facts, {"x": np.array(x, dtype=float, copy=True)}
+        return facts, {"x": np.array(x, copy=True).astype(float)}
+
+    def _integrate_by_diffeqpy(
+        self, header: dict[str, Any], arrays: dict[str, np.ndarray]
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        from diffeqpy import de
+
+        vector = de.seval("x -> Vector{Float64}(x)")
+        t = arrays["t"]
+        # The slopes are compiled in Julia here too; seval wants them on one line.
+        slopes = de.seval(str(header["slopes"]).replace("\n", "; ").replace("begin;", "begin"))
+        problem = de.ODEProblem(slopes, vector(arrays["x0"]), (float(t[0]), float(t[-1])))
+        solution = de.solve(
+            problem,
+            de.Tsit5(),
+            saveat=vector(t),
+            reltol=float(header["reltol"]),
+            abstol=float(header["abstol"]),
+            maxiters=int(header["max_steps"]),
+        )
+        states = np.array(de.seval("s -> reduce(hcat, s.u)")(solution), copy=True).T
+        x = np.full((len(t), len(arrays["x0"])), np.nan)
+        x[: len(states)] = states[: len(t)]
+        code = str(de.seval("s -> string(s.retcode)")(solution))
+        return {
+            "accepted": int(de.seval("s -> s.stats.naccept")(solution)),
+            "rejected": int(de.seval("s -> s.stats.nreject")(solution)),
+            "message": "" if code == "Success" else code,
+        }, {"x": x}
 
     def _regress(
         self, header: dict[str, Any], arrays: dict[str, np.ndarray]
@@ -94,7 +127,7 @@ class Session:
             bool(header["implicit"]),
         )
         facts = {"iterations": int(iterations), "converged": bool(converged)}
-        return facts, {"coefficients": np.array(coefficients, dtype=float, copy=True)}
+        return facts, {"coefficients": np.array(coefficients, copy=True).astype(float)}
 
 
 def _tiny_integration(header: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -115,14 +148,15 @@ def main() -> None:
     session = Session(lambda text: write_frame(answers, {"event": "progress", "text": text}))
     while (frame := read_frame(requests)) is not None:
         header, arrays = frame
+        # Whatever a foreign library raises, the engine is told and the worker lives on.
         try:
-            session.prepare(header)
-        # Whatever a foreign library raises while it starts, the engine is told.
+            session.load(header["source"])
         except Exception as problem:
             write_frame(answers, {"event": "unavailable", "message": _one_line(problem)})
             continue
-        write_frame(answers, {"event": "working"})
         try:
+            session.warm_up(header)
+            write_frame(answers, {"event": "working"})
             facts, results = session.answer(header, arrays)
         except Exception as problem:
             write_frame(answers, {"event": "error", "message": _one_line(problem)})
@@ -145,5 +179,9 @@ def _take_pipes() -> tuple[IO[bytes], IO[bytes]]:
 def _one_line(problem: Exception) -> str:
     """Say what went wrong in the words of who said it, without the stack."""
     text = str(problem).split("Stacktrace:")[0]
+    # A program that juliacall ran said why it failed on its own standard error.
+    told = str(getattr(problem, "stderr", None) or "").strip()
+    if told:
+        text += f" It said: {told.splitlines()[-1]}"
     line = " ".join(text.split()) or type(problem).__name__
     return line if len(line) <= LONGEST_MESSAGE else line[: LONGEST_MESSAGE - 3] + "..."

@@ -30,11 +30,6 @@ class SR3:
     weight: float
     nu: float
 
-    @classmethod
-    def at_threshold(cls, threshold: float, nu: float) -> SR3:
-        """Settings whose tau is the threshold: lambda = threshold^2 nu / 2."""
-        return cls(threshold**2 * nu / 2, nu)
-
     @property
     def threshold(self) -> float:
         """tau: coefficients of smaller magnitude become zero."""
@@ -55,11 +50,6 @@ class ADMM:
 
     weight: float
     rho: float
-
-    @classmethod
-    def at_threshold(cls, threshold: float, rho: float) -> ADMM:
-        """Settings whose tau is the threshold: lambda = threshold rho."""
-        return cls(threshold * rho, rho)
 
     @property
     def threshold(self) -> float:
@@ -83,9 +73,11 @@ class _SR3Iteration(AbstractIteration):
         self.x, self.new, self.work = (np.empty_like(self.w) for _ in range(3))
 
     def advance(self) -> np.ndarray:
-        np.divide(self.w, self.nu, out=self.new)
-        np.add(self.new, self.right, out=self.new)
-        self.resolvent.apply(self.new, self.x, self.work)
+        # P (A'y + W/nu), not P A'y + P W/nu: the rounding of the latter keeps the steps above the
+        # stop a little longer.
+        w = self.w if self.nu == 1 else np.divide(self.w, self.nu, out=self.new)
+        np.add(w, self.right, out=self.new)
+        self.resolvent.apply(self.new, self.x)
         shrink(self.x, self.width, self.new, self.work)
         self.w, self.new = self.new, self.w
         return distances(self.new, self.w, self.work) / self.nu < EPSILON
@@ -102,12 +94,12 @@ class _ADMMIteration(AbstractIteration):
         self.inner, self.shifted, self.new, self.work, self.fixed = (
             np.empty_like(self.x) for _ in range(5)
         )
-        self.resolvent.apply(stack.correlation, self.fixed, self.work)
+        self.resolvent.apply(stack.correlation, self.fixed)
 
     def advance(self) -> np.ndarray:
         np.multiply(self.x, self.rho, out=self.new)
         np.subtract(self.new, self.u, out=self.new)
-        self.resolvent.apply(self.new, self.inner, self.work)
+        self.resolvent.apply(self.new, self.inner)
         np.add(self.inner, self.fixed, out=self.inner)
         np.divide(self.u, self.rho, out=self.shifted)
         np.add(self.shifted, self.inner, out=self.shifted)

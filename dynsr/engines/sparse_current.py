@@ -112,13 +112,13 @@ class _SR3Iteration(Iteration):
         self.resolvent = stack.resolvent(algorithm.nu)
         self.right = stack.correlation
         self.x, self.previous, self.work, self.inner = (np.empty_like(self.right) for _ in range(4))
-        self.resolvent.apply(self.right, self.x, self.work)
+        self.resolvent.apply(self.right, self.x)
 
     def advance(self) -> np.ndarray:
         self.x, self.previous = self.previous, self.x
         np.multiply(self.previous, self.nu, out=self.inner)
         np.add(self.inner, self.right, out=self.inner)
-        self.resolvent.apply(self.inner, self.x, self.work)
+        self.resolvent.apply(self.inner, self.x)
         if self.soft:
             shrink(self.x, self.threshold, self.x, self.work)
         else:
@@ -139,12 +139,12 @@ class _ADMMIteration(Iteration):
         if stack.rows.shape[0] > stack.rows.shape[1]:
             self.x = stack.start()
         else:
-            self.resolvent.apply(self.right, self.x, self.work)
+            self.resolvent.apply(self.right, self.x)
 
     def advance(self) -> np.ndarray:
         self.x, self.previous = self.previous, self.x
         vectors = self.right + self.rho * (self.alpha - self.dual)
-        self.resolvent.apply(vectors, self.x, self.work)
+        self.resolvent.apply(vectors, self.x)
         np.add(self.x, self.dual, out=vectors)
         shrink(vectors, self.threshold / self.rho, self.alpha, self.work)
         np.subtract(self.x, self.alpha, out=self.gap)

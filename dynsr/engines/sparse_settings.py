@@ -71,7 +71,7 @@ def _read_2021(problem: SparseProblem) -> OptimizerSettings:
 
 def _read_current(problem: SparseProblem) -> OptimizerSettings:
     _check_keys(problem, _KEYS_CURRENT[problem.optimizer])
-    settings = problem.settings
+    settings: Mapping[str, Any] = problem.settings
     proximal = str(settings.get("proximal", "hard"))
     if proximal not in ("hard", "soft"):
         raise InputError(f"proximal {proximal!r} is unknown; use hard or soft")

@@ -128,8 +128,9 @@ def shifted_inverse(gram: np.ndarray, shift: float) -> np.ndarray:
 class Resolvent:
     """(G + shift I)^-1 for each problem of a stack, applied to (k, n) vectors in one product.
 
-    With P the inverse of the whole matrix, the inverse of the matrix without row and column j is
-    P - P_j P_j' / P_jj restricted to the others (block inversion); both are never formed.
+    With P the inverse of the whole matrix, v P has no component j when v_j is set to
+    -sum_i v_i P_ij / P_jj over the others; what is left is then the solution of the system without
+    row and column j (block inversion). So the inverses of the problems are never formed.
     """
 
     def __init__(self, inverse: np.ndarray, left: np.ndarray | None) -> None:
@@ -138,22 +139,23 @@ class Resolvent:
         self.left = left
         if left is not None:
             self._at = np.arange(len(left)) * len(inverse) + left
-            # Row j of this over P_jj: what one unit at coefficient j takes from the others.
-            self._project = inverse[left] / inverse[left, left][:, None]
+            self._project = inverse[left] / -inverse[left, left][:, None]
+            self._project.reshape(-1)[self._at] = 0.0
 
     def select(self, problems: np.ndarray) -> Resolvent:
         """Give the resolvent of some of the problems."""
         return Resolvent(self.inverse, None if self.left is None else self.left[problems])
 
-    def apply(self, vectors: np.ndarray, out: np.ndarray, work: np.ndarray) -> np.ndarray:
-        """Write the (k, n) solutions to ``out``; ``work`` is scratch of the same shape.
+    def apply(self, vectors: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Write the (k, n) solutions to ``out``.
 
         A vector's entry at its problem's left-out row must be zero, and so it is in the solution.
         """
+        if self.left is None:
+            return np.matmul(vectors, self.inverse, out=out)
+        entries = vectors.reshape(-1)
+        entries[self._at] = np.einsum("ij,ij->i", vectors, self._project)
         np.matmul(vectors, self.inverse, out=out)
-        if self.left is not None:
-            flat = out.reshape(-1)
-            np.multiply(self._project, flat[self._at][:, None], out=work)
-            np.subtract(out, work, out=out)
-            flat[self._at] = 0.0
+        entries[self._at] = 0.0
+        out.reshape(-1)[self._at] = 0.0
         return out

@@ -115,11 +115,13 @@ class SINDy(AbstractMethod):
         try:
             if not self.thresholds:
                 expr = self._formula(library, self.regress(samples).coefficients)
-                front = front.add(*([] if expr is None else [score_candidate(expr, samples)]))
+                front = front.add(
+                    *([] if expr is None else [score_candidate(expr, samples, self.name)])
+                )
                 report(Progress("sindy", 1, 1, front))
                 return front
             if np.ptp(samples.y) == 0:
-                return front.add(score_candidate(sympy.Float(float(samples.y[0])), samples))
+                return front.add(score_candidate(_constant(samples), samples, self.name))
             for done, found in enumerate(self._follow(library, theta, samples)):
                 front = front.add(*found) if found else front
                 report(Progress("sindy", done + 1, None, front))
@@ -183,6 +185,10 @@ class SINDy(AbstractMethod):
                     loss = rmse(model.predict(theta), samples.y)
                     found.append(Candidate(expr, loss, complexity(expr), self.name))
             yield found
+
+
+def _constant(samples: Samples) -> sympy.Expr:
+    return sympy.Float(float(samples.y[0]))
 
 
 def _ratio(library: Library, model: Model) -> sympy.Expr:

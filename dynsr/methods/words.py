@@ -19,9 +19,7 @@ def to_postfix(infix: np.ndarray, grammar: Grammar) -> np.ndarray:
     stack as the bracket that it opens.
     """
     count, width = infix.shape
-    rank = np.zeros(len(grammar.symbols), dtype=np.int64)
-    for k, token in enumerate(grammar.operators):
-        rank[grammar.leaves + k] = _PRECEDENCE[token]
+    rank = _ranks(grammar)
     right = np.array([token == "^" for token in grammar.symbols])
     out, written = np.full((count, width), PAD), np.zeros(count, dtype=np.int64)
     stack, height = np.zeros((count, width + 1), dtype=np.int64), np.zeros(count, dtype=np.int64)
@@ -55,6 +53,14 @@ def to_postfix(infix: np.ndarray, grammar: Grammar) -> np.ndarray:
     rows = np.arange(count)
     pop_while(rows, np.ones(count, dtype=np.int64))
     return out
+
+
+def _ranks(grammar: Grammar) -> np.ndarray:
+    """Precedence of every token; 0 for what is no binary operator."""
+    rank = np.zeros(len(grammar.symbols), dtype=np.int64)
+    for k, token in enumerate(grammar.operators):
+        rank[grammar.leaves + k] = _PRECEDENCE[token]
+    return rank
 
 
 def evaluate_words(postfix: np.ndarray, columns: np.ndarray, grammar: Grammar) -> np.ndarray:

@@ -76,9 +76,9 @@ coefficients.
 function solve2021(rows, target, gram, right, optimizer, normalize, cap)
     scale = normalize ? vec(sqrt.(sum(abs2, rows; dims = 2))) : ones(size(rows, 1))
     start = permutedims(rows ./ scale) \ target
-    iterate = optimizer.name == "SR3" ? sr3 : admm
+    descend = optimizer.name == "SR3" ? sr3 : admm
     x, iterations, converged =
-        iterate(gram ./ (scale .* scale'), right ./ scale, start, optimizer, cap)
+        descend(gram ./ (scale .* scale'), right ./ scale, start, optimizer, cap)
     x[abs.(x) .< threshold(optimizer)] .= 0
     return x ./ scale, iterations, converged
 end

@@ -26,7 +26,7 @@ TOLERANCE, WIDEN = 1e-6, 0.05
 
 def find(samples: Samples, seconds: float, candidates: float) -> tuple[Candidate, str]:
     """Give the formula chosen, and what the enumeration looked at."""
-    settings = BruteForce(seconds=seconds, max_candidates=candidates, sums=(100, 400, 1200))
+    settings = BruteForce(seconds=seconds, max_candidates=candidates, ratios=True)
     result = search_values(samples.X, samples.y, samples.names, settings)
     pool = list(result.candidates)
     if result.stopped != "exact":
@@ -64,7 +64,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=15.0, help="budget of one enumeration")
-    parser.add_argument("--candidates", type=float, default=5e6)
+    parser.add_argument("--candidates", type=float, default=5e5)
     options = parser.parse_args()
     console = Console(width=200)
     table = Table("equation", "formula", "exact", "s", "looked at", "found")

@@ -50,8 +50,11 @@ def estimate_noise(residuals: Iterable[np.ndarray], y: np.ndarray) -> Noise:
             best, floor = residual, median
     if not math.isfinite(floor):
         floor = size
+    if floor <= REAL_RESOLUTION * size:
+        # Rounding errors are no noise: their signs say nothing, and every row is exact.
+        return Noise(REAL_RESOLUTION * size, float(len(y)))
     runs = 1 + int(np.count_nonzero(np.diff(np.signbit(best))))
-    return Noise(max(floor, REAL_RESOLUTION * size), float(min(len(y), 2 * runs)))
+    return Noise(floor, float(min(len(y), 2 * runs)))
 
 
 def data_bits(residual: np.ndarray, noise: Noise) -> float:

@@ -67,34 +67,50 @@ CHANGES = {
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """One changed target: ``values`` = T(sign * y), and the way back to y."""
+    """One changed target: ``values`` = T(sign * y / factor), and the way back to y.
+
+    ``factor`` is 1 or a variable's values, ``symbol`` the same written.
+    """
 
     change: Change
     sign: float
     values: np.ndarray
     weights: np.ndarray
+    factor: np.ndarray | float = 1.0
+    symbol: sympy.Expr = sympy.S.One
+
+    @property
+    def name(self) -> str:
+        """The change's name, with the variable that y was divided by."""
+        return self.change.name if self.symbol == 1 else f"{self.change.name} of y/{self.symbol}"
 
     def invert(self, predicted: np.ndarray) -> np.ndarray:
         """Turn predictions of T(y) into predictions of y; NaN where the inverse is undefined."""
         with np.errstate(all="ignore"):
-            return self.sign * OPERATORS[self.change.back].numpy(predicted)
+            return self.factor * self.sign * OPERATORS[self.change.back].numpy(predicted)
 
     def build(self, expr: sympy.Expr) -> sympy.Expr:
         """Turn a formula for T(y) into one for y."""
         inner = OPERATORS[self.change.back].sympy(expr)
-        return -inner if self.sign < 0 else inner
+        return self.symbol * (-inner if self.sign < 0 else inner)
 
 
-def make_targets(y: np.ndarray, names: Sequence[str]) -> list[Target]:
-    """Give the changes of ``y`` that can be undone on its range, the identity first.
+def make_targets(
+    y: np.ndarray,
+    names: Sequence[str],
+    factor: np.ndarray | float = 1.0,
+    symbol: sympy.Expr = sympy.S.One,
+) -> list[Target]:
+    """Give the changes of ``y / factor`` that can be undone on its range, the identity first.
 
     ``weights`` of a target are 1 / |dT/dy|: least squares of T(y) with them is least squares of y
-    to first order. Raises InputError for an unknown name.
+    to first order. ``symbol`` is the factor written. Raises InputError for an unknown name.
 
     >>> [t.change.name for t in make_targets(np.array([1.0, 2.0, 4.0]), ["log", "asin"])]
     ['y', 'log']
     """
     targets = []
+    y = y / factor
     for name in dict.fromkeys(("y", *names)):
         if name not in CHANGES:
             raise InputError(f"unknown domain change {name!r}; they are: {', '.join(CHANGES)}")
@@ -107,5 +123,6 @@ def make_targets(y: np.ndarray, names: Sequence[str]) -> list[Target]:
             slopes = np.abs(change.slope(sign * y))
         if np.all(np.isfinite(values)) and np.ptp(values) > 0:
             weights = 1 / np.maximum(slopes, 1e-6 * slopes.max())
-            targets.append(Target(change, sign, values, weights))
+            weights = weights * np.abs(factor)
+            targets.append(Target(change, sign, values, weights, factor, symbol))
     return targets

@@ -11,12 +11,14 @@ import sympy
 from dynsr.methods.feynman.alphabet import Letter
 from dynsr.methods.feynman.backend import Backend
 from dynsr.methods.feynman.bank import Bank, Chunk, Level, join_chunks
-from dynsr.methods.feynman.enumeration import form_leaves, form_level
+from dynsr.methods.feynman.enumeration import count_formations, form_leaves, form_level
 from dynsr.methods.feynman.screening import Screen, Shortlist
 from dynsr.methods.feynman.signature import Seen, Spread, sketch_directions
 
 # Functions formed in levels up to this many are looked at for the power law too.
 _LOGARITHMS = 400_000
+# A level of so few functions is stored even if nothing is built on it: sums draw on it.
+_SMALL = 20_000
 _SKETCH_SEED = 20210
 
 
@@ -65,27 +67,30 @@ class Enumerator:
         """Form the level of ``size`` letters and give its best functions.
 
         Ends in the middle of a level once ``most`` functions are formed in all, or ``deadline`` (a
-        ``time.monotonic()`` value) has passed. The ``last`` level is not stored.
+        ``time.monotonic()`` value) has passed. A large level that is the ``last``, or would
+        pass ``most``, is not stored, and nothing after it.
         """
         shortlist = Shortlist(screen.count, keep)
         whole = self.complete == size - 1 and self.storing
+        ahead = count_formations(self.bank, size)
+        if ahead > _SMALL and (last or self.formed + ahead >= most):
+            self.storing = False
         stored: list[Chunk] = []
         fresh: list[np.ndarray] = []
         for chunk in self._chunks(size):
-            index, new = self._look_at(chunk, screen, shortlist, last)
+            index, new = self._look_at(chunk, screen, shortlist)
             if size == 1:  # A constant is no candidate, but an argument.
                 index, new = np.arange(len(chunk)), np.isin(np.arange(len(chunk)), index[new])
-            if not last and self._has_room(len(index) + sum(map(len, stored))):
+            if self._has_room(len(index) + sum(map(len, stored))):
                 stored.append(chunk.take(index, self.backend))
                 fresh.append(new)
             if self.formed >= most or time.monotonic() > deadline:
                 self.stopped = "candidates" if self.formed >= most else "deadline"
                 whole = False
                 break
-        if not last:
-            rows = join_chunks([self._nothing(), *stored], self.backend)
-            marks = np.concatenate([np.zeros(0, dtype=bool), *fresh])
-            self.bank.levels.append(Level(len(self.bank), rows, marks))
+        rows = join_chunks([self._nothing(), *stored], self.backend)
+        marks = np.concatenate([np.zeros(0, dtype=bool), *fresh])
+        self.bank.levels.append(Level(len(self.bank), rows, marks))
         if whole:
             self.complete = size
         return shortlist
@@ -99,7 +104,7 @@ class Enumerator:
         return form_leaves(np.empty((0, self.rows)), self.backend)
 
     def _look_at(
-        self, chunk: Chunk, screen: Screen, shortlist: Shortlist, last: bool
+        self, chunk: Chunk, screen: Screen, shortlist: Shortlist
     ) -> tuple[np.ndarray, np.ndarray]:
         """Test the new functions of a chunk; give them, and which are new up to an affine map."""
         values = chunk.values
@@ -107,7 +112,7 @@ class Enumerator:
         spread = Spread(self.backend.get(values @ self._sketch), squares, self.rows)
         index = np.flatnonzero(spread.usable)
         spread = spread.take(index)
-        if not last and self.storing:
+        if self.storing:
             new = self._enter(self._exact, spread.exact())
             index, spread = index[new], spread.take(new)
         fresh = self._enter(self._affine, spread.affine())
@@ -125,6 +130,6 @@ class Enumerator:
         return seen.add(hashes)
 
     def _has_room(self, pending: int) -> bool:
-        if self.nbytes + pending * self._each > self.memory:
+        if self.storing and self.nbytes + pending * self._each > self.memory:
             self.storing = False
         return self.storing

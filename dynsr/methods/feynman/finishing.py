@@ -21,6 +21,8 @@ from dynsr.methods.feynman.problem import Problem
 # What a fitted constant and a change of the target count in letters.
 _CONSTANT, _CHANGE = 4.0, 2.0
 _SNAP = 0.02
+# A term of a sum below this part of the largest is rounding.
+_NOTHING = 1e-11
 
 
 class Finisher:
@@ -71,6 +73,8 @@ class Finisher:
             forms += [np.column_stack([shift, one]), np.column_stack([0 * one, one])]
         found = []
         for numbers in forms:
+            size = np.abs(numbers) * np.sqrt(np.einsum("kni,kni->ki", design, design))
+            numbers = np.where(size > _NOTHING * size.max(axis=1, keepdims=True), numbers, 0.0)
             fitted = np.einsum("kni,ki->kn", design, numbers)
             write = partial(self._sum, problem, groups, numbers)
             found += measure(problem.target.invert(fitted), self.y, write)
@@ -108,7 +112,7 @@ class Finisher:
         done = fitted[:0]
         for snap in (True, False):
             numbers = (
-                _snap_all(fitted, len(fitted.T) if problem.by_log else split) if snap else fitted
+                snap_all(fitted, len(fitted.T) if problem.by_log else split) if snap else fitted
             )
             if snap and not problem.by_log:
                 left = z - numbers[:, :split] @ problem.logs.T
@@ -136,11 +140,11 @@ class Finisher:
                 exponents @ problem.logs.T + np.einsum("kmn,km->kn", features, inner)
             )
             for place, column in enumerate(problem.powers):
-                predicted *= _signs(self.X[:, column], exponents[:, place])
+                predicted *= signs_of(self.X[:, column], exponents[:, place])
             if problem.by_log:
                 for k in range(len(groups)):
                     for v, b in zip(values[k], inner[k], strict=True):
-                        predicted[k] *= _signs(v, np.array([b]))[0]
+                        predicted[k] *= signs_of(v, np.array([b]))[0]
         good = np.isfinite(predicted).all(axis=1) & predicted.any(axis=1)
         if not good.any():
             return []
@@ -160,14 +164,14 @@ class Finisher:
         k: int,
     ) -> tuple[float, Writer]:
         split = len(problem.powers)
-        powers = [_as_power(a) for a in numbers[k, :split]]
-        inner = [_as_power(b) if problem.by_log else sympy.Float(b) for b in numbers[k, split:]]
+        powers = [as_power(a) for a in numbers[k, :split]]
+        inner = [as_power(b) if problem.by_log else sympy.Float(b) for b in numbers[k, split:]]
         size = sum(self.bank.size(f) for f in groups[k]) + _price([*powers, *inner]) + _CONSTANT
 
         def write() -> sympy.Expr:
             functions = [self.bank.expression(f) for f in groups[k]]
             if problem.by_log:
-                parts = [*map(_write_power, functions, values[k], inner)]
+                parts = [*map(write_power, functions, values[k], inner)]
             else:
                 parts = [sympy.exp(sympy.Add(*map(operator.mul, inner, functions)))]
             return sympy.Mul(_number(factors[k]), *self._write_powers(problem, powers), *parts)
@@ -176,7 +180,7 @@ class Finisher:
 
     def _write_powers(self, problem: Problem, powers: list[sympy.Expr]) -> list[sympy.Expr]:
         return [
-            _write_power(self.bank.leaves[j], self.X[:, j], power)
+            write_power(self.bank.leaves[j], self.X[:, j], power)
             for j, power in zip(problem.powers, powers, strict=True)
         ]
 
@@ -185,7 +189,7 @@ def _number(value: float) -> sympy.Expr:
     return sympy.Integer(int(value)) if value in (0, 1) else sympy.Float(float(value))
 
 
-def _snap_all(numbers: np.ndarray, columns: int) -> np.ndarray:
+def snap_all(numbers: np.ndarray, columns: int) -> np.ndarray:
     """Bring numbers of the first columns to a multiple of 1/2 or 1/3 where one is close."""
     snapped = numbers.copy()
     steps = np.array([1.0, 2.0, 3.0])
@@ -199,7 +203,7 @@ def _snap_all(numbers: np.ndarray, columns: int) -> np.ndarray:
     return snapped
 
 
-def _as_power(value: float) -> sympy.Expr:
+def as_power(value: float) -> sympy.Expr:
     """A multiple of 1/2 or 1/3 as the rational it is; a float otherwise."""
     near = Fraction(float(value)).limit_denominator(3)
     if abs(float(near) - value) < 1e-12:
@@ -207,7 +211,7 @@ def _as_power(value: float) -> sympy.Expr:
     return sympy.Float(float(value))
 
 
-def _signs(base: np.ndarray, exponents: np.ndarray) -> np.ndarray:
+def signs_of(base: np.ndarray, exponents: np.ndarray) -> np.ndarray:
     """(k, n) signs of base^exponent: NaN for a fraction of a base of mixed sign.
 
     A base that is negative throughout counts as -base under a fraction.
@@ -221,7 +225,8 @@ def _signs(base: np.ndarray, exponents: np.ndarray) -> np.ndarray:
     return signs if negative.all() else np.where(whole[:, None], signs, np.nan)
 
 
-def _write_power(base: sympy.Expr, values: np.ndarray, power: sympy.Expr) -> sympy.Expr:
+def write_power(base: sympy.Expr, values: np.ndarray, power: sympy.Expr) -> sympy.Expr:
+    """base^power, or (-base)^power for a fraction of a negative base."""
     return base**power if power.is_Integer or not (values < 0).any() else (-base) ** power
 
 

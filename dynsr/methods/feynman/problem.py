@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import sympy
 
 from dynsr.methods.feynman.domain import CHANGES, Target, make_targets
 
@@ -47,26 +48,35 @@ class Problem:
 
 
 def make_problems(
-    X: np.ndarray, y: np.ndarray, changes: Sequence[str], monomials: bool
+    X: np.ndarray,
+    y: np.ndarray,
+    changes: Sequence[str],
+    monomials: bool,
+    ratios: Sequence[sympy.Expr] = (),
 ) -> list[Problem]:
     """Give the problems of y: one for each domain change that fits its range, then the monomials'.
 
-    Power laws and exponentials need a target that is nowhere 0.
+    ``ratios`` are the names of the columns of X when y / v and v / y are wanted too. Power
+    laws and exponentials need a target that is nowhere 0.
 
     >>> x = np.linspace(1.0, 2.0, 5)[:, None]
     >>> [p.name for p in make_problems(x, np.exp(x[:, 0]), ["log"], True)]
     ['y', 'log', 'power law', 'exponential']
     """
     none = np.empty((len(y), 0))
-    targets = [t for t in make_targets(y, changes) if not _ruled_by_few(t.values)]
-    problems = [Problem(t.change.name, t, (), none, False) for t in targets]
+    targets = make_targets(y, changes)
+    for column, symbol in zip(X.T, ratios, strict=False):
+        if has_logarithm(column):
+            targets += make_targets(y, ("inv",), column, symbol)
+    targets = [t for t in targets if not _ruled_by_few(t.values)]
+    problems = [Problem(t.name, t, (), none, False) for t in targets]
     size = np.abs(y)
     if not monomials or size.min() <= 1e-9 * size.max():
         return problems
     logarithm = Target(CHANGES["log"], 1.0, np.log(size), size)
     if np.ptp(logarithm.values) == 0:
         return problems
-    powers = tuple(j for j in range(X.shape[1]) if _has_logarithm(X[:, j]))
+    powers = tuple(j for j in range(X.shape[1]) if has_logarithm(X[:, j]))
     logs = np.log(np.abs(X[:, powers]))
     problems.append(Problem("power law", logarithm, powers, logs, True))
     problems.append(Problem("exponential", logarithm, powers, logs, False))
@@ -79,6 +89,7 @@ def _ruled_by_few(values: np.ndarray) -> bool:
     return bool(len(values) > 4 and spread.max() > 0.5 * spread.sum())
 
 
-def _has_logarithm(column: np.ndarray) -> bool:
+def has_logarithm(column: np.ndarray) -> bool:
+    """Whether a variable is nowhere 0 and not constant."""
     size = np.abs(column)
     return bool(size.min() > 1e-9 * size.max() and np.ptp(size) > 1e-9 * size.max())

@@ -190,8 +190,10 @@ class DynAIFeynman(AbstractMethod):
     def _pipeline(self, samples: Samples, depth: int) -> list[AbstractStage]:
         polynomial = Polynomial(self.degree, self.sparse and depth == 0)
         rational = RationalSearch() if depth == 0 else RationalSearch(costs=(3,), rounds=1)
-        share = 1.0 if depth == 0 else 0.1
-        brute = BruteForce(max_candidates=max(1.0, share * self.candidates))
+        brute = BruteForce(max_candidates=self.candidates)
+        if depth:
+            fewer = max(1.0, 0.1 * self.candidates)
+            brute = replace(brute, max_candidates=fewer, sums=(50,), keep=6)
         stages: dict[str, AbstractStage] = {
             "rational": RationalStage(rational),
             "polynomial": polynomial,
@@ -230,6 +232,7 @@ PRESETS = {
         sparse=False,
         candidates=200_000,
         branches=1,
+        max_depth=2,
         selection="lowest error",
     ),
     "best": DynAIFeynman(),

@@ -94,13 +94,22 @@ def _integrate(source, x0, t, reltol, abstol, max_steps, max_seconds):
 
 
 def _regress(
-    theta, dx, optimizer, release, weights, relaxation, proximal, normalize, cap, implicit
+    theta,
+    dx,
+    optimizer,
+    release,
+    weights,
+    relaxation,
+    proximal,
+    normalize,
+    max_iterations,
+    implicit,
 ):
     if implicit:
         return np.zeros(2 * len(theta)), -1, False
     coefficients = np.linalg.lstsq(theta.T, dx, rcond=None)[0]
     coefficients[np.abs(coefficients) < weights.min()] = 0.0
-    return coefficients, int(cap), bool(normalize)
+    return coefficients, int(max_iterations), bool(normalize)
 
 
 _MODULE = SimpleNamespace(

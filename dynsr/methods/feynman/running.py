@@ -1,0 +1,242 @@
+"""One brute-force search as it runs: levels, sums, beams, and the bounds that end it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import sympy
+
+from dynsr.expression import parse
+from dynsr.methods.base import Progress, Report, silent
+from dynsr.methods.feynman.alphabet import count_strings, make_letters
+from dynsr.methods.feynman.backend import choose_backend
+from dynsr.methods.feynman.beam import Beam
+from dynsr.methods.feynman.enumerator import Enumerator
+from dynsr.methods.feynman.finishing import Finisher
+from dynsr.methods.feynman.nested import find_nested
+from dynsr.methods.feynman.pool import Pool
+from dynsr.methods.feynman.problem import Problem, make_problems
+from dynsr.methods.feynman.screening import Screen, Shortlist
+from dynsr.methods.feynman.sums import best_pairs, best_triples, make_gram
+from dynsr.pareto import Candidate, ParetoFront
+
+if TYPE_CHECKING:
+    from dynsr.methods.feynman.bruteforce import BruteForce
+
+_EXACT = 1e-10
+# Rows on which pairs are compared, and pairs that triples are grown from.
+_SUM_ROWS = 500
+_PAIRS = 48
+# Of so many simplest functions all pairs are starts of triples.
+_SIMPLE = 8
+
+
+@dataclass(frozen=True)
+class BruteForceResult:
+    """What a search found, and how much it looked at.
+
+    Parameters
+    ----------
+    candidates : formulas for y, simplest first: the Pareto fronts in RMSE and in error bits, and
+        the best in error bits beside them.
+    formed : functions evaluated, repetitions included.
+    distinct : functions tested, each once up to an affine map.
+    covered : strings in reverse Polish notation over the same letters of up to ``complete``
+        letters; every one is equal to a function looked at or has no finite values on the samples.
+    complete : largest size of which every function was looked at.
+    stored : functions kept to build on, in ``nbytes`` bytes (tables of hashes included).
+    stopped : what ended it: "exact", "size", "candidates", "deadline" or "interrupted".
+    seconds : time taken.
+    """
+
+    candidates: tuple[Candidate, ...]
+    formed: int
+    distinct: int
+    covered: int
+    complete: int
+    stored: int
+    nbytes: int
+    stopped: str
+    seconds: float
+
+    @property
+    def front(self) -> ParetoFront:
+        """The Pareto front of complexity against RMSE."""
+        return ParetoFront(self.candidates)
+
+
+class RunningSearch:
+    """One running search: what was formed, what was found, and which bound ended it."""
+
+    def __init__(
+        self,
+        X: np.ndarray,
+        y: np.ndarray,
+        names: tuple[str, ...],
+        settings: BruteForce,
+        report: Report,
+    ) -> None:
+        """Take finite (n, p) and (n,) values."""
+        self.X, self.y, self.settings, self.report = X, y, settings, report
+        self.started = time.monotonic()
+        self.letters, self.nested = make_letters(settings.operators, settings.nested)
+        leaves = [sympy.Symbol(name) for name in names] + [parse(c) for c in settings.constants]
+        self.leaves = len(leaves)
+        ratios = leaves[: len(names)] if settings.ratios else []
+        self.problems = make_problems(X, y, settings.changes, settings.monomials, ratios)
+        self.probes = probes = _spaced(len(y), settings.probes)
+        backend = choose_backend(settings.device)
+        self.screen = Screen(self.problems, probes, backend)
+        self.enumerator = Enumerator(
+            X[probes],
+            leaves,
+            self.letters,
+            self.nested,
+            backend,
+            int(settings.max_memory * 2**20),
+        )
+        self.finisher = Finisher(self.enumerator.bank, X, y)
+        self.pool = Pool()
+        self.stopped = ""
+        self.sums_done = 0
+        self.near: dict[str, list[tuple[int, int, int]]] = {}
+
+    def run(self) -> BruteForceResult:
+        """Search until a bound is met."""
+        try:
+            with np.errstate(all="ignore"):
+                self._run()
+        except KeyboardInterrupt:
+            self.stopped = "interrupted"
+        enumerator = self.enumerator
+        return BruteForceResult(
+            candidates=tuple(self.pool.candidates(self.settings.name)),
+            formed=enumerator.formed,
+            distinct=enumerator.distinct,
+            covered=count_strings(self.letters, self.leaves, enumerator.complete, self.nested),
+            complete=enumerator.complete,
+            stored=len(enumerator.bank),
+            nbytes=enumerator.nbytes,
+            stopped=self.stopped,
+            seconds=time.monotonic() - self.started,
+        )
+
+    def _run(self) -> None:
+        settings = self.settings
+        for problem in self.problems:
+            self.pool.add(self.finisher.finish(problem, [()]))
+        if settings.ratios:
+            self.pool.add(find_nested(self.X, self.y, self.enumerator.bank.leaves))
+        for size in range(1, settings.max_size + 1):
+            if self._ended():
+                return
+            shortlist = self.enumerator.form(
+                size,
+                self.screen,
+                settings.keep,
+                settings.max_candidates,
+                self.started + settings.seconds,
+                size == settings.max_size,
+            )
+            self._finish(shortlist)
+            self._try_sums(size)
+            if size == settings.max_size or self.enumerator.stopped == "candidates":
+                self._try_beam()
+            if self.report is not silent:
+                self.report(Progress(settings.name, self.enumerator.formed, None, self._front()))
+        if not self._ended():
+            self.stopped = "size"
+
+    def _ended(self) -> bool:
+        """Whether a bound is met; says which in ``stopped``."""
+        if not self._must_stop() and self.enumerator.stopped:
+            self.stopped = self.enumerator.stopped
+        return bool(self.stopped)
+
+    def _must_stop(self) -> bool:
+        """Whether nothing further is to be begun: a formula is exact, or the time is over."""
+        best = self.pool.best
+        if best is not None and best.loss <= _EXACT * float(np.abs(self.y).max()):
+            self.stopped = "exact"
+        elif time.monotonic() > self.started + self.settings.seconds:
+            self.stopped = "deadline"
+        return self.stopped in ("exact", "deadline")
+
+    def _finish(self, shortlist: Shortlist) -> None:
+        bank = self.enumerator.bank
+        for place, problem in enumerate(self.problems):
+            winners = shortlist.winners(place)
+            self.near[problem.name] = [*winners[:8], *self.near.get(problem.name, [])]
+            numbers = [(bank.number(*winner),) for winner in winners]
+            self.pool.add(self.finisher.finish(problem, numbers))
+
+    def _try_sums(self, size: int) -> None:
+        """Try all pairs of the next number of functions, once there are as many or no more come."""
+        levels = self.enumerator.bank.levels
+        fresh = [level.start + np.flatnonzero(level.fresh) for level in levels]
+        numbers = np.concatenate(fresh)
+        over = size == self.settings.max_size or bool(self.enumerator.stopped)
+        for count in self.settings.sums[self.sums_done :]:
+            if (len(numbers) < count and not over) or self._must_stop():
+                return
+            self.sums_done += 1
+            rows = _spaced(len(self.y), _SUM_ROWS)
+            chosen = numbers[:count]
+            depth = sum(level.start <= chosen[-1] for level in levels)
+            values = self.enumerator.bank.evaluate_all(self.X[rows], depth)[chosen]
+            for problem in self.problems:
+                if problem.by_log or not problem.powers:
+                    self._sum(problem, chosen, values, rows)
+
+    def _try_beam(self) -> None:
+        """Add any stored function to the simplest ones and to the best; then once more."""
+        if not self.settings.beam:
+            return
+        bank, keep = self.enumerator.bank, self.settings.keep
+        beam = Beam(bank, self.X[self.probes], self.probes, self.screen.backend)
+        for problem in self.problems:
+            if self._must_stop():
+                return
+            near = [
+                bank.number(*winner) for winner in self.near[problem.name][: self.settings.beam]
+            ]
+            starts = dict.fromkeys([*beam.singles(self.settings.beam), *((n,) for n in near)])
+            pairs = beam.extend(problem, list(starts), 2 * keep)
+            self.pool.add(self.finisher.finish(problem, pairs))
+            if self._must_stop():
+                return
+            triples = beam.extend(problem, [*pairs, *beam.pairs(_SIMPLE)], keep)
+            self.pool.add(self.finisher.finish(problem, triples))
+
+    def _sum(
+        self, problem: Problem, numbers: np.ndarray, values: np.ndarray, rows: np.ndarray
+    ) -> None:
+        """Fit the best pairs and triples; then again, rows weighted by how well they are explained.
+
+        Without the second time the few large errors of slopes would choose the pairs.
+        """
+        for robust in (False, True):
+            roots = problem.target.weights[rows]
+            best = self.pool.best
+            if robust and best is not None:
+                rest = np.abs(best.residual[rows])
+                roots = roots / np.sqrt(1 + (rest / max(2 * np.median(rest), 1e-300)) ** 2)
+            gram = make_gram(values, problem, rows, roots / roots.max())
+            pairs = best_pairs(gram, _PAIRS)
+            triples = best_triples(gram, list(pairs), self.settings.keep)
+            for groups in (pairs[: self.settings.keep], triples):
+                chosen = [tuple(int(numbers[i]) for i in group) for group in groups]
+                self.pool.add(self.finisher.finish(problem, chosen))
+            if self._must_stop():
+                return
+
+    def _front(self) -> ParetoFront:
+        return ParetoFront(self.pool.candidates(self.settings.name))
+
+
+def _spaced(rows: int, count: int) -> np.ndarray:
+    """Numbers of at most ``count`` evenly spaced rows."""
+    return np.unique(np.linspace(0, rows - 1, min(rows, count)).astype(int))

@@ -1,0 +1,96 @@
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynsr.catalogue import CART_POLE, DUFFING, LOTKA_VOLTERRA, PENDULUM
+from dynsr.cells import Cell, Plan, cell_method, cell_samples, compute_cell
+from dynsr.expression import evaluate
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fake_methods import make  # noqa: E402 (found beside this file)
+
+
+def test_every_cell_has_its_own_chance():
+    """Streams of different systems, methods, runs and seeds differ; that of one cell does not."""
+    cells = [Cell(s, m, r) for s in (PENDULUM, CART_POLE) for m in ("ga", "sindy") for r in (1, 2)]
+    draws = [c.generator(seed).random() for seed in (0, 1) for c in cells]
+    assert len(set(draws)) == len(draws) == 16
+    assert Cell(PENDULUM, "ga", 1).generator(0).random() == draws[0]
+
+
+def test_samples_are_forward_differences_of_the_states():
+    """1001 rows from t = 0 to 10; each slope leads to the next state; the force is no column."""
+    samples = cell_samples(Cell(CART_POLE, "ga", 1), "embedded")
+    assert samples.names == ("w", "x", "y", "z") and samples.X.shape == (1001, 4)
+    np.testing.assert_allclose(samples.t[[0, -1]], [0.0, 10.0], atol=1e-12)
+    np.testing.assert_allclose(samples.X[1:, 3], samples.X[:-1, 3] + 0.01 * samples.y[:-1])
+    assert cell_samples(Cell(DUFFING, "ga", 1), "embedded").names == ("x", "y", "F")
+
+
+def test_the_samples_of_sindy_are_those_of_the_printed_rows():
+    """The cart-pole's has 10001 rows 0.001 s apart and the force; the slope looks 0.01 s ahead."""
+    samples = cell_samples(Cell(CART_POLE, "sindy", 1), "embedded")
+    assert samples.names[-1] == "F" and samples.X.shape == (10001, 5)
+    z = samples.X[:, 3]
+    np.testing.assert_allclose(samples.y[:-10], (z[10:] - z[:-10]) / 0.01, rtol=1e-9)
+
+
+def test_sindy_finds_the_papers_pendulum():
+    """Its cell gives the coefficients 1.0, -0.007, 0.014 over 0.100 and the loss 2.186, cut."""
+    record = compute_cell(Cell(PENDULUM, "sindy", 1), Plan(0, "paper", "embedded"))
+    assert record.done, record.error
+    at = {"theta1": np.array([1.0, 0.0, 0.0]), "theta2": np.array([0.0, 1.0, 0.0])}
+    slopes = evaluate(record.expr, at)
+    divisor = np.sin(1.0) - 0.0079752
+    np.testing.assert_allclose(-slopes[0] / slopes[1] * 0.0147241, -divisor, rtol=1e-3)
+    assert f"{record.printed_loss:.6f}"[:5] == "2.186"
+
+
+def test_a_degree_four_polynomial_scores_as_the_paper_says():
+    """Least squares with every term of degree 4 in the states has the paper's kind of loss.
+
+    The cart-pole's run 5 has 0.579, its pendulum's run 1 has 2.167: ours are within a tenth.
+    """
+    from itertools import product
+
+    import sympy
+
+    from dynsr.scoring import printed_loss
+
+    for system, printed in ((CART_POLE, 0.579), (PENDULUM, 2.167), (LOTKA_VOLTERRA, 0.19)):
+        samples = cell_samples(Cell(system, "dynaifeynman", 1), "embedded")
+        powers = [e for e in product(range(5), repeat=len(samples.names)) if sum(e) <= 4]
+        theta = np.array([np.prod(samples.X ** np.array(e), axis=1) for e in powers]).T
+        found = np.linalg.lstsq(theta, samples.y, rcond=None)[0]
+        symbols = sympy.symbols(samples.names)
+        terms = [
+            sympy.Float(c) * sympy.Mul(*(s**k for s, k in zip(symbols, e, strict=True)))
+            for c, e in zip(found, powers, strict=True)
+        ]
+        loss = printed_loss(system, sympy.Add(*terms), "DynAIFeynman")
+        assert loss <= printed * 1.1
+
+
+def test_the_engine_of_the_plan_is_the_methods():
+    """A method that has an engine gets the plan's; one that has none is left as it is."""
+    cell = Cell(PENDULUM, "sindy", 1)
+    assert cell_method(cell, Plan(0, "paper", "julia")).engine == "julia"
+    assert cell_method(Cell(PENDULUM, "guess", 1), Plan(0, "paper", "julia", make)) == make(
+        "guess", "paper", None
+    )
+
+
+@pytest.mark.parametrize("how, words", [("raises", "no luck today"), ("nothing", "finite values")])
+def test_what_goes_wrong_becomes_a_record(how, words):
+    """An error or an empty front gives a failed record with one line, never an exception."""
+    record = compute_cell(Cell(PENDULUM, f"broken-{how}", 1), Plan(0, "paper", "embedded", make))
+    assert record.status == "failed" and words in record.error and "\n" not in record.error
+    assert record.settings["how"] == how and record.versions
+
+
+def test_an_unknown_engine_is_a_failed_record():
+    """Even what happens before the search is in the record."""
+    record = compute_cell(Cell(PENDULUM, "ga", 1), Plan(0, "paper", "matlab"))
+    assert record.status == "failed" and "unknown engine 'matlab'" in record.error

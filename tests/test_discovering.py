@@ -1,0 +1,331 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pandas
+import pytest
+import sympy
+from typer.testing import CliRunner
+
+from dynsr.cli import app
+from dynsr.commands.saved import flatten
+from dynsr.methods.genetic import GeneticAlgorithm
+from dynsr.methods.sindy import SINDy
+
+T = np.linspace(0.0, 3.0, 151)
+
+
+def run(*words, code=0):
+    """Run a command line in this process; give its result after a check of the exit code."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == code, result.output
+    assert "Traceback" not in result.output
+    return result
+
+
+def refuse(*words):
+    """Run a command line that must end in one line on stderr and exit code 2; give the line."""
+    result = run(*words, code=2)
+    lines = result.stderr.splitlines()
+    assert result.stdout == "" and lines[-1].startswith("error: ")
+    assert sum(line.startswith("error: ") for line in lines) == 1
+    return lines[-1]
+
+
+def decay(path, **columns):
+    """Write exponential decay (and further columns) as CSV; give its path."""
+    pandas.DataFrame({"t": T, "x": 2 * np.exp(-0.5 * T), **columns}).to_csv(path, index=False)
+    return path
+
+
+def broken(row, column, value):
+    """Write decay with one cell replaced."""
+
+    def write(path):
+        frame = pandas.read_csv(decay(path)).astype(object)
+        frame.iloc[row, column] = value
+        frame.to_csv(path, index=False)
+
+    return write
+
+
+def text(content):
+    """Write this text or these bytes."""
+    return lambda path: path.write_bytes(
+        content if isinstance(content, bytes) else content.encode()
+    )
+
+
+def with_columns(**columns):
+    """Write decay with further columns."""
+    return lambda path: decay(path, **columns)
+
+
+BAD_DATA = {
+    "empty file": (text(""), "is empty"),
+    "header alone": (text("t,x\n"), "header but no rows"),
+    "three rows": (text("t,x\n0,1\n1,2\n2,4\n"), "3 rows"),
+    "wrong delimiter": (text("t!x\n" + "".join(f"{i}!{i}\n" for i in range(20))), "cannot tell"),
+    "ragged rows": (text("t,x\n" + "1,2\n" * 9 + "1,2,3\n"), "one cell a column"),
+    "duplicate time": (broken(5, 0, T[4]), "repeats in row 6"),
+    "unsorted time": (broken(5, 0, 0.01), "runs backwards at row 6"),
+    "NaN": (broken(7, 1, np.nan), "no value (NaN) in row 8"),
+    "NaN run": (broken(slice(7, 12), 1, np.nan), "no value (NaN) in rows 8 to 12 (5 in all)"),
+    "infinite value": (broken(7, 1, np.inf), "holds inf in row 8"),
+    "text cell": (broken(7, 1, "broken"), "holds the text 'broken' in row 8"),
+    "code in a cell": (broken(7, 1, "__import__('os')"), "holds the text"),
+    "constant column": (with_columns(c=1.0), "column 'c' of data.csv is 1 in every row"),
+    "binary": (text(bytes(range(256)) * 9), "is binary"),
+    "Excel": (text(b"PK\x03\x04" + bytes(99)), "zip or Excel"),
+    "directory": (lambda path: path.mkdir(), "is a directory"),
+    "missing": (lambda path: None, "there is no file"),
+    "time alone": (text("t\n" + "\n".join(map(str, range(20)))), "no column left for a state"),
+    "name twice": (text("t,x,x\n" + "0,1,2\n" * 12), "'x' is used twice"),
+    "no time": (text("a,b\n" + "1,2\n" * 12), "looks like the time"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_DATA)
+def test_bad_data_end_in_one_line(tmp_path, monkeypatch, case):
+    """Data that cannot be used end in one line that names what is wrong, and exit code 2."""
+    monkeypatch.chdir(tmp_path)
+    write, said = BAD_DATA[case]
+    write(tmp_path / "data.csv")
+    assert said in refuse("discover", "data.csv")
+    assert not (tmp_path / "data-dynsr").exists()
+
+
+ODD_DATA = {
+    "identical columns": (dict(y=2 * np.exp(-0.5 * T)), "are identical"),
+    "units a billion apart": (dict(y=1e9 * np.sin(T)), "units that bring them closer"),
+    "function name": (dict(sin=np.sin(T)), "'sin' -> sin_1"),
+    "no identifier": ({"2nd y": np.sin(T)}, "'2nd y' -> x2nd_y"),
+    "code as name": ({"__import__('os')": np.sin(T)}, "-> import_os"),
+}
+
+
+@pytest.mark.parametrize("case", ODD_DATA)
+def test_odd_data_are_used_with_a_warning(tmp_path, monkeypatch, seen, case):
+    """Data that are odd but usable reach the search, and one line says what is odd."""
+    monkeypatch.chdir(tmp_path)
+    columns, said = ODD_DATA[case]
+    result = run("discover", decay(tmp_path / "data.csv", **columns), "--json")
+    (line,) = [line for line in result.stderr.splitlines() if line.startswith("warning: ")]
+    assert said in line
+    assert len(seen["data"][0].states) == 2
+
+
+class Found:
+    """A discovery that finds decay whatever the data."""
+
+    equations = {"x": sympy.Float(-0.5) * sympy.Symbol("x")}
+    errors = {"x": ((-0.5, 0.001),)}
+    explanation = {"x": "the only one"}
+    front = {}
+    inputs = {}
+    seconds = 0.25
+
+    def __init__(self, settings):
+        """Keep the settings."""
+        self.settings = settings
+
+    def save(self, path):
+        """Write a mark."""
+        path.write_text("{}")
+
+    def report(self, path):
+        """Write a mark."""
+        path.write_text("<html>")
+
+    def score(self, data):
+        """Give a score, one of them infinite."""
+        return {"slope_error": {"x": 0.5}, "trajectory_error": float("inf")}
+
+
+@pytest.fixture
+def seen(monkeypatch):
+    """Put a search in place that finds at once, and give what it was called with."""
+    import dynsr.discovery
+
+    calls = {}
+
+    def discover(data, *, progress, **options):
+        calls.update(options, data=data)
+        candidate = {"expr": "-0.5*x", "loss": 0.1, "complexity": 3.0, "source": "fake"}
+        record = {"target": "x", "front": [candidate]}
+        progress(dynsr.discovery.Step("search-x-fake", 1, 1, record))
+        return Found({"engine": options["engine"], "seed": options["seed"], "methods": ["fake"]})
+
+    monkeypatch.setattr(dynsr.discovery, "discover", discover)
+    return calls
+
+
+def test_options_reach_the_search(tmp_path, seen):
+    """Every option of the command reaches the search under its name."""
+    path = decay(tmp_path / "data.csv", u=np.sin(T), v=np.cos(T))
+    words = ["discover", path, "--states", "x,v", "--inputs", "u", "--inputs", "F=2*t"]
+    words += ["--method", "sindy", "--preset", "quick", "--targets", "x", "--seed", 7, "-j", 1]
+    words += ["--scheme", "central4"]
+    words += ["--known", "x'=-0.1*x", "--out", tmp_path / "kept", "--json"]
+    found = json.loads(run(*words).stdout)
+    (data,) = seen.pop("data")
+    assert data.states == ("x", "v") and data.input_names == ("u",)
+    assert seen == {
+        "method": "sindy",
+        "preset": "quick",
+        "scheme": "central4",
+        "targets": ["x"],
+        "inputs": {"F": "2*t"},
+        "known": {"x": "-0.1*x"},
+        "seed": 7,
+        "jobs": 1,
+        "engine": "embedded",
+        "out": tmp_path / "kept",
+    }
+    assert found["equations"] == {"x": "-0.5*x"} and found["seed"] == 7
+    assert found["engine"] == "embedded" and found["seconds"] == 0.25
+    assert found["scores"]["data"] == {"slope_error": {"x": 0.5}, "trajectory_error": None}
+    assert [os.path.exists(path) for path in found["files"]] == [True, True]
+
+
+def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
+    """Without --json the equations are printed, the guess is shown, and a report is kept."""
+    monkeypatch.chdir(tmp_path)
+    result = run("discover", decay(tmp_path / "data.csv"))
+    assert "x' = -0.5*x" in result.stdout and "slope_error x" in result.stdout
+    assert "data.csv: time 't', 151 rows from 0 to 3 every 0.02; states x" in result.stderr
+    assert "search-x-fake: x' = -0.5*x" in result.stderr
+    assert f"open: {os.path.join('data-dynsr', 'report.html')}" in result.stderr
+    assert (tmp_path / "data-dynsr" / "report.html").exists()
+
+
+def test_json_keeps_nothing_unasked(tmp_path, monkeypatch, seen):
+    """With --json and no folder nothing is written; --quiet leaves stderr empty."""
+    monkeypatch.chdir(tmp_path)
+    result = run("discover", "--system", "cart-pole", "--json", "-q", "--target", "z")
+    found = json.loads(result.stdout)
+    assert result.stderr == "" and not list(tmp_path.iterdir())
+    assert set(found["scores"]["truth"]["x"]) == {
+        "equation_rmse",
+        "printed_loss",
+        "trajectory_loss",
+    }
+    assert seen["data"][0].input_names == ("F",) and set(seen["inputs"]) == {"F"}
+
+
+def test_the_paper_preset_of_a_system(seen):
+    """A system of the paper gets the paper's own settings and forward differences."""
+    run("discover", "--system", "lotka-volterra", "--preset", "paper", "--json", "-q")
+    found = {method.name: method for method in seen["method"]}
+    assert set(found) == {"dynaifeynman", "ga", "sindy"} and seen["scheme"] == "forward"
+    assert found["sindy"] == SINDy.preset("paper", "lotka-volterra")
+    assert found["ga"] == GeneticAlgorithm.preset("paper", "lotka-volterra")
+    run(
+        "discover",
+        "--system",
+        "lotka-volterra",
+        "--preset",
+        "paper",
+        "--method",
+        "ga",
+        "--json",
+        "-q",
+    )
+    assert [method.name for method in seen["method"]] == ["ga"]
+    run("discover", "--system", "lorenz", "--preset", "paper", "--method", "ga", "--json", "-q")
+    assert seen["method"] == "ga" and seen["scheme"] == "forward"
+
+
+def test_a_folder_that_cannot_be_written(tmp_path):
+    """A folder for the results that is a file is refused before the search."""
+    path = decay(tmp_path / "data.csv")
+    assert "cannot write to folder" in refuse("discover", path, "--out", path)
+
+
+def test_scores_as_lines():
+    """Nested scores become lines with the path as their name."""
+    assert list(flatten({"a": {"b": 1, "c": {"d": None}}})) == [("a b", 1), ("a c d", None)]
+
+
+def test_columns_go_with_a_file():
+    """Options about columns are refused beside a known system, which has its own."""
+    for option, value in (("--time", "t"), ("--states", "x"), ("--inputs", "F=t")):
+        line = refuse("discover", "--system", "lorenz", option, value)
+        assert f"{option} goes with a file" in line
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """Discover decay for real and keep it; gives the data and the saved discovery."""
+    from dynsr.discovery import discover
+
+    folder = tmp_path_factory.mktemp("kept")
+    data = decay(folder / "data.csv")
+    discover(str(data), method="rational", jobs=1).save(folder / "discovery.json")
+    return data, folder / "discovery.json"
+
+
+def test_score_of_a_saved_discovery(kept):
+    """A saved discovery is scored on other data; its folder stands for it."""
+    data, saved = kept
+    found = json.loads(run("score", saved, data, "--json").stdout)
+    assert found["x"]["trajectory_rmse"] < 1e-4
+    assert "trajectory_rmse" in run("score", saved.parent, data).stdout
+    assert "unknown state 'x'" in refuse("score", saved, decay_of_y(data.parent / "y.csv"))
+
+
+def decay_of_y(path):
+    """Write data that have no state x."""
+    pandas.DataFrame({"t": T, "y": np.exp(-T)}).to_csv(path, index=False)
+    return path
+
+
+def test_simulate_a_saved_discovery(kept):
+    """A saved discovery is integrated from another start."""
+    _, saved = kept
+    found = json.loads(run("simulate", saved, "--x0", "4", "--span", "0,2", "--json").stdout)
+    t, x = np.array(found["columns"]["t"]), np.array(found["columns"]["x"])
+    assert np.allclose(x, 4 * np.exp(-0.5 * t), rtol=1e-3)
+    assert "needs a start state" in refuse("simulate", saved)
+
+
+def test_report_of_a_saved_discovery(kept, tmp_path):
+    """A saved discovery is reported on as one page."""
+    pytest.importorskip("dynsr.discovery_report")
+    found = json.loads(run("report", kept[1], "-o", tmp_path / "page.html", "--json").stdout)
+    assert "<html" in open(found["report"], encoding="utf-8").read()
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", "{}", '{"format": "other"}', "\0\1", "x,y\n"])
+def test_files_that_are_no_discovery(kept, tmp_path, content):
+    """A file that is no discovery, or the first half of one, is refused in one line."""
+    data, saved = kept
+    path = tmp_path / "cut.json"
+    path.write_text(content)
+    for words in (("score", path, data), ("simulate", path, "--x0", "1"), ("report", path)):
+        assert "cut.json" in refuse(*words)
+    path.write_bytes(saved.read_bytes()[:200])
+    assert "cut.json" in refuse("score", path, data)
+
+
+def test_interrupt_of_a_search_is_130(tmp_path):
+    """Ctrl-C in a running search ends it with exit code 130 and without a traceback."""
+    path = decay(tmp_path / "data.csv", y=np.sin(3 * T), z=np.cos(T) * T)
+    words = [sys.executable, "-m", "dynsr", "discover", path, "-j", "1", "-o", tmp_path / "kept"]
+    child = subprocess.Popen(
+        [str(word) for word in words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert child.stderr is not None
+    while "searching" not in child.stderr.readline():
+        assert child.poll() is None
+    os.killpg(child.pid, signal.SIGINT)
+    out, errors = child.communicate(timeout=60)
+    assert child.returncode == 130, (out, errors)
+    assert "Traceback" not in errors

@@ -1,0 +1,99 @@
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCES = ("DynSR.jl", "integrate.jl", "regress.jl", "release2021.jl")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """Build the wheel of this checkout, with the builder that is installed."""
+    pytest.importorskip("hatchling", reason="hatchling builds the wheel; pip install hatchling")
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (found,) = folder.glob("dynsr-*.whl")
+    return found
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory) -> Path:
+    """Install the wheel alone into an empty folder."""
+    folder = tmp_path_factory.mktemp("site")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    subprocess.run([*pip, "--target", str(folder), str(wheel)], check=True, capture_output=True)
+    return folder
+
+
+def run_in(site: Path, code: str, folder: Path) -> str:
+    """Run code in a Python that finds dynsr in the installed place alone, far from the checkout."""
+    setup = f"import sys; sys.path.insert(0, {str(site)!r}); "
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", setup + code],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.strip()
+
+
+def test_the_wheel_holds_all_that_dynsr_needs_at_run_time(wheel):
+    """Julia's sources, the list of its packages, the marker of types and the recorded answers."""
+    names = set(zipfile.ZipFile(wheel).namelist())
+    wanted = {f"dynsr/julia/src/{name}" for name in SOURCES}
+    wanted |= {"dynsr/juliapkg.json", "dynsr/julia/Project.toml", "dynsr/py.typed"}
+    assert wanted <= names
+    here = {p.relative_to(ROOT).as_posix() for p in (ROOT / "dynsr").rglob("*") if p.is_file()}
+    assert {n for n in here if "__pycache__" not in n} <= names
+
+
+def test_an_installed_dynsr_finds_julias_sources(installed, tmp_path):
+    """Away from the checkout, the engine finds the julia folder inside the package."""
+    code = "from dynsr.engines.julia import find_sources; print(find_sources())"
+    found = Path(run_in(installed, code, tmp_path))
+    assert found == installed / "dynsr" / "julia"
+    assert all((found / "src" / name).is_file() for name in SOURCES)
+
+
+def test_juliapkg_would_find_the_list_of_packages(installed, tmp_path):
+    """The list lies where juliapkg looks: beside __init__ of a package on the path."""
+    code = (
+        "import dynsr, json, pathlib; "
+        "path = pathlib.Path(dynsr.__file__).with_name('juliapkg.json'); "
+        "print(*sorted(json.loads(path.read_text())['packages']))"
+    )
+    found = run_in(installed, code, tmp_path)
+    assert found == "DataDrivenDiffEq DataDrivenSparse OrdinaryDiffEqTsit5 PythonCall"
+
+
+def test_an_installed_dynsr_integrates(installed, tmp_path):
+    """The wheel alone is a working dynsr."""
+    code = (
+        "from dynsr.catalogue import PENDULUM; from dynsr.simulate import simulate; "
+        "print(simulate(PENDULUM).x.shape)"
+    )
+    assert run_in(installed, code, tmp_path) == "(1001, 2)"
+
+
+def test_the_lists_of_julia_packages_agree():
+    """juliapkg.json and Project.toml ask for the same packages, versions and Julia."""
+    import json
+    import re
+
+    listed = json.loads((ROOT / "dynsr" / "juliapkg.json").read_text())
+    project = (ROOT / "julia" / "Project.toml").read_text()
+    for name in ("DataDrivenDiffEq", "DataDrivenSparse", "OrdinaryDiffEqTsit5"):
+        entry = listed["packages"][name]
+        assert f'{name} = "{entry["uuid"]}"' in project
+        assert f'{name} = "{entry["version"]}"' in project
+    assert f'julia = "{listed["julia"]}"' in project
+    deps = re.search(r"\[deps\]\n(.*?)\n\n", project, re.S)
+    bounds = re.search(r"\[compat\]\n(.*?)\n\n", project, re.S)
+    assert deps and bounds
+    for line in deps[1].splitlines():
+        assert re.search(rf"^{line.split(' ')[0]} = ", bounds[1], re.M)
