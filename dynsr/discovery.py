@@ -27,7 +27,14 @@ from dynsr.pareto import Candidate, ParetoFront
 from dynsr.polishing import polish
 from dynsr.portfolio import choose_methods
 from dynsr.samples import Samples
-from dynsr.selection import Pick, Rival, explains_all, pick_equation, trivial_candidates
+from dynsr.selection import (
+    Pick,
+    explains_all,
+    pick_equation,
+    read_candidates,
+    trivial_candidates,
+    write_candidates,
+)
 from dynsr.trajectory import Trajectory
 
 _MOST_ROWS = 4000
@@ -230,7 +237,7 @@ class _Problem:
             arguments = (written, samples, held_back, known)
             parts.append(Part(f"pick-{state}", key, pick_one, arguments))
         records = run_parts(parts, self.folder, jobs, tell)
-        return {s: read_pick(s, record) for s, record in zip(states, records, strict=True)}
+        return {s: Pick.from_record(s, record) for s, record in zip(states, records, strict=True)}
 
 
 def search_one(
@@ -254,48 +261,5 @@ def pick_one(
     front: list[Record], samples: Samples, held_back: Sequence[Trajectory], known: str
 ) -> Record:
     """Choose the equation of one target; gives a record of the choice."""
-    pick = pick_equation(samples.target, read_candidates(front), samples, held_back, parse(known))
-    return {
-        "target": pick.state,
-        "noise": [pick.noise.floor, pick.noise.effective_rows],
-        "rivals": [
-            {
-                "candidate": write_candidates([r.candidate])[0],
-                "bits": r.bits,
-                "held_back": r.held_back,
-            }
-            for r in pick.rivals
-        ],
-    }
-
-
-def read_pick(state: str, record: Record) -> Pick:
-    """Read a choice back from its record."""
-    from dynsr.methods.feynman.description import Noise
-
-    rivals = tuple(
-        Rival(read_candidates([r["candidate"]])[0], r["bits"], r["held_back"])
-        for r in record["rivals"]
-    )
-    return Pick(state, rivals, Noise(*record["noise"]))
-
-
-def write_candidates(candidates: Any) -> list[Record]:
-    """Write candidates as plain records."""
-    return [
-        {
-            "expr": to_text(c.expr),
-            "loss": c.loss,
-            "complexity": c.complexity,
-            "source": c.source,
-        }
-        for c in candidates
-    ]
-
-
-def read_candidates(records: Sequence[Record]) -> list[Candidate]:
-    """Read candidates back, parsed without ever being evaluated as Python."""
-    return [
-        Candidate(parse(r["expr"]), float(r["loss"]), float(r["complexity"]), str(r["source"]))
-        for r in records
-    ]
+    pool = read_candidates(front)
+    return pick_equation(samples.target, pool, samples, held_back, parse(known)).as_record()

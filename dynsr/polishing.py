@@ -23,6 +23,8 @@ _TERM_BITS = 6.0
 _TIE_BITS = 0.5
 _DIGITS = 8
 _SUREST = 1e-9
+# The median of 3000 misses (1000 rows, 3 states) is itself only sure to 2 %.
+_AS_GOOD = 1.02
 
 
 def polish(
@@ -47,6 +49,10 @@ def polish(
     match = match_trajectories({s: loosen(e) for s, e in exprs.items()}, runs, inputs=inputs)
     if not match.success:
         return _written(_unmatched(exprs))
+    # All simple constants at once: one at a time, constants that hang together block each other.
+    simple = match_trajectories(exprs, runs, inputs=inputs)
+    if simple.success and simple.loss <= _AS_GOOD * match.loss:
+        return _written(_snap_by_errors(simple, runs, inputs, match))
     return _written(_snap_by_errors(match, runs, inputs))
 
 
@@ -60,10 +66,13 @@ def _unmatched(exprs: Mapping[str, sympy.Expr]) -> Match:
 
 
 def _snap_by_errors(
-    match: Match, runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
+    match: Match,
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    free: Match | None = None,
 ) -> Match:
     """Snap each state's surest constant, fit the others again, and so on."""
-    first = match
+    first = free or match
     for _ in range(_MOST_ROUNDS):
         snapped = {s: _snap_surest(e, match.errors[s]) for s, e in match.exprs.items()}
         if snapped == match.exprs:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import sympy
 
-from dynsr.expression import evaluate, to_text
+from dynsr.expression import evaluate, parse, to_text
 from dynsr.methods.feynman.description import Noise, description_length, noise_of
 from dynsr.methods.matching import forecast_miss
 from dynsr.methods.snapping import as_decimals, score_snapped
@@ -67,6 +68,30 @@ class Pick:
             words.append(f"On held-back data it misses by {winner.held_back:.2g} of the spread.")
         words += [self._compare(winner, other) for other in others[:1]]
         return " ".join(words)
+
+    def as_record(self) -> dict[str, Any]:
+        """Give the choice as plain values."""
+        return {
+            "target": self.state,
+            "noise": [self.noise.floor, self.noise.effective_rows],
+            "rivals": [
+                {
+                    "candidate": write_candidates([r.candidate])[0],
+                    "bits": r.bits,
+                    "held_back": r.held_back,
+                }
+                for r in self.rivals
+            ],
+        }
+
+    @classmethod
+    def from_record(cls, state: str, record: Mapping[str, Any]) -> Pick:
+        """Read a choice back."""
+        rivals = tuple(
+            Rival(read_candidates([r["candidate"]])[0], r["bits"], r["held_back"])
+            for r in record["rivals"]
+        )
+        return cls(state, rivals, Noise(*record["noise"]))
 
     def _compare(self, winner: Rival, other: Rival) -> str:
         shown = to_text(as_decimals(other.candidate.expr))
@@ -161,3 +186,24 @@ def explains_all(candidate: Candidate, samples: Samples) -> bool:
     misses = np.abs(samples.y - evaluate(candidate.expr, samples.columns))
     size = float(np.sqrt(np.mean(samples.y**2)))
     return bool(np.median(misses) <= 5e-4 * size)
+
+
+def write_candidates(candidates: Iterable[Candidate]) -> list[dict[str, Any]]:
+    """Write candidates as plain records."""
+    return [
+        {
+            "expr": to_text(c.expr),
+            "loss": c.loss,
+            "complexity": c.complexity,
+            "source": c.source,
+        }
+        for c in candidates
+    ]
+
+
+def read_candidates(records: Iterable[Mapping[str, Any]]) -> list[Candidate]:
+    """Read candidates back, parsed without ever being evaluated as Python."""
+    return [
+        Candidate(parse(r["expr"]), float(r["loss"]), float(r["complexity"]), str(r["source"]))
+        for r in records
+    ]

@@ -74,7 +74,7 @@ def match_trajectories(
     flow, values, owners = _prepare(exprs, runs, inputs or {})
     untouched = Match(dict(exprs), {s: () for s in exprs}, np.inf, False)
     shortest = min(len(run) for run in runs)
-    if not len(values) or shortest < 3:
+    if shortest < 3 or not (len(values) or is_noisy(runs)):
         return replace(untouched, success=not len(values))
     spread = np.std(np.concatenate([run.x for run in runs]), axis=0)
     columns = [runs[0].index(state) for state in flow.rhs]
@@ -172,6 +172,8 @@ def _fit(
         for loss in _ROUNDS:
             constants, starts = shooting.minimise(constants, starts, loss, deadline)
         level = float(np.median(np.abs(shooting.misses(constants, starts))))
+        if not len(constants):
+            return constants, constants, level
         try:
             errors = shooting.standard_errors(constants, starts)
         except (np.linalg.LinAlgError, FloatingPointError):
