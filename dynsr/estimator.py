@@ -41,7 +41,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
 
     >>> X = np.linspace(0.5, 2.0, 80)[:, None]
     >>> DynsrRegressor().fit(X, 3 * X[:, 0] ** 2).expr_
-    3.0*x0**2
+    3*x0**2
     """
 
     def __init__(

@@ -3,6 +3,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas
@@ -294,9 +295,8 @@ def test_simulate_a_saved_discovery(kept):
 
 def test_report_of_a_saved_discovery(kept, tmp_path):
     """A saved discovery is reported on as one page."""
-    pytest.importorskip("dynsr.discovery_report")
     found = json.loads(run("report", kept[1], "-o", tmp_path / "page.html", "--json").stdout)
-    assert "<html" in open(found["report"], encoding="utf-8").read()
+    assert "<html" in Path(found["report"]).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", "{}", '{"format": "other"}', "\0\1", "x,y\n"])

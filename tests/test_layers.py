@@ -30,7 +30,7 @@ LAYERS = {
     **dict.fromkeys(("tables", "plots", "report", "templates"), 4),
     **dict.fromkeys(("cells", "records", "results", "checkpoint"), 4),
     **dict.fromkeys(("found", "polishing", "portfolio", "selection", "exports"), 4),
-    **dict.fromkeys(("prediction", "ensemble", "discovery_report", "trainable"), 4),
+    **dict.fromkeys(("prediction", "ensemble", "discovery_report", "trainable", "hybrid"), 4),
     **dict.fromkeys(("crosscheck", "comparison", "trajectory_checks", "doctor"), 4),
     **dict.fromkeys(("cli", "commands", "estimator", "__init__", "__main__"), 5),
 }
@@ -56,7 +56,16 @@ WITHIN = {
     "crosscheck": {"paper", "comparison", "trajectory_checks"},
     "trajectory_checks": {"comparison", "paper"},
     "discovery": {"checkpoint", "found", "polishing", "portfolio", "selection"},
-    "found": {"checkpoint", "discovery_report", "exports", "prediction", "trainable"},
+    "found": {
+        "checkpoint",
+        "discovery_report",
+        "exports",
+        "hybrid",
+        "plots",
+        "prediction",
+        "trainable",
+    },
+    "hybrid": {"portfolio"},
     "discovery_report": {"exports", "found", "plots", "prediction", "report"},
     "ensemble": {"found"},
     "trainable": {"exports"},
@@ -69,7 +78,7 @@ WITHIN = {
 
 # Foreign module -> the only files that may import it, by name.
 HOMES = {
-    "torch": {"methods/feynman/network.py", "methods/feynman/backend.py", "trainable.py"},
+    "torch": {"methods/feynman/network.py", "methods/feynman/backend.py", "trainable.py", "hybrid.py"},
     "matplotlib": {"plots.py"},
     "juliacall": {"engines/julia_worker.py"},
     "juliapkg": {"engines/julia.py"},
