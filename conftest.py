@@ -11,6 +11,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,7 @@ class _ConsoleParser(CodeBlockParser):
 
 
 def _enter(namespace: dict) -> None:
+    namespace["find_spec"] = find_spec
     namespace["_folder"] = tempfile.TemporaryDirectory()
     namespace["_before"] = os.getcwd()
     os.chdir(namespace["_folder"].name)
@@ -40,6 +42,7 @@ def _enter(namespace: dict) -> None:
 
 def _leave(namespace: dict) -> None:
     os.chdir(namespace["_before"])
+    namespace["find_spec"] = find_spec
     namespace["_folder"].cleanup()
 
 
