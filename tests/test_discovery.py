@@ -188,7 +188,7 @@ from dynsr.methods.feynman.rational import RationalSearch
 t = np.linspace(0, 6, 301)
 x = np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * t + np.exp(-0.5 * t)])
 quick = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
-tell = lambda step: print(step.what, flush=True)
+tell = lambda step: step.what and print(step.what, flush=True)
 discover((t, x), method=quick, jobs=1, out=sys.argv[1], progress=tell)
 """
 
