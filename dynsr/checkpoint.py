@@ -52,6 +52,10 @@ def _feed(digest: Any, part: Any) -> None:
         digest.update(f"{type(part).__name__} {part}".encode())
 
 
+def _words(value: Any) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write a file whole or not at all, whatever kills the process."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -124,11 +128,11 @@ class RunFolder:
             write_json(self.path / _MARK, {"key": key, **about})
         elif other["key"] != key:
             differing = [n for n, v in about.items() if fingerprint(other.get(n)) != fingerprint(v)]
-            name = next(iter(differing), "data or options")
-            there, here = other.get(name), about.get(name)
-            values = f" ({there} there, {here} here)" if name in about else ""
+            name = next(iter(differing), "options")
+            values = f" ({_words(other.get(name))} there, {_words(about.get(name))} here)"
             raise FolderTaken(
-                f"{str(self.path)!r} holds a discovery with other {name}{values}; "
+                f"{str(self.path)!r} holds a discovery with other {name}"
+                f"{values if differing else ''}; "
                 "name another folder"
             )
 

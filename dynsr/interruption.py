@@ -49,7 +49,7 @@ def collect_best(
     """Give the best formulas of the parts that have ended and of those that ran; None without any.
 
     A state whose equation was chosen has that one; else the formula of least description length
-    among all that its searches have. A state without any is left out.
+    among all that its searches have. A state without any has no equation, and words that say so.
     """
     equations, fronts, why = {}, {}, {}
     for state in states:
@@ -59,12 +59,13 @@ def collect_best(
         pool = read_candidates(c for r in (*ended, *broken) for c in r["front"])
         best, words = _best(state, pool, records.get(f"pick-{state}"), samples)
         if best is None:
+            why[state] = "nothing yet; no search of its equation had a formula."
             continue
         equations[state] = as_decimals(known.get(state, sympy.S.Zero) + best.expr)
         fronts[state] = ParetoFront(pool)
         why[state] = words or (
-            f"The best so far: {len(ended)} searches had ended and {len(broken)} were running when "
-            f"the discovery was interrupted; found by {best.source or 'search'}."
+            f"the best so far, found by {best.source or 'search'}; searches that had ended: "
+            f"{len(ended)}, that still ran: {len(broken)}."
         )
     if not equations:
         return None

@@ -70,6 +70,7 @@ WITHIN = {
     "interruption": {"checkpoint", "found", "live", "selection"},
     "live": {"exports", "selection"},
     "parts": {"checkpoint", "selection"},
+    "selection": {"exports"},
     "watch": {"checkpoint", "live"},
     "found": {
         "checkpoint",
@@ -93,7 +94,12 @@ WITHIN = {
 
 # Foreign module -> the only files that may import it, by name.
 HOMES = {
-    "torch": {"methods/feynman/network.py", "methods/feynman/backend.py", "trainable.py", "hybrid.py"},
+    "torch": {
+        "methods/feynman/network.py",
+        "methods/feynman/backend.py",
+        "trainable.py",
+        "hybrid.py",
+    },
     "matplotlib": {"plots.py"},
     "juliacall": {"engines/julia_worker.py"},
     "juliapkg": {"engines/julia.py"},

@@ -58,6 +58,8 @@ def replicate(
         quick=quick,
         engine=engine,
         progress=not quiet,
+        # They are written where they are shown.
+        report=False,
     )
     deliver_results(found.folder, found.records, found.settings, json)
 
