@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -197,7 +197,10 @@ def run_parts(
     for part, record in zip(parts, known, strict=True):
         if record is not None:
             finished(part, record)
-    for i, record in spread(Part.run, [(parts[i], folder, live) for i in waiting], jobs):
-        known[waiting[i]] = record
-        finished(parts[waiting[i]], record)
+    calls = [(parts[i], folder, live) for i in waiting]
+    # Closed here and now, so that workers are gone before what they had is read.
+    with closing(spread(Part.run, calls, jobs)) as results:
+        for i, record in results:
+            known[waiting[i]] = record
+            finished(parts[waiting[i]], record)
     return [record for record in known if record is not None]

@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
@@ -19,7 +19,7 @@ _WATCH_SECONDS = 1.0
 
 def spread(
     work: Callable[..., Any], calls: Sequence[tuple[Any, ...]], jobs: int
-) -> Iterator[tuple[int, Any]]:
+) -> Generator[tuple[int, Any], None, None]:
     """Give (number of the call, result) as calls end, in any order.
 
     The joblib backend in force is used. When this process is interrupted or the iterator is
@@ -38,7 +38,9 @@ def spread(
     with _shielded():
         results = pool(numbered)
     try:
-        yield from results
+        # Not "yield from", which would close joblib's generator before its warnings are off.
+        for result in results:  # noqa: UP028
+            yield result
     finally:
         # joblib warns that results are left, which is what an interrupt means.
         with warnings.catch_warnings():

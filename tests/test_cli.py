@@ -279,11 +279,19 @@ def test_exit_codes_in_a_real_shell(tmp_path):
 
 
 @pytest.mark.slow
-def test_replicate_and_report(tmp_path):
+def test_replicate_and_report(tmp_path, monkeypatch):
     """A replication ends in records, tables, the figure and a page; the page can be made anew."""
+    import dynsr.report
+
     out = tmp_path / "results"
     words = ("--systems", "lotka-volterra", "--methods", "ga", "--runs", 1, "--quick", "-j", 1)
+    written = []
+    write = dynsr.report.write_results
+    monkeypatch.setattr(
+        dynsr.report, "write_results", lambda *args: written.append(args) or write(*args)
+    )
     found = json.loads(run("replicate", *words, "-o", out, "--json", "-q").stdout)
+    assert len(written) == 1
     assert found["settings"]["quick"] and len(found["records"]) == 1
     assert all(os.path.exists(path) for path in found["files"])
     page = (out / "report.html").read_bytes()

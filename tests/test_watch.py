@@ -29,7 +29,7 @@ def test_a_part_that_takes_long_is_never_nearly_over():
 
 
 def test_running_parts_are_reported_while_nothing_ends(tmp_path):
-    """Reports come from a thread while the main one works, and tell of parts that have not ended."""
+    """Reports come while the main thread works, and tell of the parts that have not ended."""
     live = LiveFolder(tmp_path)
     said = {"state": "x", "method": "genetic", "stage": "grow", "done": 1, "total": 4}
     said |= {"best": "2*x", "loss": 0.5, "front": []}
