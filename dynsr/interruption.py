@@ -55,7 +55,8 @@ def collect_best(
     for state in states:
         ended = [r for name, r in records.items() if name.startswith(f"search-{state}-")]
         ended = [r for r in ended if r["target"] == state]
-        broken = [said for said in running if said["state"] == state and said["front"]]
+        others = [said for said in running if said["part"] not in records]
+        broken = [said for said in others if said["state"] == state and said["front"]]
         pool = read_candidates(c for r in (*ended, *broken) for c in r["front"])
         best, words = _best(state, pool, records.get(f"pick-{state}"), samples)
         if best is None:

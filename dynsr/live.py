@@ -104,8 +104,11 @@ class Teller:
         self.next = ended + max(_SECONDS_BETWEEN, (ended - began) / _SHARE)
 
     def end(self, record: Mapping[str, Any]) -> None:
-        """Forget the part, or keep what it had when it was asked to stop."""
-        if self.live.stopped:
-            self.live.write(self.name, {**self.record, "front": record.get("front", [])})
+        """Keep what the part has come to until its end is heard of.
+
+        Raises KeyboardInterrupt when it was asked to stop before.
+        """
+        stopped = self.live.stopped
+        self.live.write(self.name, {**self.record, "front": record.get("front", [])})
+        if stopped:
             raise KeyboardInterrupt
-        self.live.remove(self.name)

@@ -100,6 +100,7 @@ class Watch:
     def __call__(self, part: Part, record: Record) -> None:
         """Take a part that has ended."""
         self.records[part.name] = record
+        self.live.remove(part.name)
         if self.progress is not None:
             self._tell(part.name, record)
 

@@ -29,7 +29,9 @@ def test_a_running_part_tells_its_stage_and_best_formula(tmp_path):
     assert (said["stage"], said["done"], said["total"]) == ("generations", 4, 9)
     assert (said["best"], said["loss"]) == ("9.81*x", 0.5)
     assert [c["expr"] for c in said["front"]] == ["x", "981*x/100"]
-    teller.end({"front": []})
+    teller.end({"front": [{"expr": "3*x"}]})
+    assert live.read()[0]["front"] == [{"expr": "3*x"}]
+    live.remove("search-x-ga")
     assert live.read() == []
 
 

@@ -162,11 +162,10 @@ def _ended(step: Step) -> str:
     """Say which part has ended, and with which equation."""
     record: Mapping[str, Any] = step.record
     what = step.what
-    if "target" in record:
-        chosen = "rivals" in record
-        what = (
-            f"{record['target']}' chosen" if chosen else title(record["target"], record["method"])
-        )
+    if "rivals" in record:
+        what = f"{record['target']}' chosen"
+    elif "method" in record:
+        what = title(record["target"], record["method"])
     return f"{what}: {best_of(record)}".rstrip(": ")
 
 
