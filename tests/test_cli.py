@@ -72,11 +72,12 @@ def test_every_command_speaks_json(name):
     assert any("--json" in parameter.opts for parameter in COMMAND.commands[name].params)
 
 
-def test_help_is_quick_and_loads_nothing_heavy():
-    """Help for any command loads none of the libraries that search, plot or read tables."""
-    heavy = "{'numpy', 'sympy', 'scipy', 'pandas', 'torch', 'matplotlib', 'joblib', 'juliacall'}"
+@pytest.mark.parametrize("words", ["--help", "discover --help", "systems", "systems lorenz"])
+def test_looking_around_is_quick(words):
+    """Help and the list of systems load none of the libraries that search, plot or read tables."""
+    heavy = "{'numpy', 'sympy', 'scipy', 'pandas', 'sklearn', 'torch', 'matplotlib', 'joblib'}"
     code = (
-        "import sys, runpy; sys.argv = ['dynsr', 'discover', '--help']\n"
+        f"import sys, runpy; sys.argv = ['dynsr', *{words.split()}]\n"
         "try: runpy.run_module('dynsr', run_name='__main__')\n"
         f"except SystemExit: print(sorted({heavy} & set(sys.modules)), file=sys.stderr)"
     )

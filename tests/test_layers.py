@@ -15,7 +15,7 @@ import dynsr
 PACKAGE = Path(dynsr.__file__).parent
 
 LAYERS = {
-    **dict.fromkeys(("errors", "expression"), 0),
+    **dict.fromkeys(("errors", "expression", "definitions"), 0),
     **dict.fromkeys(("system", "trajectory", "samples", "pareto", "catalogue"), 1),
     # Smoothers and derivative schemes of samples; tables of the user's read as trajectories.
     **dict.fromkeys(("smoothers", "derivatives"), 1),
@@ -50,6 +50,7 @@ WITHIN = {
     "table_checks": {"roles"},
     "tabular": {"columns", "roles", "sources", "table_checks", "trajectory"},
     "expression": {"errors"},
+    "definitions": {"errors"},
     "methods": {"paper.bases", "simulate"},
     "scoring": {"simulate"},
     "audit": {"paper"},
