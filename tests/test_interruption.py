@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import joblib
 import numpy as np
 import pytest
 
@@ -79,6 +80,15 @@ def test_fronts_of_running_searches_count(decay, jobs):
     assert set(found.explanation) == {"x", "y"}
     assert all(len(found.front[state]) for state in found.equations)
     assert ("nothing yet" in found.explanation["y"]) == (jobs == 1)
+
+
+@pytest.mark.parametrize("backend", ["threading", "multiprocessing"])
+def test_searches_of_other_backends_stop_too(decay, backend):
+    """Searches in threads, which cannot be killed, end at their next report; so do forks."""
+    ctrl_c = Interrupt(lambda step: sum(bool(r.best) for r in step.running) == 2)
+    with joblib.parallel_config(backend=backend):
+        found = discover(decay, method=ENDLESS, jobs=2, progress=ctrl_c)
+    assert not found.complete and list(found.equations) == ["x", "y"]
 
 
 def test_ctrl_c_before_anything_is_found_is_raised(decay):
