@@ -75,7 +75,7 @@ coefficients.
 """
 function solve2021(rows, target, gram, right, optimizer, normalize, cap)
     scale = normalize ? vec(sqrt.(sum(abs2, rows; dims = 2))) : ones(size(rows, 1))
-    start = permutedims(rows ./ scale) \ target
+    start = qr(permutedims(rows ./ scale), ColumnNorm()) \ target
     descend = optimizer.name == "SR3" ? sr3 : admm
     x, iterations, converged =
         descend(gram ./ (scale .* scale'), right ./ scale, start, optimizer, cap)

@@ -4,10 +4,12 @@ using Test
 
 if Base.find_package("DynSR") === nothing
     include(joinpath(@__DIR__, "..", "src", "DynSR.jl"))
-    using .DynSR
 else
-    using DynSR
+    using DynSR: DynSR
 end
+# Statements of their own: a module just included is seen from the next statement on.
+const integrate = DynSR.integrate
+const regress = DynSR.regress
 
 const GOLDEN = joinpath(@__DIR__, "..", "..", "tests", "golden", "julia")
 const SYSTEMS = ("lotka_volterra", "simple_pendulum", "cart_pole")
