@@ -84,7 +84,8 @@ def test_juliapkg_is_asked_for_julia_when_none_is_given(fake_julia, monkeypatch,
         "def resolve():\n"
         "    print('Found dependencies')\n"
         "    assert os.environ['JULIA_CONDAPKG_BACKEND'] == 'Null'\n"
-        "    if os.environ.get('FAKE_JULIAPKG') == 'fail': raise SystemExit(3)\n"
+        "    if os.environ.get('FAKE_JULIAPKG') == 'die': raise SystemExit(3)\n"
+        "    if os.environ.get('FAKE_JULIAPKG') == 'fail': raise OSError('no network')\n"
         "executable = lambda: '/opt/julia'\n"
         "project = lambda: '/opt/project'\n"
     )
@@ -92,9 +93,11 @@ def test_juliapkg_is_asked_for_julia_when_none_is_given(fake_julia, monkeypatch,
     assert julia_setup.install() == "Julia and its packages are set up: /opt/julia in /opt/project"
     told = capfd.readouterr()
     assert (told.out, told.err.strip()) == ("", "Found dependencies")
-    monkeypatch.setenv("FAKE_JULIAPKG", "fail")
-    with pytest.raises(EngineError, match="juliapkg ended with exit code 3"):
-        julia_setup.install()
+    for manner, words in (("die", "it ended with exit code 3;"), ("fail", "OSError no network;")):
+        monkeypatch.setenv("FAKE_JULIAPKG", manner)
+        with pytest.raises(EngineError, match=f"juliapkg cannot set up Julia: {words}"):
+            julia_setup.install()
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_the_sources_are_found_from_a_checkout():

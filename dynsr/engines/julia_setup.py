@@ -24,6 +24,22 @@ ENVIRONMENT = {
 }
 _OWN_PROJECT = ("PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT")
 
+# juliapkg tells its progress on standard output, where only the answer is wanted.
+_RESOLVE = """
+import os
+answer = os.fdopen(os.dup(1), "w")
+os.dup2(2, 1)
+try:
+    import juliapkg
+    juliapkg.resolve()
+    print(juliapkg.executable(), juliapkg.project(), sep="\\n", file=answer)
+except Exception as problem:
+    print(type(problem).__name__, problem, file=answer)
+    sys.exit(1)
+finally:
+    answer.close()
+"""
+
 
 def find_sources() -> Path:
     """Give the ``julia`` folder: inside the installed package, or beside it in a checkout."""
@@ -101,23 +117,18 @@ def locate() -> tuple[str, str]:
         if wrong:
             raise EngineUnavailable(wrong)
         return os.environ[_OWN_PROJECT[0]], os.environ[_OWN_PROJECT[1]]
-    # juliapkg tells its progress on standard output, where only the answer is wanted.
-    code = (
-        f"import os, sys; sys.path[:] = {json.dumps(sys.path)}; "
-        "answer = os.fdopen(os.dup(1), 'w'); os.dup2(2, 1); "
-        "import juliapkg; juliapkg.resolve(); "
-        "print(juliapkg.executable(), juliapkg.project(), sep='\\n', file=answer, flush=True)"
-    )
+    code = f"import sys; sys.path[:] = {json.dumps(sys.path)}\n{_RESOLVE}"
     done = subprocess.run(
         [sys.executable, "-u", "-c", code],
         stdout=subprocess.PIPE,
         text=True,
         env={**ENVIRONMENT, **os.environ},
     )
+    answer = done.stdout.splitlines()
     if done.returncode:
-        raise EngineError(f"juliapkg ended with exit code {done.returncode}; see its output above")
-    program, project = done.stdout.splitlines()[-2:]
-    return program, project
+        words = " ".join(answer) or f"it ended with exit code {done.returncode}"
+        raise EngineError(f"juliapkg cannot set up Julia: {words[:500]}; see its output above")
+    return answer[0], answer[1]
 
 
 def install() -> str:
