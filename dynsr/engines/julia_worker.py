@@ -93,9 +93,13 @@ class Session:
         t = arrays["t"]
         slopes = self._module.compile(str(header["slopes"]))
         problem = de.ODEProblem(slopes, vector(arrays["x0"]), (float(t[0]), float(t[-1])))
+        solver = de.Tsit5()
+        # As in integrate: releases differ in how much the first step may grow.
+        controller = self._module.first_step_controller(solver)
         solution = de.solve(
             problem,
-            de.Tsit5(),
+            solver,
+            **({} if controller is None else {"controller": controller}),
             saveat=vector(t),
             reltol=float(header["reltol"]),
             abstol=float(header["abstol"]),

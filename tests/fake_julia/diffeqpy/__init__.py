@@ -20,8 +20,9 @@ class _DifferentialEquations:
         """Name the solver."""
         return "Tsit5"
 
-    def solve(self, problem, solver, saveat, reltol, abstol, maxiters):
+    def solve(self, problem, solver, controller, saveat, reltol, abstol, maxiters):
         """Solve it."""
+        assert controller == "growth of ten for Tsit5"
         assert solver == "Tsit5" and reltol > 0 and abstol > 0 and maxiters > 0
         slopes, x0 = problem
         return SimpleNamespace(u=_runge_kutta(slopes, x0, saveat))

@@ -122,6 +122,7 @@ _MODULE = SimpleNamespace(
     regress=_regress,
     compile=slopes_of,
     answer_at=_answer_at,
+    first_step_controller=lambda solver: f"growth of ten for {solver}",
     versions=lambda: f"julia 1.10.0-fake\nOrdinaryDiffEqTsit5 process{os.getpid()}",
 )
 
