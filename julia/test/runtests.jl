@@ -170,6 +170,13 @@ end
     @test maximum(abs, predicted .- dx) < 1.0e-9
 end
 
+@testset "a library function that is zero everywhere harms no other" begin
+    x = collect(range(0.1, 2.0; length = 50))
+    theta = permutedims([x zeros(50) x .^ 2])
+    found, _, _ = regress(theta, 2 .* x, "SR3", "2021", [1.0e-8], 1.0, "", true, 5000, false)
+    @test maximum(abs, found .- [2.0, 0.0, 0.0]) < 1.0e-6
+end
+
 @testset "ADMM that stands still at its dense start has not converged" begin
     theta, dx = regression_of("lotka_volterra")
     _, iterations, converged =
