@@ -218,6 +218,17 @@ def test_a_failing_warm_up_leaves_the_question_open():
         session.answer({"call": "regress"}, {})
 
 
+def test_why_diffeqpy_does_not_load_is_told(monkeypatch):
+    """Its packages load before the time of a call counts; a failure there is not passed over."""
+
+    def fail():
+        raise RuntimeError("no network")
+
+    monkeypatch.setattr(julia_worker, "_load_diffeqpy", fail)
+    with pytest.raises(RuntimeError, match="no network"):
+        julia_worker.Session(print).warm_up({"call": "diffeqpy"})
+
+
 def test_the_worker_knows_no_torch(engine):
     """Torch is not loaded where Julia runs, whatever the session has loaded."""
     code = (

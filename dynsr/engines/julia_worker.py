@@ -58,6 +58,9 @@ class Session:
         if call in self._calls and call not in self._warm:
             self._tell(f"compiling {call}, once a session")
             tiny = _tiny_regression if call == "regress" else _tiny_integration
+            if call == "diffeqpy":
+                # It may install and compile packages, and why that fails is to be told.
+                _load_diffeqpy()
             # Whether the tiny problem can be solved is nobody's question.
             with contextlib.suppress(Exception):
                 self._calls[call](*tiny(header))

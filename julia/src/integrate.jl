@@ -139,9 +139,8 @@ function rows_at(t, solution, k)
 end
 
 function ending(solution, max_seconds)
-    code = string(solution.retcode)
-    stop = last(solution.t)
-    code == "Success" && return ""
-    code == "MaxTime" && return "not finished within $max_seconds s, at t = $stop"
+    code, stop = solution.retcode, last(solution.t)
+    code == ReturnCode.Success && return ""
+    code == ReturnCode.MaxTime && return "not finished within $max_seconds s, at t = $stop"
     return "Tsit5 ended with $code at t = $stop"
 end
