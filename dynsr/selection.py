@@ -25,7 +25,7 @@ _MOST_COMPARED = 5
 # Errors on held-back data within this factor are taken for equal, since the data have errors of
 # their own; then fewer bits decide.
 _EQUAL = 2.0
-# Share of the slopes below which nothing is told apart.
+# Share of the spread below which no misses are told apart.
 _FINEST = 1e-7
 
 
@@ -121,7 +121,7 @@ def pick_equation(
     candidates = _distinct(pool)
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
-    noise = _never_too_fine(noise_of(candidates, samples), samples)
+    noise = noise_of(candidates, samples)
     ranked = _one_a_form(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
     snapped = _rank(_distinct(score_snapped(c, samples, noise) for c in ranked), samples, noise)
     varied = [improve(c, samples, noise) for c in snapped[:_MOST_IMPROVED]]
@@ -135,12 +135,6 @@ def pick_equation(
         for c in last
     ]
     return Pick(state, tuple(_order(rivals)), noise)
-
-
-def _never_too_fine(noise: Noise, samples: Samples) -> Noise:
-    """Slopes of clean data are still biased; formulas must not be chosen to follow that."""
-    size = float(np.sqrt(np.mean(samples.y**2)))
-    return Noise(max(noise.floor, _FINEST * size), noise.effective_rows)
 
 
 def _order(rivals: list[Rival]) -> list[Rival]:

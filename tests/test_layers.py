@@ -103,7 +103,7 @@ HOMES = {
     },
     "matplotlib": {"plots.py"},
     "juliacall": {"engines/julia_worker.py"},
-    "juliapkg": {"engines/julia.py"},
+    "juliapkg": {"engines/julia_setup.py"},
     "diffeqpy": {"engines/julia_worker.py"},
 }
 
