@@ -1,4 +1,5 @@
 import dataclasses
+import importlib
 import importlib.util
 import json
 import os
@@ -307,6 +308,18 @@ def test_replicate_and_report(tmp_path, monkeypatch):
     assert record.name in refuse("report", out)
     (out / "manifest.json").write_text("{")
     assert "manifest" in refuse("report", out)
+
+
+def test_an_interrupted_replication_says_how_to_go_on(monkeypatch):
+    """Ctrl-C in a replication ends in 130 and says where the finished cells are."""
+
+    def stop(**options):
+        raise KeyboardInterrupt
+
+    # By its full name, since dynsr.replicate is the function.
+    monkeypatch.setattr(importlib.import_module("dynsr.replicate"), "replicate", stop)
+    said = run("replicate", "-o", "here", code=130).stderr
+    assert "kept in here; the same command goes on" in said and "error: interrupted" in said
 
 
 def test_folders_that_are_not_ours(tmp_path):

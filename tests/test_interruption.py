@@ -82,6 +82,8 @@ def test_fronts_of_running_searches_count(decay, jobs):
     assert ("nothing yet" in found.explanation["y"]) == (jobs == 1)
 
 
+# From Python 3.12 on a fork beside threads is warned of; the user chose the backend.
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 @pytest.mark.parametrize("backend", ["threading", "multiprocessing"])
 def test_searches_of_other_backends_stop_too(decay, backend):
     """Searches in threads, which cannot be killed, end at their next report; so do forks."""

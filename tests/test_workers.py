@@ -33,6 +33,8 @@ def test_every_result_comes_with_its_number(jobs):
     assert dict(spread(pow, [(2, i) for i in range(5)], jobs)) == {i: 2**i for i in range(5)}
 
 
+# From Python 3.12 on a fork beside threads is warned of; the user chose the backend.
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 @pytest.mark.parametrize("backend", ["threading", "multiprocessing"])
 def test_other_backends_serve(backend):
     """Whatever joblib runs calls with is used."""

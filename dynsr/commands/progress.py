@@ -97,7 +97,7 @@ class SearchProgress:
                 self._tasks[name] = self._add(title(part.state, part.method))
             self._bar.update(
                 self._tasks[name],
-                stage=escape(part.stage),
+                stage="" if part.stage == part.method else escape(part.stage),
                 total=part.total,
                 completed=part.done,
                 time=clock(part.seconds),

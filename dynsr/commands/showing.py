@@ -48,7 +48,8 @@ def show_discovery(
     if quiet:
         return
     for state, words in found.explanation.items():
-        screen.print(Text(f"{state}: {words}"), soft_wrap=not screen.is_terminal)
+        line = words if words.startswith(f"{state}' =") else f"{state}: {words}"
+        screen.print(Text(line), soft_wrap=not screen.is_terminal)
     if scores:
         _print_scores(scores)
     for kind, items in told.items():
