@@ -84,8 +84,10 @@ def to_mathml(expr: sympy.Expr, state: str | None = None) -> str:
     first, *others = expr.as_ordered_terms()
     left = "" if state is None else f"{_dotted(printer.doprint(sympy.Symbol(state)))}<mo>=</mo>"
     signed = [
-        f"<mo>\u2212</mo>{write(-t)}" if t.could_extract_minus_sign() else f"<mo>+</mo>{write(t)}"
-        for t in others
+        f'<mo form="infix">\u2212</mo>{write(-term)}'
+        if term.could_extract_minus_sign()
+        else f'<mo form="infix">+</mo>{write(term)}'
+        for term in others
     ]
     return " ".join(f"<math>{piece}</math>" for piece in (left + write(first), *signed))
 

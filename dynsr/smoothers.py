@@ -134,8 +134,8 @@ def _one_sided(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
 def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     """Differentiate one column by a named scheme.
 
-    ``scheme`` is "forward", "backward", "central2" to "central8", "savgol(WINDOW,DEGREE)", "spline" or
-    "total-variation". Raises InputError on any other name.
+    ``scheme`` is "forward", "backward", "central2" to "central8", "savgol(WINDOW,DEGREE)", "spline"
+    or "total-variation". Raises InputError on any other name.
 
     >>> t = np.linspace(0.0, 1.0, 21)
     >>> bool(np.allclose(smooth_column(t, t**2, "savgol(5,2)").slope, 2 * t[2:-2]))

@@ -117,6 +117,6 @@ def test_each_term_of_an_equation_is_an_element_of_its_own():
     """Browsers can break lines between terms; signs stand before them, the dot over the letter."""
     terms = to_mathml(parse("y - 3*x - exp(x)"), "theta1").split(" <math>")
     assert len(terms) == 3 and terms[0].startswith("<math><msub><mover")
-    assert terms[1].startswith("<mo>+</mo>") and terms[2].startswith("<mo>−</mo>")
+    assert terms[1].startswith('<mo form="infix">+') and terms[2].startswith('<mo form="infix">−')
     for text in (terms[0], *("<math>" + term for term in terms[1:])):
         ElementTree.fromstring(text.replace("&InvisibleTimes;", "").replace("&ExponentialE;", "e"))
