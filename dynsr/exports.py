@@ -71,7 +71,7 @@ def to_mathml(expr: sympy.Expr, state: str | None = None) -> str:
 
     >>> x, y = sympy.symbols("x y")
     >>> to_mathml(x - y)
-    '<math><mi>x</mi></math> <math><mo>\u2212</mo><mi>y</mi></math>'
+    '<math><mi>x</mi></math> <math><mo form="infix">−</mo><mi>y</mi></math>'
     """
     printer = _MathML()
 
