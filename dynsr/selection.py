@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from dynsr.exports import shown
 from dynsr.expression import evaluate, parse, to_text
 from dynsr.methods.feynman.description import Noise, description_length, noise_of
 from dynsr.methods.matching import forecast_miss
@@ -58,9 +59,9 @@ class Pick:
     def explanation(self) -> str:
         """Say in words why the winner won."""
         winner, *others = self.rivals
-        shown = to_text(as_decimals(winner.candidate.expr))
+        formula = shown(as_decimals(winner.candidate.expr))
         words = [
-            f"{self.state}' = {shown} takes {winner.bits:.0f} bits in all, "
+            f"{self.state}' = {formula} takes {winner.bits:.0f} bits in all, "
             f"{winner.candidate.complexity:.0f} of them for the formula; found by "
             f"{winner.candidate.source or 'search'}."
         ]
@@ -94,12 +95,12 @@ class Pick:
         return cls(state, rivals, Noise(*record["noise"]))
 
     def _compare(self, winner: Rival, other: Rival) -> str:
-        shown = to_text(as_decimals(other.candidate.expr))
-        shown = shown if len(shown) <= 80 else shown[:77] + "..."
+        rival = shown(as_decimals(other.candidate.expr))
+        rival = rival if len(rival) <= 80 else rival[:77] + "..."
         if other.bits >= winner.bits:
-            return f"The next best, {shown}, takes {other.bits - winner.bits:.0f} bits more."
+            return f"The next best, {rival}, takes {other.bits - winner.bits:.0f} bits more."
         return (
-            f"{shown} takes {winner.bits - other.bits:.0f} bits less, but misses by "
+            f"{rival} takes {winner.bits - other.bits:.0f} bits less, but misses by "
             f"{other.held_back:.2g} on held-back data."
         )
 
