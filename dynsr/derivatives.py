@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from dynsr.errors import InputError
 from dynsr.samples import Samples, join
 from dynsr.smoothers import (
-    CENTRAL,
+    DIFFERENCES,
     Smooth,
     central_weights,
     interpolation_residuals,
@@ -225,7 +225,7 @@ def _combine(
     smooth: dict[str, Smooth] = {}
     for state, choice in choices.items():
         x = trajectory.x[:, trajectory.index(state)]
-        if choice.scheme in CENTRAL and state != target:
+        if choice.scheme in DIFFERENCES and state != target:
             continue
         smooth[state] = smooth_column(trajectory.t, x, choice.scheme)
     start = max([s.rows.start for s in smooth.values()], default=0)

@@ -98,7 +98,9 @@ def discover(
     methods = choose_methods(method, preset)
     problem = _Problem(runs, scheme, slopes or {}, parts_known, seed, RunFolder(_path(out)))
     settings: dict[str, Any] = {
+        "method": method if isinstance(method, str) else ",".join(methods),
         "methods": list(methods),
+        **({"known": {s: to_text(e) for s, e in parts_known.items()}} if parts_known else {}),
         "preset": preset,
         "seed": seed,
         "scheme": scheme,
@@ -198,7 +200,8 @@ class _Problem:
     ) -> None:
         """Mark the folder as this discovery's; raises FolderTaken when it is another's."""
         rows = f"{sum(map(len, self.runs))} rows of {', '.join(self.runs[0].names)}"
-        about = {**settings, "targets": list(states), "data": f"{rows}, {self._key()}"}
+        about = {k: v for k, v in settings.items() if k != "method"}
+        about |= {"targets": list(states), "data": f"{rows}, {self._key()}"}
         self.folder.claim(self._key(repr(dict(methods)), about, drives), about)
 
     def training(self, state: str) -> Samples:

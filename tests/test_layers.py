@@ -31,7 +31,9 @@ LAYERS = {
     **dict.fromkeys(("cells", "records", "results", "checkpoint"), 4),
     **dict.fromkeys(("interruption", "live", "parts", "watch", "workers"), 4),
     **dict.fromkeys(("found", "polishing", "portfolio", "selection", "exports"), 4),
-    **dict.fromkeys(("prediction", "ensemble", "discovery_report", "trainable", "hybrid"), 4),
+    **dict.fromkeys(
+        ("prediction", "ensemble", "fronts", "discovery_report", "trainable", "hybrid"), 4
+    ),
     **dict.fromkeys(("crosscheck", "comparison", "trajectory_checks", "doctor"), 4),
     **dict.fromkeys(("cli", "commands", "estimator", "__init__", "__main__"), 5),
 }
@@ -83,11 +85,12 @@ WITHIN = {
         "trainable",
     },
     "hybrid": {"portfolio"},
-    "discovery_report": {"exports", "found", "plots", "prediction", "report"},
+    "discovery_report": {"exports", "found", "fronts", "plots", "prediction", "report", "tables"},
+    "fronts": {"exports"},
     "ensemble": {"found"},
     "trainable": {"exports"},
     "replicate": {"cells", "records", "report", "results", "tables"},
-    "report": {"plots", "records", "results", "tables"},
+    "report": {"exports", "plots", "records", "results", "tables"},
     "results": {"audit", "paper", "plots", "records", "tables"},
     "__main__": {"cli"},
     "cli": {"commands"},
