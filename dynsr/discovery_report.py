@@ -15,7 +15,7 @@ from dynsr.errors import DynsrError
 from dynsr.exports import shown
 from dynsr.expression import evaluate
 from dynsr.found import Discovery
-from dynsr.methods.flow import free_constants
+from dynsr.methods.constants import free_constants
 from dynsr.methods.variation import loosen
 from dynsr.plots import draw_phase_portrait, draw_residuals, draw_states, to_data_uri
 from dynsr.prediction import predict

@@ -378,19 +378,21 @@ def _raised(base: Any, exponent: sympy.Expr, known: dict[sympy.Basic, Any]) -> A
 
 
 REAL_RESOLUTION = 2.0**-30
+# Fractions of larger numbers are written as decimals.
+LARGEST_IN_FRACTION = 12
 
 
 def number_bits(number: sympy.Expr) -> float:
     """Bits that one number of an expression costs.
 
     An integer n costs log2(1 + |n|), a rational p/q costs log2((1 + |p|) q), and a real the
-    cheaper of its shortest decimal, n/10^k at log2((1 + |n|) 10^k), and
-    log2(1 + (|r| / 2^-30)^2) / 2 (Udrescu et al. 2020, "AI Feynman 2.0", table 1, with the same
-    resolution as for residuals). So a constant that is rounded to the digits which the data
-    support becomes cheaper.
+    cheapest of its shortest decimal, n/10^k at log2((1 + |n|) 10^k), the fraction that it is, if
+    one of numbers up to 12, and log2(1 + (|r| / 2^-30)^2) / 2 (Udrescu et al. 2020,
+    "AI Feynman 2.0", table 1, with the same resolution as for residuals). So a constant that is
+    rounded to the digits which the data support becomes cheaper.
 
-    >>> round(number_bits(sympy.Integer(3)), 3)
-    2.0
+    >>> round(number_bits(sympy.Integer(3)), 3), number_bits(sympy.Float(1.5))
+    (2.0, 3.0)
     """
     if number.is_Rational:
         return math.log2((1 + abs(int(number.p))) * int(number.q))
@@ -400,7 +402,16 @@ def number_bits(number: sympy.Expr) -> float:
     real = 0.5 * math.log2(1 + (value / REAL_RESOLUTION) ** 2) if abs(value) < 1e150 else 530.0
     _, digits, exponent = Decimal(repr(value)).normalize().as_tuple()
     shifted = int("".join(map(str, digits))) * 10 ** max(int(exponent), 0)
-    return min(real, math.log2(1 + shifted) + max(-int(exponent), 0) * math.log2(10))
+    decimal = math.log2(1 + shifted) + max(-int(exponent), 0) * math.log2(10)
+    return min(real, decimal, _fraction_bits(abs(value)))
+
+
+def _fraction_bits(value: float) -> float:
+    for denominator in range(1, LARGEST_IN_FRACTION + 1):
+        numerator = value * denominator
+        if numerator <= LARGEST_IN_FRACTION and numerator.is_integer():
+            return math.log2((1 + numerator) * denominator)
+    return math.inf
 
 
 def complexity(expr: sympy.Expr) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,8 +12,8 @@ import sympy
 
 from dynsr.expression import evaluate, parse, to_text
 from dynsr.methods.feynman.description import Noise, description_length, noise_of
-from dynsr.methods.matching import forecast_miss
-from dynsr.methods.snapping import as_decimals, score_snapped
+from dynsr.methods.matching import forecast_misses
+from dynsr.methods.snapping import one_a_shape, score_snapped, tidy
 from dynsr.methods.variation import improve
 from dynsr.pareto import Candidate, score_candidate
 from dynsr.samples import Samples
@@ -21,9 +22,10 @@ from dynsr.trajectory import Trajectory
 _MOST_SNAPPED = 6
 _MOST_IMPROVED = 3
 _MOST_COMPARED = 5
-# Errors on held-back data within this factor are taken for equal, since the data have errors of
-# their own; then fewer bits decide.
-_EQUAL = 2.0
+# The median of n sizes of Gaussian errors has a relative standard error of
+# 1 / (2 q phi(q) 2 sqrt(n)), q = 0.6745 their quartile; that of two such medians' ratio is sqrt(2)
+# times that, and medians within twice that are taken for equal: then fewer bits decide.
+_MEDIAN_ERROR = 1.166
 # Share of the slopes below which nothing is told apart.
 _FINEST = 1e-7
 
@@ -58,7 +60,7 @@ class Pick:
     def explanation(self) -> str:
         """Say in words why the winner won."""
         winner, *others = self.rivals
-        shown = to_text(as_decimals(winner.candidate.expr))
+        shown = to_text(tidy(winner.candidate.expr))
         words = [
             f"{self.state}' = {shown} takes {winner.bits:.0f} bits in all, "
             f"{winner.candidate.complexity:.0f} of them for the formula; found by "
@@ -94,7 +96,7 @@ class Pick:
         return cls(state, rivals, Noise(*record["noise"]))
 
     def _compare(self, winner: Rival, other: Rival) -> str:
-        shown = to_text(as_decimals(other.candidate.expr))
+        shown = to_text(tidy(other.candidate.expr))
         shown = shown if len(shown) <= 80 else shown[:77] + "..."
         if other.bits >= winner.bits:
             return f"The next best, {shown}, takes {other.bits - winner.bits:.0f} bits more."
@@ -121,19 +123,24 @@ def pick_equation(
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
     noise = _never_too_fine(noise_of(candidates, samples), samples)
-    ranked = _one_a_form(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
+    ranked = one_a_shape(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
     snapped = _rank(_distinct(score_snapped(c, samples, noise) for c in ranked), samples, noise)
     varied = [improve(c, samples, noise) for c in snapped[:_MOST_IMPROVED]]
     last = _rank(_distinct([*varied, *snapped]), samples, noise)[:_MOST_COMPARED]
+    misses = {
+        c.expr: forecast_misses({state: known + c.expr}, held_back) for c in last if held_back
+    }
     rivals = [
         Rival(
             c,
             description_length(c, samples, noise),
-            forecast_miss({state: known + c.expr}, held_back) if held_back else None,
+            float(np.median(misses[c.expr])) if held_back else None,
         )
         for c in last
     ]
-    return Pick(state, tuple(_order(rivals)), noise)
+    # The misses of one forecast hang together: each counts once.
+    forecasts = min((m.shape[-1] for m in misses.values()), default=1)
+    return Pick(state, tuple(_order(rivals, forecasts)), noise)
 
 
 def _never_too_fine(noise: Noise, samples: Samples) -> Noise:
@@ -142,24 +149,15 @@ def _never_too_fine(noise: Noise, samples: Samples) -> Noise:
     return Noise(max(noise.floor, _FINEST * size), noise.effective_rows)
 
 
-def _order(rivals: list[Rival]) -> list[Rival]:
+def _order(rivals: list[Rival], forecasts: int) -> list[Rival]:
     misses = [r.held_back for r in rivals if r.held_back is not None and np.isfinite(r.held_back)]
-    bound = _EQUAL * min(misses) + _FINEST if misses else np.inf
+    equal = 1 + 2 * math.sqrt(2 / forecasts) * _MEDIAN_ERROR
+    bound = equal * min(misses) + _FINEST if misses else np.inf
     return sorted(rivals, key=lambda r: ((r.held_back or 0.0) > bound, r.bits))
 
 
 def _distinct(pool: Iterable[Candidate]) -> list[Candidate]:
     return list({c.expr: c for c in pool}.values())
-
-
-def _one_a_form(ranked: list[Candidate]) -> list[Candidate]:
-    """Keep the best of the formulas that differ in constants alone."""
-    forms: dict[sympy.Expr, Candidate] = {}
-    for candidate in ranked:
-        numbers = candidate.expr.atoms(sympy.Float)
-        form = candidate.expr.xreplace({n: n / abs(n) * sympy.pi for n in numbers if n != 0})
-        forms.setdefault(form, candidate)
-    return list(forms.values())
 
 
 def _rank(pool: list[Candidate], samples: Samples, noise: Noise) -> list[Candidate]:
