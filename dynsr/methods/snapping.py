@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
 
 import numpy as np
 import sympy
@@ -28,6 +27,8 @@ _MOST_DIGITS = 6
 MOST_CONSTANTS = 12
 # Simple numbers, fewest predicted bits first, of which the best is kept.
 _MOST_TRIED = 4
+# What the data lose in bits when a constant moves by three standard errors.
+_SURE_BITS = 9 / (2 * math.log(2))
 # A fraction or decimal is looked at when it lies this close, relative to the value.
 _NEAR = 0.05
 
@@ -56,38 +57,42 @@ class _Snapper:
     template: Template
     noise: Noise
 
-    def bits(self, numbers: Sequence[sympy.Expr]) -> float:
-        expr = self.template.put(numbers)
-        if expr.has(sympy.nan, sympy.zoo, sympy.oo):
-            return math.inf
-        return complexity(expr) + self._data_bits(np.array([float(n) for n in numbers]))
+    _frames: dict[tuple[int | None, ...], tuple[float, list[int]]] = field(default_factory=dict)
 
     def _data_bits(self, values: np.ndarray) -> float:
         return data_bits(self.template.residual(values), self.noise)
 
-    @cached_property
-    def _frame_bits(self) -> float:
-        """Bits of the formula without its constants, none of which is 0, 1 or -1."""
-        plain = [sympy.Float(0.1 + i / 1024) for i in range(len(self.template.parameters))]
-        return complexity(self.template.put(plain)) - sum(map(number_bits, plain))
-
     def _formula_bits(self, numbers: Sequence[sympy.Expr]) -> float:
-        """Most constants do not change the formula's form; then its bits need no new formula."""
-        if any(abs(n) in (0, 1) for n in numbers):
-            expr = self.template.put(numbers)
-            return math.inf if expr.has(sympy.nan, sympy.zoo, sympy.oo) else complexity(expr)
-        return self._frame_bits + sum(map(number_bits, numbers))
+        """Bits of the numbers, and of the frame, which only 0, 1 and -1 change."""
+        special = tuple(int(n) if n in (0, 1, -1) else None for n in numbers)
+        if special not in self._frames:
+            self._frames[special] = self._frame(special)
+        bits, present = self._frames[special]
+        return bits + sum(number_bits(numbers[i]) for i in present)
+
+    def _frame(self, special: Sequence[int | None]) -> tuple[float, list[int]]:
+        """Give the frame's bits and the places of the numbers that it still holds."""
+        numbers = [
+            sympy.Float(0.1 + i / 1024) if s is None else sympy.Integer(s)
+            for i, s in enumerate(special)
+        ]
+        expr = self.template.put(numbers)
+        if expr.has(sympy.nan, sympy.zoo, sympy.oo):
+            return math.inf, []
+        held = expr.atoms(sympy.Float)
+        bits = complexity(expr) - sum(map(number_bits, held))
+        return bits, [i for i, n in enumerate(numbers) if n in held]
 
     def snap(self) -> tuple[float, sympy.Expr]:
         """Give the bits of the snapped formula and itself."""
         template, unit = self.template, self.noise.floor
         values, free = template.values, np.ones(len(template.values), dtype=bool)
-        if len(values) > MOST_CONSTANTS:
-            numbers = as_floats(values)
-            return self.bits(numbers), template.put(numbers)
-        values = template.fit(values, free, unit)
+        if len(values) <= MOST_CONSTANTS:
+            values = template.fit(values, free, unit)
+        else:
+            free[:] = False
         numbers = as_floats(values)
-        least = self.bits(numbers)
+        least = self._formula_bits(numbers) + self._data_bits(values)
         while free.any():
             ranked = sorted(self._options(numbers, free), key=lambda option: option[0])
             tried = [self._fix(numbers, free, *rest) for _, *rest in ranked[:_MOST_TRIED]]
@@ -104,13 +109,18 @@ class _Snapper:
         """Give every simple number for every free constant, with the bits it is likely to take."""
         values = np.array([float(n) for n in numbers])
         covariance = self.template.covariance(values, free, self.noise.floor)
+        now = self._data_bits(values)
         for place, i in enumerate(np.flatnonzero(free)):
             for simple in simple_numbers(values[i]):
                 moved = values.copy()
                 moved[free] += _follow(covariance[:, place], place, float(simple) - values[i])
                 moved[i] = float(simple)
-                snapped = [*numbers[:i], simple, *numbers[i + 1 :]]
-                bits = self._formula_bits(snapped) + self._data_bits(moved)
+                misses = self._data_bits(moved)
+                # Zero saves a whole term, and others may seem to stand in for it while they are
+                # free: only a term that the data do not ask for goes.
+                if simple == 0 and misses > now + _SURE_BITS:
+                    continue
+                bits = self._formula_bits([*numbers[:i], simple, *numbers[i + 1 :]]) + misses
                 if math.isfinite(bits):
                     yield bits, int(i), simple, moved
 
@@ -125,10 +135,11 @@ class _Snapper:
         """Fix one constant and fit the others again."""
         left = free.copy()
         left[index] = False
-        fitted = as_floats(self.template.fit(moved, left, self.noise.floor))
+        values = self.template.fit(moved, left, self.noise.floor)
         kept = [*numbers[:index], simple, *numbers[index + 1 :]]
-        found = [new if loose else old for new, old, loose in zip(fitted, kept, left, strict=True)]
-        return self.bits(found), found, left
+        both = zip(as_floats(values), kept, left, strict=True)
+        found = [new if loose else old for new, old, loose in both]
+        return self._formula_bits(found) + self._data_bits(values), found, left
 
 
 def _follow(column: np.ndarray, place: int, shift: float) -> np.ndarray:
