@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from dynsr.errors import InputError
+from dynsr.writing import write_json
 
 Record = dict[str, Any]
 
@@ -42,21 +41,6 @@ def _feed(digest: Any, part: Any) -> None:
             _feed(digest, item)
     else:
         digest.update(f"{type(part).__name__} {part}".encode())
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Write a file whole or not at all, whatever kills the process."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".part-", suffix=".json")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            json.dump(content, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from dynsr.records import Record, write_bytes, write_text
+from dynsr.records import Record
 from dynsr.results import all_tables, drawable, figure_1
 from dynsr.tables import Formula, Table, format_value
+from dynsr.writing import write_bytes, write_text
 
 FORMATS = ("csv", "md", "tex")
 

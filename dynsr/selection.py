@@ -12,7 +12,7 @@ import sympy
 
 from dynsr.expression import evaluate, parse, to_text
 from dynsr.methods.feynman.description import Noise, description_length, noise_of
-from dynsr.methods.matching import forecast_misses
+from dynsr.methods.forecasting import forecast_misses
 from dynsr.methods.snapping import one_a_shape, score_snapped, tidy
 from dynsr.methods.variation import improve
 from dynsr.pareto import Candidate, score_candidate
@@ -140,7 +140,7 @@ def pick_equation(
     ]
     # The misses of one forecast hang together: each counts once.
     forecasts = min((m.shape[-1] for m in misses.values()), default=1)
-    return Pick(state, tuple(_order(rivals, forecasts)), noise)
+    return Pick(state, tuple(order_rivals(rivals, forecasts)), noise)
 
 
 def _never_too_fine(noise: Noise, samples: Samples) -> Noise:
@@ -149,7 +149,8 @@ def _never_too_fine(noise: Noise, samples: Samples) -> Noise:
     return Noise(max(noise.floor, _FINEST * size), noise.effective_rows)
 
 
-def _order(rivals: list[Rival], forecasts: int) -> list[Rival]:
+def order_rivals(rivals: list[Rival], forecasts: int) -> list[Rival]:
+    """Order by bits, behind those whose held-back error is clearly above the least."""
     misses = [r.held_back for r in rivals if r.held_back is not None and np.isfinite(r.held_back)]
     equal = 1 + 2 * math.sqrt(2 / forecasts) * _MEDIAN_ERROR
     bound = equal * min(misses) + _FINEST if misses else np.inf

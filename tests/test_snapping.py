@@ -3,12 +3,11 @@ import pytest
 import sympy
 
 from dynsr.expression import parse
-from dynsr.methods.constants import refit
+from dynsr.methods.constants import refit, skeleton
 from dynsr.methods.feynman.description import Noise
 from dynsr.methods.snapping import (
     normal_forms,
     simple_numbers,
-    skeleton,
     snap,
     snap_best,
     tidy,

@@ -49,6 +49,15 @@ def free_constants(expr: sympy.Expr, prefix: str) -> tuple[sympy.Expr, dict[symp
     return replaced(expr), values
 
 
+def skeleton(expr: sympy.Expr) -> sympy.Expr:
+    """Write a formula with all its floats alike; formulas of one shape have one skeleton.
+
+    >>> skeleton(sympy.sympify("2.5*x + 1.1")) == skeleton(sympy.sympify("0.3*x - 7.0"))
+    True
+    """
+    return expr.xreplace({number: sympy.pi for number in expr.atoms(sympy.Float)})
+
+
 def as_floats(values: np.ndarray) -> list[sympy.Expr]:
     """Give SymPy floats of twelve digits: no data are surer, more would only show rounding."""
     return [sympy.Float(float(f"{v:.11e}")) for v in values]

@@ -83,12 +83,12 @@ def match_trajectories(
     -2.0
     """
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
-    flow, values, owners = _prepare(exprs, runs, inputs or {})
+    flow, values, owners = prepare(exprs, runs, inputs or {})
     free = is_noisy(runs)
     if min(map(len, runs)) < 3:
         return Match.untouched(exprs, success=not len(values))
     length = window or _window_length(runs, free)
-    shooting = _shooting(flow, runs, inputs or {}, length, free)
+    shooting = build_shooting(flow, runs, inputs or {}, length, free)
     fitted = _fit(shooting, np.array(values), time.monotonic() + max_seconds)
     return Match.untouched(exprs) if fitted is None else _match(flow, owners, *fitted)
 
@@ -97,13 +97,14 @@ def _window_length(runs: Sequence[Trajectory], free: bool) -> int:
     return min(100, max(20, max(map(len, runs)) // 10)) if free else 10
 
 
-def _shooting(
+def build_shooting(
     flow: Flow,
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
     length: int,
     free: bool,
 ) -> Shooting:
+    """Cut the runs into windows of ``length`` intervals, their starts ``free`` or measured."""
     columns = [runs[0].index(state) for state in flow.rhs]
     spread = np.std(np.concatenate([run.x for run in runs]), axis=0)[columns]
     windows = _cut(flow, runs, inputs, length)
@@ -127,18 +128,18 @@ def measure_errors(
     >>> measure_errors({"x": sympy.Float(-2.0) * sympy.Symbol("x")}, [decay], {})["x"][0][0]
     -2.0
     """
-    flow, values, owners = _prepare(exprs, runs, inputs)
+    flow, values, owners = prepare(exprs, runs, inputs)
     constants = np.array(values)
     errors = np.full(len(values), np.inf)
     if len(values) and min(map(len, runs)) >= 3:
         free = is_noisy(runs)
-        shooting = _shooting(flow, runs, inputs, _window_length(runs, free), free)
+        shooting = build_shooting(flow, runs, inputs, _window_length(runs, free), free)
         put = dict(zip(flow.constants, map(sympy.Float, values), strict=True))
         rhs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
         fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
         with np.errstate(all="ignore"):
             starts = shooting.windows.x[0]
-            fixed = replace(fixed, substeps=_choose_substeps(fixed, np.empty(0), starts))
+            fixed = replace(fixed, substeps=choose_substeps(fixed, np.empty(0), starts))
             _, starts = _minimise(fixed, np.empty(0), starts, time.monotonic() + max_seconds)
             shooting = replace(shooting, substeps=fixed.substeps)
             errors = _standard_errors(shooting, constants, starts)
@@ -162,9 +163,10 @@ def read_inputs(
     return {key: parse(expr, names) for key, expr in exprs.items()}
 
 
-def _prepare(
+def prepare(
     exprs: Mapping[str, sympy.Expr], runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
 ) -> tuple[Flow, list[float], list[str]]:
+    """Give the flow, its constants' values and the states that own these; raises InputError."""
     if not runs or any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
     rhs: dict[str, sympy.Expr] = {}
@@ -222,7 +224,7 @@ def _fit(
     """Give the constants, their errors and the misses; None when the start diverges."""
     starts = shooting.windows.x[0]
     with np.errstate(all="ignore"):
-        shooting = replace(shooting, substeps=_choose_substeps(shooting, constants, starts))
+        shooting = replace(shooting, substeps=choose_substeps(shooting, constants, starts))
         if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
             return None
         constants, starts = _minimise(shooting, constants, starts, deadline)
@@ -249,7 +251,7 @@ def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarr
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
-def _choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
+def choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
     """Halve the step until that moves the states less than rounding or than their misses."""
     coarse = shooting.misses(constants, starts)
     for substeps in (2, 4, 8, 16):
@@ -278,40 +280,3 @@ def _in_order(expr: sympy.Expr, errors: Mapping[float, float]) -> tuple[tuple[fl
     """Pair constants with their errors as they now appear: SymPy sorts terms by their numbers."""
     _, found = free_constants(expr, "constant ")
     return tuple((value, errors.get(value, np.inf)) for value in found.values())
-
-
-def forecast_misses(
-    exprs: Mapping[str, sympy.Expr],
-    trajectories: Trajectory | Sequence[Trajectory],
-    *,
-    inputs: Mapping[str, sympy.Expr] | None = None,
-    window: int = 50,
-) -> np.ndarray:
-    """Give the sizes of the misses of W forecasts over ``window`` intervals, (window, k, W).
-
-    Each starts at its first measurement; states without an expression are read from the data.
-    In units of the spread; inf where a forecast diverges.
-
-    >>> t = np.linspace(0, 1, 51)
-    >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
-    >>> forecast_misses({"x": -2 * sympy.Symbol("x")}, decay).shape
-    (50, 1, 1)
-    """
-    runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
-    flow, values, _ = _prepare(exprs, runs, inputs or {})
-    shooting = _shooting(flow, runs, inputs or {}, window, False)
-    with np.errstate(all="ignore"):
-        starts, constants = shooting.windows.x[0], np.array(values)
-        substeps = _choose_substeps(shooting, constants, starts)
-        misses = np.abs(replace(shooting, substeps=substeps).misses(constants, starts))
-    return np.nan_to_num(misses, nan=np.inf, posinf=np.inf)
-
-
-def forecast_miss(
-    exprs: Mapping[str, sympy.Expr],
-    trajectories: Trajectory | Sequence[Trajectory],
-    *,
-    inputs: Mapping[str, sympy.Expr] | None = None,
-) -> float:
-    """Give the median of :func:`forecast_misses`; inf when most forecasts diverge."""
-    return float(np.median(forecast_misses(exprs, trajectories, inputs=inputs)))

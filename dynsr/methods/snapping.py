@@ -18,7 +18,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import LARGEST_IN_FRACTION, complexity, number_bits, round_constants
-from dynsr.methods.constants import Template, as_floats, refit
+from dynsr.methods.constants import Template, as_floats, refit, skeleton
 from dynsr.methods.feynman.description import Noise, data_bits, description_length, noise_of
 from dynsr.pareto import Candidate, score_candidate
 from dynsr.samples import Samples
@@ -59,6 +59,9 @@ class _Snapper:
 
     _frames: dict[tuple[int | None, ...], tuple[float, list[int]]] = field(default_factory=dict)
 
+    def _bits(self, numbers: Sequence[sympy.Expr]) -> float:
+        return self._formula_bits(numbers) + self._data_bits(_as_array(numbers))
+
     def _data_bits(self, values: np.ndarray) -> float:
         return data_bits(self.template.residual(values), self.noise)
 
@@ -92,7 +95,7 @@ class _Snapper:
         else:
             free[:] = False
         numbers = as_floats(values)
-        least = self._formula_bits(numbers) + self._data_bits(values)
+        least = self._bits(numbers)
         while free.any():
             ranked = sorted(self._options(numbers, free), key=lambda option: option[0])
             tried = [self._fix(numbers, free, *rest) for _, *rest in ranked[:_MOST_TRIED]]
@@ -107,7 +110,7 @@ class _Snapper:
         self, numbers: list[sympy.Expr], free: np.ndarray
     ) -> Iterator[tuple[float, int, sympy.Expr, np.ndarray]]:
         """Give every simple number for every free constant, with the bits it is likely to take."""
-        values = np.array([float(n) for n in numbers])
+        values = _as_array(numbers)
         covariance = self.template.covariance(values, free, self.noise.floor)
         now = self._data_bits(values)
         for place, i in enumerate(np.flatnonzero(free)):
@@ -139,7 +142,11 @@ class _Snapper:
         kept = [*numbers[:index], simple, *numbers[index + 1 :]]
         both = zip(as_floats(values), kept, left, strict=True)
         found = [new if loose else old for new, old, loose in both]
-        return self._formula_bits(found) + self._data_bits(values), found, left
+        return self._bits(found), found, left
+
+
+def _as_array(numbers: Sequence[sympy.Expr]) -> np.ndarray:
+    return np.array([float(n) for n in numbers])
 
 
 def _follow(column: np.ndarray, place: int, shift: float) -> np.ndarray:
@@ -196,19 +203,21 @@ def _divide(term: sympy.Expr, divisor: sympy.Expr) -> sympy.Expr:
 
 
 def tidy(expr: sympy.Expr) -> sympy.Expr:
-    """Write rationals as they are read best: 981/100 as 9.81, 3/2 as 1.5, 8/3 as it is.
+    """Write numbers as they are read best: 981/100 as 9.81, 3/2 as 1.5, 8/3 as it is, 2.0 as 2.
 
     A fraction stays where it is no short decimal and has no number above 12, as in 8/3, and where
     it is an exponent; 251/9 becomes a decimal.
 
-    >>> tidy(sympy.sympify("981*x/100 + 8*y/3 + sqrt(x)"))
-    sqrt(x) + 9.81*x + 8*y/3
+    >>> tidy(sympy.sympify("981*x/100 + 8*y/3 + sqrt(x) + 2.0"))
+    sqrt(x) + 9.81*x + 8*y/3 + 2
     """
     # Term by term: one SymPy product would multiply a float into a sum.
     return sympy.Add(*[map_numbers(t, _tidied) for t in sympy.Add.make_args(expr)])
 
 
 def _tidied(number: sympy.Expr) -> sympy.Expr:
+    if number.is_Float and float(number).is_integer() and abs(number) < 10**_MOST_DIGITS:
+        return sympy.Integer(int(number))
     if not number.is_Rational or number.is_Integer:
         return number
     finite = 10 ** (_MOST_DIGITS + 1) % int(number.q) == 0
@@ -231,18 +240,9 @@ def map_numbers(expr: sympy.Expr, change: Callable[[sympy.Expr], sympy.Expr]) ->
     return expr.func(*[map_numbers(argument, change) for argument in expr.args])
 
 
-def skeleton(expr: sympy.Expr) -> str:
-    """Write a formula with all its floats alike; formulas of one shape have one skeleton.
-
-    >>> skeleton(sympy.sympify("2.5*x + 1.1")) == skeleton(sympy.sympify("0.3*x - 7.0"))
-    True
-    """
-    return str(expr.xreplace({a: sympy.pi for a in expr.atoms(sympy.Float)}))
-
-
 def one_a_shape(ranked: Iterable[Candidate]) -> list[Candidate]:
     """Keep the first of the formulas that differ in constants alone."""
-    shapes: dict[str, Candidate] = {}
+    shapes: dict[sympy.Expr, Candidate] = {}
     for candidate in ranked:
         shapes.setdefault(skeleton(candidate.expr), candidate)
     return list(shapes.values())

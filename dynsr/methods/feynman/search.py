@@ -206,7 +206,7 @@ class DynAIFeynman(AbstractMethod):
             return []
         snapped = snap_best(short(fresh), samples, 2)
         context.offer(snapped)
-        return [_whole(candidate.expr) for candidate in snapped[:1]]
+        return [candidate.expr for candidate in snapped[:1]]
 
     def _pipeline(self, samples: Samples, depth: int) -> list[AbstractStage]:
         polynomial = Polynomial(self.degree, self.sparse and depth == 0)
@@ -245,12 +245,6 @@ class DynAIFeynman(AbstractMethod):
         from dynsr.methods.feynman.network import fit_network
 
         return fit_network(samples, context.rng, max(1, self.epochs >> min(context.depth, 1)))
-
-
-def _whole(expr: sympy.Expr) -> sympy.Expr:
-    """Write floats that are whole as integers, so that equal formulas compare equal."""
-    floats = expr.atoms(sympy.Float)
-    return expr.xreplace({a: sympy.Integer(int(a)) for a in floats if float(a).is_integer()})
 
 
 PRESETS = {
