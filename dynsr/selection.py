@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from dynsr.exports import shown
 from dynsr.expression import evaluate, parse, to_text
 from dynsr.methods.feynman.description import Noise, description_length, noise_of
 from dynsr.methods.forecasting import forecast_misses
@@ -26,7 +27,7 @@ _MOST_COMPARED = 5
 # 1 / (2 q phi(q) 2 sqrt(n)), q = 0.6745 their quartile; that of two such medians' ratio is sqrt(2)
 # times that, and medians within twice that are taken for equal: then fewer bits decide.
 _MEDIAN_ERROR = 1.166
-# Share of the slopes below which nothing is told apart.
+# Share of the spread below which no misses are told apart.
 _FINEST = 1e-7
 
 
@@ -60,9 +61,9 @@ class Pick:
     def explanation(self) -> str:
         """Say in words why the winner won."""
         winner, *others = self.rivals
-        shown = to_text(tidy(winner.candidate.expr))
+        formula = shown(tidy(winner.candidate.expr))
         words = [
-            f"{self.state}' = {shown} takes {winner.bits:.0f} bits in all, "
+            f"{self.state}' = {formula} takes {winner.bits:.0f} bits in all, "
             f"{winner.candidate.complexity:.0f} of them for the formula; found by "
             f"{winner.candidate.source or 'search'}."
         ]
@@ -96,12 +97,12 @@ class Pick:
         return cls(state, rivals, Noise(*record["noise"]))
 
     def _compare(self, winner: Rival, other: Rival) -> str:
-        shown = to_text(tidy(other.candidate.expr))
-        shown = shown if len(shown) <= 80 else shown[:77] + "..."
+        rival = shown(tidy(other.candidate.expr))
+        rival = rival if len(rival) <= 80 else rival[:77] + "..."
         if other.bits >= winner.bits:
-            return f"The next best, {shown}, takes {other.bits - winner.bits:.0f} bits more."
+            return f"The next best, {rival}, takes {other.bits - winner.bits:.0f} bits more."
         return (
-            f"{shown} takes {winner.bits - other.bits:.0f} bits less, but misses by "
+            f"{rival} takes {winner.bits - other.bits:.0f} bits less, but misses by "
             f"{other.held_back:.2g} on held-back data."
         )
 
@@ -122,7 +123,7 @@ def pick_equation(
     candidates = _distinct(pool)
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
-    noise = _never_too_fine(noise_of(candidates, samples), samples)
+    noise = noise_of(candidates, samples)
     ranked = one_a_shape(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
     snapped = _rank(_distinct(score_snapped(c, samples, noise) for c in ranked), samples, noise)
     varied = [improve(c, samples, noise) for c in snapped[:_MOST_IMPROVED]]
@@ -141,12 +142,6 @@ def pick_equation(
     # The misses of one forecast hang together: each counts once.
     forecasts = min((m.shape[-1] for m in misses.values()), default=1)
     return Pick(state, tuple(order_rivals(rivals, forecasts)), noise)
-
-
-def _never_too_fine(noise: Noise, samples: Samples) -> Noise:
-    """Slopes of clean data are still biased; formulas must not be chosen to follow that."""
-    size = float(np.sqrt(np.mean(samples.y**2)))
-    return Noise(max(noise.floor, _FINEST * size), noise.effective_rows)
 
 
 def order_rivals(rivals: list[Rival], forecasts: int) -> list[Rival]:

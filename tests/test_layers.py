@@ -30,7 +30,9 @@ LAYERS = {
     **dict.fromkeys(("tables", "plots", "report", "templates"), 4),
     **dict.fromkeys(("cells", "records", "results", "checkpoint"), 4),
     **dict.fromkeys(("found", "polishing", "portfolio", "selection", "exports"), 4),
-    **dict.fromkeys(("prediction", "ensemble", "discovery_report", "trainable", "hybrid"), 4),
+    **dict.fromkeys(
+        ("prediction", "ensemble", "fronts", "discovery_report", "trainable", "hybrid"), 4
+    ),
     **dict.fromkeys(("crosscheck", "comparison", "trajectory_checks", "doctor"), 4),
     **dict.fromkeys(("cli", "commands", "estimator", "__init__", "__main__"), 5),
 }
@@ -56,6 +58,7 @@ WITHIN = {
     "crosscheck": {"paper", "comparison", "trajectory_checks"},
     "trajectory_checks": {"comparison", "paper"},
     "discovery": {"checkpoint", "found", "polishing", "portfolio", "selection"},
+    "selection": {"exports"},
     "found": {
         "checkpoint",
         "discovery_report",
@@ -66,11 +69,12 @@ WITHIN = {
         "trainable",
     },
     "hybrid": {"portfolio"},
-    "discovery_report": {"exports", "found", "plots", "prediction", "report"},
+    "discovery_report": {"exports", "found", "fronts", "plots", "prediction", "report", "tables"},
+    "fronts": {"exports"},
     "ensemble": {"found"},
     "trainable": {"exports"},
     "replicate": {"cells", "records", "report", "results", "tables"},
-    "report": {"plots", "records", "results", "tables"},
+    "report": {"exports", "plots", "records", "results", "tables"},
     "results": {"audit", "paper", "plots", "records", "tables"},
     "__main__": {"cli"},
     "cli": {"commands"},
@@ -86,7 +90,7 @@ HOMES = {
     },
     "matplotlib": {"plots.py"},
     "juliacall": {"engines/julia_worker.py"},
-    "juliapkg": {"engines/julia.py"},
+    "juliapkg": {"engines/julia_setup.py"},
     "diffeqpy": {"engines/julia_worker.py"},
 }
 
