@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from types import ModuleType
@@ -207,7 +207,7 @@ def _solve_by_pysindy(pysindy: ModuleType, problem: SparseProblem, steps: int) -
     pysindy's nu is a length where today's Julia has its inverse; a hard threshold t is its
     L0 weight t^2 / (2 nu), a soft one its L1 weight t / nu.
     """
-    settings: dict[str, Any] = dict(problem.settings)
+    settings: Mapping[str, Any] = dict(problem.settings)
     scale = np.linalg.norm(problem.theta, axis=1) if problem.normalize else np.ones(1)
     a = (problem.theta / scale.reshape(-1, 1)).T
     cut = 0.0
@@ -222,28 +222,32 @@ def _solve_by_pysindy(pysindy: ModuleType, problem: SparseProblem, steps: int) -
             unbias=not full,
             ridge_kw={"solver": "svd"} if full else None,
         )
-    else:
-        nu = settings["nu"]
-        if problem.release == "2021":
-            cut = math.sqrt(2 * settings["lambda"] / nu)
-            weight, regularizer, start = cut * settings["lambda"], "L1", None
-        else:
-            threshold, nu = settings["threshold"], 1 / nu
-            hard = settings["proximal"] == "hard"
-            regularizer = "L0" if hard else "L1"
-            weight = (threshold**2 / 2 if hard else threshold) / nu
-            gram = a.T @ a + np.eye(a.shape[1]) / nu
-            start = np.linalg.solve(gram, a.T @ problem.dx)[None]
+    elif problem.release == "2021":
+        cut = math.sqrt(2 * settings["lambda"] / settings["nu"])
+        weight = cut * settings["lambda"]
         # pysindy divides by max_iter // 10.
-        peer = pysindy.SR3(
-            weight, regularizer, nu, tol=1e-300, max_iter=max(steps, 10), initial_guess=start
-        )
+        peer = pysindy.SR3(weight, "L1", settings["nu"], tol=1e-300, max_iter=max(steps, 10))
+    else:
+        peer = _peer_of_today(pysindy, settings, a, problem.dx, steps)
     with warnings.catch_warnings():
         # That the cap is reached is intended, and a zero answer is an answer.
         warnings.simplefilter("ignore")
         peer.fit(a, problem.dx)
     found = np.ravel(peer.coef_full_ if cut else peer.coef_)
     return np.where(np.abs(found) < cut, 0.0, found) / scale
+
+
+def _peer_of_today(
+    pysindy: ModuleType, settings: Mapping[str, Any], a: np.ndarray, dx: np.ndarray, steps: int
+) -> Any:
+    threshold, nu = settings["threshold"], 1 / settings["nu"]
+    hard = settings["proximal"] == "hard"
+    weight = (threshold**2 / 2 if hard else threshold) / nu
+    start = np.linalg.solve(a.T @ a + np.eye(a.shape[1]) / nu, a.T @ dx)[None]
+    regularizer = "L0" if hard else "L1"
+    return pysindy.SR3(
+        weight, regularizer, nu, tol=1e-300, max_iter=max(steps, 10), initial_guess=start
+    )
 
 
 SECTIONS: dict[str, Section] = {

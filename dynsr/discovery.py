@@ -24,7 +24,7 @@ from dynsr.intake import split_held_back, take_trajectories
 from dynsr.interruption import collect_best, stopping_at_interrupt
 from dynsr.methods.base import AbstractMethod
 from dynsr.methods.matching import read_inputs
-from dynsr.methods.snapping import as_decimals
+from dynsr.methods.snapping import tidy
 from dynsr.pareto import Candidate, ParetoFront
 from dynsr.parts import pick_one, search_one
 from dynsr.polishing import polish
@@ -137,7 +137,7 @@ def _plan(states: Sequence[str], methods: Mapping[str, AbstractMethod]) -> dict[
 def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
     """Merge what the methods found with what fitting and snapping made of it."""
     rivals = [rival.candidate for rival in pick.rivals]
-    written = [replace(c, expr=as_decimals(c.expr)) for c in rivals]
+    written = [replace(c, expr=tidy(c.expr)) for c in rivals]
     return ParetoFront([*pool, *written])
 
 

@@ -17,7 +17,7 @@ from dynsr.exports import shown, to_mathml
 from dynsr.expression import complexity, evaluate
 from dynsr.found import Discovery
 from dynsr.fronts import Chart, place_front
-from dynsr.methods.flow import free_constants
+from dynsr.methods.constants import free_constants
 from dynsr.methods.variation import loosen
 from dynsr.pareto import Candidate, rmse
 from dynsr.plots import draw_phase_portrait, draw_residuals, draw_slopes, draw_states

@@ -14,7 +14,7 @@ from dynsr.errors import InputError
 from dynsr.expression import check_name, evaluate
 from dynsr.methods.base import AbstractMethod
 from dynsr.methods.feynman.description import choose, description_length, noise_of
-from dynsr.methods.snapping import as_decimals, score_snapped
+from dynsr.methods.snapping import score_snapped, tidy
 from dynsr.pareto import Candidate, ParetoFront, score_candidate
 from dynsr.portfolio import choose_methods
 from dynsr.samples import Samples
@@ -89,7 +89,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
 
     def _snapped(self, ranked: list[Candidate], samples: Samples, noise: Any) -> list[Candidate]:
         snapped = [score_snapped(c, samples, noise) for c in ranked]
-        return [score_candidate(as_decimals(c.expr), samples, c.source) for c in snapped]
+        return [score_candidate(tidy(c.expr), samples, c.source) for c in snapped]
 
     def predict(self, X: Any) -> np.ndarray:
         """Evaluate the formula, (n,); where it has no finite value the number nearest to one."""

@@ -13,15 +13,15 @@ import numpy as np
 import sympy
 
 from dynsr import exports
-from dynsr.checkpoint import write_json
 from dynsr.derivatives import choose_samples
 from dynsr.errors import DynsrError, InputError
 from dynsr.expression import evaluate, parse, to_text
 from dynsr.intake import take_trajectories
-from dynsr.methods.matching import forecast_miss
+from dynsr.methods.forecasting import forecast_miss
 from dynsr.pareto import Candidate, ParetoFront, rmse
 from dynsr.prediction import predict
 from dynsr.trajectory import Trajectory
+from dynsr.writing import write_json
 
 _FORMAT = "dynsr discovery 1"
 

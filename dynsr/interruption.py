@@ -14,7 +14,7 @@ from dynsr.checkpoint import Record
 from dynsr.found import Discovery
 from dynsr.live import LiveFolder
 from dynsr.methods.feynman.description import choose
-from dynsr.methods.snapping import as_decimals
+from dynsr.methods.snapping import tidy
 from dynsr.pareto import Candidate, ParetoFront
 from dynsr.samples import Samples
 from dynsr.selection import Pick, read_candidates
@@ -62,7 +62,7 @@ def collect_best(
         if best is None:
             why[state] = "nothing yet; no search of its equation had a formula."
             continue
-        equations[state] = as_decimals(known.get(state, sympy.S.Zero) + best.expr)
+        equations[state] = tidy(known.get(state, sympy.S.Zero) + best.expr)
         fronts[state] = ParetoFront(pool)
         why[state] = words or (
             f"the best so far, found by {best.source or 'search'}; searches that had ended: "

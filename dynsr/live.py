@@ -17,7 +17,7 @@ from typing import Any
 
 from dynsr.exports import shown
 from dynsr.methods.base import Progress
-from dynsr.methods.snapping import as_decimals
+from dynsr.methods.snapping import tidy
 from dynsr.pareto import ParetoFront
 from dynsr.selection import write_candidates
 
@@ -95,7 +95,7 @@ class Teller:
             self.front = progress.front
             knee = self.front.knee
             self.record |= {
-                "best": shown(as_decimals(knee.expr), _DIGITS),
+                "best": shown(tidy(knee.expr), _DIGITS),
                 "loss": knee.loss,
                 "front": write_candidates(self.front),
             }

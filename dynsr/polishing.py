@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+import numpy as np
 import sympy
 
-from dynsr.expression import number_bits
-from dynsr.methods.feynman.description import Noise
-from dynsr.methods.flow import free_constants
-from dynsr.methods.matching import Match, is_noisy, match_trajectories
-from dynsr.methods.snapping import as_decimals, simple_numbers, snap
+from dynsr.expression import complexity, number_bits
+from dynsr.methods.constants import free_constants
+from dynsr.methods.feynman.description import Noise, data_bits, estimate_noise
+from dynsr.methods.matching import Match, is_noisy, match_trajectories, measure_errors
+from dynsr.methods.snapping import simple_numbers, snap, tidy
 from dynsr.methods.variation import loosen
 from dynsr.samples import Samples
 from dynsr.trajectory import Trajectory
@@ -23,8 +25,6 @@ _TERM_BITS = 6.0
 _TIE_BITS = 0.5
 _DIGITS = 8
 _SUREST = 1e-9
-# The median of 3000 misses (1000 rows, 3 states) is itself only sure to 2 %.
-_AS_GOOD = 1.02
 
 
 def polish(
@@ -34,26 +34,32 @@ def polish(
     samples: Mapping[str, Samples],
     noise: Mapping[str, Noise],
 ) -> Match:
-    """Give the equations with final constants.
+    """Give the equations with final constants, and the standard error of each of these.
 
     Clean slopes are trusted: their constants are snapped on all samples, and those that stay
     floats are fitted to the states. Slopes of noisy data are biased by their smoother: there all
-    constants are fitted to the states first and snapped by their standard errors.
+    constants are fitted to the states first. A simpler formula is kept when formula and states
+    together take fewer bits with it.
     """
-    if not is_noisy(runs):
-        snapped = {s: snap(_as_loose(e), samples[s], noise[s]) for s, e in exprs.items()}
-        match = match_trajectories(snapped, runs, inputs=inputs)
-        if not match.success:
-            return _written(_unmatched(snapped))
-        return _written(_snap_by_errors(match, runs, inputs))
-    match = match_trajectories({s: loosen(e) for s, e in exprs.items()}, runs, inputs=inputs)
-    if not match.success:
-        return _written(_unmatched(exprs))
-    # All simple constants at once: one at a time, constants that hang together block each other.
-    simple = match_trajectories(exprs, runs, inputs=inputs)
-    if simple.success and simple.loss <= _AS_GOOD * match.loss:
-        return _written(_snap_by_errors(simple, runs, inputs, match))
-    return _written(_snap_by_errors(match, runs, inputs))
+    noisy = is_noisy(runs)
+    start = {
+        s: loosen(e) if noisy else snap(_as_loose(e), samples[s], noise[s])
+        for s, e in exprs.items()
+    }
+    match = match_trajectories(start, runs, inputs=inputs)
+    if match.success and len(match.misses):
+        level = estimate_noise([match.misses], np.ones(len(match.misses)))
+        # All simple constants at once: one at a time, those that hang together block each other.
+        simple = match_trajectories(exprs, runs, inputs=inputs) if noisy else match
+        if simple.success and _bits(simple, level) <= _bits(match, level):
+            match = simple
+        match = _snap_by_errors(match, runs, inputs, level)
+    elif not match.success:
+        match = Match.untouched(exprs if noisy else start)
+    final = {s: tidy(_round_floats(e)) for s, e in match.exprs.items()}
+    loose = {s: e if e.is_Symbol or e == 0 else loosen(e) for s, e in final.items()}
+    errors = measure_errors(loose, runs, inputs)
+    return replace(match, exprs=final, errors=errors)
 
 
 def _as_loose(expr: sympy.Expr) -> sympy.Expr:
@@ -61,29 +67,33 @@ def _as_loose(expr: sympy.Expr) -> sympy.Expr:
     return expr if expr.is_Symbol or expr.is_Number else loosen(expr)
 
 
-def _unmatched(exprs: Mapping[str, sympy.Expr]) -> Match:
-    return Match(dict(exprs), {s: () for s in exprs}, math.inf, False)
+def _bits(match: Match, level: Noise) -> float:
+    """Bits of formulas and misses, each constant with the digits that its error supports."""
+    written = 0.0
+    for state, expr in match.exprs.items():
+        template, values = free_constants(expr, "constant ")
+        pairs = zip(values, match.errors[state], strict=True)
+        written += complexity(
+            template.xreplace({c: sympy.Float(_rounded(*pair)) for c, pair in pairs})
+        )
+    return written + data_bits(match.misses, level)
 
 
 def _snap_by_errors(
-    match: Match,
-    runs: Sequence[Trajectory],
-    inputs: Mapping[str, sympy.Expr],
-    free: Match | None = None,
+    match: Match, runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr], level: Noise
 ) -> Match:
-    """Snap each state's surest constant, fit the others again, and so on."""
-    first = free or match
+    """Snap each state's surest constant, fit the others again, and so on, while bits fall."""
+    least = _bits(match, level)
     for _ in range(_MOST_ROUNDS):
         snapped = {s: _snap_surest(e, match.errors[s]) for s, e in match.exprs.items()}
         if snapped == match.exprs:
             break
         following = match_trajectories(snapped, runs, inputs=inputs)
-        worse = math.isfinite(following.loss) and following.loss > 1.05 * first.loss + _SUREST
-        if worse or not following.success:
+        reached = _bits(following, level) if following.success else math.inf
+        if not reached <= least + _TIE_BITS:
             break
-        match = following
-    # Errors of the fit in which every constant was free: snapping does not make them sure.
-    return Match(match.exprs, first.errors, match.loss, True)
+        match, least = following, reached
+    return match
 
 
 def _snap_surest(expr: sympy.Expr, pairs: Sequence[tuple[float, float]]) -> sympy.Expr:
@@ -118,11 +128,6 @@ def _rounded(value: float, error: float) -> float:
         return float(f"{value:.{_DIGITS}e}")
     digits = max(0, min(_DIGITS, math.ceil(math.log10(abs(value) / error))))
     return float(f"{value:.{digits}e}")
-
-
-def _written(match: Match) -> Match:
-    exprs = {s: as_decimals(_round_floats(e)) for s, e in match.exprs.items()}
-    return Match(exprs, match.errors, match.loss, match.success)
 
 
 def _round_floats(expr: sympy.Expr) -> sympy.Expr:

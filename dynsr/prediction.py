@@ -44,13 +44,7 @@ def predict(
             f"nothing says what {missing[0]!r} does in time; give it as an input "
             "or discover its equation too"
         )
-    measured = {k: np.asarray(v, dtype=float) for k, v in given.items() if _is_array(v)}
-    for name, values in measured.items():
-        if values.shape != times.shape:
-            raise InputError(
-                f"input {name!r} has shape {values.shape} but there are {len(times)} times; "
-                "give one value a time"
-            )
+    measured = _take_measured(given, times)
     exact = {k: parse(v, ["t"]) for k, v in given.items() if k not in measured}
     start = np.asarray(x0, dtype=float)
     if start.shape != (len(equations),):
@@ -65,6 +59,17 @@ def predict(
         exact,
     )
     return simulate(system, start, times, _RELTOL, _ABSTOL, engine)
+
+
+def _take_measured(given: Mapping[str, Any], times: np.ndarray) -> dict[str, np.ndarray]:
+    measured = {k: np.asarray(v, dtype=float) for k, v in given.items() if _is_array(v)}
+    for name, values in measured.items():
+        if values.shape != times.shape:
+            raise InputError(
+                f"input {name!r} has shape {values.shape} but there are {len(times)} times; "
+                "give one value a time"
+            )
+    return measured
 
 
 def _is_array(value: Any) -> bool:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
@@ -21,6 +20,7 @@ import sympy
 
 from dynsr.errors import DynsrError, DynsrWarning, InputError
 from dynsr.expression import parse, to_text
+from dynsr.writing import write_text
 
 FORMAT = "dynsr replication 1"
 MANIFEST = "manifest.json"
@@ -144,21 +144,6 @@ def open_folder(out: str | Path, settings: Mapping[str, Any]) -> Path:
             f"cannot write results into {folder}: {reason}; give another folder"
         ) from None
     return folder
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file in one move: whoever reads it sees all of it or nothing new."""
-    write_bytes(path, text.encode("utf-8"))
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file in one move."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with part.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
 
 
 def describe_settings(method: Any) -> dict[str, Any]:

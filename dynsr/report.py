@@ -17,9 +17,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from dynsr.errors import InputError
 from dynsr.exports import to_mathml
 from dynsr.expression import parse
-from dynsr.records import Record, write_bytes, write_text
+from dynsr.records import Record
 from dynsr.results import FIGURE_1, SYSTEM_TITLES, all_tables, drawable, figure_1
 from dynsr.tables import Formula, Table, format_value
+from dynsr.writing import write_bytes, write_text
 
 FORMATS = ("csv", "md", "tex")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,8 +13,8 @@ import sympy
 from dynsr.exports import shown
 from dynsr.expression import evaluate, parse, to_text
 from dynsr.methods.feynman.description import Noise, description_length, noise_of
-from dynsr.methods.matching import forecast_miss
-from dynsr.methods.snapping import as_decimals, score_snapped
+from dynsr.methods.forecasting import forecast_misses
+from dynsr.methods.snapping import one_a_shape, score_snapped, tidy
 from dynsr.methods.variation import improve
 from dynsr.pareto import Candidate, score_candidate
 from dynsr.samples import Samples
@@ -22,9 +23,10 @@ from dynsr.trajectory import Trajectory
 _MOST_SNAPPED = 6
 _MOST_IMPROVED = 3
 _MOST_COMPARED = 5
-# Errors on held-back data within this factor are taken for equal, since the data have errors of
-# their own; then fewer bits decide.
-_EQUAL = 2.0
+# The median of n sizes of Gaussian errors has a relative standard error of
+# 1 / (2 q phi(q) 2 sqrt(n)), q = 0.6745 their quartile; that of two such medians' ratio is sqrt(2)
+# times that, and medians within twice that are taken for equal: then fewer bits decide.
+_MEDIAN_ERROR = 1.166
 # Share of the spread below which no misses are told apart.
 _FINEST = 1e-7
 
@@ -59,7 +61,7 @@ class Pick:
     def explanation(self) -> str:
         """Say in words why the winner won."""
         winner, *others = self.rivals
-        formula = shown(as_decimals(winner.candidate.expr))
+        formula = shown(tidy(winner.candidate.expr))
         words = [
             f"{self.state}' = {formula} takes {winner.bits:.0f} bits in all, "
             f"{winner.candidate.complexity:.0f} of them for the formula; found by "
@@ -95,7 +97,7 @@ class Pick:
         return cls(state, rivals, Noise(*record["noise"]))
 
     def _compare(self, winner: Rival, other: Rival) -> str:
-        formula = shown(as_decimals(other.candidate.expr), 4)
+        formula = shown(tidy(other.candidate.expr), 4)
         formula = formula if len(formula) <= 80 else formula[:77] + "..."
         if other.bits >= winner.bits:
             return f"The next best, {formula}, takes {other.bits - winner.bits:.0f} bits more."
@@ -122,39 +124,36 @@ def pick_equation(
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
     noise = noise_of(candidates, samples)
-    ranked = _one_a_form(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
+    ranked = one_a_shape(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
     snapped = _rank(_distinct(score_snapped(c, samples, noise) for c in ranked), samples, noise)
     varied = [improve(c, samples, noise) for c in snapped[:_MOST_IMPROVED]]
     last = _rank(_distinct([*varied, *snapped]), samples, noise)[:_MOST_COMPARED]
+    misses = {
+        c.expr: forecast_misses({state: known + c.expr}, held_back) for c in last if held_back
+    }
     rivals = [
         Rival(
             c,
             description_length(c, samples, noise),
-            forecast_miss({state: known + c.expr}, held_back) if held_back else None,
+            float(np.median(misses[c.expr])) if held_back else None,
         )
         for c in last
     ]
-    return Pick(state, tuple(_order(rivals)), noise)
+    # The misses of one forecast hang together: each counts once.
+    forecasts = min((m.shape[-1] for m in misses.values()), default=1)
+    return Pick(state, tuple(order_rivals(rivals, forecasts)), noise)
 
 
-def _order(rivals: list[Rival]) -> list[Rival]:
+def order_rivals(rivals: list[Rival], forecasts: int) -> list[Rival]:
+    """Order by bits, behind those whose held-back error is clearly above the least."""
     misses = [r.held_back for r in rivals if r.held_back is not None and np.isfinite(r.held_back)]
-    bound = _EQUAL * min(misses) + _FINEST if misses else np.inf
+    equal = 1 + 2 * math.sqrt(2 / forecasts) * _MEDIAN_ERROR
+    bound = equal * min(misses) + _FINEST if misses else np.inf
     return sorted(rivals, key=lambda r: ((r.held_back or 0.0) > bound, r.bits))
 
 
 def _distinct(pool: Iterable[Candidate]) -> list[Candidate]:
     return list({c.expr: c for c in pool}.values())
-
-
-def _one_a_form(ranked: list[Candidate]) -> list[Candidate]:
-    """Keep the best of the formulas that differ in constants alone."""
-    forms: dict[sympy.Expr, Candidate] = {}
-    for candidate in ranked:
-        numbers = candidate.expr.atoms(sympy.Float)
-        form = candidate.expr.xreplace({n: n / abs(n) * sympy.pi for n in numbers if n != 0})
-        forms.setdefault(form, candidate)
-    return list(forms.values())
 
 
 def _rank(pool: list[Candidate], samples: Samples, noise: Noise) -> list[Candidate]:

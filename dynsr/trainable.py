@@ -12,7 +12,7 @@ import torch
 
 from dynsr.exports import arguments_of
 from dynsr.expression import to_text
-from dynsr.methods.flow import free_constants
+from dynsr.methods.constants import free_constants
 
 
 class EquationModule(torch.nn.Module):

@@ -15,7 +15,7 @@ import dynsr
 PACKAGE = Path(dynsr.__file__).parent
 
 LAYERS = {
-    **dict.fromkeys(("errors", "expression", "definitions"), 0),
+    **dict.fromkeys(("errors", "expression", "definitions", "writing"), 0),
     **dict.fromkeys(("system", "trajectory", "samples", "pareto", "catalogue"), 1),
     # Smoothers and derivative schemes of samples; tables of the user's read as trajectories.
     **dict.fromkeys(("smoothers", "derivatives"), 1),

@@ -5,7 +5,8 @@ from scipy.integrate import solve_ivp
 
 from dynsr.errors import InputError
 from dynsr.expression import parse
-from dynsr.methods.flow import Flow, cut_windows, free_constants
+from dynsr.methods.constants import free_constants
+from dynsr.methods.flow import Flow, cut_windows
 from dynsr.methods.matching import match_trajectories
 from dynsr.methods.shooting import Shooting
 from dynsr.trajectory import Trajectory

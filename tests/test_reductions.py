@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from dynsr.expression import compile_numpy, evaluate, parse
+from dynsr.methods.constants import refit
 from dynsr.methods.feynman.compositionality import (
     Compositionality,
     GeneralisedSymmetry,
@@ -11,7 +12,6 @@ from dynsr.methods.feynman.compositionality import (
 from dynsr.methods.feynman.polynomial import Polynomial
 from dynsr.methods.feynman.rational import RationalSearch
 from dynsr.methods.feynman.reduction import AbstractReducer, Reduce, Support
-from dynsr.methods.feynman.refine import refine
 from dynsr.methods.feynman.separability import Separability
 from dynsr.methods.feynman.stage import Context
 from dynsr.methods.feynman.symmetry import Symmetry
@@ -65,7 +65,7 @@ def _loss(law: str, *reducers: AbstractReducer) -> float:
     )
     found = _base(samples, context) + Reduce(reducers).run(samples, context)
     best = sorted(found, key=lambda c: c.loss)[:3]
-    refined = [score_candidate(refine(c.expr, samples).expr, samples) for c in best]
+    refined = [score_candidate(refit(c.expr, samples), samples) for c in best]
     return min(c.loss for c in refined) / float(np.std(samples.y))
 
 

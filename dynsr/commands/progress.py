@@ -183,6 +183,6 @@ def best_equation(front: ParetoFront) -> str:
     if not len(front):
         return ""
     from dynsr.exports import shown
-    from dynsr.methods.snapping import as_decimals
+    from dynsr.methods.snapping import tidy
 
-    return f"{_cut(shown(as_decimals(front.knee.expr), 4))}  (error {front.knee.loss:.2g})"
+    return f"{_cut(shown(tidy(front.knee.expr), 4))}  (error {front.knee.loss:.2g})"

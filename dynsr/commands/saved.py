@@ -164,8 +164,8 @@ def report(
 
 def _report_replication(folder: Path, out: Path | None, json: bool) -> None:
     from dynsr.commands.experiments import deliver_results, load_results
-    from dynsr.records import write_text
     from dynsr.report import render_replication
+    from dynsr.writing import write_text
 
     records, settings = load_results(folder)
     if out is None:

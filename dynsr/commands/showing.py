@@ -59,10 +59,10 @@ def show_discovery(
 
 def _equations(found: Discovery) -> Iterator[str]:
     from dynsr.exports import shown
-    from dynsr.methods.snapping import as_decimals
+    from dynsr.methods.snapping import tidy
 
     for state, expr in found.equations.items():
-        yield f"{state}' = {shown(as_decimals(expr))}"
+        yield f"{state}' = {shown(tidy(expr))}"
 
 
 def by_state(scores: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -17,32 +17,6 @@ import sympy
 from dynsr.expression import compile_numpy
 
 
-def free_constants(expr: sympy.Expr, prefix: str) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]:
-    """Put a symbol in the place of every float; give the template and the symbols' values.
-
-    Every occurrence gets its own symbol. Integers, rationals, pi and exponents that are whole
-    numbers belong to the structure and stay.
-
-    >>> template, values = free_constants(sympy.Float(2.5) * sympy.Symbol("x"), "c")
-    >>> template, list(values.values())
-    (c0*x, [2.5])
-    """
-    values: dict[sympy.Symbol, float] = {}
-
-    def replaced(node: sympy.Expr) -> sympy.Expr:
-        if node.is_Float:
-            symbol = sympy.Symbol(f"{prefix}{len(values)}")
-            values[symbol] = float(node)
-            return symbol
-        if not node.args:
-            return node
-        if node.is_Pow and node.exp.is_Float and float(node.exp).is_integer():
-            return node.func(replaced(node.base), sympy.Integer(int(node.exp)))
-        return node.func(*[replaced(argument) for argument in node.args])
-
-    return replaced(expr), values
-
-
 @dataclass(frozen=True, eq=False)
 class Windows:
     """Pieces of trajectories, all of m intervals, as lanes.

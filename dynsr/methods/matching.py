@@ -18,7 +18,8 @@ from scipy.interpolate import make_interp_spline
 from dynsr.derivatives import estimate_noise
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
-from dynsr.methods.flow import Flow, Windows, cut_windows, free_constants
+from dynsr.methods.constants import free_constants
+from dynsr.methods.flow import Flow, Windows, cut_windows
 from dynsr.methods.shooting import Shooting
 from dynsr.trajectory import Trajectory
 
@@ -32,14 +33,25 @@ class Match:
     """Equations whose constants fit the states.
 
     ``errors`` gives for every state its constants in order of appearance as (value, standard
-    error); ``loss`` is the median absolute residual at the ends of steps in units of each state's
-    spread; ``success`` says whether the fit could be done at all.
+    error); ``misses`` are those of the integrated states, window after window, in units of each
+    state's spread, and ``loss`` is the median of their sizes; ``success`` says whether the fit
+    could be done at all.
     """
 
     exprs: dict[str, sympy.Expr]
     errors: dict[str, tuple[tuple[float, float], ...]]
-    loss: float
+    misses: np.ndarray
     success: bool
+
+    @property
+    def loss(self) -> float:
+        """Give the median size of the misses; inf where there are none."""
+        return float(np.median(np.abs(self.misses))) if len(self.misses) else np.inf
+
+    @classmethod
+    def untouched(cls, exprs: Mapping[str, sympy.Expr], success: bool = False) -> Match:
+        """Equations as they came, without a fit."""
+        return cls(dict(exprs), {s: () for s in exprs}, np.empty(0), success)
 
 
 def match_trajectories(
@@ -71,23 +83,68 @@ def match_trajectories(
     -2.0
     """
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
-    flow, values, owners = _prepare(exprs, runs, inputs or {})
-    untouched = Match(dict(exprs), {s: () for s in exprs}, np.inf, False)
-    shortest = min(len(run) for run in runs)
-    if shortest < 3 or not (len(values) or is_noisy(runs)):
-        return replace(untouched, success=not len(values))
-    spread = np.std(np.concatenate([run.x for run in runs]), axis=0)
-    columns = [runs[0].index(state) for state in flow.rhs]
+    flow, values, owners = prepare(exprs, runs, inputs or {})
     free = is_noisy(runs)
-    length = window or (min(100, max(20, max(map(len, runs)) // 10)) if free else 10)
-    shooting = Shooting(
-        flow,
-        _cut(flow, runs, inputs or {}, length),
-        np.maximum(spread[columns], 1e-300),
-        free,
-    )
+    if min(map(len, runs)) < 3:
+        return Match.untouched(exprs, success=not len(values))
+    length = window or _window_length(runs, free)
+    shooting = build_shooting(flow, runs, inputs or {}, length, free)
     fitted = _fit(shooting, np.array(values), time.monotonic() + max_seconds)
-    return untouched if fitted is None else _match(flow, owners, *fitted)
+    return Match.untouched(exprs) if fitted is None else _match(flow, owners, *fitted)
+
+
+def _window_length(runs: Sequence[Trajectory], free: bool) -> int:
+    return min(100, max(20, max(map(len, runs)) // 10)) if free else 10
+
+
+def build_shooting(
+    flow: Flow,
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    length: int,
+    free: bool,
+) -> Shooting:
+    """Cut the runs into windows of ``length`` intervals, their starts ``free`` or measured."""
+    columns = [runs[0].index(state) for state in flow.rhs]
+    spread = np.std(np.concatenate([run.x for run in runs]), axis=0)[columns]
+    windows = _cut(flow, runs, inputs, length)
+    return Shooting(flow, windows, np.maximum(spread, 1e-300), free)
+
+
+def measure_errors(
+    exprs: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    max_seconds: float = 10.0,
+) -> dict[str, tuple[tuple[float, float], ...]]:
+    """Give (value, standard error) of every float of equations that stay as they are.
+
+    The errors are those which the constants would have if they were fitted, so also a constant
+    that was made a simple number has one; inf where the data do not tell.
+
+    >>> t = np.linspace(0, 1, 51)
+    >>> x = np.exp(-2 * t) + 1e-3 * np.cos(40 * t)
+    >>> decay = Trajectory(t, x[:, None], ("x",))
+    >>> measure_errors({"x": sympy.Float(-2.0) * sympy.Symbol("x")}, [decay], {})["x"][0][0]
+    -2.0
+    """
+    flow, values, owners = prepare(exprs, runs, inputs)
+    constants = np.array(values)
+    errors = np.full(len(values), np.inf)
+    if len(values) and min(map(len, runs)) >= 3:
+        free = is_noisy(runs)
+        shooting = build_shooting(flow, runs, inputs, _window_length(runs, free), free)
+        put = dict(zip(flow.constants, map(sympy.Float, values), strict=True))
+        rhs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
+        fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
+        with np.errstate(all="ignore"):
+            starts = shooting.windows.x[0]
+            fixed = replace(fixed, substeps=choose_substeps(fixed, np.empty(0), starts))
+            _, starts = _minimise(fixed, np.empty(0), starts, time.monotonic() + max_seconds)
+            shooting = replace(shooting, substeps=fixed.substeps)
+            errors = _standard_errors(shooting, constants, starts)
+    pairs = list(zip(owners, values, errors.tolist(), strict=True))
+    return {s: tuple((v, e) for owner, v, e in pairs if owner == s) for s in exprs}
 
 
 def is_noisy(runs: Sequence[Trajectory]) -> bool:
@@ -106,9 +163,10 @@ def read_inputs(
     return {key: parse(expr, names) for key, expr in exprs.items()}
 
 
-def _prepare(
+def prepare(
     exprs: Mapping[str, sympy.Expr], runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
 ) -> tuple[Flow, list[float], list[str]]:
+    """Give the flow, its constants' values and the states that own these; raises InputError."""
     if not runs or any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
     rhs: dict[str, sympy.Expr] = {}
@@ -162,26 +220,38 @@ def _drive(
 
 def _fit(
     shooting: Shooting, constants: np.ndarray, deadline: float
-) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Give the constants, their errors and the median miss; None when the start diverges."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Give the constants, their errors and the misses; None when the start diverges."""
     starts = shooting.windows.x[0]
     with np.errstate(all="ignore"):
-        shooting = replace(shooting, substeps=_choose_substeps(shooting, constants, starts))
+        shooting = replace(shooting, substeps=choose_substeps(shooting, constants, starts))
         if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
             return None
-        for loss in _ROUNDS:
-            constants, starts = shooting.minimise(constants, starts, loss, deadline)
-        level = float(np.median(np.abs(shooting.misses(constants, starts))))
-        if not len(constants):
-            return constants, constants, level
-        try:
-            errors = shooting.standard_errors(constants, starts)
-        except (np.linalg.LinAlgError, FloatingPointError):
-            errors = np.full(len(constants), np.inf)
-    return constants, errors, level
+        constants, starts = _minimise(shooting, constants, starts, deadline)
+        # Along time, so that signs that stay show errors that hang together.
+        misses = shooting.misses(constants, starts).transpose(2, 1, 0).ravel()
+        return constants, _standard_errors(shooting, constants, starts), misses
 
 
-def _choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
+def _minimise(
+    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, deadline: float
+) -> tuple[np.ndarray, np.ndarray]:
+    for loss in _ROUNDS if len(constants) or shooting.free else ():
+        constants, starts = shooting.minimise(constants, starts, loss, deadline)
+    return constants, starts
+
+
+def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    if not len(constants):
+        return constants
+    try:
+        errors = shooting.standard_errors(constants, starts)
+    except (np.linalg.LinAlgError, FloatingPointError):
+        return np.full(len(constants), np.inf)
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
     """Halve the step until that moves the states less than rounding or than their misses."""
     coarse = shooting.misses(constants, starts)
     for substeps in (2, 4, 8, 16):
@@ -194,7 +264,7 @@ def _choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarr
 
 
 def _match(
-    flow: Flow, owners: Sequence[str], values: np.ndarray, errors: np.ndarray, loss: float
+    flow: Flow, owners: Sequence[str], values: np.ndarray, errors: np.ndarray, misses: np.ndarray
 ) -> Match:
     put = {c: sympy.Float(float(v)) for c, v in zip(flow.constants, values, strict=True)}
     exprs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
@@ -203,40 +273,10 @@ def _match(
         state: _in_order(expr, {v: e for owner, v, e in pairs if owner == state})
         for state, expr in exprs.items()
     }
-    return Match(exprs, ordered, loss, True)
+    return Match(exprs, ordered, misses, True)
 
 
 def _in_order(expr: sympy.Expr, errors: Mapping[float, float]) -> tuple[tuple[float, float], ...]:
     """Pair constants with their errors as they now appear: SymPy sorts terms by their numbers."""
     _, found = free_constants(expr, "constant ")
     return tuple((value, errors.get(value, np.inf)) for value in found.values())
-
-
-def forecast_miss(
-    exprs: Mapping[str, sympy.Expr],
-    trajectories: Trajectory | Sequence[Trajectory],
-    *,
-    inputs: Mapping[str, sympy.Expr] | None = None,
-    window: int = 50,
-) -> float:
-    """Give the median miss of forecasts over ``window`` intervals, in units of the spread.
-
-    Each window starts at its first measurement; states without an expression are read from the
-    data. inf when most forecasts diverge.
-
-    >>> t = np.linspace(0, 1, 51)
-    >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
-    >>> forecast_miss({"x": -2 * sympy.Symbol("x")}, decay) < 1e-6
-    True
-    """
-    runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
-    flow, values, _ = _prepare(exprs, runs, inputs or {})
-    columns = [runs[0].index(state) for state in flow.rhs]
-    spread = np.std(np.concatenate([run.x for run in runs]), axis=0)[columns]
-    windows = _cut(flow, runs, inputs or {}, window)
-    shooting = Shooting(flow, windows, np.maximum(spread, 1e-300), False)
-    with np.errstate(all="ignore"):
-        starts, constants = windows.x[0], np.array(values)
-        substeps = _choose_substeps(shooting, constants, starts)
-        misses = np.abs(replace(shooting, substeps=substeps).misses(constants, starts))
-    return float(np.median(np.nan_to_num(misses, nan=np.inf)))

@@ -105,21 +105,27 @@ def explicit_models(
     seen: set[Terms] = set()
     supports = [tuple(range(len(theta)))]
     for threshold in thresholds:
-        problem = SparseProblem(
-            scaled,
-            dx / size,
-            optimizer,
-            {"threshold": threshold},
-            False,
-            _ITERATIONS,
-        )
-        supports.append(tuple(np.flatnonzero(engine.regress(problem).coefficients).tolist()))
+        found = _regress(engine, optimizer, scaled, dx / size, threshold, implicit=False)
+        supports.append(tuple(np.flatnonzero(found).tolist()))
         yield [
             Model(dict(zip(terms, c * size / scale[list(terms)], strict=True)), {}, error)
             for support in supports
             for terms, c, error in _descend(scaled, dx / size, support, seen)
         ]
         supports = []
+
+
+def _regress(
+    engine: AbstractEngine,
+    optimizer: Optimizer,
+    theta: np.ndarray,
+    dx: np.ndarray,
+    threshold: float,
+    implicit: bool,
+) -> np.ndarray:
+    settings = {"threshold": threshold}
+    problem = SparseProblem(theta, dx, optimizer, settings, False, _ITERATIONS, implicit)
+    return engine.regress(problem).coefficients
 
 
 def _descend(
@@ -156,16 +162,7 @@ def implicit_models(
     seen: set[tuple[Terms, Terms]] = set()
     p = len(theta)
     for threshold in thresholds:
-        problem = SparseProblem(
-            scaled,
-            dx / size,
-            optimizer,
-            {"threshold": threshold},
-            False,
-            _ITERATIONS,
-            True,
-        )
-        relation = engine.regress(problem).coefficients
+        relation = _regress(engine, optimizer, scaled, dx / size, threshold, implicit=True)
         den = tuple(np.flatnonzero(relation[:p]).tolist())
         num = tuple(np.flatnonzero(relation[p:]).tolist())
         found = []

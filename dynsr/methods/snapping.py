@@ -1,221 +1,174 @@
 """Simple numbers for the constants of a formula, where the description length says so.
 
-A constant is replaced by 0, an integer, a small rational or a short decimal, the other constants
-are fitted again, and the formula with the fewest bits in all is kept (Udrescu et al. 2020,
-section II.E, with the bits of :mod:`dynsr.methods.feynman.description`).
+AI Feynman 2.0 (Udrescu et al. 2020, section II.E) snaps each constant to zero, an integer, a
+rational or fewer digits and looks at each result alone. Here one constant is snapped, all others
+are fitted again, and the next is looked at: a constant that is surely 2 takes its error out of
+the others, which then show what they are. A step is kept when the formula takes fewer bits, with
+the bits of :mod:`dynsr.methods.feynman.description`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
 
 import numpy as np
 import sympy
 
-from dynsr.expression import compile_numpy, complexity, number_bits
-from dynsr.methods.feynman.description import Noise, data_bits
-from dynsr.methods.flow import free_constants
+from dynsr.expression import LARGEST_IN_FRACTION, complexity, number_bits, round_constants
+from dynsr.methods.constants import Template, as_floats, refit, skeleton
+from dynsr.methods.feynman.description import Noise, data_bits, description_length, noise_of
 from dynsr.pareto import Candidate, score_candidate
 from dynsr.samples import Samples
 
-_LARGEST_DENOMINATOR = 12
 _MOST_DIGITS = 6
-_MOST_CONSTANTS = 12
-_MOST_STEPS = 12
+MOST_CONSTANTS = 12
+# Simple numbers, fewest predicted bits first, of which the best is kept.
 _MOST_TRIED = 4
+# What the data lose in bits when a constant moves by three standard errors.
+_SURE_BITS = 9 / (2 * math.log(2))
+# A fraction or decimal is looked at when it lies this close, relative to the value.
+_NEAR = 0.05
 
 
 def simple_numbers(value: float) -> list[sympy.Rational]:
     """Simple numbers near ``value``: 0, integers, small fractions and short decimals.
 
     >>> [str(n) for n in simple_numbers(2.6665)][:4]
-    ['0', '3', '8/3', '27/10']
+    ['0', '3', '8/3', '11/4']
     """
     if not math.isfinite(value):
         return []
-    near = [Fraction(0), Fraction(round(value))]
-    near += [
-        Fraction(round(value * q), q)
-        for q in range(2, _LARGEST_DENOMINATOR + 1)
-        if abs(value * q - round(value * q)) < 0.05 * q / _LARGEST_DENOMINATOR
-    ]
+    small = [Fraction(round(value * q), q) for q in range(2, LARGEST_IN_FRACTION + 1)]
+    near = [f for f in small if abs(f.numerator) <= LARGEST_IN_FRACTION]
     near += [Fraction(f"{value:.{digits}e}") for digits in range(_MOST_DIGITS)]
-    found = [sympy.Rational(f.numerator, f.denominator) for f in dict.fromkeys(near)]
+    near = [f for f in near if abs(float(f) - value) <= _NEAR * abs(value)]
+    exact = dict.fromkeys([Fraction(0), Fraction(round(value)), *near])
+    found = [sympy.Rational(f.numerator, f.denominator) for f in exact]
     return sorted(found, key=lambda n: (number_bits(n), n))
 
 
 @dataclass(frozen=True, eq=False)
-class _Form:
-    """One structure on some samples: constants can be fitted and judged without compiling anew."""
+class _Snapper:
+    """Snaps the constants of one template, judged by one noise."""
 
-    template: sympy.Expr
-    symbols: tuple[sympy.Symbol, ...]
-    samples: Samples
+    template: Template
+    noise: Noise
 
-    @cached_property
-    def _compiled(self) -> Callable[[np.ndarray], np.ndarray]:
-        names = [*self.samples.names, *map(str, self.symbols)]
-        slopes = [sympy.diff(self.template, symbol) for symbol in self.symbols]
-        return compile_numpy([self.template, *slopes], names)
+    _frames: dict[tuple[int | None, ...], tuple[float, list[int]]] = field(default_factory=dict)
 
-    @cached_property
-    def _plain(self) -> Callable[[np.ndarray], np.ndarray]:
-        return compile_numpy([self.template], [*self.samples.names, *map(str, self.symbols)])
+    def _bits(self, numbers: Sequence[sympy.Expr]) -> float:
+        return self._formula_bits(numbers) + self._data_bits(_as_array(numbers))
 
-    def _arguments(self, values: np.ndarray) -> np.ndarray:
-        fixed = np.broadcast_to(values[:, None], (len(values), len(self.samples)))
-        return np.concatenate([self.samples.X.T, fixed])
+    def _data_bits(self, values: np.ndarray) -> float:
+        return data_bits(self.template.residual(values), self.noise)
 
-    def residual(self, values: np.ndarray) -> np.ndarray:
-        """(n,) f(X) - y."""
-        return self._plain(self._arguments(values))[0] - self.samples.y
+    def _formula_bits(self, numbers: Sequence[sympy.Expr]) -> float:
+        """Bits of the numbers, and of the frame, which only 0, 1 and -1 change."""
+        special = tuple(int(n) if n in (0, 1, -1) else None for n in numbers)
+        if special not in self._frames:
+            self._frames[special] = self._frame(special)
+        bits, present = self._frames[special]
+        return bits + sum(number_bits(numbers[i]) for i in present)
 
-    def put(self, numbers: Sequence[sympy.Expr]) -> sympy.Expr:
-        return self.template.xreplace(dict(zip(self.symbols, numbers, strict=True)))
-
-    def bits(self, numbers: Sequence[sympy.Expr], noise: Noise) -> float:
-        expr = self.put(numbers)
+    def _frame(self, special: Sequence[int | None]) -> tuple[float, list[int]]:
+        """Give the frame's bits and the places of the numbers that it still holds."""
+        numbers = [
+            sympy.Float(0.1 + i / 1024) if s is None else sympy.Integer(s)
+            for i, s in enumerate(special)
+        ]
+        expr = self.template.put(numbers)
         if expr.has(sympy.nan, sympy.zoo, sympy.oo):
-            return math.inf
-        residual = self.residual(np.array([float(n) for n in numbers]))
-        return complexity(expr) + data_bits(residual, noise)
+            return math.inf, []
+        held = expr.atoms(sympy.Float)
+        bits = complexity(expr) - sum(map(number_bits, held))
+        return bits, [i for i, n in enumerate(numbers) if n in held]
 
-    @cached_property
-    def _frame_bits(self) -> float:
-        """Bits of the formula without its constants, none of which is 0, 1 or -1."""
-        plain = [sympy.Float(0.1 + i / 1024) for i in range(len(self.symbols))]
-        return complexity(self.put(plain)) - sum(map(number_bits, plain))
-
-    def rough_bits(self, numbers: Sequence[sympy.Expr], noise: Noise) -> float:
-        """Like :meth:`bits`, but quicker, since most constants do not change the formula's form."""
-        if any(abs(n) in (0, 1) for n in numbers):
-            return self.bits(numbers, noise)
-        residual = self.residual(np.array([float(n) for n in numbers]))
-        return self._frame_bits + sum(map(number_bits, numbers)) + data_bits(residual, noise)
-
-    def fit(self, values: np.ndarray, free: np.ndarray, unit: float) -> np.ndarray:
-        """Fit the ``free`` ones by reweighted Gauss-Newton steps for sum log(1 + (r / unit)^2)."""
-        residual = self.residual(values)
-        level = _level(residual, unit)
-        for _ in range(_MOST_STEPS if free.any() else 0):
-            found = self._compiled(self._arguments(values))
-            root = 1 / np.sqrt(1 + (residual / unit) ** 2)
-            slopes = found[1:][free] * root
-            if not (np.all(np.isfinite(slopes)) and np.all(np.isfinite(residual))):
+    def snap(self) -> tuple[float, sympy.Expr]:
+        """Give the bits of the snapped formula and itself."""
+        template, unit = self.template, self.noise.floor
+        values, free = template.values, np.ones(len(template.values), dtype=bool)
+        if len(values) <= MOST_CONSTANTS:
+            values = template.fit(values, free, unit)
+        else:
+            free[:] = False
+        numbers = as_floats(values)
+        least = self._bits(numbers)
+        while free.any():
+            ranked = sorted(self._options(numbers, free), key=lambda option: option[0])
+            tried = [self._fix(numbers, free, *rest) for _, *rest in ranked[:_MOST_TRIED]]
+            best = min(tried, key=lambda item: item[0], default=None)
+            # A tie goes to the snapped one: later fits leave it alone.
+            if best is None or not best[0] <= least:
                 break
-            size = np.maximum(np.linalg.norm(slopes, axis=1), 1e-300)
-            step = np.linalg.lstsq((slopes / size[:, None]).T, -residual * root, rcond=1e-12)[0]
-            for share in (1.0, 0.3, 0.03):
-                trial = values.copy()
-                trial[free] += share * step / size
-                residual_there = self.residual(trial)
-                reached = _level(residual_there, unit)
-                if reached < level:
-                    break
-            else:
-                break
-            gain, level = level - reached, reached
-            values, residual = trial, residual_there
-            if gain < 1e-6 * len(residual):
-                break
-        return values
+            least, numbers, free = best
+        return least, template.put(numbers)
+
+    def _options(
+        self, numbers: list[sympy.Expr], free: np.ndarray
+    ) -> Iterator[tuple[float, int, sympy.Expr, np.ndarray]]:
+        """Give every simple number for every free constant, with the bits it is likely to take."""
+        values = _as_array(numbers)
+        covariance = self.template.covariance(values, free, self.noise.floor)
+        now = self._data_bits(values)
+        for place, i in enumerate(np.flatnonzero(free)):
+            for simple in simple_numbers(values[i]):
+                moved = values.copy()
+                moved[free] += _follow(covariance[:, place], place, float(simple) - values[i])
+                moved[i] = float(simple)
+                misses = self._data_bits(moved)
+                # Zero saves a whole term, and others may seem to stand in for it while they are
+                # free: only a term that the data do not ask for goes.
+                if simple == 0 and misses > now + _SURE_BITS:
+                    continue
+                bits = self._formula_bits([*numbers[:i], simple, *numbers[i + 1 :]]) + misses
+                if math.isfinite(bits):
+                    yield bits, int(i), simple, moved
+
+    def _fix(
+        self,
+        numbers: list[sympy.Expr],
+        free: np.ndarray,
+        index: int,
+        simple: sympy.Expr,
+        moved: np.ndarray,
+    ) -> tuple[float, list[sympy.Expr], np.ndarray]:
+        """Fix one constant and fit the others again."""
+        left = free.copy()
+        left[index] = False
+        values = self.template.fit(moved, left, self.noise.floor)
+        kept = [*numbers[:index], simple, *numbers[index + 1 :]]
+        both = zip(as_floats(values), kept, left, strict=True)
+        found = [new if loose else old for new, old, loose in both]
+        return self._bits(found), found, left
 
 
-def _level(residual: np.ndarray, unit: float) -> float:
-    with np.errstate(all="ignore"):
-        level = float(np.sum(np.log1p((residual / unit) ** 2)))
-    return level if math.isfinite(level) else math.inf
+def _as_array(numbers: Sequence[sympy.Expr]) -> np.ndarray:
+    return np.array([float(n) for n in numbers])
 
 
-def _form(expr: sympy.Expr, samples: Samples) -> tuple[_Form, np.ndarray]:
-    template, values = free_constants(expr, "constant ")
-    return _Form(template, tuple(values), samples), np.array(list(values.values()))
-
-
-def _as_floats(values: np.ndarray) -> list[sympy.Expr]:
-    # Twelve digits are beyond any slope; more would only show rounding.
-    return [sympy.Float(float(f"{v:.11e}")) for v in values]
-
-
-def refit(expr: sympy.Expr, samples: Samples, unit: float) -> sympy.Expr:
-    """Fit the floats of a formula to the slopes, misses beyond ``unit`` counted by their log.
-
-    >>> t = np.linspace(0, 1, 20)
-    >>> s = Samples(t[:, None], 3 * t, ("x",), "x", "given", t)
-    >>> refit(sympy.Float(2.5) * sympy.Symbol("x"), s, 1e-3)
-    3.0*x
-    """
-    form, values = _form(expr, samples)
-    if not 0 < len(values) <= _MOST_CONSTANTS:
-        return expr
-    return form.put(_as_floats(form.fit(values, np.ones(len(values), dtype=bool), unit)))
+def _follow(column: np.ndarray, place: int, shift: float) -> np.ndarray:
+    """Give the shifts with which all follow the one at ``place``, by its covariances."""
+    if not (np.all(np.isfinite(column)) and column[place] > 0):
+        return np.zeros(len(column))
+    return column / column[place] * shift
 
 
 def snap(expr: sympy.Expr, samples: Samples, noise: Noise) -> sympy.Expr:
     """Give the formula of the same form, or of fewer terms, that takes the fewest bits.
 
-    Snapped constants come back as rationals, so that later fits leave them alone;
-    :func:`as_decimals` writes them as the decimals they are.
+    The fit is a Cauchy fit of unit ``noise.floor``. Snapped constants come back as rationals, so
+    that later fits leave them alone; :func:`tidy` writes them as they are to be read.
 
     >>> t = np.linspace(0, 6, 200)
     >>> s = Samples(t[:, None], 3 * np.sin(t) + 0.001 * np.cos(9 * t), ("x",), "x", "given", t)
     >>> snap(2.9996 * sympy.sin(sympy.Symbol("x")), s, Noise(7e-4, 100.0))
     3*sin(x)
     """
-    ends = [_snap_form(form, samples, noise) for form in normal_forms(expr)]
+    ends = [_Snapper(Template.of(form, samples), noise).snap() for form in normal_forms(expr)]
     return min(ends, key=lambda end: (end[0], str(end[1])))[1]
-
-
-def _snap_form(expr: sympy.Expr, samples: Samples, noise: Noise) -> tuple[float, sympy.Expr]:
-    form, values = _form(expr, samples)
-    free = np.ones(len(values), dtype=bool)
-    if len(values) > _MOST_CONSTANTS:
-        return form.bits(_as_floats(values), noise), expr
-    values = form.fit(values, free, noise.floor)
-    numbers = _as_floats(values)
-    least = form.bits(numbers, noise)
-    while free.any():
-        ranked = sorted(_snap_one(form, numbers, free, noise), key=lambda item: item[0])
-        tried = [_follow(form, numbers, free, noise, *item) for item in ranked[:_MOST_TRIED]]
-        best = min(tried, key=lambda item: item[0], default=None)
-        # A tie goes to the snapped one: later fits leave it alone.
-        if best is None or best[0] > least:
-            break
-        least, numbers, free = best
-    return least, form.put(numbers)
-
-
-def _snap_one(
-    form: _Form, numbers: list[sympy.Expr], free: np.ndarray, noise: Noise
-) -> Iterator[tuple[float, int, sympy.Expr]]:
-    for i in np.flatnonzero(free):
-        for simple in simple_numbers(float(numbers[i])):
-            snapped = [*numbers[:i], simple, *numbers[i + 1 :]]
-            yield form.rough_bits(snapped, noise), int(i), simple
-
-
-def _follow(
-    form: _Form,
-    numbers: list[sympy.Expr],
-    free: np.ndarray,
-    noise: Noise,
-    bits: float,
-    index: int,
-    simple: sympy.Expr,
-) -> tuple[float, list[sympy.Expr], np.ndarray]:
-    """Fix one constant and let the others follow."""
-    snapped = [*numbers[:index], simple, *numbers[index + 1 :]]
-    left = free.copy()
-    left[index] = False
-    values = form.fit(np.array([float(n) for n in snapped]), left, noise.floor)
-    fitted = _as_floats(values)
-    moved = [new if loose else old for new, old, loose in zip(fitted, snapped, left, strict=True)]
-    after = form.bits(moved, noise)
-    return (after, moved, left) if after < bits else (bits, snapped, left)
 
 
 def normal_forms(expr: sympy.Expr) -> list[sympy.Expr]:
@@ -249,30 +202,77 @@ def _divide(term: sympy.Expr, divisor: sympy.Expr) -> sympy.Expr:
     return (sympy.Integer(int(value)) if abs(value) == 1 else sympy.Float(value)) * rest
 
 
-def as_decimals(expr: sympy.Expr) -> sympy.Expr:
-    """Write rationals that are finite decimals, such as 981/100, as decimals; 8/3 stays.
+def tidy(expr: sympy.Expr) -> sympy.Expr:
+    """Write numbers as they are read best: 981/100 as 9.81, 3/2 as 1.5, 8/3 as it is, 2.0 as 2.
 
-    >>> as_decimals(sympy.Rational(981, 100) * sympy.Symbol("x") / 3)
-    3.27*x
+    A fraction stays where it is no short decimal and has no number above 12, as in 8/3, and where
+    it is an exponent; 251/9 becomes a decimal.
+
+    >>> tidy(sympy.sympify("981*x/100 + 8*y/3 + sqrt(x) + 2.0"))
+    sqrt(x) + 9.81*x + 8*y/3 + 2
     """
-    finite = {
-        number: sympy.Float(float(number))
-        for number in expr.atoms(sympy.Rational)
-        if not number.is_Integer and 10**_MOST_DIGITS * 10 % int(number.q) == 0
-    }
-    return sympy.Add(*[_keep_powers(t, finite) for t in sympy.Add.make_args(expr)])
+    # Term by term: one SymPy product would multiply a float into a sum.
+    return sympy.Add(*[map_numbers(t, _tidied) for t in sympy.Add.make_args(expr)])
 
 
-def _keep_powers(expr: sympy.Expr, numbers: dict[sympy.Expr, sympy.Expr]) -> sympy.Expr:
-    if expr in numbers:
-        return numbers[expr]
+def _tidied(number: sympy.Expr) -> sympy.Expr:
+    if number.is_Float and float(number).is_integer() and abs(number) < 10**_MOST_DIGITS:
+        return sympy.Integer(int(number))
+    if not number.is_Rational or number.is_Integer:
+        return number
+    finite = 10 ** (_MOST_DIGITS + 1) % int(number.q) == 0
+    short = max(abs(int(number.p)), int(number.q)) <= LARGEST_IN_FRACTION
+    return number if short and not finite else as_floats(np.array([float(number)]))[0]
+
+
+def map_numbers(expr: sympy.Expr, change: Callable[[sympy.Expr], sympy.Expr]) -> sympy.Expr:
+    """Change every number of a formula but the exponents.
+
+    >>> map_numbers(sympy.sympify("2*x**2"), lambda n: n + 1)
+    3*x**2
+    """
+    if expr.is_Number:
+        return change(expr)
     if expr.is_Pow:
-        return expr.func(_keep_powers(expr.base, numbers), expr.exp)
+        return expr.func(map_numbers(expr.base, change), expr.exp)
     if not expr.args:
         return expr
-    return expr.func(*[_keep_powers(argument, numbers) for argument in expr.args])
+    return expr.func(*[map_numbers(argument, change) for argument in expr.args])
+
+
+def one_a_shape(ranked: Iterable[Candidate]) -> list[Candidate]:
+    """Keep the first of the formulas that differ in constants alone."""
+    shapes: dict[sympy.Expr, Candidate] = {}
+    for candidate in ranked:
+        shapes.setdefault(skeleton(candidate.expr), candidate)
+    return list(shapes.values())
 
 
 def score_snapped(candidate: Candidate, samples: Samples, noise: Noise) -> Candidate:
     """Snap a candidate and score it anew."""
     return score_candidate(snap(candidate.expr, samples, noise), samples, candidate.source)
+
+
+def snap_best(candidates: Iterable[Candidate], samples: Samples, top: int = 8) -> list[Candidate]:
+    """Refit and snap the ``top`` candidates of least description length, one of each shape.
+
+    Gives the snapped candidates, least description length first. The noise is estimated from all
+    candidates, and again once the best are fitted.
+    """
+    pool = [c for c in candidates if math.isfinite(c.loss)]
+    if not pool:
+        return []
+    noise = noise_of(pool, samples)
+
+    def rounded_length(candidate: Candidate) -> tuple[float, str]:
+        rounded = Candidate(round_constants(candidate.expr, 4), 0.0, 0.0)
+        return description_length(rounded, samples, noise), str(candidate.expr)
+
+    fitted = [
+        score_candidate(refit(c.expr, samples, noise.floor), samples, c.source)
+        for c in one_a_shape(sorted(pool, key=rounded_length))[:top]
+    ]
+    noise = noise_of([*pool, *fitted], samples)
+    snapped = {tidy(snap(c.expr, samples, noise)): c.source for c in fitted}
+    found = [score_candidate(expr, samples, source) for expr, source in snapped.items()]
+    return sorted(found, key=lambda c: (description_length(c, samples, noise), str(c.expr)))

@@ -13,8 +13,9 @@ import numpy as np
 import sympy
 
 from dynsr.expression import complexity
+from dynsr.methods.constants import refit
 from dynsr.methods.feynman.description import Noise, description_length
-from dynsr.methods.snapping import refit, snap
+from dynsr.methods.snapping import map_numbers, snap
 from dynsr.pareto import Candidate, score_candidate
 from dynsr.samples import Samples
 
@@ -94,10 +95,9 @@ def loosen(expr: sympy.Expr) -> sympy.Expr:
 
 def _loose_term(term: sympy.Expr) -> sympy.Expr:
     coefficient, rest = term.as_coeff_Mul()
-    inner = {
-        number: sympy.Float(float(number))
-        for function in rest.atoms(sympy.Function)
-        for number in function.args[0].atoms(sympy.Rational)
-        if not number.is_Integer
-    }
-    return sympy.Float(float(coefficient)) * rest.xreplace(inner)
+    functions = {f: map_numbers(f, _loose_number) for f in rest.atoms(sympy.Function)}
+    return sympy.Float(float(coefficient)) * rest.xreplace(functions)
+
+
+def _loose_number(number: sympy.Expr) -> sympy.Expr:
+    return number if abs(number) == 1 or number == 0 else sympy.Float(float(number))

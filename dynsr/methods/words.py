@@ -48,10 +48,9 @@ def to_postfix(infix: np.ndarray, grammar: Grammar) -> np.ndarray:
         out[rows, written[rows]] = column[rows]
         written[rows] += 1
         rows = np.flatnonzero(column == CLOSE)
-        pop_while(rows, np.ones(rows.size, dtype=np.int64))
+        pop_while(rows, np.ones_like(rows))
         pop(rows)
-    rows = np.arange(count)
-    pop_while(rows, np.ones(count, dtype=np.int64))
+    pop_while(np.arange(count), np.ones(count, dtype=np.int64))
     return out
 
 

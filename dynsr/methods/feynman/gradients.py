@@ -20,6 +20,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import compile_numpy, complexity
+from dynsr.methods.constants import skeleton
 from dynsr.methods.feynman.features import build_features
 
 _CLOSE = 4.0
@@ -78,15 +79,9 @@ def find_inner_functions(
         ]
         if sets:
             found += _best_of_size(np.array(sets), total, missed, features, 10 * keep)
-    if not found:
-        return []
-    least = max(min(h.misalignment for h in found), 1e-12)
+    least = max(min((h.misalignment for h in found), default=0.0), 1e-12)
     close = [h for h in found if h.misalignment <= _CLOSE * least]
-    return sorted(close, key=lambda h: (complexity(_shape(h.expr)), h.misalignment))[:keep]
-
-
-def _shape(expr: sympy.Expr) -> sympy.Expr:
-    return expr.xreplace({number: sympy.S.Pi for number in expr.atoms(sympy.Float)})
+    return sorted(close, key=lambda h: (complexity(skeleton(h.expr)), h.misalignment))[:keep]
 
 
 def _feature_gradients(columns: dict[str, np.ndarray], features: list[sympy.Expr]) -> np.ndarray:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import sympy
 
-from dynsr.methods.feynman.refine import refine
-from dynsr.methods.feynman.snap import polish
+from dynsr.methods.constants import refit
 from dynsr.methods.feynman.stage import AbstractStage, Context
+from dynsr.methods.snapping import MOST_CONSTANTS, snap_best
 from dynsr.pareto import Candidate, ParetoFront, score_candidate
 from dynsr.samples import Samples
 
@@ -28,7 +28,7 @@ class Refinement(AbstractStage):
     snapping: bool = True
     candidates: tuple[Candidate, ...] = ()
     top: int = 8
-    most_constants: int = 12
+    most_constants: int = MOST_CONSTANTS
     name = "refinement"
 
     def run(self, samples: Samples, context: Context) -> list[Candidate]:
@@ -42,12 +42,12 @@ class Refinement(AbstractStage):
                 break
             context.tell(self.name, done, len(front))
             if self._constants(candidate):
-                expr = refine(candidate.expr, samples).expr
+                expr = refit(candidate.expr, samples)
                 found.append(score_candidate(expr, samples, candidate.source))
         if self.snapping and context.seconds_left > 0:
             context.tell("snapping", 0, None)
             small = [c for c in self.candidates if self._constants(c) <= self.most_constants]
-            found += polish(small, samples, self.top)
+            found += snap_best(small, samples, self.top)
         return found
 
     def _constants(self, candidate: Candidate) -> int:

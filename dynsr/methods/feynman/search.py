@@ -23,10 +23,10 @@ from dynsr.methods.feynman.rational import RationalSearch
 from dynsr.methods.feynman.reduction import AbstractReducer, Reduce, short
 from dynsr.methods.feynman.refinement import Refinement
 from dynsr.methods.feynman.separability import Separability
-from dynsr.methods.feynman.snap import polish
 from dynsr.methods.feynman.stage import AbstractStage, Context, Surrogate
 from dynsr.methods.feynman.symmetry import Symmetry
 from dynsr.methods.feynman.transforms import DOMAIN_CHANGES, DomainChange
+from dynsr.methods.snapping import snap_best
 from dynsr.pareto import Candidate, ParetoFront, score_candidate
 from dynsr.samples import Samples
 
@@ -204,9 +204,9 @@ class DynAIFeynman(AbstractMethod):
         """Snap a stage's best short formula, so that stages can be compared."""
         if not self.agreement or "snapping" not in self.stages:
             return []
-        polished = polish(short(fresh), samples, 2)
-        context.offer(polished)
-        return [_whole(candidate.expr) for candidate in polished[:1]]
+        snapped = snap_best(short(fresh), samples, 2)
+        context.offer(snapped)
+        return [candidate.expr for candidate in snapped[:1]]
 
     def _pipeline(self, samples: Samples, depth: int) -> list[AbstractStage]:
         polynomial = Polynomial(self.degree, self.sparse and depth == 0)
@@ -245,12 +245,6 @@ class DynAIFeynman(AbstractMethod):
         from dynsr.methods.feynman.network import fit_network
 
         return fit_network(samples, context.rng, max(1, self.epochs >> min(context.depth, 1)))
-
-
-def _whole(expr: sympy.Expr) -> sympy.Expr:
-    """Write floats that are whole as integers, so that equal formulas compare equal."""
-    floats = expr.atoms(sympy.Float)
-    return expr.xreplace({a: sympy.Integer(int(a)) for a in floats if float(a).is_integer()})
 
 
 PRESETS = {

@@ -1,0 +1,90 @@
+"""Claims about the last fit of the constants of a whole system."""
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+from dynsr.expression import parse
+from dynsr.methods.constants import free_constants
+from dynsr.methods.feynman.description import Noise
+from dynsr.methods.matching import match_trajectories, measure_errors
+from dynsr.methods.variation import loosen
+from dynsr.polishing import polish
+from dynsr.samples import Samples
+from dynsr.selection import Rival, order_rivals
+from dynsr.trajectory import Trajectory
+
+TRUE = {"x": "1.5*x - x*y", "y": "x*y - 3*y"}
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """Predators and prey, solved by scipy."""
+    t = np.linspace(0, 10, 501)
+    found = solve_ivp(
+        lambda t, u: [u[0] * (1.5 - u[1]), -u[1] * (3 - u[0])],
+        (0, 10),
+        [1.0, 1.0],
+        t_eval=t,
+        rtol=1e-11,
+        atol=1e-12,
+    )
+    return Trajectory(t, found.y.T, ("x", "y"))
+
+
+def with_noise(exact, seed=0):
+    """One percent of each state's spread."""
+    random = np.random.default_rng(seed).normal(size=exact.x.shape)
+    return Trajectory(exact.t, exact.x + 0.01 * exact.x.std(axis=0) * random, exact.states)
+
+
+def rational(text):
+    """Read a formula whose decimals are exact, as snapping leaves them."""
+    return sympy.nsimplify(parse(text), rational=True)
+
+
+def test_every_final_constant_has_its_standard_error(exact):
+    """The errors hold the constants of the final formula, though all of them are simple numbers."""
+    x, y = exact.x.T
+    slopes = {"x": 1.5 * x - x * y, "y": x * y - 3 * y}
+    samples = {s: Samples(exact.x, v, ("x", "y"), s, "given", exact.t) for s, v in slopes.items()}
+    rough = {"x": parse("1.49*x - 1.01*x*y"), "y": parse("1.01*x*y - 2.99*y")}
+    match = polish(rough, [exact], {}, samples, dict.fromkeys("xy", Noise(1e-6, 500.0)))
+    assert match.exprs == {s: parse(e) for s, e in TRUE.items()}
+    assert sorted(v for v, _ in match.errors["x"]) == [-1.0, 1.5]
+    assert sorted(v for v, _ in match.errors["y"]) == [-3.0, 1.0]
+    assert all(0 <= error < 1e-4 for pairs in match.errors.values() for _, error in pairs)
+
+
+def test_errors_at_given_constants_are_those_of_a_fit(exact):
+    """Near the best fit, constants that are only measured have the errors that the fit gives."""
+    noisy = with_noise(exact)
+    fitted = match_trajectories({s: loosen(parse(e)) for s, e in TRUE.items()}, noisy)
+    given = measure_errors({s: loosen(parse(e)) for s, e in TRUE.items()}, [noisy], {})
+    for state in TRUE:
+        fit = sorted(fitted.errors[state])
+        for (_, error), (_, want) in zip(sorted(given[state]), fit, strict=True):
+            assert error == pytest.approx(want, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_simple_constants_that_the_data_allow_are_kept(exact, seed):
+    """The picked simple numbers stay, whatever decimals fit the noise a little better."""
+    match = polish({s: rational(e) for s, e in TRUE.items()}, [with_noise(exact, seed)], {}, {}, {})
+    assert match.exprs == {s: parse(e) for s, e in TRUE.items()}
+
+
+def test_simple_constants_that_the_data_reject_are_given_up(exact):
+    """A simple number that is three percent off gives way, and the true one is found."""
+    wrong = {"x": rational("1.55*x - x*y"), "y": rational("x*y - 3*y")}
+    match = polish(wrong, [with_noise(exact)], {}, {}, {})
+    _, values = free_constants(match.exprs["x"], "c")
+    assert 1.5 == pytest.approx(next(v for v in values.values() if v > 0), rel=0.005)
+
+
+def test_the_more_forecasts_the_finer_the_choice():
+    """A third more error is nothing among 8 forecasts but is enough among 800 to lose."""
+    near, short = (Rival(None, bits, miss) for bits, miss in ((90.0, 0.03), (60.0, 0.04)))
+    assert order_rivals([near, short], 8)[0] is short
+    assert order_rivals([near, short], 800)[0] is near
