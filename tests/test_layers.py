@@ -78,7 +78,12 @@ WITHIN = {
 
 # Foreign module -> the only files that may import it, by name.
 HOMES = {
-    "torch": {"methods/feynman/network.py", "methods/feynman/backend.py", "trainable.py", "hybrid.py"},
+    "torch": {
+        "methods/feynman/network.py",
+        "methods/feynman/backend.py",
+        "trainable.py",
+        "hybrid.py",
+    },
     "matplotlib": {"plots.py"},
     "juliacall": {"engines/julia_worker.py"},
     "juliapkg": {"engines/julia.py"},

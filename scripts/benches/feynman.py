@@ -30,7 +30,7 @@ from dynsr.system import System
 
 SCHEME, TOLERANCE = "central4", 0.01
 SYSTEMS = (LOTKA_VOLTERRA, PENDULUM)
-SHALLOW = BruteForce(max_size=5, beam=0, device="cpu")
+SHALLOW = BruteForce(max_size=5, beam=0, patience=1, device="cpu")
 console = Console(width=160, highlight=False)
 
 
@@ -106,7 +106,7 @@ def show_growth(samples: Samples) -> None:
     table = Table(
         "rows", "probe rows", "size", "formed", "distinct", "strings", "CPU s", title="growth"
     )
-    bare = replace(SHALLOW, max_candidates=1e7)
+    bare = replace(SHALLOW, patience=0, max_candidates=1e7)
     for rows, probes, size in (
         *((n, 32, 5) for n in (250, 500, 997)),
         *((997, r, 5) for r in (16, 64, 128)),
@@ -201,7 +201,7 @@ def main() -> None:
     options = parser.parse_args()
     samples = problems()[1][2]
     search_values(samples.X, samples.y, samples.names, BruteForce(max_size=2))
-    bare = replace(SHALLOW, max_size=12, sums=(), max_candidates=options.candidates)
+    bare = replace(SHALLOW, max_size=12, sums=(), patience=0, max_candidates=options.candidates)
     show_speed(samples, bare)
     show_times()
     show_growth(samples)
