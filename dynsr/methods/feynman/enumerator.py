@@ -68,18 +68,26 @@ class Enumerator:
         return self._each * len(self.bank) + self._exact.nbytes + self._affine.nbytes
 
     def form(
-        self, size: int, screen: Screen, keep: int, most: float, deadline: float, last: bool
+        self,
+        size: int,
+        screen: Screen,
+        keep: int,
+        most: float,
+        deadline: float,
+        last: bool,
+        draws: bool = False,
     ) -> Shortlist:
         """Form the level of ``size`` letters and give its best functions.
 
         Ends in the middle of a level once ``most`` functions are formed in all, or ``deadline`` (a
         ``time.monotonic()`` value) has passed. A large level that is the ``last``, or would
-        pass ``most`` itself or with the next one, is not stored, and nothing after it.
+        pass ``most``, is not stored, and nothing after it; and unless a beam ``draws`` on what is
+        stored, nor is a level that leaves the next one no room under ``most``.
         """
         shortlist = Shortlist(screen.count, keep)
         whole = self.complete == size - 1 and self.storing
         ahead = max(count_formations(self.bank, size), len(self.bank.leaves))
-        following = _GROWTH * ahead if ahead > _LARGE else 0
+        following = 0 if draws or ahead <= _LARGE else _GROWTH * ahead
         if ahead > _SMALL and (last or self.formed + ahead + following >= most):
             self.storing = False
         room = max(0, self.memory - self.nbytes) // self._each if self.storing else 0

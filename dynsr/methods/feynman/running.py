@@ -144,6 +144,7 @@ class RunningSearch:
                 settings.max_candidates,
                 self.started + settings.seconds,
                 size == settings.max_size,
+                settings.beam > 0,
             )
             self._finish(shortlist)
             self._notice_settling()
@@ -233,7 +234,8 @@ class RunningSearch:
         bank, keep = self.enumerator.bank, self.settings.keep
         deadline = self.started + self.settings.seconds
         beam = Beam(bank, self.X[self.probes], self.probes, self.screen.backend, deadline)
-        for problem in self.problems:
+        # Sums are likeliest in the target itself or its ratio to a variable.
+        for problem in sorted(self.problems, key=lambda p: p.target.change.name != "y"):
             if self._must_stop():
                 return
             near = [
