@@ -29,7 +29,7 @@ _PAIRED = 250
 
 
 def find_exponents(X: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-    """Give the (p,) exponents of z, the largest 1; None where y is no such law.
+    """Give the (p,) exponents of z, the first above 0, the largest +-1; None if there is none.
 
     With l = log x a law is log |y| = a . l + g(b . l). The cross terms of a quadratic fit are
     nearly proportional to b_i b_j; from there b is fitted with a polynomial for g.
@@ -66,6 +66,7 @@ def find_exponents(X: np.ndarray, y: np.ndarray) -> np.ndarray | None:
         return None
     fitted = fitted / fitted[np.argmax(np.abs(fitted))]
     simple = snap_all(fitted[None], len(fitted))[0]
+    simple = simple * np.sign(simple[simple != 0][0]) + 0.0
     if not all(as_power(b).is_Rational for b in simple):
         return None
     exponents = np.zeros(X.shape[1])

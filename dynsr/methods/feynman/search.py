@@ -60,7 +60,9 @@ class RationalStage(AbstractStage):
         found: list[Candidate] = []
         total = len(self.settings.costs) * self.settings.rounds
         context.tell(self.name, 0, total)
-        for done, candidates in enumerate(self.settings.find(samples), start=1):
+        seconds = min(self.settings.seconds, 0.4 * context.seconds_left)
+        settings = replace(self.settings, seconds=seconds)
+        for done, candidates in enumerate(settings.find(samples), start=1):
             found += candidates
             context.offer(candidates)
             context.tell(self.name, done, total)
@@ -185,7 +187,9 @@ class DynAIFeynman(AbstractMethod):
             if context.seconds_left <= 0 or context.interrupted:
                 break
             if isinstance(stage, Refinement):
-                stage = replace(stage, candidates=tuple(found))
+                # Beside an exact formula the others need no better constants.
+                exact = [c for c in found if c.loss <= _EXACT * size]
+                stage = replace(stage, candidates=tuple(exact or found))
             elif settled:
                 continue
             context.tell(stage.name, 0, None)
@@ -211,7 +215,9 @@ class DynAIFeynman(AbstractMethod):
     def _pipeline(self, samples: Samples, depth: int) -> list[AbstractStage]:
         polynomial = Polynomial(self.degree, self.sparse and depth == 0)
         rational = RationalSearch() if depth == 0 else RationalSearch(costs=(3,), rounds=1)
-        brute = BruteForce(max_candidates=self.candidates)
+        # The paper's own stages know neither sums and ratios nor laws of one combination.
+        ours = depth == 0 and "rational" in self.stages
+        brute = BruteForce(max_candidates=self.candidates, combinations=ours)
         if depth:
             fewer = max(1.0, 0.1 * self.candidates)
             brute = replace(brute, max_candidates=fewer, sums=(50,), keep=6)
