@@ -123,6 +123,12 @@ class BruteForceStage(AbstractStage):
         return list(result.candidates)
 
 
+class SimpleStage(BruteForceStage):
+    """The simplest functions and laws of one combination: over at once, and often enough."""
+
+    name = "simple functions"
+
+
 def search_values(
     X: np.ndarray,
     y: np.ndarray,

@@ -11,7 +11,7 @@ import sympy
 
 from dynsr.errors import InputError
 from dynsr.methods.base import AbstractMethod, Report, silent
-from dynsr.methods.feynman.bruteforce import BruteForce, BruteForceStage
+from dynsr.methods.feynman.bruteforce import BruteForce, BruteForceStage, SimpleStage
 from dynsr.methods.feynman.compositionality import (
     Compositionality,
     GeneralisedSymmetry,
@@ -46,6 +46,7 @@ STAGES = (
 SELECTIONS = ("lowest error", "description length")
 _DIRECT = ("rational", "polynomial", "brute force")
 _EXACT = 1e-9
+_SIMPLE = BruteForce(max_size=3, sums=(), beam=0, combinations=True)
 
 
 @dataclass(frozen=True)
@@ -215,9 +216,7 @@ class DynAIFeynman(AbstractMethod):
     def _pipeline(self, samples: Samples, depth: int) -> list[AbstractStage]:
         polynomial = Polynomial(self.degree, self.sparse and depth == 0)
         rational = RationalSearch() if depth == 0 else RationalSearch(costs=(3,), rounds=1)
-        # The paper's own stages know neither sums and ratios nor laws of one combination.
-        ours = depth == 0 and "rational" in self.stages
-        brute = BruteForce(max_candidates=self.candidates, combinations=ours)
+        brute = BruteForce(max_candidates=self.candidates)
         if depth:
             fewer = max(1.0, 0.1 * self.candidates)
             brute = replace(brute, max_candidates=fewer, sums=(50,), keep=6)
@@ -230,6 +229,9 @@ class DynAIFeynman(AbstractMethod):
             inner = Polynomial(self.degree, False)
             stages["domain change"] = DomainChange((inner,), self.changes)
         pipeline = [stage for name, stage in stages.items() if name in self.stages]
+        # The paper's own stages know neither sums and ratios nor laws of one combination.
+        if depth == 0 and {"rational", "brute force"} <= set(self.stages):
+            pipeline.insert(0, SimpleStage(_SIMPLE))
         pipeline.append(Reduce(self._reducers(), self.branches, self.max_depth))
         if depth == 0 and {"refinement", "snapping"} & set(self.stages):
             pipeline.append(Refinement("snapping" in self.stages))
