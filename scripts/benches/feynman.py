@@ -151,7 +151,21 @@ def run_gplearn(samples: Samples) -> str:
         random_state=0,
         feature_names=list(samples.names),
     ).fit(samples.X, samples.y)
-    return str(model._program)
+    return write_infix(list(model._program.program), samples.names)
+
+
+def write_infix(program: list[object], names: tuple[str, ...]) -> str:
+    """Write gplearn's program, a list in prefix order, as an ordinary formula; empties it."""
+    head = program.pop(0)
+    if isinstance(head, float):
+        return f"({head!r})"
+    if isinstance(head, (int, np.integer)):
+        return names[head]
+    parts = [write_infix(program, names) for _ in range(head.arity)]
+    signs = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+    if head.name in signs:
+        return f"({parts[0]}{signs[head.name]}{parts[1]})"
+    return f"{head.name}({parts[0]})"
 
 
 def run_aifeynman(samples: Samples) -> str:
