@@ -14,12 +14,9 @@ from dataclasses import dataclass
 from statistics import mean, stdev
 from typing import Any
 
-import sympy
 from rich import box
 from rich.table import Table as RichTable
 from rich.text import Text
-
-from dynsr.expression import parse
 
 _TEX = {c: "\\" + c for c in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
@@ -39,6 +36,11 @@ class Formula(str):
     @property
     def latex(self) -> str:
         """The formula in LaTeX, without delimiters."""
+        # SymPy takes as long to import as all else that shows a table.
+        import sympy
+
+        from dynsr.expression import parse
+
         return sympy.latex(parse(str(self)))
 
 
@@ -122,8 +124,9 @@ class Table:
     note: str = ""
 
     def is_text(self, column: int) -> bool:
-        """Whether a column holds text, which is set to the left."""
-        return any(isinstance(row[column], str) for row in self.rows)
+        """Whether a column holds text, which is set to the left; written numbers are not."""
+        texts = [row[column] for row in self.rows if isinstance(row[column], str)]
+        return any(isinstance(t, Formula) or (t and not t[0].isdigit()) for t in texts)
 
     def to_records(self) -> list[dict[str, Any]]:
         """Give each row as a dictionary of raw values; a spread is spread over columns."""

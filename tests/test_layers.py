@@ -15,7 +15,7 @@ import dynsr
 PACKAGE = Path(dynsr.__file__).parent
 
 LAYERS = {
-    **dict.fromkeys(("errors", "expression"), 0),
+    **dict.fromkeys(("errors", "expression", "definitions"), 0),
     **dict.fromkeys(("system", "trajectory", "samples", "pareto", "catalogue"), 1),
     # Smoothers and derivative schemes of samples; tables of the user's read as trajectories.
     **dict.fromkeys(("smoothers", "derivatives"), 1),
@@ -29,8 +29,11 @@ LAYERS = {
     **dict.fromkeys(("discovery", "paper", "audit", "replicate", "benchmarks"), 4),
     **dict.fromkeys(("tables", "plots", "report", "templates"), 4),
     **dict.fromkeys(("cells", "records", "results", "checkpoint"), 4),
+    **dict.fromkeys(("interruption", "live", "parts", "watch", "workers"), 4),
     **dict.fromkeys(("found", "polishing", "portfolio", "selection", "exports"), 4),
-    **dict.fromkeys(("prediction", "ensemble", "discovery_report", "trainable", "hybrid"), 4),
+    **dict.fromkeys(
+        ("prediction", "ensemble", "fronts", "discovery_report", "trainable", "hybrid"), 4
+    ),
     **dict.fromkeys(("crosscheck", "comparison", "trajectory_checks", "doctor"), 4),
     **dict.fromkeys(("cli", "commands", "estimator", "__init__", "__main__"), 5),
 }
@@ -49,13 +52,29 @@ WITHIN = {
     "table_checks": {"roles"},
     "tabular": {"columns", "roles", "sources", "table_checks", "trajectory"},
     "expression": {"errors"},
+    "definitions": {"errors"},
     "methods": {"paper.bases", "simulate"},
     "scoring": {"simulate"},
     "audit": {"paper"},
     "cells": {"paper", "records"},
     "crosscheck": {"paper", "comparison", "trajectory_checks"},
     "trajectory_checks": {"comparison", "paper"},
-    "discovery": {"checkpoint", "found", "polishing", "portfolio", "selection"},
+    "checkpoint": {"live", "workers"},
+    "discovery": {
+        "checkpoint",
+        "found",
+        "interruption",
+        "parts",
+        "polishing",
+        "portfolio",
+        "selection",
+        "watch",
+    },
+    "interruption": {"checkpoint", "found", "live", "selection"},
+    "live": {"exports", "selection"},
+    "parts": {"checkpoint", "selection"},
+    "selection": {"exports"},
+    "watch": {"checkpoint", "live"},
     "found": {
         "checkpoint",
         "discovery_report",
@@ -66,11 +85,12 @@ WITHIN = {
         "trainable",
     },
     "hybrid": {"portfolio"},
-    "discovery_report": {"exports", "found", "plots", "prediction", "report"},
+    "discovery_report": {"exports", "found", "fronts", "plots", "prediction", "report", "tables"},
+    "fronts": {"exports"},
     "ensemble": {"found"},
     "trainable": {"exports"},
     "replicate": {"cells", "records", "report", "results", "tables"},
-    "report": {"plots", "records", "results", "tables"},
+    "report": {"exports", "plots", "records", "results", "tables"},
     "results": {"audit", "paper", "plots", "records", "tables"},
     "__main__": {"cli"},
     "cli": {"commands"},
@@ -86,7 +106,7 @@ HOMES = {
     },
     "matplotlib": {"plots.py"},
     "juliacall": {"engines/julia_worker.py"},
-    "juliapkg": {"engines/julia.py"},
+    "juliapkg": {"engines/julia_setup.py"},
     "diffeqpy": {"engines/julia_worker.py"},
 }
 
