@@ -45,22 +45,15 @@ def find_exponents(X: np.ndarray, y: np.ndarray) -> np.ndarray | None:
     logs = np.log(np.abs(X[:, usable]))
     logs, target = logs - logs.mean(axis=0), np.log(size)
     target = target - target.mean()
-    first, second = np.triu_indices(logs.shape[1])
-    design = np.column_stack([np.ones(len(y)), logs, logs[:, first] * logs[:, second]])
-    curved = np.linalg.lstsq(design, target, rcond=None)[0][1 + logs.shape[1] :]
-    matrix = np.zeros((logs.shape[1],) * 2)
-    matrix[first, second] += curved / 2
-    matrix[second, first] += curved / 2
-    values, vectors = np.linalg.eigh(matrix)
-    start = vectors[:, np.argmax(np.abs(values))]
+    linear = np.column_stack([np.ones(len(y)), logs])
 
     def rest(direction: np.ndarray) -> np.ndarray:
         along = logs @ (direction / np.linalg.norm(direction))
         along = along / np.abs(along).max()
-        columns = np.column_stack([design[:, : 1 + logs.shape[1]], _legendre(along)])
+        columns = np.column_stack([linear, _legendre(along)])
         return target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
 
-    fitted = least_squares(rest, start, max_nfev=40).x
+    fitted = least_squares(rest, _most_curved(logs, target), max_nfev=40).x
     left = rest(fitted)
     if not left @ left < _UNEXPLAINED**2 * (target @ target):
         return None
@@ -72,6 +65,18 @@ def find_exponents(X: np.ndarray, y: np.ndarray) -> np.ndarray | None:
     exponents = np.zeros(X.shape[1])
     exponents[usable] = simple
     return exponents
+
+
+def _most_curved(logs: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """(p,) direction in which a quadratic fit curves most."""
+    first, second = np.triu_indices(logs.shape[1])
+    design = np.column_stack([np.ones(len(logs)), logs, logs[:, first] * logs[:, second]])
+    curved = np.linalg.lstsq(design, target, rcond=None)[0][1 + logs.shape[1] :]
+    matrix = np.zeros((logs.shape[1],) * 2)
+    matrix[first, second] += curved / 2
+    matrix[second, first] += curved / 2
+    values, vectors = np.linalg.eigh(matrix)
+    return vectors[:, np.argmax(np.abs(values))]
 
 
 def _legendre(along: np.ndarray) -> np.ndarray:

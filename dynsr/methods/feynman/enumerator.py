@@ -87,9 +87,7 @@ class Enumerator:
         shortlist = Shortlist(screen.count, keep)
         whole = self.complete == size - 1 and self.storing
         ahead = max(count_formations(self.bank, size), len(self.bank.leaves))
-        following = 0 if draws or ahead <= _LARGE else _GROWTH * ahead
-        if ahead > _SMALL and (last or self.formed + ahead + following >= most):
-            self.storing = False
+        self._decide_storing(ahead, most, last, draws)
         room = max(0, self.memory - self.nbytes) // self._each if self.storing else 0
         stored = self.backend.reserve(min(ahead + _SLACK, room), self.rows)
         labels: list[Labels] = []
@@ -112,6 +110,11 @@ class Enumerator:
         if whole:
             self.complete = size
         return shortlist
+
+    def _decide_storing(self, ahead: int, most: float, last: bool, draws: bool) -> None:
+        following = 0 if draws or ahead <= _LARGE else _GROWTH * ahead
+        if ahead > _SMALL and (last or self.formed + ahead + following >= most):
+            self.storing = False
 
     def _chunks(self, size: int) -> Iterator[Chunk]:
         if size == 1:
