@@ -1,3 +1,5 @@
+import time
+
 import numpy as np
 import pytest
 import sympy
@@ -70,3 +72,31 @@ def test_a_constant_target_is_its_own_formula():
     samples = Samples(x[:, None], np.full(20, 2.5), ("x",), "x", "given", x)
     (candidate,) = _find(samples)
     assert candidate.expr == parse("2.5")
+
+
+def _planted(formula: str, names: str, rows: int = 300) -> Samples:
+    X = np.random.default_rng(0).uniform(1.0, 3.0, (rows, len(names)))
+    y = compile_numpy([parse(formula, list(names))], list(names))(X.T)[0]
+    return Samples(X, y, tuple(names), "y", "given", np.arange(float(rows)))
+
+
+@pytest.mark.parametrize(
+    ("formula", "changes"),
+    [("(a*c+b*d)/(a+b)", ()), ("sqrt((a*b+c)/(1+c/d))", ("square",))],
+)
+def test_negative_powers_and_changed_targets_find_more(formula, changes):
+    """A ratio without a constant term, and a root of a ratio, come out to rounding."""
+    samples = _planted(formula, "abcd")
+    settings = {"costs": (4,), "rounds": 1, "width": 64}
+    found = _find(samples, inverses=True, changes=changes, **settings)
+    assert min(c.loss for c in found) < 1e-9
+    assert min(c.loss for c in _find(samples, **settings, max_terms=4)) > 1e-4
+
+
+def test_the_deadline_ends_a_search_early():
+    """A search that would take long gives what it has when its seconds are over."""
+    samples = _planted("exp(a*b)*sin(c*d)/(a+log(b+c))", "abcd", 1000)
+    began = time.monotonic()
+    found = _find(samples, costs=(6,), seconds=0.5)
+    assert time.monotonic() - began < 10
+    assert all(np.isfinite(c.loss) for c in found)

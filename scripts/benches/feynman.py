@@ -30,7 +30,7 @@ from dynsr.system import System
 
 SCHEME, TOLERANCE = "central4", 0.01
 SYSTEMS = (LOTKA_VOLTERRA, PENDULUM)
-SHALLOW = BruteForce(max_size=5, beam=0, device="cpu")
+SHALLOW = BruteForce(max_size=5, beam=0, patience=1, device="cpu")
 console = Console(width=160, highlight=False)
 
 
@@ -106,7 +106,7 @@ def show_growth(samples: Samples) -> None:
     table = Table(
         "rows", "probe rows", "size", "formed", "distinct", "strings", "CPU s", title="growth"
     )
-    bare = replace(SHALLOW, max_candidates=1e7)
+    bare = replace(SHALLOW, patience=0, max_candidates=1e7)
     for rows, probes, size in (
         *((n, 32, 5) for n in (250, 500, 997)),
         *((997, r, 5) for r in (16, 64, 128)),
@@ -151,7 +151,21 @@ def run_gplearn(samples: Samples) -> str:
         random_state=0,
         feature_names=list(samples.names),
     ).fit(samples.X, samples.y)
-    return str(model._program)
+    return write_infix(list(model._program.program), samples.names)
+
+
+def write_infix(program: list[object], names: tuple[str, ...]) -> str:
+    """Write gplearn's program, a list in prefix order, as an ordinary formula; empties it."""
+    head = program.pop(0)
+    if isinstance(head, float):
+        return f"({head!r})"
+    if isinstance(head, (int, np.integer)):
+        return names[head]
+    parts = [write_infix(program, names) for _ in range(head.arity)]
+    signs = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+    if head.name in signs:
+        return f"({parts[0]}{signs[head.name]}{parts[1]})"
+    return f"{head.name}({parts[0]})"
 
 
 def run_aifeynman(samples: Samples) -> str:
@@ -201,7 +215,7 @@ def main() -> None:
     options = parser.parse_args()
     samples = problems()[1][2]
     search_values(samples.X, samples.y, samples.names, BruteForce(max_size=2))
-    bare = replace(SHALLOW, max_size=12, sums=(), max_candidates=options.candidates)
+    bare = replace(SHALLOW, max_size=12, sums=(), patience=0, max_candidates=options.candidates)
     show_speed(samples, bare)
     show_times()
     show_growth(samples)

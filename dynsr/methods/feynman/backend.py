@@ -8,7 +8,7 @@ by ``device="auto"`` when it is imported already and sees a GPU.
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,10 +18,52 @@ from dynsr.expression import OPERATORS
 DEVICES = ("auto", "cpu", "cuda", "torch-cpu")
 
 
+class Store(Protocol):
+    """Value rows that are put below each other."""
+
+    def add(self, rows: Any, index: np.ndarray) -> None:
+        """Take in some of the rows by number."""
+
+    def finish(self) -> Any:
+        """Give all of them as one array."""
+
+
+class _Reserved:
+    """One array from the start; untouched pages of it cost nothing."""
+
+    def __init__(self, count: int, rows: int) -> None:
+        self.held, self.filled = np.empty((count, rows)), 0
+
+    def add(self, rows: np.ndarray, index: np.ndarray) -> None:
+        end = self.filled + len(index)
+        np.take(rows, index, axis=0, out=self.held[self.filled : end], mode="clip")
+        self.filled = end
+
+    def finish(self) -> np.ndarray:
+        return self.held[: self.filled]
+
+
+class _Joined:
+    """Pieces that are joined at the end."""
+
+    def __init__(self, backend: TorchBackend, rows: int) -> None:
+        self.backend, self.pieces = backend, [backend.put(np.empty((0, rows)))]
+
+    def add(self, rows: Any, index: np.ndarray) -> None:
+        self.pieces.append(self.backend.pick(rows, index))
+
+    def finish(self) -> Any:
+        return self.backend.torch.cat(self.pieces)
+
+
 class NumpyBackend:
     """Arrays of float64 in main memory."""
 
     name = "numpy"
+
+    def __init__(self) -> None:
+        """Start without memory of its own."""
+        self._scratch = np.empty(0)
 
     def put(self, array: np.ndarray) -> Any:
         """Bring a numpy array to where the work is done."""
@@ -35,9 +77,18 @@ class NumpyBackend:
         """Apply an operator of OPERATORS; values outside its domain become NaN or inf."""
         return OPERATORS[token].numpy(*arrays)
 
-    def concatenate(self, arrays: list[Any]) -> Any:
-        """Put arrays below each other."""
-        return np.concatenate(arrays)
+    def form(self, token: str, *arrays: Any) -> Any:
+        """Do the same into memory that the next call uses again: fresh memory is slow."""
+        shape = np.broadcast_shapes(*(array.shape for array in arrays))
+        size = int(np.prod(shape))
+        if len(self._scratch) < size:
+            self._scratch = np.empty(size)
+        out = self._scratch[:size].reshape(shape)
+        return OPERATORS[token].numpy(*arrays, out=out)
+
+    def reserve(self, count: int, rows: int) -> Store:
+        """Give room for at most ``count`` value rows; memory is taken as it is filled."""
+        return _Reserved(count, rows)
 
     def square_sums(self, rows: Any) -> np.ndarray:
         """Give the sum of squares of each row."""
@@ -47,9 +98,9 @@ class NumpyBackend:
         """Give some rows by number."""
         return rows[index]
 
-    def above(self, values: Any, bound: float) -> np.ndarray:
-        """Give the flat positions of the values above a bound (never those of NaN)."""
-        return np.flatnonzero(values.ravel() > bound)
+    def signs(self, rows: Any) -> np.ndarray:
+        """Give 1 for rows without a negative value, -1 without a positive one, 0 for others."""
+        return (rows.min(1, initial=0.0) >= 0).astype(int) - (rows.max(1, initial=0.0) <= 0)
 
 
 class TorchBackend:
@@ -76,9 +127,11 @@ class TorchBackend:
         """Apply an operator of OPERATORS; values outside its domain become NaN or inf."""
         return getattr(self.torch, OPERATORS[token].torch)(*arrays)
 
-    def concatenate(self, arrays: list[Any]) -> Any:
-        """Put arrays below each other."""
-        return self.torch.cat(arrays)
+    form = apply
+
+    def reserve(self, count: int, rows: int) -> Store:
+        """Give room for value rows; nothing is taken ahead, since devices do it at once."""
+        return _Joined(self, rows)
 
     def square_sums(self, rows: Any) -> np.ndarray:
         """Give the sum of squares of each row."""
@@ -88,9 +141,9 @@ class TorchBackend:
         """Give some rows by number."""
         return rows[self.torch.as_tensor(index, device=self.device)]
 
-    def above(self, values: Any, bound: float) -> np.ndarray:
-        """Give the flat positions of the values above a bound (never those of NaN)."""
-        return self.get(self.torch.nonzero(values.reshape(-1) > bound).reshape(-1))
+    def signs(self, rows: Any) -> np.ndarray:
+        """Give 1 for rows without a negative value, -1 without a positive one, 0 for others."""
+        return self.get((rows >= 0).all(1)).astype(int) - self.get((rows <= 0).all(1))
 
 
 Backend = NumpyBackend | TorchBackend

@@ -15,7 +15,6 @@ import sympy
 
 from dynsr.expression import OPERATORS
 from dynsr.methods.feynman.alphabet import LEAF, Letter
-from dynsr.methods.feynman.backend import Backend
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,32 +31,36 @@ class Chunk:
         """Count the functions."""
         return len(self.letter)
 
-    def take(self, index: np.ndarray, backend: Backend) -> Chunk:
-        """Give some of them."""
-        values = backend.pick(self.values, index)
-        parts = (a[index] for a in (self.letter, self.left, self.right, self.family))
-        return Chunk(values, *parts)
+    def labels(self, index: np.ndarray) -> Labels:
+        """Give letters, arguments and families of some of them."""
+        return self.letter[index], self.left[index], self.right[index], self.family[index]
 
 
-def join_chunks(chunks: Sequence[Chunk], backend: Backend) -> Chunk:
-    """Put chunks below each other."""
-    parts = [
-        np.concatenate([getattr(c, name) for c in chunks])
-        for name in ("letter", "left", "right", "family")
-    ]
-    return Chunk(backend.concatenate([c.values for c in chunks]), *parts)
+Labels = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def join_labels(pieces: Sequence[Labels]) -> Labels:
+    """Put letters, left and right arguments and families of several pieces below each other."""
+    kinds = (np.uint8, np.int32, np.int32, np.uint8)
+    return tuple(  # type: ignore[return-value]
+        np.concatenate([np.empty(0, dtype=kind), *(piece[k] for piece in pieces)])
+        for k, kind in enumerate(kinds)
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
     """The stored functions of one complexity; ``start`` is the number of the first.
 
-    ``fresh`` marks those that are no affine map of an earlier function.
+    ``fresh`` marks those that are no affine map of an earlier function. The first ``shifted``
+    ones are functions plus a constant, the last ``inverted`` ones reciprocals.
     """
 
     start: int
     rows: Chunk
     fresh: np.ndarray
+    shifted: int = 0
+    inverted: int = 0
 
     def __len__(self) -> int:
         """Count the functions."""
@@ -81,6 +84,19 @@ class Bank:
     def __len__(self) -> int:
         """Count the stored functions."""
         return sum(len(level) for level in self.levels)
+
+    def append(self, rows: Chunk, fresh: np.ndarray) -> None:
+        """Put the next level on, formed in the order that form_level keeps."""
+        tokens = np.array([letter.token for letter in self.letters] + ["leaf"])
+        kinds = tokens[np.minimum(rows.letter, len(self.letters))]
+        # Level 1 holds the leaves, the constants last.
+        first, last = self.columns, len(self.leaves)
+        shift = np.isin(kinds, ("+", "-"))
+        shift &= ((rows.left >= first) & (rows.left < last)) | (
+            (rows.right >= first) & (rows.right < last)
+        )
+        counts = (int(np.count_nonzero(marks)) for marks in (shift, kinds == "inv"))
+        self.levels.append(Level(len(self), rows, fresh, *counts))
 
     def number(self, letter: int, left: int, right: int) -> int:
         """Give an unstored function a (negative) number."""

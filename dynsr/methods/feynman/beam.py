@@ -10,6 +10,8 @@ rows; the best few are then fitted on all rows.
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
@@ -29,9 +31,17 @@ Group = tuple[int, ...]
 class Beam:
     """Extends groups of function numbers; ``X`` (probes, p) and ``rows`` are the probe rows."""
 
-    def __init__(self, bank: Bank, X: np.ndarray, rows: np.ndarray, backend: Backend) -> None:
-        """Take a bank whose levels are formed."""
+    def __init__(
+        self,
+        bank: Bank,
+        X: np.ndarray,
+        rows: np.ndarray,
+        backend: Backend,
+        deadline: float = math.inf,
+    ) -> None:
+        """Take a bank whose levels are formed; after ``deadline`` no chunk of it is looked at."""
         self.bank, self.X, self.rows, self.backend = bank, X, rows, backend
+        self.deadline = deadline
 
     def singles(self, count: int) -> list[Group]:
         """Give the simplest functions that are no affine map of each other, one to a group."""
@@ -55,6 +65,8 @@ class Beam:
         chosen: list[Group] = [()] * keep
         for level in self.bank.levels:
             for begin in range(0, len(level), _CHUNK):
+                if time.monotonic() > self.deadline:
+                    break
                 values = self._features(problem, level.rows.values[begin : begin + _CHUNK])
                 share = left + self._gains(values, base, residue, shared.shape[1])
                 flat = np.flatnonzero(share.ravel() > best.min())

@@ -45,7 +45,11 @@ class BruteForce(AbstractMethod):
     sums : numbers of simplest functions of which all pairs are tried as sums, in turn; () for none.
     beam : numbers of simplest functions and of best ones to which every stored function is added at
         the end, and to the best of those once more; 0 for none.
+    patience : parts (a level, or sums of its functions) through which the formula of least
+        description length stays the same, sums among them or before, until the search ends as
+        "settled"; 0 goes on to the other bounds.
     ratios : search for y / v and v / y too, for each variable v that is nowhere 0.
+    combinations : search for laws of one product of powers of the variables first.
     device : where the arrays live, see ``backend.choose_backend``.
 
     >>> x = np.linspace(0.5, 2.0, 200)
@@ -71,7 +75,9 @@ class BruteForce(AbstractMethod):
     keep: int = 16
     sums: tuple[int, ...] = (100, 400)
     beam: int = 48
+    patience: int = 0
     ratios: bool = False
+    combinations: bool = False
     device: str = "auto"
 
     name = "brute force"
@@ -115,6 +121,12 @@ class BruteForceStage(AbstractStage):
         result = search_values(samples.X, samples.y, samples.names, settings, report=tell)
         context.interrupted |= result.stopped == "interrupted"
         return list(result.candidates)
+
+
+class SimpleStage(BruteForceStage):
+    """The simplest functions and laws of one combination: over at once, and often enough."""
+
+    name = "simple functions"
 
 
 def search_values(

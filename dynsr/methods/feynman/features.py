@@ -36,13 +36,17 @@ class _Atom:
 _ATOM_FUNCTIONS = {"sin": (2, 1), "cos": (2, 2), "exp": (3, 1), "log": (3, 1), "sqrt": (3, 1)}
 
 
-def _atoms(columns: dict[str, np.ndarray]) -> list[_Atom]:
+def _atoms(columns: dict[str, np.ndarray], inverses: bool) -> list[_Atom]:
     atoms = []
     for name, values in columns.items():
         if np.ptp(values) <= 1e-12 * max(1.0, float(np.abs(values).max())):
             continue
         symbol = sympy.Symbol(name)
         atoms.append(_Atom(symbol, values, 1, 4))
+        if inverses:
+            if np.abs(values).min() > 1e-6 * np.abs(values).max():
+                atoms.append(_Atom(1 / symbol, 1 / values, 1, 2))
+            continue
         for token, (cost, power) in _ATOM_FUNCTIONS.items():
             with np.errstate(all="ignore"):
                 image = OPERATORS[token].numpy(values)
@@ -52,7 +56,11 @@ def _atoms(columns: dict[str, np.ndarray]) -> list[_Atom]:
 
 
 def build_features(
-    columns: dict[str, np.ndarray], max_cost: int = 6, max_degree: int = 4, max_count: int = 2500
+    columns: dict[str, np.ndarray],
+    max_cost: int = 6,
+    max_degree: int = 4,
+    max_count: int = 2500,
+    inverses: bool = False,
 ) -> Features:
     """Make all products of v, sin v, cos v, exp v, log v and sqrt v over the variables v.
 
@@ -61,11 +69,13 @@ def build_features(
     factors or ``max_cost`` are left out, and so are the dearest when there are more than
     ``max_count``, whole costs at a time. Features whose values repeat an earlier one's are dropped.
 
+    With ``inverses`` the atoms are v and 1/v alone, each of cost 1.
+
     >>> x = np.linspace(1.0, 2.0, 50)
     >>> [str(e) for e in build_features({"x": x}, max_cost=2).exprs]
     ['1', 'x', 'sin(x)', 'cos(x)', 'x**2']
     """
-    atoms = _atoms(columns)
+    atoms = _atoms(columns, inverses)
     count = len(next(iter(columns.values())))
     found: list[tuple[int, int, sympy.Expr, np.ndarray]] = [(0, 0, sympy.S.One, np.ones(count))]
     # Each entry: cost, degree, expression, values, index of its last atom, power of that atom.

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 import sympy
 
+from dynsr.expression import REAL_RESOLUTION
 from dynsr.methods.feynman.bank import Bank
 from dynsr.methods.feynman.fitting import fit_robustly
 from dynsr.methods.feynman.pool import Found, Writer, measure
@@ -23,14 +24,27 @@ _CONSTANT, _CHANGE = 4.0, 2.0
 _SNAP = 0.02
 # A term of a sum below this part of the largest is rounding.
 _NOTHING = 1e-11
+# Rows on which many functions are compared before a few are fitted on all, and how many those are.
+_FEW, _FIRST = 200, 4
 
 
 class Finisher:
     """Fits the constants of chosen functions of a bank to a problem on all rows."""
 
-    def __init__(self, bank: Bank, X: np.ndarray, y: np.ndarray) -> None:
-        """Take the bank and all rows, (n, p) and (n,)."""
+    def __init__(
+        self,
+        bank: Bank,
+        X: np.ndarray,
+        y: np.ndarray,
+        law: tuple[np.ndarray, Sequence[sympy.Expr]] | None = None,
+    ) -> None:
+        """Take the bank and all rows, (n, p) and (n,).
+
+        ``law`` holds values and symbols of the variables whose powers problems have in their
+        background, where those are not the bank's.
+        """
         self.bank, self.X, self.y = bank, X, y
+        self._law, self._symbols = law or (X, bank.leaves)
         self._values: dict[int, np.ndarray] = {}
 
     def finish(self, problem: Problem, groups: Sequence[tuple[int, ...]]) -> list[Found]:
@@ -43,12 +57,15 @@ class Finisher:
                 values[k, place] = self._evaluate(number)
         features = problem.feature(values)
         good = np.isfinite(features).all(axis=(1, 2))
-        kept = [group for group, fine in zip(groups, good, strict=True) if fine]
-        if not kept:
+        chosen = np.flatnonzero(good)
+        if len(chosen) > 2 * _FIRST:
+            chosen = chosen[_most_promising(problem, features[chosen])]
+        if not len(chosen):
             return []
+        kept = [groups[int(k)] for k in chosen]
         if problem.target.change.name == "log" and (problem.by_log or problem.powers):
-            return self._finish_products(problem, kept, values[good], features[good])
-        return self._finish_sums(problem, kept, features[good])
+            return self._finish_products(problem, kept, values[chosen], features[chosen])
+        return self._finish_sums(problem, kept, features[chosen])
 
     def _evaluate(self, number: int) -> np.ndarray:
         if number not in self._values:
@@ -140,7 +157,7 @@ class Finisher:
                 exponents @ problem.logs.T + np.einsum("kmn,km->kn", features, inner)
             )
             for place, column in enumerate(problem.powers):
-                predicted *= signs_of(self.X[:, column], exponents[:, place])
+                predicted *= signs_of(self._law[:, column], exponents[:, place])
             if problem.by_log:
                 for k in range(len(groups)):
                     for v, b in zip(values[k], inner[k], strict=True):
@@ -180,9 +197,22 @@ class Finisher:
 
     def _write_powers(self, problem: Problem, powers: list[sympy.Expr]) -> list[sympy.Expr]:
         return [
-            write_power(self.bank.leaves[j], self.X[:, j], power)
+            write_power(self._symbols[j], self._law[:, j], power)
             for j, power in zip(problem.powers, powers, strict=True)
         ]
+
+
+def _most_promising(problem: Problem, features: np.ndarray) -> np.ndarray:
+    """Places of the _FIRST of least error bits and the _FIRST of least RMSE on some rows."""
+    few = slice(None, None, max(1, features.shape[2] // _FEW))
+    logs = np.broadcast_to(problem.background[few], (len(features), *problem.background[few].shape))
+    design = np.concatenate([logs, features[:, :, few].transpose(0, 2, 1)], axis=2)
+    scales, z = problem.target.weights[few], problem.target.values[few]
+    fitted = fit_robustly(design, z, scales)
+    rest = np.abs(z - (design @ fitted[:, :, None])[:, :, 0]) * scales
+    size = REAL_RESOLUTION * (float(np.sqrt(np.mean((z * scales) ** 2))) or 1.0)
+    errors = np.log2(1 + rest / size).mean(axis=1), np.square(rest).mean(axis=1)
+    return np.unique([np.argsort(error, kind="stable")[:_FIRST] for error in errors])
 
 
 def _number(value: float) -> sympy.Expr:

@@ -12,6 +12,7 @@ from dynsr.expression import REAL_RESOLUTION, complexity
 from dynsr.pareto import Candidate
 
 _BEST, _EACH = 24, 4
+_LETTER = 6.0
 Writer = Callable[[], sympy.Expr]
 
 
@@ -28,6 +29,13 @@ class Found:
     loss: float
     residual: np.ndarray
     write: Writer
+
+    def resembles(self, other: Found | None) -> bool:
+        """Whether another is as long and differs by less than half of the residuals."""
+        if other is None or other.size != self.size:
+            return False
+        apart = np.median(np.abs(self.residual - other.residual))
+        return bool(apart <= 0.5 * np.median(np.abs(self.residual)))
 
 
 def measure(
@@ -71,6 +79,20 @@ class Pool:
     def best(self) -> Found | None:
         """The formula of fewest error bits."""
         return min(self.found, key=lambda f: (f.bits, f.size), default=None)
+
+    @property
+    def shortest(self) -> Found | None:
+        """The formula of least description length, letters counted at _LETTER bits.
+
+        The noise floor is the least median residual of all, and every row counts.
+        """
+        if not self.found:
+            return None
+        sizes = np.abs([found.residual for found in self.found])
+        floor = float(np.median(sizes, axis=1).min()) or 1e-300
+        bits = np.log2(1 + (sizes / floor) ** 2).sum(axis=1) / 2
+        lengths = bits + _LETTER * np.array([found.size for found in self.found])
+        return self.found[int(np.argmin(lengths))]
 
     def candidates(self, source: str) -> list[Candidate]:
         """Write the formulas out, simplest first, equal ones once."""

@@ -9,8 +9,9 @@ directly instead of through a threshold, and the error that counts is that of N 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+import time
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +19,7 @@ import sympy
 
 from dynsr.expression import complexity
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
+from dynsr.methods.feynman.domain import Target, make_targets
 from dynsr.methods.feynman.features import Features, build_features
 from dynsr.methods.feynman.subsets import RatioFit, SubsetSearch, fit_ratio
 from dynsr.pareto import Candidate, ParetoFront, rmse, score_candidate
@@ -43,6 +45,10 @@ class RationalSearch(AbstractMethod):
         large errors among many small ones.
     keep : formulas handed on at each size.
     max_rows : evenly spaced samples used at most.
+    inverses : features are products of powers of the variables, negative ones too, and nothing
+        else, up to the fourth degree above and below; for laws without a constant term.
+    changes : domain changes of the target, names of ``domain.CHANGES``, that are searched after it.
+    seconds : time after which nothing further is begun.
 
     >>> x = np.linspace(0.5, 2.0, 200)
     >>> samples = Samples(x[:, None], 3 * x / (2 + x**2), ("x",), "x", "given", x)
@@ -59,6 +65,9 @@ class RationalSearch(AbstractMethod):
     rounds: int = 2
     keep: int = 4
     max_rows: int = 2000
+    inverses: bool = False
+    changes: tuple[str, ...] = ()
+    seconds: float = math.inf
 
     name = "rational"
 
@@ -80,6 +89,31 @@ class RationalSearch(AbstractMethod):
         if np.ptp(samples.y) == 0:
             yield [score_candidate(sympy.Float(float(samples.y[0])), samples, self.name)]
             return
+        deadline = time.monotonic() + self.seconds
+        for target in make_targets(samples.y, self.changes):
+            if target.change.name == "y":
+                exact = yield from self._find(samples, deadline)
+            else:
+                changed = replace(samples, y=target.values)
+                exact = yield from self._find_back(changed, target, samples, deadline)
+            if exact or time.monotonic() > deadline:
+                return
+
+    def _find_back(
+        self, changed: Samples, target: Target, samples: Samples, deadline: float
+    ) -> Generator[list[Candidate], None, bool]:
+        """Find formulas for a changed target and turn them into formulas of the target itself."""
+        search = self._find(changed, deadline)
+        while True:
+            try:
+                found = next(search)
+            except StopIteration as end:
+                return bool(end.value)
+            name = f"{self.name} of {target.name}"
+            yield [score_candidate(target.build(c.expr), samples, name) for c in found]
+
+    def _find(self, samples: Samples, deadline: float) -> Generator[list[Candidate], None, bool]:
+        """Yield formulas after each search; give in the end whether one is exact."""
         rows = samples
         if len(samples) > self.max_rows:
             rows = samples.select(np.linspace(0, len(samples) - 1, self.max_rows).astype(int))
@@ -89,35 +123,48 @@ class RationalSearch(AbstractMethod):
         for cost in self.costs:
             numerators = self._numerators(rows.columns, cost, used)
             for _ in range(self.rounds):
-                ranked = self._search_once(rows, numerators, cost, weights)
+                ranked = self._search_once(rows, numerators, cost, weights, deadline)
+                if not ranked:
+                    return False
                 yield [formula.score(samples) for group in ranked for formula in group[: self.keep]]
                 plain = _plainest(ranked)
                 if float(np.abs(plain.residual).max()) < _EXACT * float(np.ptp(rows.y)):
-                    return
+                    return True
                 weights = 1 / (1 + (plain.residual / max(plain.median, 1e-300)) ** 2)
+                if time.monotonic() > deadline:
+                    return False
             if plain.shape == reached:
-                return
+                return False
             reached = plain.shape
             used = {str(v) for f in _close_to_least(ranked)[:2] for v in f.expr.free_symbols}
+        return False
 
     def _numerators(self, columns: dict[str, np.ndarray], cost: int, used: set[str]) -> Features:
         """Features of all variables; where those are too many, of the variables in use alone."""
-        features = build_features(columns, cost, 4, self.max_features)
+        features = build_features(columns, cost, 4, self.max_features, self.inverses)
         if features.costs[-1] < cost and used < set(columns):
             few = {name: values for name, values in columns.items() if name in used}
-            features = build_features(few, cost, 4, self.max_features)
+            features = build_features(few, cost, 4, self.max_features, self.inverses)
         return features
 
     def _search_once(
-        self, rows: Samples, numerators: Features, cost: int, weights: np.ndarray
+        self,
+        rows: Samples,
+        numerators: Features,
+        cost: int,
+        weights: np.ndarray,
+        deadline: float,
     ) -> list[list[_Formula]]:
-        denominators = build_features(rows.columns, min(cost, 4), 2)
+        degree = 4 if self.inverses else 2
+        denominators = build_features(rows.columns, min(cost, 4), degree, inverses=self.inverses)
         below = denominators.values[1:] if self.denominators else np.empty((0, len(rows)))
-        subsets = SubsetSearch(numerators.values, below, rows.y, weights, self.width)
+        subsets = SubsetSearch(numerators.values, below, rows.y, weights, self.width, deadline)
         fits = [
             [fit_ratio(subsets, support) for support in supports[: 5 * self.keep]]
             for supports in subsets.search(self.max_terms)
         ]
+        if not fits:
+            return []
         medians = [float(np.median(np.abs(fit.residual))) for group in fits for fit in group]
         floor = max(np.nanmin(medians), 1e-12 * float(np.abs(rows.y).max()))
         ranked = []

@@ -14,10 +14,11 @@ from dynsr.methods.base import Progress, Report, silent
 from dynsr.methods.feynman.alphabet import count_strings, make_letters
 from dynsr.methods.feynman.backend import choose_backend
 from dynsr.methods.feynman.beam import Beam
+from dynsr.methods.feynman.combination import CombinationSearch, find_exponents
 from dynsr.methods.feynman.enumerator import Enumerator
 from dynsr.methods.feynman.finishing import Finisher
 from dynsr.methods.feynman.nested import find_nested
-from dynsr.methods.feynman.pool import Pool
+from dynsr.methods.feynman.pool import Found, Pool
 from dynsr.methods.feynman.problem import Problem, make_problems
 from dynsr.methods.feynman.screening import Screen, Shortlist
 from dynsr.methods.feynman.sums import best_pairs, best_triples, make_gram
@@ -48,7 +49,7 @@ class BruteForceResult:
         letters; every one is equal to a function looked at or has no finite values on the samples.
     complete : largest size of which every function was looked at.
     stored : functions kept to build on, in ``nbytes`` bytes (tables of hashes included).
-    stopped : what ended it: "exact", "size", "candidates", "deadline" or "interrupted".
+    stopped : what ended it: "exact", "size", "candidates", "deadline", "settled" or "interrupted".
     seconds : time taken.
     """
 
@@ -101,7 +102,8 @@ class RunningSearch:
         self.finisher = Finisher(self.enumerator.bank, X, y)
         self.pool = Pool()
         self.stopped = ""
-        self.sums_done = 0
+        self.sums_done = self.settled = 0
+        self.shortest: Found | None = None
         self.near: dict[str, list[tuple[int, int, int]]] = {}
 
     def run(self) -> BruteForceResult:
@@ -130,6 +132,8 @@ class RunningSearch:
             self.pool.add(self.finisher.finish(problem, [()]))
         if settings.ratios:
             self.pool.add(find_nested(self.X, self.y, self.enumerator.bank.leaves))
+        if settings.combinations and not self._must_stop():
+            self._try_combination()
         for size in range(1, settings.max_size + 1):
             if self._ended():
                 return
@@ -140,15 +144,45 @@ class RunningSearch:
                 settings.max_candidates,
                 self.started + settings.seconds,
                 size == settings.max_size,
+                settings.beam > 0,
             )
             self._finish(shortlist)
-            self._try_sums(size)
+            self._notice_settling()
+            if self._try_sums(size):
+                self._notice_settling()
             if size == settings.max_size or self.enumerator.stopped == "candidates":
                 self._try_beam()
             if self.report is not silent:
                 self.report(Progress(settings.name, self.enumerator.formed, None, self._front()))
         if not self._ended():
             self.stopped = "size"
+
+    def _try_combination(self) -> None:
+        """Search for a law of one product of powers of the variables."""
+        exponents = find_exponents(self.X, self.y)
+        if exponents is not None:
+            symbols, operators = self.enumerator.bank.leaves, self.settings.operators
+            law = CombinationSearch(
+                self.X,
+                self.y,
+                symbols[: self.X.shape[1]],
+                exponents,
+                operators,
+                self.screen.backend,
+            )
+            exact = _EXACT * float(np.abs(self.y).max())
+            self.pool.add(law.run(self.started + self.settings.seconds, exact))
+
+    def _notice_settling(self) -> None:
+        """Count the parts through which the shortest formula stays the same."""
+        if not self.settings.patience:
+            return
+        shortest = self.pool.shortest
+        same = shortest is not None and shortest.resembles(self.shortest)
+        self.shortest, self.settled = shortest, self.settled + 1 if same else 0
+        summed = self.sums_done or not self.settings.sums
+        if summed and self.settled >= self.settings.patience:
+            self.stopped = self.stopped or "settled"
 
     def _ended(self) -> bool:
         """Whether a bound is met; says which in ``stopped``."""
@@ -163,7 +197,7 @@ class RunningSearch:
             self.stopped = "exact"
         elif time.monotonic() > self.started + self.settings.seconds:
             self.stopped = "deadline"
-        return self.stopped in ("exact", "deadline")
+        return self.stopped in ("exact", "deadline", "settled")
 
     def _finish(self, shortlist: Shortlist) -> None:
         bank = self.enumerator.bank
@@ -173,15 +207,16 @@ class RunningSearch:
             numbers = [(bank.number(*winner),) for winner in winners]
             self.pool.add(self.finisher.finish(problem, numbers))
 
-    def _try_sums(self, size: int) -> None:
-        """Try all pairs of the next number of functions, once there are as many or no more come."""
+    def _try_sums(self, size: int) -> bool:
+        """Try all pairs of the next number of functions, once 3/4 are there or no more come."""
+        before = self.sums_done
         levels = self.enumerator.bank.levels
         fresh = [level.start + np.flatnonzero(level.fresh) for level in levels]
         numbers = np.concatenate(fresh)
         over = size == self.settings.max_size or bool(self.enumerator.stopped)
         for count in self.settings.sums[self.sums_done :]:
-            if (len(numbers) < count and not over) or self._must_stop():
-                return
+            if (4 * len(numbers) < 3 * count and not over) or self._must_stop():
+                break
             self.sums_done += 1
             rows = _spaced(len(self.y), _SUM_ROWS)
             chosen = numbers[:count]
@@ -190,14 +225,17 @@ class RunningSearch:
             for problem in self.problems:
                 if problem.by_log or not problem.powers:
                     self._sum(problem, chosen, values, rows)
+        return self.sums_done > before
 
     def _try_beam(self) -> None:
         """Add any stored function to the simplest ones and to the best; then once more."""
         if not self.settings.beam:
             return
         bank, keep = self.enumerator.bank, self.settings.keep
-        beam = Beam(bank, self.X[self.probes], self.probes, self.screen.backend)
-        for problem in self.problems:
+        deadline = self.started + self.settings.seconds
+        beam = Beam(bank, self.X[self.probes], self.probes, self.screen.backend, deadline)
+        # Sums are likeliest in the target itself or its ratio to a variable.
+        for problem in sorted(self.problems, key=lambda p: p.target.change.name != "y"):
             if self._must_stop():
                 return
             near = [

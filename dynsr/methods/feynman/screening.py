@@ -57,36 +57,40 @@ class Screen:
         self.backend = backend
         self.count = len(problems)
         self._groups = [_make_groups(problems, by_log, rows) for by_log in (False, True)]
-        self._matrices = [
-            backend.put(np.column_stack([part for g in groups for part in (g.base, g.targets)]))
+        self.directions, self._logarithmic = (
+            np.concatenate([part.T for g in groups for part in (g.base, g.targets)])
             if groups
-            else None
+            else np.empty((0, len(rows)))
             for groups in self._groups
-        ]
+        )
+        self._logarithmic = backend.put(self._logarithmic)
 
-    def shares(self, values: Any, squares: np.ndarray, logs: bool) -> np.ndarray:
-        """(B, problems) share of each problem's target that each row of values explains.
+    def shares(self, projected: np.ndarray, squares: np.ndarray, values: Any = None) -> np.ndarray:
+        """(problems, B) share of each problem's target that each of B functions explains.
 
-        0 for the power law unless ``logs`` is set, since logarithms cost more than all the rest.
+        ``projected`` (k, B) are the products of the k ``directions`` with their value rows,
+        ``squares`` (B,) the sums of squares. The power law's share is 0 unless the (B, probes)
+        ``values`` are given, since logarithms cost more than all the rest.
         """
-        out = np.zeros((len(squares), self.count))
-        self._fill(out, 0, values, squares)
-        if logs and self._groups[1]:
+        out = np.zeros((self.count, len(squares)))
+        self._fill(out, 0, projected, squares)
+        if values is not None and self._groups[1]:
             logarithms = self.backend.apply("log", self.backend.apply("abs", values))
-            self._fill(out, 1, logarithms, self.backend.square_sums(logarithms))
+            projected = self.backend.get(self._logarithmic @ logarithms.T)
+            self._fill(out, 1, projected, self.backend.square_sums(logarithms))
         return out
 
-    def _fill(self, out: np.ndarray, kind: int, values: Any, squares: np.ndarray) -> None:
-        projected = self.backend.get(values @ self._matrices[kind])
-        column = 0
+    def _fill(self, out: np.ndarray, kind: int, projected: np.ndarray, squares: np.ndarray) -> None:
+        row = 0
         for group in self._groups[kind]:
-            middle = column + group.base.shape[1]
-            end = middle + group.targets.shape[1]
-            inside = projected[:, column:middle]
-            rest = squares - np.einsum("ij,ij->i", inside, inside)
-            rest = np.where(rest > _LEFT * squares, rest, np.inf)
-            out[:, group.places] = projected[:, middle:end] ** 2 / rest[:, None]
-            column = end
+            middle = row + group.base.shape[1]
+            inside = projected[row:middle]
+            rest = squares - np.einsum("ij,ij->j", inside, inside)
+            scale = 1 / np.where(rest > _LEFT * squares, rest, np.inf)
+            row = middle + group.targets.shape[1]
+            for place, product in zip(group.places, projected[middle:row], strict=True):
+                np.multiply(product, product, out=out[place])
+                out[place] *= scale
 
 
 @dataclass
@@ -107,18 +111,18 @@ class Shortlist:
         self._held = [[np.empty((0, 4))] for _ in range(self.problems)]
 
     def offer(self, shares: np.ndarray, chunk: Chunk, index: np.ndarray) -> None:
-        """Take in the functions ``index`` of a chunk with their (len(index), problems) shares."""
-        hits = np.flatnonzero((shares > self.bound).ravel())
-        rows, places = np.divmod(hits, self.problems)
-        for place in np.unique(places):
-            mine = rows[places == place]
+        """Take in the functions ``index`` of a chunk with their (problems, len(index)) shares."""
+        for place, share in enumerate(shares):
+            mine = np.flatnonzero(share > self.bound[place])
+            if not len(mine):
+                continue
             at = index[mine]
             entries = np.column_stack(
-                [shares[mine, place], chunk.letter[at], chunk.left[at], chunk.right[at]]
+                [share[mine], chunk.letter[at], chunk.left[at], chunk.right[at]]
             )
             self._held[place].append(entries)
             if sum(map(len, self._held[place])) > 8 * self.keep:
-                self._prune(int(place))
+                self._prune(place)
 
     def _prune(self, place: int) -> None:
         entries = np.concatenate(self._held[place])

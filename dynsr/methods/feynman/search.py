@@ -11,7 +11,7 @@ import sympy
 
 from dynsr.errors import InputError
 from dynsr.methods.base import AbstractMethod, Report, silent
-from dynsr.methods.feynman.bruteforce import BruteForce, BruteForceStage
+from dynsr.methods.feynman.bruteforce import BruteForce, BruteForceStage, SimpleStage
 from dynsr.methods.feynman.compositionality import (
     Compositionality,
     GeneralisedSymmetry,
@@ -46,6 +46,7 @@ STAGES = (
 SELECTIONS = ("lowest error", "description length")
 _DIRECT = ("rational", "polynomial", "brute force")
 _EXACT = 1e-9
+_SIMPLE = BruteForce(max_size=3, sums=(), beam=0, combinations=True)
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,9 @@ class RationalStage(AbstractStage):
         found: list[Candidate] = []
         total = len(self.settings.costs) * self.settings.rounds
         context.tell(self.name, 0, total)
-        for done, candidates in enumerate(self.settings.find(samples), start=1):
+        seconds = min(self.settings.seconds, 0.4 * context.seconds_left)
+        settings = replace(self.settings, seconds=seconds)
+        for done, candidates in enumerate(settings.find(samples), start=1):
             found += candidates
             context.offer(candidates)
             context.tell(self.name, done, total)
@@ -185,7 +188,9 @@ class DynAIFeynman(AbstractMethod):
             if context.seconds_left <= 0 or context.interrupted:
                 break
             if isinstance(stage, Refinement):
-                stage = replace(stage, candidates=tuple(found))
+                # Beside an exact formula the others need no better constants.
+                exact = [c for c in found if c.loss <= _EXACT * size]
+                stage = replace(stage, candidates=tuple(exact or found))
             elif settled:
                 continue
             context.tell(stage.name, 0, None)
@@ -224,6 +229,9 @@ class DynAIFeynman(AbstractMethod):
             inner = Polynomial(self.degree, False)
             stages["domain change"] = DomainChange((inner,), self.changes)
         pipeline = [stage for name, stage in stages.items() if name in self.stages]
+        # The paper's own stages know neither sums and ratios nor laws of one combination.
+        if depth == 0 and {"rational", "brute force"} <= set(self.stages):
+            pipeline.insert(0, SimpleStage(_SIMPLE))
         pipeline.append(Reduce(self._reducers(), self.branches, self.max_depth))
         if depth == 0 and {"refinement", "snapping"} & set(self.stages):
             pipeline.append(Refinement("snapping" in self.stages))

@@ -8,6 +8,8 @@ affine map.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 ROUNDING = 1e-9
@@ -15,6 +17,8 @@ AFFINE_ROUNDING = 1e-7
 SKETCHES = 3
 # A row whose spread is below this part of its norm is a constant with rounding errors on top.
 CONSTANT = 1e-4
+# Hashes moved at once when the table grows.
+_REHASHED = 1 << 16
 LARGEST, SMALLEST = 1e10, 1e-10
 _ODD = np.array(
     [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93],
@@ -29,12 +33,13 @@ def sketch_directions(rows: int, seed: int) -> np.ndarray:
     return np.column_stack([np.ones(rows), random / np.linalg.norm(random, axis=0)])
 
 
-def hash_integers(columns: np.ndarray) -> np.ndarray:
-    """Mix (rows, k <= 4) whole numbers, held as floats, into one uint64 a row, never 0."""
-    whole = columns.astype(np.int64).view(np.uint64)
-    mixed = np.zeros(len(columns), dtype=np.uint64)
-    for column, odd in zip(whole.T, _ODD, strict=False):
-        mixed = (mixed ^ (mixed >> np.uint64(29))) * _ODD[3] + column * odd
+def hash_integers(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Mix k <= 4 arrays of whole numbers, held as floats, into one array of uint64, never 0."""
+    mixed = np.zeros(len(parts[0]), dtype=np.uint64)
+    for part, odd in zip(parts, _ODD, strict=False):
+        mixed = (mixed ^ (mixed >> np.uint64(29))) * _ODD[3] + part.astype(np.int64).view(
+            "u8"
+        ) * odd
     mixed ^= mixed >> np.uint64(32)
     mixed *= _ODD[0]
     mixed ^= mixed >> np.uint64(29)
@@ -48,9 +53,9 @@ class Spread:
     """
 
     def __init__(self, projections: np.ndarray, squares: np.ndarray, rows: int) -> None:
-        """Take (B, 1 + SKETCHES) projections and (B,) sums of squares."""
-        self.total = projections[:, 0]
-        self.sketches = projections[:, 1 : 1 + SKETCHES]
+        """Take (1 + SKETCHES or more, B) projections and (B,) sums of squares."""
+        self.total = projections[0]
+        self.sketches = projections[1 : 1 + SKETCHES]
         self.squares = squares
         self.variance = squares - self.total**2 / rows
         self.usable = (
@@ -62,32 +67,30 @@ class Spread:
     def exact(self) -> np.ndarray:
         """Hash each function up to its sign."""
         norm = np.sqrt(self.squares)
-        signed = np.where(self.sketches[:, 0] < 0, -1.0, 1.0) / (ROUNDING * norm)
-        parts = np.column_stack(
-            [
-                self.total * signed,
-                self.sketches[:, 0] * signed,
-                self.sketches[:, 1] * signed,
-                np.log(norm) / ROUNDING,
-            ]
-        )
-        return hash_integers(np.rint(parts))
+        signed = np.copysign(1 / (ROUNDING * norm), self.sketches[0])
+        first, second = self.sketches[0] * signed, self.sketches[1] * signed
+        parts = (self.total * signed, first, second, np.log(norm) / ROUNDING)
+        return hash_integers([np.rint(part) for part in parts])
 
     def affine(self) -> np.ndarray:
         """Hash each function g up to c g + d."""
-        signed = np.where(self.sketches[:, 0] < 0, -1.0, 1.0) / np.sqrt(self.variance)
-        return hash_integers(np.rint(self.sketches * (signed / AFFINE_ROUNDING)[:, None]))
+        signed = np.copysign(1 / (AFFINE_ROUNDING * np.sqrt(self.variance)), self.sketches[0])
+        return hash_integers([np.rint(sketch * signed) for sketch in self.sketches])
 
     def take(self, index: np.ndarray) -> Spread:
         """Give some rows."""
         part = Spread.__new__(Spread)
-        for name in ("total", "sketches", "squares", "variance", "usable"):
+        for name in ("total", "squares", "variance", "usable"):
             setattr(part, name, getattr(self, name)[index])
+        part.sketches = self.sketches[:, index]
         return part
 
 
 class Seen:
     """A set of hashes with bulk insertion: open addressing in one array.
+
+    A hash's place is given by its highest bits, so that sorted hashes go through the table in
+    order, which memory likes.
 
     >>> seen = Seen()
     >>> seen.add(np.array([7, 8, 7], dtype=np.uint64)).tolist()
@@ -103,7 +106,6 @@ class Seen:
     def _allocate(self, bits: int) -> None:
         self.bits, self.count = bits, 0
         self.table = np.zeros(1 << bits, dtype=np.uint64)
-        self.owner = np.zeros(1 << bits, dtype=np.int32)
 
     def __len__(self) -> int:
         """Count the hashes."""
@@ -112,17 +114,16 @@ class Seen:
     @property
     def nbytes(self) -> int:
         """Bytes in use."""
-        return self.table.nbytes + self.owner.nbytes
+        return self.table.nbytes
 
     def must_grow(self, more: int) -> bool:
-        """Whether ``more`` hashes would fill more than half of the table."""
-        return 2 * (self.count + more) > len(self.table)
+        """Whether ``more`` hashes would fill more than 5/8 of the table."""
+        return 8 * (self.count + more) > 5 * len(self.table)
 
     def has(self, hashes: np.ndarray) -> np.ndarray:
         """Give which hashes were added before, without adding any."""
         known = np.zeros(len(hashes), dtype=bool)
-        left = np.arange(len(hashes))
-        slots = (hashes >> np.uint64(64 - self.bits)).astype(np.int64)
+        left, slots = np.arange(len(hashes)), self._slots(hashes)
         while len(left):
             held = self.table[slots]
             known[left[held == hashes[left]]] = True
@@ -132,22 +133,38 @@ class Seen:
 
     def add(self, hashes: np.ndarray) -> np.ndarray:
         """Add hashes (none of them 0); give which were new, the first of equals counting."""
+        new = np.zeros(len(hashes), dtype=bool)
+        if not len(hashes):
+            return new
         while self.must_grow(len(hashes)):
             held = self.table[self.table != 0]
-            self._allocate(self.bits + 1)
-            self.add(held)
+            self._allocate(self.bits + 2)
+            for begin in range(0, len(held), _REHASHED):
+                self._place(held[begin : begin + _REHASHED])
+        order = np.argsort(hashes)
+        ordered = hashes[order]
+        starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+        firsts = np.minimum.reduceat(order, starts)
+        new[firsts[self._place(ordered[starts])]] = True
+        return new
+
+    def _slots(self, hashes: np.ndarray) -> np.ndarray:
+        return (hashes >> np.uint64(64 - self.bits)).astype(np.int64)
+
+    def _place(self, hashes: np.ndarray) -> np.ndarray:
+        """Put distinct hashes into the table; give which were not there."""
+        table, mask = self.table, len(self.table) - 1
         new = np.zeros(len(hashes), dtype=bool)
-        left = np.arange(len(hashes), dtype=np.int32)
-        slots = (hashes >> np.uint64(64 - self.bits)).astype(np.int64)
-        mask = len(self.table) - 1
+        left, slots = np.arange(len(hashes)), self._slots(hashes)
         while len(left):
-            empty = np.flatnonzero(self.table[slots] == 0)
-            place, who = slots[empty], left[empty]
-            self.owner[place[::-1]] = who[::-1]
-            won = self.owner[place] == who
-            self.table[place[won]] = hashes[who[won]]
-            new[who[won]] = True
-            differs = self.table[slots] != hashes[left]
-            left, slots = left[differs], (slots[differs] + 1) & mask
-        self.count += int(new.sum())
+            mine, held = hashes[left], table[slots]
+            empty = np.flatnonzero(held == 0)
+            table[slots[empty]] = mine[empty]
+            # Of several that want one empty place the last has written; the others go on.
+            won = empty[table[slots[empty]] == mine[empty]]
+            new[left[won]] = True
+            going = held != mine
+            going[won] = False
+            left, slots = left[going], (slots[going] + 1) & mask
+        self.count += int(np.count_nonzero(new))
         return new

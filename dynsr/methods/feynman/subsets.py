@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,6 +34,7 @@ class SubsetSearch:
     y : (n,) target.
     weights : (n,) weight of each sample.
     width : how many subsets of each size are kept.
+    deadline : ``time.monotonic()`` value after which no further subset is extended.
     """
 
     numerators: np.ndarray
@@ -39,6 +42,7 @@ class SubsetSearch:
     y: np.ndarray
     weights: np.ndarray
     width: int = 200
+    deadline: float = math.inf
 
     @cached_property
     def _columns(self) -> tuple[np.ndarray, np.ndarray]:
@@ -127,12 +131,15 @@ class SubsetSearch:
             found.append(list(kept))
             scores.append(min(kept.values()))
             parents = found[-1]
-            if len(scores) > 2 and scores[-1] > _IDLE * scores[-3]:
+            idle = len(scores) > 2 and scores[-1] > _IDLE * scores[-3]
+            if idle or time.monotonic() > self.deadline:
                 break
         return found
 
     def _grow(self, supports: Sequence[Support], most: int, pool: dict[Support, float]) -> None:
         for start in range(0, len(supports), _CHUNK):
+            if time.monotonic() > self.deadline:
+                break
             chunk = supports[start : start + _CHUNK]
             scores = self.extend(chunk)
             most = min(most, scores.shape[1])

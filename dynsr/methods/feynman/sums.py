@@ -66,18 +66,23 @@ def best_pairs(gram: Gram, keep: int) -> np.ndarray:
 
 def best_triples(gram: Gram, pairs: Sequence[np.ndarray], keep: int) -> np.ndarray:
     """Give the (<= keep, 3) best triples that hold one of the given pairs, best first."""
+    if not len(pairs):
+        return np.empty((0, 3), dtype=int)
+    chosen = np.array(pairs)
+    inner, moments = gram.inner[chosen], gram.moments[chosen]
+    system = np.take_along_axis(inner, chosen[:, None, :], axis=2)
+    both = np.linalg.solve(system, np.concatenate([inner, moments[:, :, None]], axis=2))
+    left = 1 - np.einsum("kij,kij->kj", inner, both[:, :, :-1])
+    rest = gram.moments - np.einsum("kij,ki->kj", inner, both[:, :, -1])
+    explained = np.einsum("ki,ki->k", moments, both[:, :, -1])
+    share = explained[:, None] + rest**2 / np.maximum(left, _DISTINCT)
+    share[(left < _DISTINCT) | ~gram.usable] = 0.0
+    np.put_along_axis(share, chosen, 0.0, axis=1)
     rows, shares = [], []
-    for pair in pairs:
-        system = gram.inner[np.ix_(pair, pair)]
-        both = np.linalg.solve(system, np.column_stack([gram.inner[pair], gram.moments[pair]]))
-        left = 1 - np.einsum("ij,ij->j", gram.inner[pair], both[:, :-1])
-        rest = gram.moments - gram.inner[:, pair] @ both[:, -1]
-        share = gram.moments[pair] @ both[:, -1] + rest**2 / np.maximum(left, _DISTINCT)
-        share[(left < _DISTINCT) | ~gram.usable] = 0.0
-        share[pair] = 0.0
-        for third in _largest(share, 4):
+    for pair, explains in zip(chosen, share, strict=True):
+        for third in _largest(explains, 4):
             rows.append(sorted((*pair, third)))
-            shares.append(share[third])
+            shares.append(explains[third])
     if not rows:
         return np.empty((0, 3), dtype=int)
     triples, first = np.unique(np.array(rows), axis=0, return_index=True)

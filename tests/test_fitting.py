@@ -1,0 +1,33 @@
+import numpy as np
+import pytest
+
+from dynsr.methods.feynman.fitting import fit_linear, fit_robustly
+
+
+@pytest.mark.parametrize("columns", [1, 2, 4])
+def test_closed_forms_agree_with_lstsq(columns):
+    """Weighted least squares of a whole batch is numpy's lstsq of each problem alone."""
+    rng = np.random.default_rng(columns)
+    design = rng.standard_normal((20, 90, columns)) * 10.0 ** rng.uniform(-4, 4, columns)
+    z, roots = rng.standard_normal((20, 90)), rng.uniform(0.1, 2.0, (20, 90))
+    found = fit_linear(design, z, roots)
+    for k in range(20):
+        expected = np.linalg.lstsq(design[k] * roots[k][:, None], z[k] * roots[k], rcond=None)[0]
+        assert np.allclose(found[k], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("rows", [120, 2000])
+def test_bad_rows_do_not_move_a_robust_fit(rows):
+    """With a tenth of the rows far off, slope and shift stay those of the other rows."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 1, rows)
+    z = 2 * x - 1 + 1e-4 * rng.standard_normal(rows)
+    bad = rng.choice(rows, rows // 10, replace=False)
+    z[bad] += 5.0
+    design = np.column_stack([np.ones(rows), x])[None]
+    found = fit_robustly(design, z, np.ones(rows))[0]
+    good = np.setdiff1d(np.arange(rows), bad)
+    expected = np.linalg.lstsq(design[0][good], z[good], rcond=None)[0]
+    plain = np.linalg.lstsq(design[0], z, rcond=None)[0]
+    assert np.allclose(found, expected, atol=2e-5)
+    assert not np.allclose(plain, expected, atol=0.1)
