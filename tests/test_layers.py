@@ -52,6 +52,7 @@ WITHIN = {
     "methods": {"paper.bases", "simulate"},
     "scoring": {"simulate"},
     "audit": {"paper"},
+    "benchmarks": {"checkpoint", "discovery", "tables"},
     "cells": {"paper", "records"},
     "crosscheck": {"paper", "comparison", "trajectory_checks"},
     "trajectory_checks": {"comparison", "paper"},
@@ -78,7 +79,12 @@ WITHIN = {
 
 # Foreign module -> the only files that may import it, by name.
 HOMES = {
-    "torch": {"methods/feynman/network.py", "methods/feynman/backend.py", "trainable.py", "hybrid.py"},
+    "torch": {
+        "methods/feynman/network.py",
+        "methods/feynman/backend.py",
+        "trainable.py",
+        "hybrid.py",
+    },
     "matplotlib": {"plots.py"},
     "juliacall": {"engines/julia_worker.py"},
     "juliapkg": {"engines/julia.py"},
