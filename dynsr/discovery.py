@@ -21,7 +21,7 @@ from dynsr.expression import compile_numpy, parse, to_text
 from dynsr.found import Discovery
 from dynsr.intake import split_held_back, take_trajectories
 from dynsr.methods.base import AbstractMethod
-from dynsr.methods.matching import read_inputs
+from dynsr.methods.matching import is_noisy, read_inputs
 from dynsr.methods.snapping import as_decimals
 from dynsr.pareto import Candidate, ParetoFront
 from dynsr.polishing import polish
@@ -35,6 +35,7 @@ from dynsr.selection import (
     trivial_candidates,
     write_candidates,
 )
+from dynsr.structure import settle
 from dynsr.trajectory import Trajectory
 
 _MOST_ROWS = 4000
@@ -104,8 +105,10 @@ def discover(
     tell = _Teller(progress, len(states) * (len(methods) + 1))
     pools = problem.search(states, methods, jobs, tell)
     picks = problem.pick(states, pools, jobs, tell)
+    whole = {s: parts_known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()}
+    settled = problem.settle(whole, picks, drives)
     polished = polish(
-        {s: parts_known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()},
+        settled,
         runs,
         drives,
         {s: problem.samples(s, runs, known_left_out=False) for s in states},
@@ -115,7 +118,7 @@ def discover(
         equations=polished.exprs,
         errors=polished.errors,
         front={s: _whole_front(pools[s], picks[s]) for s in states},
-        explanation={s: p.explanation for s, p in picks.items()},
+        explanation={s: p.explanation + _why(settled[s], whole[s]) for s, p in picks.items()},
         trajectories=tuple(runs),
         inputs=drives,
         settings={
@@ -135,6 +138,13 @@ def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
     rivals = [rival.candidate for rival in pick.rivals]
     written = [replace(c, expr=as_decimals(c.expr)) for c in rivals]
     return ParetoFront([*pool, *written])
+
+
+def _why(settled: sympy.Expr, picked: sympy.Expr) -> str:
+    """Say when the states themselves asked for another formula than the slopes did."""
+    if settled == picked:
+        return ""
+    return " Fitted to the noisy states themselves, other terms take fewer bits; they were taken."
 
 
 def _path(out: str | Path | None) -> Path | None:
@@ -238,6 +248,18 @@ class _Problem:
             parts.append(Part(f"pick-{state}", key, pick_one, arguments))
         records = run_parts(parts, self.folder, jobs, tell)
         return {s: Pick.from_record(s, record) for s, record in zip(states, records, strict=True)}
+
+    def settle(
+        self,
+        exprs: Mapping[str, sympy.Expr],
+        picks: Mapping[str, Pick],
+        inputs: Mapping[str, sympy.Expr],
+    ) -> Mapping[str, sympy.Expr]:
+        """Let whole systems compete on the states where noise makes slopes unsure."""
+        if self.known or not is_noisy(self.runs):
+            return exprs
+        rivals = {s: [r.candidate.expr for r in p.rivals[1:]] for s, p in picks.items()}
+        return settle(exprs, rivals, self.runs, inputs)
 
 
 def search_one(
