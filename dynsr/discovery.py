@@ -122,7 +122,9 @@ def discover(
         trajectories=tuple(runs),
         inputs=drives,
         settings={
+            "method": method if isinstance(method, str) else ",".join(methods),
             "methods": list(methods),
+            **({"known": {s: to_text(e) for s, e in parts_known.items()}} if parts_known else {}),
             "preset": preset,
             "seed": seed,
             "scheme": {s: problem.samples(s, runs).scheme for s in states},

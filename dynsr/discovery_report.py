@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
 import sympy
-from sympy.printing.mathml import MathMLPresentationPrinter
 
+from dynsr import __version__
 from dynsr.derivatives import choose_samples
-from dynsr.errors import DynsrError
-from dynsr.exports import shown
-from dynsr.expression import evaluate
+from dynsr.errors import DynsrError, InputError
+from dynsr.exports import shown, to_mathml
+from dynsr.expression import complexity, evaluate
 from dynsr.found import Discovery
+from dynsr.fronts import Chart, place_front
 from dynsr.methods.flow import free_constants
 from dynsr.methods.variation import loosen
-from dynsr.plots import draw_phase_portrait, draw_residuals, draw_states, to_data_uri
+from dynsr.pareto import Candidate, rmse
+from dynsr.plots import draw_phase_portrait, draw_residuals, draw_slopes, draw_states
 from dynsr.prediction import predict
 from dynsr.report import Picture, render_page
+from dynsr.samples import Samples
+from dynsr.tables import Table
 from dynsr.trajectory import Trajectory
 
 _MOST_RUNS = 3
@@ -39,16 +44,52 @@ def render_discovery(found: Discovery) -> str:
 
     Pictures need the data, which a loaded discovery does not have; the rest is always there.
     """
+    samples = _samples(found)
     return render_page(
         "discovery.html.j2",
+        summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
         latex=found.latex(),
-        fronts={state: _front(found, state) for state in found.equations},
-        pictures=list(_pictures(found)),
+        fronts={state: _front(found, state, samples.get(state)) for state in found.equations},
+        trajectories=list(_trajectories(found)),
+        slopes=[picture for state in samples for picture in _slopes(found, samples[state])],
         scores=_scores(found),
         exports=[("Python", found.to_python()), ("Julia", found.to_julia())],
         facts=_facts(found),
     )
+
+
+def _samples(found: Discovery) -> dict[str, tuple[Samples, np.ndarray]]:
+    """Give for each state its slopes, and what its equation says they are."""
+    pairs = {}
+    for state, expr in found.equations.items() if found.trajectories else ():
+        samples = _slopes_of(found, state)
+        pairs[state] = samples, evaluate(expr, {**samples.columns, "t": samples.t})
+    return pairs
+
+
+def _slopes_of(found: Discovery, state: str) -> Samples:
+    """Make the slopes as the discovery did; the user's own are not kept, so the data choose."""
+    runs = list(found.trajectories)
+    chosen = choose_samples(runs, state)
+    scheme = found.settings.get("scheme", {}).get(state, chosen.scheme)
+    if scheme == chosen.scheme:
+        return chosen
+    try:
+        return choose_samples(runs, state, scheme=scheme)
+    except (InputError, ValueError):
+        return chosen
+
+
+def _summary(found: Discovery) -> str:
+    states = ", ".join(found.equations)
+    known = f"{len(found.equations)} equation{'s' * (len(found.equations) > 1)}, for {states}"
+    if not found.trajectories:
+        return f"{known}. The data are not in this report: it was made from a saved discovery."
+    rows, count = sum(len(run) for run in found.trajectories), len(found.trajectories)
+    start, end = found.trajectories[0].t[[0, -1]]
+    over = f"from t = {start:g} to {end:g}" if count == 1 else f"in {count} trajectories"
+    return f"{known}, from {rows} rows {over}."
 
 
 def _equation(found: Discovery, state: str) -> dict[str, Any]:
@@ -56,70 +97,52 @@ def _equation(found: Discovery, state: str) -> dict[str, Any]:
     return {
         "state": state,
         "text": f"{state}' = {shown(expr)}",
-        "mathml": to_mathml(state, expr),
+        "mathml": to_mathml(expr, state),
         "why": found.explanation.get(state, ""),
         "constants": [f"{v:.6g} ± {e:.2g}" for v, e in found.errors.get(state, ())],
     }
 
 
-class _MathML(MathMLPresentationPrinter):
-    def _print_Float(self, expr: sympy.Float) -> Any:  # noqa: N802 (SymPy's protocol)
-        number = self.dom.createElement("mn")
-        number.appendChild(self.dom.createTextNode(f"{float(expr):.6g}"))
-        return number
+def _front(found: Discovery, state: str, samples: tuple[Samples, np.ndarray] | None) -> Chart:
+    expr = found.equations[state]
+    if samples is None:
+        return place_front(found.front[state], shown(expr))
+    loss = rmse(samples[1], samples[0].y)
+    if not np.isfinite(loss):
+        return place_front(found.front[state], shown(expr))
+    return place_front(found.front[state], Candidate(expr, loss, complexity(expr), "polishing"))
 
 
-def to_mathml(state: str, expr: sympy.Expr) -> str:
-    """Write one equation as MathML, which browsers show without any script.
-
-    >>> "<mfrac>" in to_mathml("x", 1 / sympy.Symbol("x"))
-    True
-    """
-    printer = _MathML()
-    left = printer.doprint(sympy.Symbol(state))
-    return (
-        f'<math display="block"><mover accent="true">{left}<mo>˙</mo></mover>'
-        f"<mo>=</mo><mrow>{printer.doprint(expr)}</mrow></math>"
-    )
-
-
-def _front(found: Discovery, state: str) -> dict[str, Any]:
-    chosen = found.equations[state]
-    points = [
-        {
-            "bits": round(c.complexity, 2),
-            # A loss of 0 has no logarithm.
-            "loss": max(c.loss, 1e-16),
-            "text": shown(c.expr),
-            "source": c.source,
-        }
-        for c in found.front[state]
-    ]
-    return {"points": points, "chosen": shown(chosen)}
-
-
-def _pictures(found: Discovery) -> Iterator[Picture]:
+def _trajectories(found: Discovery) -> Iterator[Picture]:
     for number, run in enumerate(found.trajectories[:_MOST_RUNS], 1):
         thin = run.select(slice(None, None, max(1, len(run) // _MOST_ROWS)))
         model = _simulate(found, thin)
-        name = f"Trajectory {number}" if len(found.trajectories) > 1 else "Trajectory"
-        yield Picture(
-            to_data_uri(draw_states(thin, model, _bands(found, thin) if model else None)),
-            f"{name}: the data, and the equations integrated from their first row; the band "
-            "holds 95 % of the curves that constants drawn within their errors give.",
+        name = f"Trajectory {number}" if len(found.trajectories) > 1 else "The trajectory"
+        yield Picture.of(
+            draw_states(thin, model, _bands(found, thin) if model else None),
+            f"{name}: the data, and the equations integrated from the first row. The band "
+            "holds 95 % of the curves that constants drawn within their errors give."
+            if model
+            else f"{name}: the data. The equations cannot be integrated over it.",
         )
         if len(run.states) > 1:
-            yield Picture(
-                to_data_uri(draw_phase_portrait(thin, model, *run.states[:2])),
-                f"{name}: {run.states[1]} against {run.states[0]}.",
+            yield Picture.of(
+                draw_phase_portrait(thin, model, *run.states[:2]),
+                f"{name} as a phase portrait: {run.states[1]} against {run.states[0]}.",
             )
-    for state, expr in found.equations.items() if found.trajectories else ():
-        samples = choose_samples(list(found.trajectories), state)
-        predicted = evaluate(expr, {**samples.columns, "t": samples.t})
-        yield Picture(
-            to_data_uri(draw_residuals(samples, predicted)),
-            f"What the equation of {state} leaves of its slopes ({samples.scheme}).",
-        )
+
+
+def _slopes(found: Discovery, pair: tuple[Samples, np.ndarray]) -> Iterator[Picture]:
+    samples, predicted = pair
+    yield Picture.of(
+        draw_slopes(samples, predicted),
+        f"The slopes of {samples.target}, taken from the data by {samples.scheme}, and what the "
+        "equation says they are.",
+    )
+    yield Picture.of(
+        draw_residuals(samples, predicted),
+        f"What the equation leaves of the slopes of {samples.target}, over time and counted.",
+    )
 
 
 def _simulate(found: Discovery, run: Trajectory) -> Trajectory | None:
@@ -164,25 +187,50 @@ def _draw(
     return template.xreplace(moved)
 
 
-def _scores(found: Discovery) -> list[tuple[str, str]]:
+def _scores(found: Discovery) -> Table | None:
     if not found.trajectories:
-        return []
-    return [
-        (
-            state,
-            f"slopes off by {s['slope_rmse']:.3g}, forecasts by {s['forecast']:.2g} of the "
-            f"spread, the whole trajectory by {s['trajectory_rmse']:.3g}",
-        )
-        for state, s in found.score().items()
-    ]
+        return None
+    rows = tuple((state, *scores.values()) for state, scores in found.score().items())
+    return Table(
+        "scores",
+        "Errors on the data",
+        ("State", "Slopes", "Forecast", "Whole trajectory"),
+        rows,
+        "Slopes: RMSE of the equation against the slopes of the data, in units of the state a "
+        "unit of time. Forecast: the median miss over 50 rows, as a share of the state's "
+        "standard deviation. Whole trajectory: RMSE of one integration from the first row to the "
+        "last; a chaotic system leaves any data in the end.",
+    )
 
 
 def _facts(found: Discovery) -> list[tuple[str, str]]:
-    facts = [(name, _read(value)) for name, value in found.settings.items()]
-    rows = sum(len(run) for run in found.trajectories)
-    if rows:
-        facts.append(("data", f"{rows} rows in {len(found.trajectories)} trajectories"))
-    return [*facts, ("seconds", f"{found.seconds:.1f}")]
+    settings, runs = dict(found.settings), found.trajectories
+    version = settings.pop("version", __version__)
+    count = "1 trajectory" if len(runs) == 1 else f"{len(runs)} trajectories"
+    return [
+        ("made by", f"dynsr {version}"),
+        ("command", _command(found)),
+        *([("data", f"{sum(map(len, runs))} rows in {count}")] if runs else []),
+        *((f"input {name}", shown(expr)) for name, expr in found.inputs.items()),
+        *((name, _read(value)) for name, value in settings.items() if value not in ("", {})),
+        ("seconds", f"{found.seconds:.1f}"),
+    ]
+
+
+def _command(found: Discovery) -> str:
+    """Give the command that searches the same data in the same way."""
+    settings = found.settings
+    known = settings.get("known", {})
+    options = {
+        "inputs": ",".join(f"{name}={shown(e)}" for name, e in found.inputs.items()),
+        "method": settings.get("method", "auto"),
+        "preset": settings.get("preset", ""),
+        "known": "; ".join(f"{state}'={text}" for state, text in known.items()),
+        "seed": str(settings.get("seed", "")),
+        "engine": settings.get("engine", ""),
+    }
+    given = (f"--{name} {quote(value)}" for name, value in options.items() if value)
+    return " ".join(["dynsr discover DATA", *given])
 
 
 def _read(value: Any) -> str:

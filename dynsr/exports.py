@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import sympy
 from sympy.printing.julia import JuliaCodePrinter
 from sympy.printing.latex import LatexPrinter
+from sympy.printing.mathml import MathMLPresentationPrinter
 from sympy.printing.pycode import PythonCodePrinter
 from sympy.printing.str import StrPrinter
 
@@ -39,6 +42,64 @@ def to_latex(equations: Mapping[str, sympy.Expr]) -> str:
         for s, e in equations.items()
     ]
     return "\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}"
+
+
+class _MathML(MathMLPresentationPrinter):
+    def _print_Float(self, expr: sympy.Float) -> Any:  # noqa: N802 (SymPy's protocol)
+        digits, _, power = f"{float(expr):.6g}".replace("-", "\u2212").partition("e")
+        number = self._node("mn", digits)
+        if not power:
+            return number
+        row, ten = self.dom.createElement("mrow"), self.dom.createElement("msup")
+        ten.appendChild(self._node("mn", "10"))
+        ten.appendChild(self._node("mn", power.replace("+", "").replace("\u22120", "\u2212")))
+        for part in (number, self._node("mo", "\u00d7"), ten):
+            row.appendChild(part)
+        return row
+
+    def _node(self, tag: str, text: str) -> Any:
+        node = self.dom.createElement(tag)
+        node.appendChild(self.dom.createTextNode(text))
+        return node
+
+
+def to_mathml(expr: sympy.Expr, state: str | None = None) -> str:
+    """Write a formula, or the equation of a state, as MathML; browsers show it without a script.
+
+    Every term of a sum is a ``math`` element of its own, because browsers break lines between
+    such elements and never within one.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> to_mathml(x - y)
+    '<math><mi>x</mi></math> <math><mo form="infix">−</mo><mi>y</mi></math>'
+    """
+    printer = _MathML()
+
+    def write(term: sympy.Expr) -> str:
+        # Browsers set factors without any space; a thin one keeps "x y" and "sin" readable.
+        times = "<mo>&InvisibleTimes;</mo>"
+        text = printer.doprint(term).replace(times, times + '<mspace width="0.15em"/>')
+        return text.replace("<mo>-</mo>", "<mo>\u2212</mo>")
+
+    first, *others = expr.as_ordered_terms()
+    left = "" if state is None else f"{_dotted(printer.doprint(sympy.Symbol(state)))}<mo>=</mo>"
+    signed = [
+        f'<mo form="infix">\u2212</mo>{write(-term)}'
+        if term.could_extract_minus_sign()
+        else f'<mo form="infix">+</mo>{write(term)}'
+        for term in others
+    ]
+    return " ".join(f"<math>{piece}</math>" for piece in (left + write(first), *signed))
+
+
+def _dotted(name: str) -> str:
+    """Set the dot of a time derivative over the letter of a name, not over its index."""
+    return re.sub(
+        "<mi>.*?</mi>",
+        r'<mover accent="true">\g<0><mo>\u02d9</mo></mover>'.replace("\\u02d9", "\u02d9"),
+        name,
+        count=1,
+    )
 
 
 class _Python(PythonCodePrinter):

@@ -384,10 +384,10 @@ def number_bits(number: sympy.Expr) -> float:
     """Bits that one number of an expression costs.
 
     An integer n costs log2(1 + |n|), a rational p/q costs log2((1 + |p|) q), and a real the
-    cheaper of its shortest decimal, n/10^k at log2((1 + |n|) 10^k), and
-    log2(1 + (|r| / 2^-30)^2) / 2 (Udrescu et al. 2020, "AI Feynman 2.0", table 1, with the same
-    resolution as for residuals). So a constant that is rounded to the digits which the data
-    support becomes cheaper.
+    cheaper of its shortest decimal, n/10^k at log2((1 + |n|) 10^k), and 30 + |log2|r||: thirty
+    bits of digits and those of the exponent. So a constant that is rounded to the digits which the
+    data support becomes cheaper. Udrescu et al. (2020, "AI Feynman 2.0", table 1) take
+    log2(1 + (|r| / 2^-30)^2) / 2 for reals, which agrees above 1 but makes small ones free.
 
     >>> round(number_bits(sympy.Integer(3)), 3)
     2.0
@@ -397,7 +397,7 @@ def number_bits(number: sympy.Expr) -> float:
     value = float(number)
     if not math.isfinite(value):
         return math.inf
-    real = 0.5 * math.log2(1 + (value / REAL_RESOLUTION) ** 2) if abs(value) < 1e150 else 530.0
+    real = abs(math.log2(abs(value))) - math.log2(REAL_RESOLUTION) if value else 0.0
     _, digits, exponent = Decimal(repr(value)).normalize().as_tuple()
     shifted = int("".join(map(str, digits))) * 10 ** max(int(exponent), 0)
     return min(real, math.log2(1 + shifted) + max(-int(exponent), 0) * math.log2(10))

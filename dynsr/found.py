@@ -204,15 +204,16 @@ class Discovery:
         return exports.to_text_block(self.equations)
 
     def _repr_latex_(self) -> str:
-        return f"${self.latex()}$"
+        return f"$$\n{self.latex()}\n$$"
 
     def _repr_html_(self) -> str:
         rows = "".join(
-            f"<tr><td><b>{escape(s)}'</b></td><td><code>{escape(exports.shown(e))}</code></td>"
-            f"<td>{escape(self.explanation.get(s, ''))}</td></tr>"
+            f'<tr><td style="text-align:left">{exports.to_mathml(e, s)}'
+            f"<br><code>{escape(s)}' = {escape(exports.shown(e))}</code></td>"
+            f'<td style="text-align:left">{escape(self.explanation.get(s, ""))}</td></tr>'
             for s, e in self.equations.items()
         )
-        return f"<table><tr><th>state</th><th>equation</th><th>why</th></tr>{rows}</table>"
+        return f"<table><tr><th>equation</th><th>why this one</th></tr>{rows}</table>"
 
     def __rich__(self) -> Any:
         """Give a table for rich terminals."""

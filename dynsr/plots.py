@@ -6,10 +6,11 @@ Okabe and Ito, which colour-blind readers tell apart, and each curve has its own
 
 from __future__ import annotations
 
-import base64
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 
 import numpy as np
 from matplotlib import rc_context
@@ -24,6 +25,8 @@ from dynsr.trajectory import Trajectory
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 MARKERS = ("o", "s", "^", "D", "v", "P")
+# A page on a phone shows a picture of this many inches with letters that can be read.
+_WIDTH = 5.2
 # What a curve that runs away may take of the picture: this many spans of the truth.
 _ROOM = 0.6
 _STYLE = {
@@ -34,6 +37,8 @@ _STYLE = {
     "grid.alpha": 0.25,
     "legend.frameon": False,
     "svg.hashsalt": "dynsr",
+    # Letters stay letters: readers can select them, and a page sets them in its own type.
+    "svg.fonttype": "none",
     "path.simplify_threshold": 0.5,
 }
 
@@ -58,16 +63,19 @@ class Panel:
     unit: str = ""
 
 
-def draw_panels(panels: Sequence[Panel]) -> Figure:
+def draw_panels(panels: Sequence[Panel], labels: Sequence[str] = ()) -> Figure:
     """Draw true and inferred curves, one panel beside the other (the paper's Figure 1).
 
     Every run is a thin line and the first run of each label a thick one. The axis follows the
-    truth, so that a run that leaves it does not flatten the rest.
+    truth, so that a run that leaves it does not flatten the rest. A label has the same colour in
+    every panel; ``labels`` sets their order, for pictures that are to agree with others.
     """
+    order = list(dict.fromkeys([*labels, *(label for p in panels for label in p.found)]))
     figure, axes = _canvas(1, len(panels), (5.2 * len(panels), 3.6))
     for axis, panel in zip(axes.flat, panels, strict=True):
         axis.plot(panel.t, panel.truth, color="black", lw=2.6, label="truth", alpha=0.8)
-        for k, (label, runs) in enumerate(panel.found.items()):
+        for label, runs in panel.found.items():
+            k = order.index(label)
             for r, run in enumerate(np.atleast_2d(runs)):
                 axis.plot(
                     panel.t,
@@ -80,7 +88,7 @@ def draw_panels(panels: Sequence[Panel]) -> Figure:
                 )
         _follow(axis, panel.truth, [np.asarray(runs) for runs in panel.found.values()])
         axis.set(title=panel.title, xlabel="time t (s)", ylabel=_label(panel.state, panel.unit))
-    _legend_below(figure, axes.flat[0])
+    _legend_below(figure, max(axes.flat, key=lambda axis: len(axis.lines)))
     return figure
 
 
@@ -94,7 +102,7 @@ def draw_states(
 
     ``intervals`` gives (lower, upper) arrays at the times of ``found`` for some states.
     """
-    figure, axes = _canvas(len(true.states), 1, (6.4, 1.9 * len(true.states) + 0.8), sharex=True)
+    figure, axes = _canvas(len(true.states), 1, (_WIDTH, 1.6 * len(true.states) + 0.8), sharex=True)
     for axis, state in zip(axes.flat, true.states, strict=True):
         column = true.x[:, true.index(state)]
         axis.plot(true.t, column, color="black", lw=2.2, alpha=0.8, label="data")
@@ -130,27 +138,42 @@ def draw_fronts(fronts: Mapping[str, ParetoFront], noise_floor: float | None = N
         xlabel="description length (bits)",
         ylabel="RMSE on the samples (state units / s)",
     )
-    axis.legend()
+    axis.legend(frameon=False)
     return figure
 
 
 def draw_residuals(samples: Samples, predicted: np.ndarray) -> Figure:
     """Draw what a formula leaves over: residuals over time, and how they are distributed."""
     residuals = samples.y - np.asarray(predicted, dtype=float)
-    figure, axes = _canvas(1, 2, (8.4, 3.2), width_ratios=(3, 1), sharey=True)
+    figure, axes = _canvas(1, 2, (_WIDTH, 3.2), width_ratios=(4, 1), sharey=True)
     over_time, histogram = axes.flat
-    over_time.plot(samples.t, residuals, ".", ms=2.5, color=COLOURS[0])
+    over_time.plot(samples.t, residuals, ".", ms=2.5, color=COLOURS[0], rasterized=True)
     over_time.axhline(0.0, color="black", lw=0.8)
-    over_time.set(xlabel="time t (s)", ylabel=f"residual of d{samples.target}/dt (state units / s)")
+    over_time.set(xlabel="time t (s)", ylabel=f"residual of d{samples.target}/dt")
     finite = residuals[np.isfinite(residuals)]
     histogram.hist(finite, bins=40, orientation="horizontal", color=COLOURS[0], alpha=0.7)
     histogram.set(xlabel="samples")
     return figure
 
 
+def draw_slopes(samples: Samples, predicted: np.ndarray) -> Figure:
+    """Draw the slopes of the data over time, as dots, and what a formula gives there."""
+    figure, axes = _canvas(1, 1, (_WIDTH, 3.2))
+    axis = axes.flat[0]
+    axis.plot(samples.t, samples.y, ".", ms=5, color="0.6", label="data", rasterized=True)
+    given = np.array(predicted, dtype=float)
+    # Time that runs backwards is the start of the next trajectory: no line joins the two.
+    given[1:][np.diff(samples.t) <= 0] = np.nan
+    axis.plot(samples.t, given, color=COLOURS[1], lw=1.2, label="equation")
+    _follow(axis, samples.y, [given])
+    axis.set(xlabel="time t (s)", ylabel=f"d{samples.target}/dt")
+    _legend_below(figure, axis)
+    return figure
+
+
 def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str, up: str) -> Figure:
     """Draw one state against another: the true path and the one found."""
-    figure, axes = _canvas(1, 1, (4.8, 4.4))
+    figure, axes = _canvas(1, 1, (_WIDTH, 4.6))
     axis = axes.flat[0]
     i, j = true.index(across), true.index(up)
     axis.plot(true.x[:, i], true.x[:, j], color="black", lw=2.2, alpha=0.8, label="data")
@@ -162,7 +185,7 @@ def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str,
         low, high = _limits(true.x[:, i], [path[:, 0]])
         axis.set_xlim(low, high)
     axis.set(xlabel=across, ylabel=up)
-    axis.legend()
+    _legend_below(figure, axis)
     return figure
 
 
@@ -187,7 +210,7 @@ def draw_recovery(
     axis.set_xticks(at, [f"{100 * level:g}" for level in levels])
     axis.set(ylim=(-0.03, 1.03), xlabel="noise (% of each state's deviation)")
     axis.set_ylabel("share of runs that recover the equation")
-    axis.legend()
+    axis.legend(frameon=False)
     return figure
 
 
@@ -203,10 +226,25 @@ def to_bytes(figure: Figure, kind: str = "png", dpi: int = 150) -> bytes:
     return out.getvalue()
 
 
-def to_data_uri(figure: Figure) -> str:
-    """Give the picture as a data URI, to be put into a page as it is."""
-    encoded = base64.b64encode(to_bytes(figure, "png", 160)).decode()
-    return f"data:image/png;base64,{encoded}"
+def to_svg(figure: Figure, label: str) -> str:
+    """Give the picture as an ``svg`` element for a page, as wide as the page lets it be.
+
+    Black becomes the colour of the page's letters, and there is no background, so that a dark
+    page and a printed one both show it well. ``label`` is what a screen reader says.
+    """
+    metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    out = io.StringIO()
+    with rc_context(_STYLE):
+        figure.savefig(out, format="svg", dpi=200, metadata=metadata, transparent=True)
+    drawn = re.search(r'viewBox="([^"]*)"[^>]*>(.*)</svg>', out.getvalue(), re.DOTALL)
+    assert drawn is not None
+    body = re.sub(r"<style.*?</style>|font-family: [^;]*; ", "", drawn[2], flags=re.DOTALL)
+    # A name that nothing refers to would stand on the page once for every picture.
+    used = set(re.findall(r"#([\w.]+)", body))
+    body = re.sub(r' id="([^"]*)"', lambda name: name[0] if name[1] in used else "", body)
+    body = body.replace("#000000", "currentColor")
+    head = f'role="img" aria-label="{escape(label)}" viewBox="{drawn[1]}"'
+    return f'<svg class="picture" {head}>{body}</svg>'
 
 
 def _canvas(
@@ -254,4 +292,6 @@ def _label(state: str, unit: str) -> str:
 
 def _legend_below(figure: Figure, axis: Axes) -> None:
     handles, labels = axis.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=min(len(labels), 4), frameon=False
+    )

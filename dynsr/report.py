@@ -1,7 +1,8 @@
 """Reports: results as one HTML page that needs nothing else, and every table and picture as a file.
 
-Pages are made from the templates beside this file; pictures are put into them as data URIs, so
-that a page can be mailed, printed and read on a phone without a network.
+Pages are made from the templates beside this file; pictures are drawn inside them, so that a page
+can be mailed, printed and read on a phone without a network, and the page itself forbids the
+browser to ask for anything.
 """
 
 from __future__ import annotations
@@ -13,8 +14,11 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from dynsr.errors import InputError
+from dynsr.exports import to_mathml
+from dynsr.expression import parse
 from dynsr.records import Record, write_bytes, write_text
-from dynsr.results import all_tables, drawable, figure_1
+from dynsr.results import FIGURE_1, SYSTEM_TITLES, all_tables, drawable, figure_1
 from dynsr.tables import Formula, Table, format_value
 
 FORMATS = ("csv", "md", "tex")
@@ -22,10 +26,17 @@ FORMATS = ("csv", "md", "tex")
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as a data URI, with the sentence that says what it shows."""
+    """A picture as an ``svg`` element, with the sentence that says what it shows."""
 
-    uri: str
+    svg: str
     caption: str
+
+    @classmethod
+    def of(cls, figure: Any, caption: str) -> Picture:
+        """Draw a matplotlib figure for a page."""
+        from dynsr.plots import to_svg
+
+        return cls(to_svg(figure, caption), caption)
 
 
 def render_page(template: str, **content: Any) -> str:
@@ -42,20 +53,31 @@ def render_page(template: str, **content: Any) -> str:
         lstrip_blocks=True,
     )
     environment.filters["read"] = format_value
+    environment.filters["typeset"] = typeset
     environment.tests["formula"] = lambda value: isinstance(value, Formula)
     return environment.get_template(template).render(**content)
+
+
+def typeset(formula: str) -> str:
+    """Give a formula's text as MathML, constants to six digits; nothing where it is no formula.
+
+    >>> typeset("2*x")
+    '<math><mrow><mn>2</mn>...<mi>x</mi></mrow></math>'
+    """
+    try:
+        return to_mathml(parse(formula))
+    except InputError:
+        return ""
 
 
 def render_replication(
     records: Sequence[Record], settings: Mapping[str, Any], tables: Sequence[Table] | None = None
 ) -> str:
     """Give the report of a replication as one page: tables, pictures, and how it was made."""
-    from dynsr.plots import to_data_uri
-
     engine = str(settings["engine"])
     pictures = [
-        Picture(to_data_uri(figure_1(records, systems, engine)), caption)
-        for systems, caption in _pictures(records)
+        Picture.of(figure_1(records, [system], engine), caption)
+        for system, caption in _pictures(records)
     ]
     failed = [r for r in records if not r.done]
     return render_page(
@@ -100,17 +122,20 @@ def write_table(table: Table, folder: Path) -> list[Path]:
     return paths
 
 
-def _pictures(records: Iterable[Record]) -> list[tuple[list[str], str]]:
-    """Give the systems of each picture and what it shows."""
+def _pictures(records: Iterable[Record]) -> list[tuple[str, str]]:
+    """Give the system of each picture and what it shows."""
     of_paper, others = drawable(records)
-    how = (
-        "Truth and what each method inferred over the test span, for the state whose equation "
-        "was sought. The thick line is a method's best run, the thin ones are its others; the "
-        "axis follows the truth."
-    )
+    names = {
+        **dict(zip(FIGURE_1, ("Figure 1, left", "Figure 1, right"), strict=True)),
+        **dict.fromkeys(others, "Not in the paper's Figure 1"),
+    }
     return [
-        *([(of_paper, f"Figure 1. {how}")] if of_paper else []),
-        *([(others, f"The systems that Figure 1 does not show. {how}")] if others else []),
+        (
+            system,
+            f"{names[system]}. {SYSTEM_TITLES.get(system, system)}, the state whose equation was "
+            "sought: the truth, and what each method inferred over the test span.",
+        )
+        for system in (*of_paper, *others)
     ]
 
 
@@ -133,9 +158,22 @@ def _facts(records: Sequence[Record], settings: Mapping[str, Any]) -> list[tuple
         versions.update(record.versions)
     total = sum(r.seconds for r in records if r.done)
     return [
+        ("command", _command(records, settings)),
         ("seed", str(settings["seed"])),
         ("engine", str(settings["engine"])),
         ("settings", "quick" if settings["quick"] else "the paper's"),
         ("time of the searches", f"{total:.0f} s, all cells together"),
         *sorted(versions.items()),
     ]
+
+
+def _command(records: Sequence[Record], settings: Mapping[str, Any]) -> str:
+    """Give the command that makes these records."""
+    systems = ",".join(dict.fromkeys(r.system for r in records))
+    methods = ",".join(dict.fromkeys(r.method for r in records))
+    runs = max((r.run for r in records), default=0)
+    quick = " --quick" if settings["quick"] else ""
+    return (
+        f"dynsr replicate --systems {systems} --methods {methods} --runs {runs}{quick} "
+        f"--seed {settings['seed']} --engine {settings['engine']}"
+    )

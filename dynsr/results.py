@@ -64,11 +64,20 @@ class Group:
 
 
 def groups(records: Iterable[Record]) -> list[Group]:
-    """Put the runs of one method on one system together, in order of appearance."""
+    """Put the runs of one method on one system together, in the paper's order, others after it."""
     found: dict[tuple[str, str], list[Record]] = {}
     for record in records:
         found.setdefault((record.system, record.method), []).append(record)
-    return [Group(*key, tuple(runs)) for key, runs in found.items()]
+    systems, methods = ([*titles] for titles in (SYSTEM_TITLES, METHOD_TITLES))
+
+    def order(key: tuple[str, str]) -> tuple[int, int]:
+        return _place(key[0], systems), _place(key[1], methods)
+
+    return [Group(*key, tuple(found[key])) for key in sorted(found, key=order)]
+
+
+def _place(name: str, names: Sequence[str]) -> int:
+    return names.index(name) if name in names else len(names)
 
 
 @cache
@@ -188,9 +197,8 @@ def figure_1(
     from dynsr.plots import draw_panels
 
     found = groups(records)
-    return draw_panels(
-        [panel(find_system(s), [g for g in found if g.system == s], engine) for s in systems]
-    )
+    panels = [panel(find_system(s), [g for g in found if g.system == s], engine) for s in systems]
+    return draw_panels(panels, [group.titles[1] for group in found])
 
 
 def drawable(records: Iterable[Record]) -> tuple[list[str], list[str]]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from dynsr.exports import shown
 from dynsr.expression import evaluate, parse, to_text
 from dynsr.methods.feynman.description import Noise, description_length, noise_of
 from dynsr.methods.matching import forecast_miss
@@ -24,7 +25,7 @@ _MOST_COMPARED = 5
 # Errors on held-back data within this factor are taken for equal, since the data have errors of
 # their own; then fewer bits decide.
 _EQUAL = 2.0
-# Share of the slopes below which nothing is told apart.
+# Share of the spread below which no misses are told apart.
 _FINEST = 1e-7
 
 
@@ -58,9 +59,9 @@ class Pick:
     def explanation(self) -> str:
         """Say in words why the winner won."""
         winner, *others = self.rivals
-        shown = to_text(as_decimals(winner.candidate.expr))
+        formula = shown(as_decimals(winner.candidate.expr))
         words = [
-            f"{self.state}' = {shown} takes {winner.bits:.0f} bits in all, "
+            f"{self.state}' = {formula} takes {winner.bits:.0f} bits in all, "
             f"{winner.candidate.complexity:.0f} of them for the formula; found by "
             f"{winner.candidate.source or 'search'}."
         ]
@@ -94,12 +95,12 @@ class Pick:
         return cls(state, rivals, Noise(*record["noise"]))
 
     def _compare(self, winner: Rival, other: Rival) -> str:
-        shown = to_text(as_decimals(other.candidate.expr))
-        shown = shown if len(shown) <= 80 else shown[:77] + "..."
+        rival = shown(as_decimals(other.candidate.expr))
+        rival = rival if len(rival) <= 80 else rival[:77] + "..."
         if other.bits >= winner.bits:
-            return f"The next best, {shown}, takes {other.bits - winner.bits:.0f} bits more."
+            return f"The next best, {rival}, takes {other.bits - winner.bits:.0f} bits more."
         return (
-            f"{shown} takes {winner.bits - other.bits:.0f} bits less, but misses by "
+            f"{rival} takes {winner.bits - other.bits:.0f} bits less, but misses by "
             f"{other.held_back:.2g} on held-back data."
         )
 
@@ -120,7 +121,7 @@ def pick_equation(
     candidates = _distinct(pool)
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
-    noise = _never_too_fine(noise_of(candidates, samples), samples)
+    noise = noise_of(candidates, samples)
     ranked = _one_a_form(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
     snapped = _rank(_distinct(score_snapped(c, samples, noise) for c in ranked), samples, noise)
     varied = [improve(c, samples, noise) for c in snapped[:_MOST_IMPROVED]]
@@ -134,12 +135,6 @@ def pick_equation(
         for c in last
     ]
     return Pick(state, tuple(_order(rivals)), noise)
-
-
-def _never_too_fine(noise: Noise, samples: Samples) -> Noise:
-    """Slopes of clean data are still biased; formulas must not be chosen to follow that."""
-    size = float(np.sqrt(np.mean(samples.y**2)))
-    return Noise(max(noise.floor, _FINEST * size), noise.effective_rows)
 
 
 def _order(rivals: list[Rival]) -> list[Rival]:

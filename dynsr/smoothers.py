@@ -14,6 +14,8 @@ from dynsr.errors import InputError
 from dynsr.samples import derivative_weights
 
 CENTRAL = ("central2", "central4", "central6", "central8")
+# Schemes that leave the values as they are.
+DIFFERENCES = ("forward", "backward", *CENTRAL)
 _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
 _MAD = 1.4826
 
@@ -124,11 +126,16 @@ def _central(t: np.ndarray, x: np.ndarray, order: int) -> Smooth:
     return Smooth(rows, x[rows], slope)
 
 
+def _one_sided(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
+    rows = slice(0, len(t) - 1) if scheme == "forward" else slice(1, len(t))
+    return Smooth(rows, x[rows], np.diff(x) / np.diff(t))
+
+
 def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     """Differentiate one column by a named scheme.
 
-    ``scheme`` is "central2" to "central8", "savgol(WINDOW,DEGREE)", "spline" or
-    "total-variation". Raises InputError on any other name.
+    ``scheme`` is "forward", "backward", "central2" to "central8", "savgol(WINDOW,DEGREE)", "spline"
+    or "total-variation". Raises InputError on any other name.
 
     >>> t = np.linspace(0.0, 1.0, 21)
     >>> bool(np.allclose(smooth_column(t, t**2, "savgol(5,2)").slope, 2 * t[2:-2]))
@@ -138,9 +145,11 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
         return _spline(t, x)
     if scheme == "total-variation":
         return _total_variation(t, x)
+    if scheme in ("forward", "backward"):
+        return _one_sided(t, x, scheme)
     if scheme in CENTRAL:
         return _central(t, x, int(scheme.removeprefix("central")))
     if match := _SAVGOL.fullmatch(scheme):
         return _savgol(t, x, int(match[1]), int(match[2]))
-    known = ", ".join([*CENTRAL, "savgol(WINDOW,DEGREE)", "spline", "total-variation"])
+    known = ", ".join([*DIFFERENCES, "savgol(WINDOW,DEGREE)", "spline", "total-variation"])
     raise InputError(f"unknown scheme {scheme!r}; the schemes are: {known}")

@@ -122,8 +122,9 @@ class Table:
     note: str = ""
 
     def is_text(self, column: int) -> bool:
-        """Whether a column holds text, which is set to the left."""
-        return any(isinstance(row[column], str) for row in self.rows)
+        """Whether a column holds text, which is set to the left; written numbers are not."""
+        texts = [row[column] for row in self.rows if isinstance(row[column], str)]
+        return any(isinstance(t, Formula) or (t and not t[0].isdigit()) for t in texts)
 
     def to_records(self) -> list[dict[str, Any]]:
         """Give each row as a dictionary of raw values; a spread is spread over columns."""

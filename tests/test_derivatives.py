@@ -13,7 +13,7 @@ from dynsr.derivatives import (
     warn_if_biased,
 )
 from dynsr.errors import InputError
-from dynsr.samples import forward_difference
+from dynsr.samples import backward_difference, forward_difference
 from dynsr.smoothers import smooth_column
 from dynsr.trajectory import Trajectory
 
@@ -110,6 +110,19 @@ def test_named_schemes_recover_slopes(scheme):
     error = np.std(samples.y - slopes[rows, 0])
     assert error < 0.5 * np.std(plain.slope - slopes[plain.rows, 0])
     assert samples.scheme == scheme
+
+
+@pytest.mark.parametrize("plain", [forward_difference, backward_difference])
+def test_one_sided_differences_leave_the_data_as_they_are(plain):
+    """Asked for by name, they give the very samples of the plain differences, noise and all."""
+    t = np.sort(np.random.default_rng(0).uniform(0, 10, 300))
+    noisy = lotka_volterra(t, noise=0.05)[0]
+    expected = plain(noisy, "y")
+    found = choose_samples(noisy, "y", scheme=expected.scheme)
+    np.testing.assert_array_equal(found.X, expected.X)
+    np.testing.assert_allclose(found.y, expected.y, rtol=1e-12)
+    np.testing.assert_array_equal(found.t, expected.t)
+    assert found.scheme == expected.scheme
 
 
 def test_own_slopes_are_used_and_checked():

@@ -78,6 +78,16 @@ def test_the_papers_small_systems_are_found_exactly(system):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
+def test_the_bias_of_clean_slopes_is_not_followed(tolerance):
+    """However exact the data are, no long formula is built on what the differences miss."""
+    data = simulate(LOTKA_VOLTERRA, t=np.arange(1000) * 0.01, reltol=tolerance, abstol=1e-12)
+    result = discover(data, method="rational", preset="quick", jobs=2)
+    for state, truth in zip(LOTKA_VOLTERRA.states, LOTKA_VOLTERRA.rhs, strict=True):
+        assert same(result.equations[state], truth)
+
+
+@pytest.mark.slow
 def test_the_cart_pole_is_found_exactly_with_its_force_as_input():
     """The rational form of the cart's acceleration is found with F given as an expression."""
     data = training_trajectory(CART_POLE)

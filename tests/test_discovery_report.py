@@ -1,10 +1,13 @@
+import html
 import re
+import shlex
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
-from dynsr.discovery_report import render_discovery, to_mathml
+from dynsr.discovery_report import render_discovery
 from dynsr.expression import parse
 from dynsr.found import Discovery
 from dynsr.pareto import Candidate, ParetoFront
@@ -68,11 +71,11 @@ def test_the_page_stands_alone(page):
 
 
 def test_the_page_holds_equations_pictures_and_fronts(page):
-    """Two equations, one picture each of states, phases and both residuals, and both fronts."""
+    """Two equations; pictures of states, phases, and slopes and residuals of each; two fronts."""
     reader = Reader()
     reader.feed(page)
-    assert reader.seen.count("math") == 2
-    assert reader.seen.count("img") == 4
+    assert page.count('class="equation"') == reader.seen.count("math") == 2
+    assert page.count('<svg class="picture"') == 6
     assert len(re.findall(r'class="front"', page)) == 2
     assert "1.0001*y" in page
 
@@ -88,10 +91,41 @@ def test_a_loaded_discovery_has_a_report_without_pictures(found, tmp_path):
     loaded = Discovery.load(found.save(tmp_path / "d.json"))
     page = loaded.report(tmp_path / "page.html").read_text("utf-8")
     assert "<math" in page
-    assert "<img" not in page
+    assert 'class="picture"' not in page
+    assert page.count("<circle") == 4 and "The data are not in this report" in page
 
 
-def test_equations_are_mathml():
-    """A quotient becomes a fraction, a power a superscript, and floats are short."""
-    text = to_mathml("x", parse("9.810000001*x^2/(1 + y)"))
-    assert "<mfrac>" in text and "<msup>" in text and "<mn>9.81</mn>" in text
+def test_the_chosen_equation_is_on_its_front(found, page):
+    """It is marked; one that fitting changed since is drawn too, where the front lacks it."""
+    dots = re.findall(r"<circle[^>]*>", page)
+    assert [("chosen" in dot, html.unescape(dot.split('aria-label="')[1])[:8]) for dot in dots] == [
+        (False, "0, 1 bit"),
+        (True, "y, 2 bit"),
+        (False, "1.0001*y"),
+        (True, "-1*x, 3 "),
+        (False, "-x, 3 bi"),
+    ]
+
+
+def test_the_page_says_how_it_was_made(found, page):
+    """The command searches in the same way, and slopes are made as they were: by the recorded
+    scheme, not by the one that the data would choose today."""
+    schemes = {"x": "savgol(11,3)", "y": "given"}
+    given = {"method": "sindy", "known": {"y": "-x"}, "preset": "quick", "scheme": schemes}
+    told = html.unescape(render_discovery(replace(found, settings={**found.settings, **given})))
+    command = shlex.split(re.search("dynsr discover DATA [^<]*", told)[0])
+    assert command[3:] == [
+        *("--method", "sindy", "--preset", "quick", "--known", "y'=-x", "--seed", "0"),
+    ]
+    assert "<dt>seed</dt><dd>0</dd>" in told and "120 rows in 1 trajectory" in told
+    assert "slopes of x, taken from the data by savgol(11,3)" in told
+    assert "slopes of y, taken from the data by central4" in told
+    assert "slopes of x, taken from the data by central4" in page
+
+
+def test_a_notebook_shows_equations_and_reasons(found):
+    """As HTML: formula, text and reason of each state, escaped; as LaTeX: one display."""
+    shown = found._repr_html_()
+    assert shown.count("<math>") == 2 and "y' = -1*x" in html.unescape(shown)
+    assert "because &lt;it&gt; is shorter" in shown
+    assert found._repr_latex_().startswith("$$\n\\begin{aligned}\n\\dot{x} &= y")

@@ -1,4 +1,5 @@
 import json
+import sys
 from importlib import metadata
 
 import numpy as np
@@ -98,14 +99,14 @@ def test_checks_are_plain_data():
 
 def test_installing_without_juliacall_says_what_to_install_first(monkeypatch):
     """The remedy is pip's line, in an error of one line."""
-    monkeypatch.setattr(doctor.julia.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(doctor.julia_setup.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(EngineUnavailable, match=r"pip install 'dynsr\[julia\]'"):
         doctor.install()
 
 
 def test_nothing_is_installed_into_a_project_of_the_users_own(monkeypatch, tmp_path):
     """With a Julia and a project given by the environment, there is nothing to install."""
-    monkeypatch.setattr(doctor.julia.importlib.util, "find_spec", lambda name: object())
-    monkeypatch.setenv("PYTHON_JULIACALL_EXE", "julia")
+    monkeypatch.setattr(doctor.julia_setup.importlib.util, "find_spec", lambda name: object())
+    monkeypatch.setenv("PYTHON_JULIACALL_EXE", sys.executable)
     monkeypatch.setenv("PYTHON_JULIACALL_PROJECT", str(tmp_path))
     assert doctor.install() == f"nothing to install: PYTHON_JULIACALL_PROJECT names {tmp_path}"

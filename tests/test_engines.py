@@ -12,7 +12,7 @@ import pytest
 
 from dynsr.catalogue import CART_POLE, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM
 from dynsr.crosscheck import coefficient_difference
-from dynsr.engines import julia
+from dynsr.engines import julia_setup
 from dynsr.engines.base import AbstractEngine, InitialValueProblem, SparseProblem
 from dynsr.engines.select import ENGINES, find_engine
 from dynsr.errors import EngineUnavailable, InputError
@@ -182,8 +182,8 @@ def test_a_closed_engine_starts_again(engine: AbstractEngine):
 def test_julias_own_tests_pass():
     """runtests.jl holds the Julia code to golden data, without Python."""
     find_or_skip("julia")
-    program, project = julia.locate()
-    tests = julia.find_sources() / "test" / "runtests.jl"
+    program, project = julia_setup.locate()
+    tests = julia_setup.find_sources() / "test" / "runtests.jl"
     command = [program, f"--project={project}", "--startup-file=no", str(tests)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=3600)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]

@@ -1,10 +1,12 @@
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from dynsr.catalogue import CART_POLE
 from dynsr.errors import InputError
-from dynsr.exports import to_julia, to_latex, to_numpy, to_python
+from dynsr.exports import to_julia, to_latex, to_mathml, to_numpy, to_python
 from dynsr.expression import parse
 from dynsr.prediction import predict
 from dynsr.simulate import simulate
@@ -101,3 +103,20 @@ def test_what_is_missing_is_named(arguments, message):
     """A missing input, one of the wrong length, and a wrong start are each one clear line."""
     with pytest.raises(InputError, match=message):
         predict({"x": parse("F - x")}, *arguments)
+
+
+def test_formulas_are_mathml():
+    """A quotient becomes a fraction, a power a superscript; floats are short, 1e-7 a power."""
+    text = to_mathml(parse("9.810000001*x^2/(1 + y)"))
+    assert "<mfrac>" in text and "<msup>" in text and "<mn>9.81</mn>" in text
+    small = to_mathml(parse("2.5e-7*x"))
+    assert "<mn>2.5</mn><mo>&#215;</mo><msup><mn>10</mn><mn>&#8722;7</mn></msup>" in small
+
+
+def test_each_term_of_an_equation_is_an_element_of_its_own():
+    """Browsers can break lines between terms; signs stand before them, the dot over the letter."""
+    terms = to_mathml(parse("y - 3*x - exp(x)"), "theta1").split(" <math>")
+    assert len(terms) == 3 and terms[0].startswith("<math><msub><mover")
+    assert terms[1].startswith('<mo form="infix">+') and terms[2].startswith('<mo form="infix">−')
+    for text in (terms[0], *("<math>" + term for term in terms[1:])):
+        ElementTree.fromstring(text.replace("&InvisibleTimes;", "").replace("&ExponentialE;", "e"))

@@ -15,8 +15,8 @@ import pytest
 from dynsr.catalogue import CART_POLE, PENDULUM
 from dynsr.engines import julia, julia_worker, worker_process
 from dynsr.engines.base import InitialValueProblem, SparseProblem
-from dynsr.engines.julia import JuliaEngine, find_missing, find_sources
-from dynsr.engines.select import find_engine
+from dynsr.engines.julia import JuliaEngine
+from dynsr.engines.julia_setup import find_sources
 from dynsr.errors import EngineError, EngineUnavailable
 from dynsr.expression import parse
 from dynsr.simulate import simulate
@@ -197,6 +197,38 @@ def test_an_engine_travels_as_settings(engine):
     assert copy.start_seconds == 60.0 and copy._process is None
 
 
+def test_time_without_end_is_a_limit_too(engine):
+    """No limit in seconds travels as a number, which a header of JSON can hold."""
+    assert engine.integrate(decay(max_seconds=float("inf"))).success
+
+
+def test_a_failing_warm_up_leaves_the_question_open():
+    """What is compiled ahead may fail: only the call that was asked for is told about."""
+
+    def fail(*_):
+        raise RuntimeError("singular")
+
+    stages: list[str] = []
+    session = julia_worker.Session(stages.append)
+    session._calls["regress"] = fail
+    session.warm_up({"call": "regress"})
+    session.warm_up({"call": "regress"})
+    assert stages == ["compiling regress, once a session"]
+    with pytest.raises(RuntimeError, match="singular"):
+        session.answer({"call": "regress"}, {})
+
+
+def test_why_diffeqpy_does_not_load_is_told(monkeypatch):
+    """Its packages load before the time of a call counts; a failure there is not passed over."""
+
+    def fail():
+        raise RuntimeError("no network")
+
+    monkeypatch.setattr(julia_worker, "_load_diffeqpy", fail)
+    with pytest.raises(RuntimeError, match="no network"):
+        julia_worker.Session(print).warm_up({"call": "diffeqpy"})
+
+
 def test_the_worker_knows_no_torch(engine):
     """Torch is not loaded where Julia runs, whatever the session has loaded."""
     code = (
@@ -205,73 +237,6 @@ def test_the_worker_knows_no_torch(engine):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_without_juliacall_the_engine_is_unavailable(monkeypatch):
-    """The message says what to install, within two seconds; nothing else is used instead."""
-    monkeypatch.setattr(julia.importlib.util, "find_spec", lambda name: None)
-    find_engine.__globals__["_start"].cache_clear()
-    start = time.monotonic()
-    with pytest.raises(EngineUnavailable, match=r"pip install 'dynsr\[julia\]'"):
-        find_engine("julia")
-    assert time.monotonic() - start < 2
-
-
-@pytest.mark.parametrize(
-    ("program", "project", "words"),
-    [
-        (None, ".", "PYTHON_JULIACALL_PROJECT is set without PYTHON_JULIACALL_EXE; set both"),
-        (sys.executable, None, "PYTHON_JULIACALL_EXE is set without PYTHON_JULIACALL_PROJECT"),
-        ("/no/julia", ".", "PYTHON_JULIACALL_EXE names no program: '/no/julia'"),
-        (sys.executable, "/no/project", "PYTHON_JULIACALL_PROJECT does not exist: '/no/project'"),
-        (sys.executable, ".", ""),
-        (None, None, "dynsr doctor --install"),
-    ],
-)
-def test_settings_of_the_environment_are_checked(fake_julia, monkeypatch, program, project, words):
-    """Half a setting, or one that points nowhere, is told in one line before anything starts."""
-    monkeypatch.setattr(julia, "_is_resolved", lambda: False)
-    for name, value in (("EXE", program), ("PROJECT", project)):
-        monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
-        if value is not None:
-            monkeypatch.setenv(f"PYTHON_JULIACALL_{name}", value)
-    found = find_missing()
-    assert words in found and bool(words) == bool(found)
-
-
-def test_settings_that_juliapkg_refuses_are_told(fake_julia, monkeypatch):
-    """A setting of juliapkg's own that it cannot use is one line, not its stack."""
-    for name in ("EXE", "PROJECT"):
-        monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
-
-    def refuse():
-        raise Exception("PYTHON_JULIAPKG_PROJECT must be an absolute path")
-
-    monkeypatch.setattr(julia, "_is_resolved", refuse)
-    assert find_missing() == (
-        "juliapkg refuses its settings: PYTHON_JULIAPKG_PROJECT must be an absolute path; "
-        "mend PYTHON_JULIAPKG_*"
-    )
-
-
-def test_juliapkg_is_asked_for_julia_when_none_is_given(fake_julia, monkeypatch, tmp_path):
-    """Installing runs juliapkg in a process of its own and tells where Julia is."""
-    for name in ("EXE", "PROJECT"):
-        monkeypatch.delenv(f"PYTHON_JULIACALL_{name}")
-    (tmp_path / "juliapkg.py").write_text(
-        "import os\n"
-        "def resolve():\n"
-        "    print('Found dependencies')\n"
-        "    assert os.environ['JULIA_CONDAPKG_BACKEND'] == 'Null'\n"
-        "    if os.environ.get('FAKE_JULIAPKG') == 'fail': raise SystemExit(3)\n"
-        "executable = lambda: '/opt/julia'\n"
-        "project = lambda: '/opt/project'\n"
-    )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    assert julia.install() == "Julia and its packages are set up: /opt/julia in /opt/project"
-    monkeypatch.setenv("FAKE_JULIAPKG", "fail")
-    with pytest.raises(EngineError, match="juliapkg ended with exit code 3"):
-        julia.install()
 
 
 def test_the_stand_in_takes_what_julia_takes():
@@ -284,8 +249,3 @@ def test_the_stand_in_takes_what_julia_takes():
         (arguments,) = re.findall(rf"^function {name}\(([^)]*)\)", text, re.M)
         in_julia = [word for word in re.split(r"[,\s]+", arguments) if word]
         assert list(inspect.signature(function).parameters) == in_julia
-
-
-def test_the_sources_are_found_from_a_checkout():
-    """The julia folder beside the package is found."""
-    assert (find_sources() / "src" / "DynSR.jl").is_file()

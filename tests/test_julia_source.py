@@ -8,7 +8,7 @@ import tree_sitter_julia
 from tree_sitter import Language, Parser
 
 from dynsr.catalogue import SYSTEMS
-from dynsr.engines.julia import find_sources
+from dynsr.engines.julia_setup import find_sources
 from dynsr.engines.julia_source import write_julia, write_slopes
 from dynsr.errors import InputError
 from dynsr.expression import FUNCTIONS, compile_numpy, parse

@@ -29,10 +29,11 @@ LAYERS = {
     **dict.fromkeys(("discovery", "paper", "audit", "replicate", "benchmarks"), 4),
     **dict.fromkeys(("tables", "plots", "report", "templates"), 4),
     **dict.fromkeys(("cells", "records", "results", "checkpoint"), 4),
-    **dict.fromkeys(("found", "polishing", "portfolio", "selection", "structure"), 4),
-    **dict.fromkeys(("judging", "changes"), 4),
-    "exports": 4,
-    **dict.fromkeys(("prediction", "ensemble", "discovery_report", "trainable", "hybrid"), 4),
+    **dict.fromkeys(("found", "polishing", "portfolio", "selection", "exports"), 4),
+    **dict.fromkeys(("structure", "judging", "changes"), 4),
+    **dict.fromkeys(
+        ("prediction", "ensemble", "fronts", "discovery_report", "trainable", "hybrid"), 4
+    ),
     **dict.fromkeys(("crosscheck", "comparison", "trajectory_checks", "doctor"), 4),
     **dict.fromkeys(("cli", "commands", "estimator", "__init__", "__main__"), 5),
 }
@@ -59,6 +60,7 @@ WITHIN = {
     "crosscheck": {"paper", "comparison", "trajectory_checks"},
     "trajectory_checks": {"comparison", "paper"},
     "discovery": {"checkpoint", "found", "polishing", "portfolio", "selection", "structure"},
+    "selection": {"exports"},
     "found": {
         "checkpoint",
         "discovery_report",
@@ -69,13 +71,14 @@ WITHIN = {
         "trainable",
     },
     "hybrid": {"portfolio"},
-    "discovery_report": {"exports", "found", "plots", "prediction", "report"},
+    "discovery_report": {"exports", "found", "fronts", "plots", "prediction", "report", "tables"},
+    "fronts": {"exports"},
     "ensemble": {"found"},
     "changes": {"judging"},
     "structure": {"changes", "judging"},
     "trainable": {"exports"},
     "replicate": {"cells", "records", "report", "results", "tables"},
-    "report": {"plots", "records", "results", "tables"},
+    "report": {"exports", "plots", "records", "results", "tables"},
     "results": {"audit", "paper", "plots", "records", "tables"},
     "__main__": {"cli"},
     "cli": {"commands"},
@@ -91,7 +94,7 @@ HOMES = {
     },
     "matplotlib": {"plots.py"},
     "juliacall": {"engines/julia_worker.py"},
-    "juliapkg": {"engines/julia.py"},
+    "juliapkg": {"engines/julia_setup.py"},
     "diffeqpy": {"engines/julia_worker.py"},
 }
 

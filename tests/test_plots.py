@@ -1,9 +1,8 @@
-import base64
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import sympy
-from matplotlib.image import imread
 
 from dynsr import plots
 from dynsr.pareto import Candidate, ParetoFront
@@ -107,11 +106,37 @@ def test_equal_figures_are_equal_files(kind, head):
     assert one == two and one.startswith(head)
 
 
-def test_a_data_uri_is_the_picture(tmp_path):
-    """Decoded, the URI is a PNG that is not blank."""
-    uri = plots.to_data_uri(plots.draw_panels([panel()]))
-    head, body = uri.split(",", 1)
-    assert head == "data:image/png;base64"
-    path = tmp_path / "picture.png"
-    path.write_bytes(base64.b64decode(body))
-    assert imread(path)[..., :3].std() > 0.05
+def test_a_picture_of_a_page_is_one_element():
+    """It is SVG of the page's own colour and letters, says what it shows, and repeats itself."""
+    label = "A & B"
+    one, two = (plots.to_svg(plots.draw_panels([panel(One=np.cos(T))]), label) for _ in range(2))
+    assert one == two
+    # Inside a page the name of the link's language needs no declaration.
+    root = ElementTree.fromstring(one.replace("xlink:href", "href"))
+    assert root.tag == "svg" and root.get("aria-label") == label
+    assert "#000000" not in one and "currentColor" in one and "font-family" not in one
+    assert "time t (s)" in [text.text for text in root.iter("text")]
+    names = [node.get("id") for node in root.iter() if node.get("id")]
+    assert names and all(f"#{name}" in one for name in names)
+
+
+def test_a_method_has_one_colour_in_all_pictures():
+    """A panel that lacks a method, and a picture of another panel, do not shift the colours."""
+    first = plots.draw_panels([panel(One=np.cos(T), Two=np.sin(T)), panel(Two=np.cos(T))])
+    alone = plots.draw_panels([panel(Two=np.cos(T))], ["One", "Two"])
+    looks = [
+        [(line.get_color(), str(line._dash_pattern)) for line in axis.lines[1:]]
+        for axis in (*first.axes, *alone.axes)
+    ]
+    assert looks[1] == looks[2] == looks[0][1:]
+
+
+def test_slopes_are_drawn_beside_what_the_equation_gives():
+    """Dots are the samples' slopes; the line is the prediction, broken between trajectories."""
+    t = np.concatenate([T, T])
+    samples = Samples(t[:, None], np.sin(t), ("x",), "x", "given", t)
+    dots, line = plots.draw_slopes(samples, np.cos(t)).axes[0].lines
+    np.testing.assert_array_equal(dots.get_ydata(), np.sin(t))
+    expected = np.cos(t)
+    expected[len(T)] = np.nan
+    np.testing.assert_array_equal(line.get_ydata(), expected)

@@ -1,4 +1,3 @@
-import base64
 import re
 import sys
 from dataclasses import replace
@@ -39,7 +38,7 @@ class Page(HTMLParser):
         """Keep what the page refers to."""
         attrs = dict(attrs)
         self.links += [v for k, v in attrs.items() if k in ("href", "src", "srcset", "action")]
-        if tag == "img":
+        if tag == "svg":
             self.images.append(attrs)
         if tag == "table":
             self.tables.append(attrs.get("id"))
@@ -56,14 +55,13 @@ class Page(HTMLParser):
 
 
 def test_the_report_needs_nothing_but_itself(records):
-    """Every picture is in the page; there is no script, no style sheet and no address outside."""
+    """Pictures are drawn in the page; there is no script, no style sheet and no address outside."""
     text = render_replication(records, SETTINGS)
     page = Page(text)
-    assert all(link.startswith(("data:image/png;base64,", "#")) for link in page.links)
-    assert not re.search(r"<script|<link|@import|url\(|https?:", text)
-    assert len(page.images) == 2 and all(len(i["alt"]) > 40 for i in page.images)
-    for image in page.images:
-        assert base64.b64decode(image["src"].split(",")[1]).startswith(b"\x89PNG")
+    assert all(link.startswith("#") for link in page.links)
+    assert not re.search(r"<script|<link|@import|url\((?!#)|https?:", text)
+    assert "default-src 'none'" in text
+    assert len(page.images) == 3 and all(len(i["aria-label"]) > 40 for i in page.images)
     anchors = {link[1:] for link in page.links if link.startswith("#")}
     assert anchors <= set(re.findall(r'id="([^"]+)"', text))
 
@@ -72,12 +70,13 @@ def test_the_report_shows_every_formula_and_where_it_comes_from(records):
     """Table 1, a table for each system and method, every formula, seed, engine and failures."""
     failed = [*records, replace(records[0], run=9, status="failed", error="a < b & c")]
     page = Page(render_replication(failed, SETTINGS))
-    assert page.tables == ["table1", "appendix_ga_lotka-volterra", "appendix_ga_cart-pole",
-                           "appendix_sindy_pendulum"]  # fmt: skip
+    assert page.tables == ["table1", "appendix_ga_lotka-volterra", "appendix_sindy_pendulum",
+                           "appendix_ga_cart-pole"]  # fmt: skip
     words = " ".join(page.text)
     for entry in records:
         assert entry.expression in words
     assert "2.13 ± 1.11" in words and "a < b & c" in words and "seed" in words
+    assert "dynsr replicate --systems lotka-volterra,cart-pole,pendulum --methods ga,sindy" in words
     assert "2 methods on 3 systems" in words and "8 cells, 7 with a formula" in words
 
 
@@ -85,8 +84,8 @@ def test_the_report_fits_a_phone_and_a_printer(records):
     """The page sets its width by the device, scrolls wide tables, and has rules for print."""
     text = render_replication(records, SETTINGS)
     assert 'name="viewport" content="width=device-width' in text
-    assert "@media print" in text and "max-width: 100%" in text and "overflow-x: auto" in text
-    assert text.count('<div class="scroll">') == text.count("<table")
+    assert "@media print" in text and "overflow-x: auto" in text
+    assert text.count('<div class="scroll"') == text.count("<table")
 
 
 def test_what_users_name_is_escaped():
@@ -99,7 +98,7 @@ def test_what_users_name_is_escaped():
         quick=False,
         failures=[evil],
         tables=[table, table],
-        pictures=[Picture("data:,", '"' + evil)],
+        pictures=[Picture("<svg></svg>", '"' + evil)],
         facts=[(evil, evil)],
     )
     assert "<script" not in text and text.count("&lt;script") >= 8

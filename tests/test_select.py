@@ -43,3 +43,16 @@ def test_choosing_an_engine_starts_nothing_foreign():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_missing_julia_is_told_before_numbers_and_equations_load():
+    """The refusal does not wait for NumPy and SymPy, the slowest part of a start."""
+    code = (
+        "import importlib.util, sys; importlib.util.find_spec = lambda name: None\n"
+        "from dynsr.engines.select import find_engine\n"
+        "try: find_engine('julia')\n"
+        "except Exception as problem: print(type(problem).__name__, end=' ')\n"
+        "print({'numpy', 'sympy'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "EngineUnavailable set()"

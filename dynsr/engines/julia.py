@@ -1,20 +1,15 @@
 """The Julia engine: OrdinaryDiffEqTsit5 and DataDrivenSparse, the tools of the paper, by juliacall.
 
-Julia runs in a process of its own, started on the first use. Only this file and the worker's
+Julia runs in a process of its own, started on the first use. Only the worker in it and the setup
 know juliacall.
 """
 
 from __future__ import annotations
 
-import importlib.util
-import json
 import os
-import shutil
-import subprocess
 import sys
 import threading
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,24 +22,18 @@ from dynsr.engines.base import (
     SparseSolution,
 )
 from dynsr.engines.frames import Frame
+from dynsr.engines.julia_setup import ENVIRONMENT, find_sources, name_remedy, require_julia
 from dynsr.engines.julia_source import write_slopes
 from dynsr.engines.sparse_settings import read_settings
 from dynsr.engines.worker_process import Announce, WorkerProcess
 from dynsr.errors import EngineError, EngineUnavailable
 
-INSTALL = "pip install 'dynsr[julia]', then dynsr doctor --install"
 # Installing and compiling the packages for the first time is what takes this long.
 START_SECONDS = 3600.0
 REGRESS_SECONDS = 600.0
 # The solver keeps the time limit of an integration itself; this is for the way there and back.
 GRACE_SECONDS = 30.0
-_OWN_PROJECT = ("PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT")
-_ENVIRONMENT = {
-    # PythonCall needs no conda; with threads it needs Julia's own handling of signals.
-    "JULIA_CONDAPKG_BACKEND": "Null",
-    "PYTHON_JULIACALL_HANDLE_SIGNALS": "yes",
-    "PYTHON_JULIACALL_STARTUP_FILE": "no",
-}
+LONGEST_SECONDS = 1e9
 
 
 def announce_on_stderr(text: str) -> None:
@@ -80,9 +69,7 @@ class JuliaEngine(AbstractEngine):
         announce: Announce = announce_on_stderr,
     ) -> None:
         """Check that Julia is there; it starts on the first use."""
-        missing = find_missing()
-        if missing:
-            raise EngineUnavailable(missing)
+        require_julia()
         self.regress_seconds = regress_seconds
         self.start_seconds = start_seconds
         self.announce = announce
@@ -102,7 +89,8 @@ class JuliaEngine(AbstractEngine):
             "reltol": float(problem.reltol),
             "abstol": float(problem.abstol),
             "max_steps": int(problem.max_steps),
-            "max_seconds": float(problem.max_seconds),
+            # A header holds finite numbers only.
+            "max_seconds": min(float(problem.max_seconds), LONGEST_SECONDS),
         }
         seconds = problem.max_seconds + GRACE_SECONDS
         facts, results = self._ask(header, {"x0": problem.x0, "t": problem.t}, seconds)
@@ -165,7 +153,7 @@ class JuliaEngine(AbstractEngine):
                 if self._process is not None:
                     self._process.close()
                 self._process = WorkerProcess(
-                    "dynsr.engines.julia_worker", "julia", {**_ENVIRONMENT, **os.environ}
+                    "dynsr.engines.julia_worker", "julia", {**ENVIRONMENT, **os.environ}
                 )
             asked = {**header, "source": str(find_sources() / "src" / "DynSR.jl")}
             try:
@@ -175,7 +163,9 @@ class JuliaEngine(AbstractEngine):
             except EngineUnavailable as problem:
                 # What failed to load is not loaded by trying again in the same process.
                 self._process.close()
-                raise EngineUnavailable(f"Julia does not start: {problem}; {_remedy()}") from None
+                raise EngineUnavailable(
+                    f"Julia does not start: {problem}; {name_remedy()}"
+                ) from None
 
 
 def _expect(results: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -184,89 +174,3 @@ def _expect(results: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]
         found = None if value is None else value.shape
         raise EngineError(f"Julia answered {name} of shape {found} where {shape} was asked for")
     return value
-
-
-def find_sources() -> Path:
-    """Give the ``julia`` folder: inside the installed package, or beside it in a checkout."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "julia", package.parent / "julia"):
-        if (folder / "src" / "DynSR.jl").is_file():
-            return folder
-    raise EngineUnavailable(f"the julia folder of dynsr is missing beside {package}; reinstall it")
-
-
-def find_missing() -> str:
-    """Say in one line what keeps Julia from starting and what mends it; empty when nothing does.
-
-    Starts nothing and installs nothing.
-    """
-    if importlib.util.find_spec("juliacall") is None:
-        return f"the Julia engine is not installed; run {INSTALL}"
-    program, project = (os.environ.get(name) for name in _OWN_PROJECT)
-    if (program is None) != (project is None):
-        here, absent = _OWN_PROJECT if project is None else _OWN_PROJECT[::-1]
-        return f"{here} is set without {absent}; set both or neither"
-    if program is not None and project is not None:
-        if shutil.which(program) is None:
-            return f"PYTHON_JULIACALL_EXE names no program: {program!r}; give the path of julia"
-        if not os.path.exists(project):
-            return f"PYTHON_JULIACALL_PROJECT does not exist: {project!r}; give a Julia project"
-        return ""
-    try:
-        resolved = _is_resolved()
-    # juliapkg raises plain exceptions about its settings.
-    except Exception as problem:
-        return f"juliapkg refuses its settings: {problem}; mend PYTHON_JULIAPKG_*"
-    if not resolved:
-        return "Julia and its packages are not set up yet; run dynsr doctor --install"
-    return ""
-
-
-def _is_resolved() -> bool:
-    """Whether juliapkg has set up Julia before; only then does it start without installing."""
-    if importlib.util.find_spec("juliapkg") is None:
-        return False
-    from juliapkg.state import STATE
-
-    return "meta" not in STATE or os.path.exists(STATE["meta"])
-
-
-def _remedy() -> str:
-    if os.environ.get(_OWN_PROJECT[0]):
-        return "give a project with the packages of dynsr's julia/Project.toml and PythonCall"
-    return "run dynsr doctor --install"
-
-
-def locate() -> tuple[str, str]:
-    """Give the Julia program and project in use; juliapkg sets them up where they are not yet.
-
-    Raises EngineUnavailable when juliacall is not installed, EngineError when juliapkg fails;
-    juliapkg's own output goes to standard error.
-    """
-    if importlib.util.find_spec("juliacall") is None:
-        raise EngineUnavailable(f"juliacall is not installed; run {INSTALL}")
-    own = [os.environ.get(name) for name in _OWN_PROJECT]
-    if own[0] and own[1]:
-        return own[0], own[1]
-    code = (
-        f"import sys; sys.path[:] = {json.dumps(sys.path)}; import juliapkg; juliapkg.resolve(); "
-        "print(juliapkg.executable()); print(juliapkg.project())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**_ENVIRONMENT, **os.environ},
-    )
-    if done.returncode:
-        raise EngineError(f"juliapkg ended with exit code {done.returncode}; see its output above")
-    program, project = done.stdout.splitlines()[-2:]
-    return program, project
-
-
-def install() -> str:
-    """Set up Julia and its packages through juliapkg and say where they are; raises as locate."""
-    program, project = locate()
-    if os.environ.get(_OWN_PROJECT[0]):
-        return f"nothing to install: {_OWN_PROJECT[1]} names {project}"
-    return f"Julia and its packages are set up: {program} in {project}"

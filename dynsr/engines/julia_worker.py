@@ -6,6 +6,7 @@ prints goes to standard error, so that nothing but frames reaches the engine.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Callable
@@ -57,7 +58,12 @@ class Session:
         if call in self._calls and call not in self._warm:
             self._tell(f"compiling {call}, once a session")
             tiny = _tiny_regression if call == "regress" else _tiny_integration
-            self._calls[call](*tiny(header))
+            if call == "diffeqpy":
+                # It may install and compile packages, and why that fails is to be told.
+                _load_diffeqpy()
+            # Whether the tiny problem can be solved is nobody's question.
+            with contextlib.suppress(Exception):
+                self._calls[call](*tiny(header))
             self._warm.add(call)
 
     def answer(
@@ -86,30 +92,27 @@ class Session:
     def _integrate_by_diffeqpy(
         self, header: dict[str, Any], arrays: dict[str, np.ndarray]
     ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        from diffeqpy import de
-
-        vector = de.seval("x -> Vector{Float64}(x)")
+        de, vector = _load_diffeqpy()
         t = arrays["t"]
-        # The slopes are compiled in Julia here too; seval wants them on one line.
-        slopes = de.seval(str(header["slopes"]).replace("\n", "; ").replace("begin;", "begin"))
+        slopes = self._module.compile(str(header["slopes"]))
         problem = de.ODEProblem(slopes, vector(arrays["x0"]), (float(t[0]), float(t[-1])))
+        solver = de.Tsit5()
+        # As in integrate: releases differ in how much the first step may grow.
+        controller = self._module.first_step_controller(solver)
         solution = de.solve(
             problem,
-            de.Tsit5(),
+            solver,
+            **({} if controller is None else {"controller": controller}),
             saveat=vector(t),
             reltol=float(header["reltol"]),
             abstol=float(header["abstol"]),
             maxiters=int(header["max_steps"]),
         )
-        states = np.array(de.seval("s -> reduce(hcat, s.u)")(solution), copy=True).T
-        x = np.full((len(t), len(arrays["x0"])), np.nan)
-        x[: len(states)] = states[: len(t)]
-        code = str(de.seval("s -> string(s.retcode)")(solution))
-        return {
-            "accepted": int(de.seval("s -> s.stats.naccept")(solution)),
-            "rejected": int(de.seval("s -> s.stats.nreject")(solution)),
-            "message": "" if code == "Success" else code,
-        }, {"x": x}
+        x, accepted, rejected, message = self._module.answer_at(
+            vector(t), solution, float(header["max_seconds"])
+        )
+        facts = {"accepted": int(accepted), "rejected": int(rejected), "message": str(message)}
+        return facts, {"x": np.array(x, copy=True).astype(float)}
 
     def _regress(
         self, header: dict[str, Any], arrays: dict[str, np.ndarray]
@@ -128,6 +131,18 @@ class Session:
         )
         facts = {"iterations": int(iterations), "converged": bool(converged)}
         return facts, {"coefficients": np.array(coefficients, copy=True).astype(float)}
+
+
+def _load_diffeqpy() -> tuple[Any, Any]:
+    """Give DifferentialEquations.jl, and the function that makes an array one of Julia's own."""
+    import juliacall
+
+    # diffeqpy installs another Julia unless it finds a program of that name.
+    folders = [str(juliacall.Main.seval("Sys.BINDIR")), *os.environ["PATH"].split(os.pathsep)]
+    os.environ["PATH"] = os.pathsep.join(dict.fromkeys(folders))
+    from diffeqpy import de
+
+    return de, juliacall.Main.seval("x -> Vector{Float64}(x)")
 
 
 def _tiny_integration(header: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import TYPE_CHECKING
 
-from dynsr.engines.base import AbstractEngine
+from dynsr.engines.julia_setup import require_julia
 from dynsr.errors import InputError
+
+if TYPE_CHECKING:
+    from dynsr.engines.base import AbstractEngine
 
 ENGINES = ("embedded", "julia")
 
@@ -19,16 +23,20 @@ def find_engine(name: str | AbstractEngine) -> AbstractEngine:
     >>> find_engine("embedded") is find_engine("embedded")
     True
     """
+    if isinstance(name, str) and name in ENGINES:
+        return _start(name)
+    from dynsr.engines.base import AbstractEngine
+
     if isinstance(name, AbstractEngine):
         return name
-    if name not in ENGINES:
-        raise InputError(f"unknown engine {name!r}; the engines are: {', '.join(ENGINES)}")
-    return _start(name)
+    raise InputError(f"unknown engine {name!r}; the engines are: {', '.join(ENGINES)}")
 
 
 @cache
 def _start(name: str) -> AbstractEngine:
     if name == "julia":
+        # Before NumPy and SymPy load, so that the user is not kept waiting for a refusal.
+        require_julia()
         from dynsr.engines.julia import JuliaEngine
 
         return JuliaEngine()

@@ -9,7 +9,7 @@ module DynSR
 
 using DataDrivenDiffEq: DataDrivenDiffEq
 using DataDrivenSparse: DataDrivenSparse
-using LinearAlgebra: I, Symmetric, mul!, norm
+using LinearAlgebra: ColumnNorm, I, Symmetric, mul!, norm, qr
 using OrdinaryDiffEqTsit5: OrdinaryDiffEqTsit5, DiscreteCallback, ODEProblem, ReturnCode,
     Tsit5, solve, terminate!
 

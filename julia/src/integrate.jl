@@ -69,16 +69,35 @@ function run_tsit5(slopes!, x0, t, reltol, abstol, max_steps, max_seconds)
     solution = Base.CoreLogging.with_logger(Base.CoreLogging.NullLogger()) do
         solve(problem, algorithm; options...)
     end
+    return answer_at(t, solution, max_seconds)
+end
+
+"""
+    answer_at(t, solution, max_seconds) -> (x, accepted, rejected, message)
+
+What `integrate` answers, from a solution by any solver of DifferentialEquations.
+"""
+function answer_at(t, solution, max_seconds)
     return (
-        rows_at(t, solution, length(x0)), Int(solution.stats.naccept),
+        rows_at(t, solution, length(first(solution.u))), Int(solution.stats.naccept),
         Int(solution.stats.nreject), ending(solution, max_seconds),
     )
 end
 
-"A callback that ends the solution once `max_seconds` have passed; it changes no step."
+"""
+    clock(max_seconds)
+
+A callback that ends the solution `max_seconds` after its first step, which compiles the
+slopes; it changes no step.
+"""
 function clock(max_seconds)
-    deadline = time() + max_seconds
-    late(u, t, integrator) = time() > deadline
+    deadline = Ref(Inf)
+    function late(u, t, integrator)
+        if deadline[] == Inf
+            deadline[] = time() + max_seconds
+        end
+        return time() > deadline[]
+    end
     stop!(integrator) = terminate!(integrator, ReturnCode.MaxTime)
     return DiscreteCallback(late, stop!; save_positions = (false, false))
 end
@@ -120,9 +139,8 @@ function rows_at(t, solution, k)
 end
 
 function ending(solution, max_seconds)
-    code = string(solution.retcode)
-    stop = last(solution.t)
-    code == "Success" && return ""
-    code == "MaxTime" && return "not finished within $max_seconds s, at t = $stop"
+    code, stop = solution.retcode, last(solution.t)
+    code == ReturnCode.Success && return ""
+    code == ReturnCode.MaxTime && return "not finished within $max_seconds s, at t = $stop"
     return "Tsit5 ended with $code at t = $stop"
 end

@@ -65,6 +65,12 @@ function admm(gram, right, start, optimizer, cap)
     return x, cap, false
 end
 
+"2-norm of each row; 1 for a row of zeros, which no division can help."
+function row_norms(rows)
+    norms = vec(sqrt.(sum(abs2, rows; dims = 2)))
+    return ifelse.(norms .> 0, norms, 1.0)
+end
+
 """
     solve2021(rows, target, gram, right, optimizer, normalize, cap)
         -> (coefficients, iterations, converged)
@@ -74,8 +80,8 @@ With `normalize` the rows have norm one during the solve, so that thresholds act
 coefficients.
 """
 function solve2021(rows, target, gram, right, optimizer, normalize, cap)
-    scale = normalize ? vec(sqrt.(sum(abs2, rows; dims = 2))) : ones(size(rows, 1))
-    start = permutedims(rows ./ scale) \ target
+    scale = normalize ? row_norms(rows) : ones(size(rows, 1))
+    start = qr(permutedims(rows ./ scale), ColumnNorm()) \ target
     descend = optimizer.name == "SR3" ? sr3 : admm
     x, iterations, converged =
         descend(gram ./ (scale .* scale'), right ./ scale, start, optimizer, cap)

@@ -4,10 +4,12 @@ using Test
 
 if Base.find_package("DynSR") === nothing
     include(joinpath(@__DIR__, "..", "src", "DynSR.jl"))
-    using .DynSR
 else
-    using DynSR
+    using DynSR: DynSR
 end
+# Statements of their own: a module just included is seen from the next statement on.
+const integrate = DynSR.integrate
+const regress = DynSR.regress
 
 const GOLDEN = joinpath(@__DIR__, "..", "..", "tests", "golden", "julia")
 const SYSTEMS = ("lotka_volterra", "simple_pendulum", "cart_pole")
@@ -166,6 +168,13 @@ end
         regress(theta, dx, "SR3", "2021-corrected", [1.0e-8], 1.0, "", false, 20_000, true)
     predicted = -(theta' * found[3:4]) ./ (theta' * found[1:2])
     @test maximum(abs, predicted .- dx) < 1.0e-9
+end
+
+@testset "a library function that is zero everywhere harms no other" begin
+    x = collect(range(0.1, 2.0; length = 50))
+    theta = permutedims([x zeros(50) x .^ 2])
+    found, _, _ = regress(theta, 2 .* x, "SR3", "2021", [1.0e-8], 1.0, "", true, 5000, false)
+    @test maximum(abs, found .- [2.0, 0.0, 0.0]) < 1.0e-6
 end
 
 @testset "ADMM that stands still at its dense start has not converged" begin

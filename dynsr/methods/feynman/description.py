@@ -24,6 +24,10 @@ from dynsr.pareto import Candidate
 from dynsr.samples import SCHEMES, Samples
 
 
+# Share of the slopes below which nothing is told apart, unless the slopes were given.
+_FINEST = 1e-6
+
+
 @dataclass(frozen=True)
 class Noise:
     """What cannot be explained: ``floor`` in units of y, and how many rows are independent."""
@@ -85,10 +89,15 @@ def noise_of(candidates: Iterable[Candidate], samples: Samples) -> Noise:
 
     Errors of plain differences change their sign inside every step of the solver that made the
     states and average out; those of a smoother hang together over its whole window, beyond the
-    runs of their sign, and count half.
+    runs of their sign, and count half. What remains of the bias of clean slopes is a function of
+    the states that a long formula can follow, so nothing below a millionth of the slopes counts.
     """
-    rows_per_run = 2.0 if samples.scheme in SCHEMES or samples.scheme == "given" else 1.0
-    return estimate_noise((residuals(c, samples) for c in candidates), samples.y, rows_per_run)
+    misses = (residuals(c, samples) for c in candidates)
+    if samples.scheme == "given":
+        return estimate_noise(misses, samples.y)
+    noise = estimate_noise(misses, samples.y, 2.0 if samples.scheme in SCHEMES else 1.0)
+    size = float(np.sqrt(np.mean(np.square(samples.y))))
+    return Noise(max(noise.floor, _FINEST * size), noise.effective_rows)
 
 
 def choose(
