@@ -23,7 +23,6 @@ from dynsr.expression import REAL_RESOLUTION, complexity, evaluate
 from dynsr.pareto import Candidate
 from dynsr.samples import SCHEMES, Samples
 
-
 # Share of the slopes below which nothing is told apart, unless the slopes were given.
 _FINEST = 1e-6
 
