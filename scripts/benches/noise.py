@@ -48,7 +48,7 @@ def write_results(rows: Sequence[NoiseRow], out: Path) -> None:
     (out / "noise.csv").write_text(table.to_csv(), encoding="utf-8")
     (out / "noise-formulas.csv").write_text(formula_table(rows).to_csv(), encoding="utf-8")
     figure = draw_recovery(*recovery_rates(rows))
-    figure.axes[0].set_ylabel("share of equations with exactly the right terms")
+    figure.axes[0].set_ylabel("share of exact equations")
     for kind in ("png", "svg"):
         (out / f"noise.{kind}").write_bytes(to_bytes(figure, kind))
 
