@@ -2,102 +2,34 @@
 
 from __future__ import annotations
 
-from dynsr.errors import InputError
+from dynsr.definitions import DEFINITIONS, find_definition
 from dynsr.system import System
 
-LOTKA_VOLTERRA = System.from_strings(
-    {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"},
-    x0=(1.0, 1.0),
-    name="lotka-volterra",
-    description="prey x and predators y",
-)
+SYSTEMS: dict[str, System] = {
+    name: System.from_strings(
+        known.equations,
+        x0=known.x0,
+        inputs=known.inputs,
+        name=name,
+        train=known.train,
+        test=known.test,
+        step=known.step,
+        description=known.description,
+    )
+    for name, known in DEFINITIONS.items()
+}
 
-PENDULUM = System.from_strings(
-    {"theta1": "theta2", "theta2": "-0.1*theta2 - 9.81*sin(theta1)"},
-    # 0.4 pi as Julia computes it: 0.4 * float(pi)
-    x0=(0.4 * 3.141592653589793, 1.0),
-    name="pendulum",
-    description="damped pendulum: angle theta1 in rad, angular velocity theta2 in rad/s",
-)
-
-# The printed equations have other signs, and an angular acceleration where the velocity is
-# meant; these are the ones that reproduce the paper's numbers.
-CART_POLE = System.from_strings(
-    {
-        "w": "y",
-        "x": "z",
-        "y": "-(19.62*sin(w) + sin(w)*cos(w)*y^2 + F*cos(w)) / (2 - cos(w)^2)",
-        "z": "-(sin(w)*y^2 + 9.81*sin(w)*cos(w) + F) / (2 - cos(w)^2)",
-    },
-    x0=(0.3, 0.0, 1.0, 0.0),
-    inputs={"F": "-0.2 + 0.5*sin(6*t)"},
-    name="cart-pole",
-    description="pole angle w in rad, cart position x in m, their velocities y and z, force F in N",
-)
+LOTKA_VOLTERRA = SYSTEMS["lotka-volterra"]
+PENDULUM = SYSTEMS["pendulum"]
+CART_POLE = SYSTEMS["cart-pole"]
+LORENZ = SYSTEMS["lorenz"]
+ROSSLER = SYSTEMS["rossler"]
+VAN_DER_POL = SYSTEMS["van-der-pol"]
+DUFFING = SYSTEMS["duffing"]
+MICHAELIS_MENTEN = SYSTEMS["michaelis-menten"]
+SIR = SYSTEMS["sir"]
 
 PAPER_SYSTEMS = (LOTKA_VOLTERRA, PENDULUM, CART_POLE)
-
-LORENZ = System.from_strings(
-    {"x": "10*(y - x)", "y": "x*(28 - z) - y", "z": "x*y - 8/3*z"},
-    x0=(-8.0, 8.0, 27.0),
-    name="lorenz",
-    description="Lorenz's convection model (1963), chaotic",
-)
-ROSSLER = System.from_strings(
-    {"x": "-y - z", "y": "x + 0.2*y", "z": "0.2 + z*(x - 5.7)"},
-    x0=(1.0, 1.0, 0.0),
-    train=(0.0, 50.0),
-    test=(50.0, 75.0),
-    step=0.02,
-    name="rossler",
-    description="Roessler's attractor (1976), chaotic",
-)
-VAN_DER_POL = System.from_strings(
-    {"x": "y", "y": "2*(1 - x^2)*y - x"},
-    x0=(1.0, 0.0),
-    name="van-der-pol",
-    description="Van der Pol's oscillator (1926)",
-)
-DUFFING = System.from_strings(
-    {"x": "y", "y": "x - x^3 - 0.2*y + F"},
-    x0=(1.0, 0.0),
-    inputs={"F": "0.3*cos(t)"},
-    train=(0.0, 30.0),
-    test=(30.0, 45.0),
-    step=0.02,
-    name="duffing",
-    description="Duffing's oscillator with a known periodic force F",
-)
-MICHAELIS_MENTEN = System.from_strings(
-    {"x": "0.6 - 1.5*x/(0.3 + x)"},
-    x0=(0.9,),
-    train=(0.0, 8.0),
-    test=(8.0, 12.0),
-    name="michaelis-menten",
-    description="enzyme kinetics with a constant inflow",
-)
-SIR = System.from_strings(
-    {"s": "-0.4*s*i", "i": "0.4*s*i - 0.1*i"},
-    x0=(0.99, 0.01),
-    train=(0.0, 60.0),
-    test=(60.0, 90.0),
-    step=0.1,
-    name="sir",
-    description="epidemic: susceptible s and infected i as shares",
-)
-
-SYSTEMS: dict[str, System] = {
-    system.name: system
-    for system in (
-        *PAPER_SYSTEMS,
-        LORENZ,
-        ROSSLER,
-        VAN_DER_POL,
-        DUFFING,
-        MICHAELIS_MENTEN,
-        SIR,
-    )
-}
 
 
 def find_system(name: str) -> System:
@@ -106,6 +38,4 @@ def find_system(name: str) -> System:
     >>> find_system("pendulum").states
     ('theta1', 'theta2')
     """
-    if name not in SYSTEMS:
-        raise InputError(f"unknown system {name!r}; the systems are: {', '.join(SYSTEMS)}")
-    return SYSTEMS[name]
+    return SYSTEMS[find_definition(name).name]

@@ -5,18 +5,26 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from dynsr.errors import InputError
+from dynsr.live import LiveFolder, Teller
+from dynsr.workers import spread
 
 Record = dict[str, Any]
+_MARK = "run.json"
+
+
+class FolderTaken(InputError):
+    """The folder holds the results of another run."""
 
 
 def fingerprint(*parts: Any) -> str:
@@ -44,6 +52,10 @@ def _feed(digest: Any, part: Any) -> None:
         digest.update(f"{type(part).__name__} {part}".encode())
 
 
+def _words(value: Any) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write a file whole or not at all, whatever kills the process."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -63,8 +75,7 @@ def write_json(path: Path, content: Any) -> None:
 class RunFolder:
     """A folder of records, one file a finished part; ``None`` keeps nothing.
 
-    A record counts only when its ``key`` is that of the data and settings asked for, so a folder
-    may be used again for other data.
+    A record counts only when its ``key`` is that of the data and settings asked for.
     """
 
     path: Path | None
@@ -102,20 +113,70 @@ class RunFolder:
             write_json(self._file(name, key), whole)
         return whole
 
+    def claim(self, key: str, about: Mapping[str, Any]) -> None:
+        """Mark the folder as that of one run; raises FolderTaken when it is another's.
+
+        ``about`` is what a reader tells runs apart by; the first difference is named.
+        """
+        if self.path is None:
+            return
+        try:
+            other = json.loads((self.path / _MARK).read_text("utf-8"))
+        except (OSError, ValueError):
+            other = None
+        if not isinstance(other, dict) or "key" not in other:
+            write_json(self.path / _MARK, {"key": key, **about})
+        elif other["key"] != key:
+            differing = [n for n, v in about.items() if fingerprint(other.get(n)) != fingerprint(v)]
+            name = next(iter(differing), "options")
+            values = f" ({_words(other.get(name))} there, {_words(about.get(name))} here)"
+            raise FolderTaken(
+                f"{str(self.path)!r} holds a discovery with other {name}"
+                f"{values if differing else ''}; "
+                "name another folder"
+            )
+
+    @contextmanager
+    def live(self) -> Iterator[LiveFolder]:
+        """Give a folder for what running parts say, which goes when the run ends."""
+        if self.path is None:
+            made = Path(tempfile.mkdtemp(prefix="dynsr-"))
+        else:
+            made = self.path / "live"
+            # What a killed run left is of no use any more.
+            shutil.rmtree(made, ignore_errors=True)
+            made.mkdir(exist_ok=True)
+        try:
+            yield LiveFolder(made)
+        finally:
+            shutil.rmtree(made, ignore_errors=True)
+
 
 @dataclass(frozen=True)
 class Part:
-    """One piece of work: ``work(*arguments)`` gives a record, kept under ``name`` and ``key``."""
+    """One piece of work: ``work(*arguments, report)`` gives a record, kept under name and key.
+
+    ``about`` says what it works on, for those who watch: its state and its method.
+    """
 
     name: str
     key: str
     work: Callable[..., Record]
     arguments: tuple[Any, ...]
+    about: Mapping[str, str] = field(default_factory=dict)
 
-    def run(self, folder: RunFolder) -> Record:
-        """Do the work, unless it is done, and keep it at once, in the process that did it."""
+    def run(self, folder: RunFolder, live: LiveFolder) -> Record:
+        """Do the work, unless it is done, and keep it at once, in the process that did it.
+
+        Raises KeyboardInterrupt when it was asked to stop: what it has then is not finished.
+        """
         done = folder.load(self.name, self.key)
-        return done or folder.save(self.name, self.key, self.work(*self.arguments))
+        if done is not None:
+            return done
+        teller = Teller(live, self.name, self.about)
+        record = self.work(*self.arguments, teller)
+        teller.end(record)
+        return folder.save(self.name, self.key, record)
 
 
 def run_parts(
@@ -123,35 +184,23 @@ def run_parts(
     folder: RunFolder,
     jobs: int,
     finished: Callable[[Part, Record], None] = lambda part, record: None,
+    live: LiveFolder = LiveFolder(),  # noqa: B008 (a frozen value)
 ) -> list[Record]:
     """Run parts side by side through joblib; the records come back in the order of the parts.
 
     The joblib backend in force is used, so ``joblib.parallel_config("dask")`` spreads the parts
-    over a cluster. ``finished`` is called in this process as parts end.
+    over a cluster. ``finished`` is called in this process as parts end; running ones tell of
+    themselves in ``live``.
     """
     known = [folder.load(part.name, part.key) for part in parts]
     waiting = [i for i, record in enumerate(known) if record is None]
     for part, record in zip(parts, known, strict=True):
         if record is not None:
             finished(part, record)
-    for i, record in _spread([parts[i] for i in waiting], folder, jobs):
-        known[waiting[i]] = record
-        finished(parts[waiting[i]], record)
+    calls = [(parts[i], folder, live) for i in waiting]
+    # Closed here and now, so that workers are gone before what they had is read.
+    with closing(spread(Part.run, calls, jobs)) as results:
+        for i, record in results:
+            known[waiting[i]] = record
+            finished(parts[waiting[i]], record)
     return [record for record in known if record is not None]
-
-
-def _spread(parts: Sequence[Part], folder: RunFolder, jobs: int) -> Iterator[tuple[int, Record]]:
-    if jobs == 1 or len(parts) < 2:
-        yield from ((i, part.run(folder)) for i, part in enumerate(parts))
-        return
-    calls = [delayed(_run_numbered)(i, part, folder) for i, part in enumerate(parts)]
-    try:
-        pool = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-    except ValueError:
-        # This backend only gives all results at once.
-        pool = Parallel(n_jobs=jobs, batch_size=1)
-    yield from pool(calls)
-
-
-def _run_numbered(index: int, part: Part, folder: RunFolder) -> tuple[int, Record]:
-    return index, part.run(folder)

@@ -12,43 +12,34 @@ from typing import Any
 
 import numpy as np
 import sympy
+from joblib import effective_n_jobs
 
 from dynsr import __version__
-from dynsr.checkpoint import Part, Record, RunFolder, fingerprint, run_parts
+from dynsr.checkpoint import Part, RunFolder, fingerprint, run_parts
 from dynsr.derivatives import choose_samples
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy, parse, to_text
+from dynsr.expression import compile_numpy, to_text
 from dynsr.found import Discovery
 from dynsr.intake import split_held_back, take_trajectories
+from dynsr.interruption import collect_best, stopping_at_interrupt
 from dynsr.methods.base import AbstractMethod
 from dynsr.methods.matching import is_noisy, read_inputs
 from dynsr.methods.snapping import as_decimals
 from dynsr.pareto import Candidate, ParetoFront
+from dynsr.parts import pick_one, search_one
 from dynsr.polishing import polish
 from dynsr.portfolio import choose_methods
 from dynsr.samples import Samples
 from dynsr.selection import (
     Pick,
-    explains_all,
-    pick_equation,
     read_candidates,
-    trivial_candidates,
     write_candidates,
 )
 from dynsr.structure import settle
 from dynsr.trajectory import Trajectory
+from dynsr.watch import Step, Watch
 
 _MOST_ROWS = 4000
-
-
-@dataclass(frozen=True)
-class Step:
-    """One report of a running discovery: what ended, how many of how many, and its record."""
-
-    what: str
-    done: int
-    total: int
-    record: Record
 
 
 def discover(
@@ -84,10 +75,15 @@ def discover(
     scheme : how slopes are made; "auto" lets the data choose.
     slopes : state -> the user's own slopes, one array (or one a trajectory).
     out : folder that keeps every finished part; the same call on it goes on where it was killed.
-    progress : called as parts end.
+    progress : called with a :class:`Step` as parts end, and every half second while they run.
+
+    Ctrl-C ends the searches: what they have found is given as a Discovery whose ``complete`` is
+    False, and the same call on the same ``out`` goes on from there; with nothing found yet it
+    raises KeyboardInterrupt.
 
     Part of the data is held back from the searches to choose among their formulas; then the
-    constants are fitted to all of it. Raises InputError when the data cannot be used.
+    constants are fitted to all of it. Raises InputError when the data cannot be used or ``out``
+    holds another discovery.
 
     >>> t = np.linspace(0, 3, 301)
     >>> found = discover((t, np.exp(-0.5 * t)[:, None]), preset="quick", jobs=1)
@@ -102,37 +98,41 @@ def discover(
         runs[0].index(state)
     methods = choose_methods(method, preset)
     problem = _Problem(runs, scheme, slopes or {}, parts_known, seed, RunFolder(_path(out)))
-    tell = _Teller(progress, len(states) * (len(methods) + 1))
-    pools = problem.search(states, methods, jobs, tell)
-    picks = problem.pick(states, pools, jobs, tell)
-    whole = {s: parts_known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()}
-    settled = problem.settle(whole, picks, drives)
-    polished = polish(
-        settled,
-        runs,
-        drives,
-        {s: problem.samples(s, runs, known_left_out=False) for s in states},
-        {s: p.noise for s, p in picks.items()},
-    )
-    return Discovery(
-        equations=polished.exprs,
-        errors=polished.errors,
-        front={s: _whole_front(pools[s], picks[s]) for s in states},
-        explanation={s: p.explanation + _why(settled[s], whole[s]) for s, p in picks.items()},
+    settings: dict[str, Any] = {
+        "method": method if isinstance(method, str) else ",".join(methods),
+        "methods": list(methods),
+        **({"known": {s: to_text(e) for s, e in parts_known.items()}} if parts_known else {}),
+        "preset": preset,
+        "seed": seed,
+        "scheme": scheme,
+        "engine": engine if isinstance(engine, str) else engine.name,
+        "version": __version__,
+    }
+    problem.claim(states, methods, drives, settings)
+    with problem.folder.live() as live, stopping_at_interrupt(live):
+        watch = Watch(progress, live, _plan(states, methods), effective_n_jobs(jobs))
+        try:
+            with watch:
+                found = problem.solve(states, methods, drives, jobs, watch)
+        except KeyboardInterrupt:
+            best = collect_best(states, watch.records, live.read(), problem.training, parts_known)
+            if best is None:
+                raise
+            found = best
+    settings["scheme"] = {s: problem.samples(s, runs).scheme for s in states}
+    return replace(
+        found,
         trajectories=tuple(runs),
         inputs=drives,
-        settings={
-            "method": method if isinstance(method, str) else ",".join(methods),
-            "methods": list(methods),
-            **({"known": {s: to_text(e) for s, e in parts_known.items()}} if parts_known else {}),
-            "preset": preset,
-            "seed": seed,
-            "scheme": {s: problem.samples(s, runs).scheme for s in states},
-            "engine": engine if isinstance(engine, str) else engine.name,
-            "version": __version__,
-        },
+        settings=settings,
         seconds=time.monotonic() - began,
     )
+
+
+def _plan(states: Sequence[str], methods: Mapping[str, AbstractMethod]) -> dict[str, str]:
+    """Name all parts to come, each with its method."""
+    searches = {f"search-{s}-{name}": name for s in states for name in methods}
+    return searches | {f"pick-{state}": "pick" for state in states}
 
 
 def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
@@ -161,18 +161,6 @@ def _choose_targets(targets: str | Sequence[str], run: Trajectory) -> tuple[str,
     if not targets:
         raise InputError("no target was given; use 'all'")
     return tuple(dict.fromkeys(targets))
-
-
-class _Teller:
-    """Counts finished parts and passes them on."""
-
-    def __init__(self, progress: Callable[[Step], None] | None, total: int) -> None:
-        self.progress, self.total, self.done = progress, total, 0
-
-    def __call__(self, part: Part, record: Record) -> None:
-        self.done += 1
-        if self.progress is not None:
-            self.progress(Step(part.name, self.done, self.total, record))
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,45 +199,49 @@ class _Problem:
             data, self.scheme, self.slopes, self.known, self.seed, __version__, *parts
         )
 
-    def search(
+    def claim(
         self,
         states: Sequence[str],
         methods: Mapping[str, AbstractMethod],
-        jobs: int,
-        tell: _Teller,
-    ) -> dict[str, list[Candidate]]:
-        """Run every method on every state; gives all fronts' members."""
-        training, _ = split_held_back(self.runs)
-        parts = []
-        for state in states:
-            samples = self.samples(state, training)
-            for name, method in methods.items():
-                words = [self.seed, zlib.crc32(state.encode()), zlib.crc32(name.encode())]
-                arguments = (method, samples, np.random.SeedSequence(words))
-                key = self._key(state, name, repr(method))
-                parts.append(Part(f"search-{state}-{name}", key, search_one, arguments))
-        # The dear searches of hard states first would be better balanced, but nobody knows them.
-        records = run_parts(parts, self.folder, jobs, tell)
-        pools: dict[str, list[Candidate]] = {state: [] for state in states}
-        for part, record in zip(parts, records, strict=True):
-            pools[part.arguments[1].target] += read_candidates(record["front"])
-        return pools
+        drives: Mapping[str, sympy.Expr],
+        settings: Mapping[str, Any],
+    ) -> None:
+        """Mark the folder as this discovery's; raises FolderTaken when it is another's."""
+        rows = f"{sum(map(len, self.runs))} rows of {', '.join(self.runs[0].names)}"
+        about = {k: v for k, v in settings.items() if k != "method"}
+        about |= {"targets": list(states), "data": f"{rows}, {self._key()}"}
+        self.folder.claim(self._key(repr(dict(methods)), about, drives), about)
 
-    def pick(
-        self, states: Sequence[str], pools: Mapping[str, list[Candidate]], jobs: int, tell: _Teller
-    ) -> dict[str, Pick]:
-        """Choose one equation a state."""
-        training, held_back = split_held_back(self.runs)
-        parts = []
-        for state in states:
-            samples = self.samples(state, training)
-            known = to_text(self.known.get(state, sympy.S.Zero))
-            written = write_candidates(pools[state])
-            key = self._key(state, json.dumps(written), known)
-            arguments = (written, samples, held_back, known)
-            parts.append(Part(f"pick-{state}", key, pick_one, arguments))
-        records = run_parts(parts, self.folder, jobs, tell)
-        return {s: Pick.from_record(s, record) for s, record in zip(states, records, strict=True)}
+    def training(self, state: str) -> Samples:
+        """Give the samples that the searches of a state see."""
+        return self.samples(state, split_held_back(self.runs)[0])
+
+    def solve(
+        self,
+        states: Sequence[str],
+        methods: Mapping[str, AbstractMethod],
+        drives: Mapping[str, sympy.Expr],
+        jobs: int,
+        watch: Watch,
+    ) -> Discovery:
+        """Search, choose and polish."""
+        pools = self.search(states, methods, jobs, watch)
+        picks = self.pick(states, pools, jobs, watch)
+        whole = {s: self.known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()}
+        settled = self.settle(whole, picks, drives)
+        polished = polish(
+            settled,
+            self.runs,
+            drives,
+            {s: self.samples(s, self.runs, known_left_out=False) for s in states},
+            {s: p.noise for s, p in picks.items()},
+        )
+        return Discovery(
+            equations=polished.exprs,
+            errors=polished.errors,
+            front={s: _whole_front(pools[s], picks[s]) for s in states},
+            explanation={s: p.explanation + _why(settled[s], whole[s]) for s, p in picks.items()},
+        )
 
     def settle(
         self,
@@ -263,27 +255,43 @@ class _Problem:
         rivals = {s: [r.candidate.expr for r in p.rivals[1:]] for s, p in picks.items()}
         return settle(exprs, rivals, self.runs, inputs)
 
+    def search(
+        self,
+        states: Sequence[str],
+        methods: Mapping[str, AbstractMethod],
+        jobs: int,
+        watch: Watch,
+    ) -> dict[str, list[Candidate]]:
+        """Run every method on every state; gives all fronts' members."""
+        parts = []
+        for state in states:
+            samples = self.training(state)
+            for name, method in methods.items():
+                words = [self.seed, zlib.crc32(state.encode()), zlib.crc32(name.encode())]
+                arguments = (method, samples, np.random.SeedSequence(words))
+                key = self._key(state, name, repr(method))
+                about = {"state": state, "method": name}
+                parts.append(Part(f"search-{state}-{name}", key, search_one, arguments, about))
+        # The dear searches of hard states first would be better balanced, but nobody knows them.
+        records = run_parts(parts, self.folder, jobs, watch, watch.live)
+        pools: dict[str, list[Candidate]] = {state: [] for state in states}
+        for part, record in zip(parts, records, strict=True):
+            pools[part.arguments[1].target] += read_candidates(record["front"])
+        return pools
 
-def search_one(
-    method: AbstractMethod, samples: Samples, sequence: np.random.SeedSequence
-) -> Record:
-    """Search one target with one method; gives a record of its front."""
-    began = time.monotonic()
-    trivial = trivial_candidates(samples)
-    found = [c for c in trivial if explains_all(c, samples)]
-    if not found:
-        found = list(method.search(samples, np.random.default_rng(sequence)))
-    return {
-        "target": samples.target,
-        "method": method.name,
-        "front": write_candidates([*trivial, *found]),
-        "seconds": time.monotonic() - began,
-    }
-
-
-def pick_one(
-    front: list[Record], samples: Samples, held_back: Sequence[Trajectory], known: str
-) -> Record:
-    """Choose the equation of one target; gives a record of the choice."""
-    pool = read_candidates(front)
-    return pick_equation(samples.target, pool, samples, held_back, parse(known)).as_record()
+    def pick(
+        self, states: Sequence[str], pools: Mapping[str, list[Candidate]], jobs: int, watch: Watch
+    ) -> dict[str, Pick]:
+        """Choose one equation a state."""
+        _, held_back = split_held_back(self.runs)
+        parts = []
+        for state in states:
+            samples = self.training(state)
+            known = to_text(self.known.get(state, sympy.S.Zero))
+            written = write_candidates(pools[state])
+            key = self._key(state, json.dumps(written), known)
+            arguments = (written, samples, held_back, known)
+            about = {"state": state, "method": "pick"}
+            parts.append(Part(f"pick-{state}", key, pick_one, arguments, about))
+        records = run_parts(parts, self.folder, jobs, watch, watch.live)
+        return {s: Pick.from_record(s, record) for s, record in zip(states, records, strict=True)}

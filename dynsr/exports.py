@@ -16,6 +16,9 @@ from sympy.printing.str import StrPrinter
 
 from dynsr.expression import as_float_tree, compile_numpy
 
+# From here on a number is too long for a fraction of a reader's.
+_LONG = 20
+
 
 def arguments_of(equations: Mapping[str, sympy.Expr]) -> tuple[str, ...]:
     """Names that the equations need besides their states and the time: the inputs, sorted."""
@@ -194,8 +197,20 @@ def shown(expr: sympy.Expr, digits: int = 6) -> str:
 
     >>> shown(sympy.Float(9.81) * sympy.Symbol("x") - sympy.Float(0.1))
     '9.81*x - 0.1'
+    >>> shown(sympy.Rational(981, 100) * sympy.Symbol("x") / 3 + sympy.Rational(8, 3))
+    '3.27*x + 8/3'
     """
-    return _Text({"digits": digits}).doprint(expr)
+    return _Text({"digits": digits}).doprint(_with_few_fractions(expr))
+
+
+def _with_few_fractions(expr: sympy.Expr) -> sympy.Expr:
+    """Write fractions of large numbers as decimals, but for exponents."""
+    if expr.is_Rational:
+        long = expr.q > 1 and (expr.q >= _LONG or abs(expr.p) >= _LONG)
+        return sympy.Float(float(expr)) if long else expr
+    if expr.is_Pow:
+        return sympy.Pow(_with_few_fractions(expr.base), expr.exp)
+    return expr.func(*map(_with_few_fractions, expr.args)) if expr.args else expr
 
 
 class _Text(StrPrinter):

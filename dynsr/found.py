@@ -32,7 +32,8 @@ class Discovery:
 
     ``equations`` state -> right-hand side (SymPy); ``front`` state -> all formulas found, from
     simple to accurate; ``errors`` state -> (value, standard error) of its constants in order;
-    ``explanation`` state -> why this equation was chosen, in words.
+    ``explanation`` state -> why this equation was chosen, in words; ``complete`` is False when
+    Ctrl-C ended the searches and these are the best formulas so far.
     """
 
     equations: dict[str, sympy.Expr]
@@ -43,6 +44,7 @@ class Discovery:
     inputs: Mapping[str, sympy.Expr] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
+    complete: bool = True
 
     def simulate(
         self,
@@ -168,6 +170,7 @@ class Discovery:
             "inputs": {name: to_text(e) for name, e in self.inputs.items()},
             "settings": dict(self.settings),
             "seconds": self.seconds,
+            "complete": self.complete,
         }
 
     @classmethod
@@ -193,6 +196,7 @@ class Discovery:
                 inputs={name: parse(e, ["t"]) for name, e in record["inputs"].items()},
                 settings=dict(record["settings"]),
                 seconds=float(record["seconds"]),
+                complete=bool(record.get("complete", True)),
             )
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             if isinstance(error, InputError):

@@ -95,12 +95,12 @@ class Pick:
         return cls(state, rivals, Noise(*record["noise"]))
 
     def _compare(self, winner: Rival, other: Rival) -> str:
-        rival = shown(as_decimals(other.candidate.expr))
-        rival = rival if len(rival) <= 80 else rival[:77] + "..."
+        formula = shown(as_decimals(other.candidate.expr), 4)
+        formula = formula if len(formula) <= 80 else formula[:77] + "..."
         if other.bits >= winner.bits:
-            return f"The next best, {rival}, takes {other.bits - winner.bits:.0f} bits more."
+            return f"The next best, {formula}, takes {other.bits - winner.bits:.0f} bits more."
         return (
-            f"{rival} takes {winner.bits - other.bits:.0f} bits less, but misses by "
+            f"{formula} takes {winner.bits - other.bits:.0f} bits less, but misses by "
             f"{other.held_back:.2g} on held-back data."
         )
 

@@ -14,12 +14,9 @@ from dataclasses import dataclass
 from statistics import mean, stdev
 from typing import Any
 
-import sympy
 from rich import box
 from rich.table import Table as RichTable
 from rich.text import Text
-
-from dynsr.expression import parse
 
 _TEX = {c: "\\" + c for c in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
@@ -39,6 +36,11 @@ class Formula(str):
     @property
     def latex(self) -> str:
         """The formula in LaTeX, without delimiters."""
+        # SymPy takes as long to import as all else that shows a table.
+        import sympy
+
+        from dynsr.expression import parse
+
         return sympy.latex(parse(str(self)))
 
 

@@ -1,4 +1,5 @@
 import dataclasses
+import importlib
 import importlib.util
 import json
 import os
@@ -72,11 +73,12 @@ def test_every_command_speaks_json(name):
     assert any("--json" in parameter.opts for parameter in COMMAND.commands[name].params)
 
 
-def test_help_is_quick_and_loads_nothing_heavy():
-    """Help for any command loads none of the libraries that search, plot or read tables."""
-    heavy = "{'numpy', 'sympy', 'scipy', 'pandas', 'torch', 'matplotlib', 'joblib', 'juliacall'}"
+@pytest.mark.parametrize("words", ["--help", "discover --help", "systems", "systems lorenz"])
+def test_looking_around_is_quick(words):
+    """Help and the list of systems load none of the libraries that search, plot or read tables."""
+    heavy = "{'numpy', 'sympy', 'scipy', 'pandas', 'sklearn', 'torch', 'matplotlib', 'joblib'}"
     code = (
-        "import sys, runpy; sys.argv = ['dynsr', 'discover', '--help']\n"
+        f"import sys, runpy; sys.argv = ['dynsr', *{words.split()}]\n"
         "try: runpy.run_module('dynsr', run_name='__main__')\n"
         f"except SystemExit: print(sorted({heavy} & set(sys.modules)), file=sys.stderr)"
     )
@@ -279,11 +281,19 @@ def test_exit_codes_in_a_real_shell(tmp_path):
 
 
 @pytest.mark.slow
-def test_replicate_and_report(tmp_path):
+def test_replicate_and_report(tmp_path, monkeypatch):
     """A replication ends in records, tables, the figure and a page; the page can be made anew."""
+    import dynsr.report
+
     out = tmp_path / "results"
     words = ("--systems", "lotka-volterra", "--methods", "ga", "--runs", 1, "--quick", "-j", 1)
+    written = []
+    write = dynsr.report.write_results
+    monkeypatch.setattr(
+        dynsr.report, "write_results", lambda *args: written.append(args) or write(*args)
+    )
     found = json.loads(run("replicate", *words, "-o", out, "--json", "-q").stdout)
+    assert len(written) == 1
     assert found["settings"]["quick"] and len(found["records"]) == 1
     assert all(os.path.exists(path) for path in found["files"])
     page = (out / "report.html").read_bytes()
@@ -298,6 +308,18 @@ def test_replicate_and_report(tmp_path):
     assert record.name in refuse("report", out)
     (out / "manifest.json").write_text("{")
     assert "manifest" in refuse("report", out)
+
+
+def test_an_interrupted_replication_says_how_to_go_on(monkeypatch):
+    """Ctrl-C in a replication ends in 130 and says where the finished cells are."""
+
+    def stop(**options):
+        raise KeyboardInterrupt
+
+    # By its full name, since dynsr.replicate is the function.
+    monkeypatch.setattr(importlib.import_module("dynsr.replicate"), "replicate", stop)
+    said = run("replicate", "-o", "here", code=130).stderr
+    assert "kept in here; the same command goes on" in said and "error: interrupted" in said
 
 
 def test_folders_that_are_not_ours(tmp_path):

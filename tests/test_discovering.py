@@ -3,6 +3,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,7 @@ class Found:
     front = {}
     inputs = {}
     seconds = 0.25
+    complete = True
 
     def __init__(self, settings):
         """Keep the settings."""
@@ -142,8 +144,8 @@ class Found:
         path.write_text("<html>")
 
     def score(self, data):
-        """Give a score, one of them infinite."""
-        return {"slope_error": {"x": 0.5}, "trajectory_error": float("inf")}
+        """Give scores, one of them infinite."""
+        return {"x": {"slope_rmse": 0.5, "forecast": 0.25, "trajectory_rmse": float("inf")}}
 
 
 @pytest.fixture
@@ -188,19 +190,64 @@ def test_options_reach_the_search(tmp_path, seen):
     }
     assert found["equations"] == {"x": "-0.5*x"} and found["seed"] == 7
     assert found["engine"] == "embedded" and found["seconds"] == 0.25
-    assert found["scores"]["data"] == {"slope_error": {"x": 0.5}, "trajectory_error": None}
+    scores = {"slope_rmse": 0.5, "forecast": 0.25, "trajectory_rmse": None}
+    assert found["scores"]["data"] == {"x": scores}
+    assert found["complete"] and found["warned"] == []
+    assert "data.csv: time 't'" in found["guessed"][0]
     assert [os.path.exists(path) for path in found["files"]] == [True, True]
 
 
 def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
-    """Without --json the equations are printed, the guess is shown, and a report is kept."""
+    """Without --json: equations first, then the reason, explained scores, the guess, the files."""
     monkeypatch.chdir(tmp_path)
     result = run("discover", decay(tmp_path / "data.csv"))
-    assert "x' = -0.5*x" in result.stdout and "slope_error x" in result.stdout
-    assert "data.csv: time 't', 151 rows from 0 to 3 every 0.02; states x" in result.stderr
-    assert "search-x-fake: x' = -0.5*x" in result.stderr
+    guess = "data.csv: time 't', 151 rows from 0 to 3 every 0.02; states x"
+    places = [
+        result.stdout.index(words)
+        for words in ("x' = -0.5*x", "x: the only one", "slopes off by", "diverges", "forecast off")
+    ]
+    assert result.stdout.startswith("x' = -0.5*x\n") and places[:-1] == sorted(places[:-1])
+    assert "1 = the state's spread" in result.stdout
+    assert guess in result.stderr and f"guessed: {guess}" in result.stdout.replace(
+        str(tmp_path) + os.sep, ""
+    )
+    assert "search-x-fake: -0.5*x  (error 0.1)" in result.stderr
     assert f"open: {os.path.join('data-dynsr', 'report.html')}" in result.stderr
     assert (tmp_path / "data-dynsr" / "report.html").exists()
+
+
+def test_a_terminal_gets_the_equations_in_a_frame(monkeypatch, capsys):
+    """On a terminal the equations stand in a frame; a warning is repeated at the end."""
+    from rich.console import Console
+
+    from dynsr.commands import output
+    from dynsr.commands.showing import show_discovery
+
+    wide = Console(force_terminal=True, width=80, highlight=False, color_system=None)
+    monkeypatch.setattr(output, "console", lambda stderr=False: wide)
+    told = {"guessed": ["time 't'"], "warned": ["columns are identical"]}
+    show_discovery(Found({}), {"data": Found({}).score(None)}, told)
+    shown = capsys.readouterr().out
+    assert "─ Equations ─" in shown and "│ x' = -0.5*x" in shown
+    assert "warned: columns are identical" in shown and "guessed: time 't'" in shown
+
+
+def test_quiet_leaves_the_equations_alone(tmp_path, monkeypatch, seen):
+    """With --quiet stdout is the equations, one a line, and stderr is empty."""
+    monkeypatch.chdir(tmp_path)
+    result = run("discover", decay(tmp_path / "data.csv"), "--quiet")
+    assert (result.stdout, result.stderr) == ("x' = -0.5*x\n", "")
+
+
+def test_long_fractions_are_shown_as_decimals(capsys):
+    """981/100 is written 9.81; 8/3 stays."""
+    from dynsr.commands.showing import show_discovery
+
+    found = Found({})
+    x = sympy.Symbol("x")
+    found.equations = {"x": sympy.Rational(981, 100) * x - sympy.Rational(8, 3) * x**2 / 1}
+    show_discovery(found, {}, {}, quiet=True)
+    assert capsys.readouterr().out in ("x' = -8*x**2/3 + 9.81*x\n", "x' = 9.81*x - 8*x**2/3\n")
 
 
 def test_json_keeps_nothing_unasked(tmp_path, monkeypatch, seen):
@@ -311,10 +358,9 @@ def test_files_that_are_no_discovery(kept, tmp_path, content):
     assert "cut.json" in refuse("score", path, data)
 
 
-def test_interrupt_of_a_search_is_130(tmp_path):
-    """Ctrl-C in a running search ends it with exit code 130 and without a traceback."""
-    path = decay(tmp_path / "data.csv", y=np.sin(3 * T), z=np.cos(T) * T)
-    words = [sys.executable, "-m", "dynsr", "discover", path, "-j", "1", "-o", tmp_path / "kept"]
+def start_search(path, out, *words):
+    """Start a search in a process group of its own; wait until one part has ended."""
+    words = [sys.executable, "-m", "dynsr", "discover", path, "-o", out, *words]
     child = subprocess.Popen(
         [str(word) for word in words],
         stdout=subprocess.PIPE,
@@ -322,10 +368,64 @@ def test_interrupt_of_a_search_is_130(tmp_path):
         text=True,
         start_new_session=True,
     )
-    assert child.stderr is not None
-    while "searching" not in child.stderr.readline():
+    parts = out / "parts"
+    while not list(parts.glob("search*")):
         assert child.poll() is None
+        time.sleep(0.05)
+    return child
+
+
+@pytest.mark.slow
+def test_interrupt_of_a_search_is_130(tmp_path):
+    """Ctrl-C ends a search with its best so far, saved, and 130; the same command goes on."""
+    path = decay(tmp_path / "data.csv", y=np.sin(3 * T), z=np.cos(T) * T)
+    child = start_search(path, tmp_path / "kept", "-j", "2")
     os.killpg(child.pid, signal.SIGINT)
     out, errors = child.communicate(timeout=60)
     assert child.returncode == 130, (out, errors)
-    assert "Traceback" not in errors
+    assert "Traceback" not in errors and "x' = " in out
+    assert "the same command goes on from there" in errors
+    saved = json.loads((tmp_path / "kept" / "discovery.json").read_text())
+    assert saved["equations"] and not saved["complete"]
+    assert not (tmp_path / "kept" / "live").exists()
+
+
+def test_a_second_interrupt_ends_at_once():
+    """Ctrl-C pressed again does not wait for what the first one began."""
+    code = (
+        "import typer, time\n"
+        "from dynsr.commands.group import CommandGroup\n"
+        "app = typer.Typer(cls=CommandGroup)\n"
+        "app.callback()(lambda: None)\n"
+        "@app.command()\n"
+        "def wait():\n"
+        "    for words in ('once', 'more'):\n"
+        "        try:\n"
+        "            print(words, flush=True); time.sleep(60)\n"
+        "        except KeyboardInterrupt: pass\n"
+        "app(['wait'])"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    for words in ("once", "more"):
+        assert child.stdout.readline().strip() == words
+        child.send_signal(signal.SIGINT)
+    out, errors = child.communicate(timeout=20)
+    assert (child.returncode, errors) == (130, "error: interrupted twice\n")
+
+
+def test_another_discovery_gets_a_folder_of_its_own(tmp_path, monkeypatch):
+    """A default folder that holds another discovery is left alone; one asked for is refused."""
+    monkeypatch.chdir(tmp_path)
+    t = np.linspace(0, 1, 101)
+    pandas.DataFrame({"t": t, "x": t}).to_csv("line.csv", index=False)
+    words = ("discover", "line.csv", "--method", "sindy", "-j", 1, "-q")
+    monkeypatch.setattr("dynsr.commands.discovering.keep", lambda found, folder: [])
+    for seed in (0, 1, 0, 1):
+        result = run(*words[:-1], "--seed", seed)
+        said = "other seed (0 there, 1 here); this one goes to 'line-dynsr-2'"
+        assert (said in result.stderr) == (seed == 1)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["line-dynsr", "line-dynsr-2", "line.csv"]
+    assert "name another folder" in refuse(*words, "--seed", 2, "-o", "line-dynsr")

@@ -1,9 +1,4 @@
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -188,43 +183,6 @@ def test_a_damaged_part_is_done_again(decay, found, tmp_path):
         path.write_text(path.read_text()[: -len(path.read_text()) // 2])
     again = discover(decay, method=QUICK, jobs=1, out=tmp_path)
     assert again.equations == found.equations
-
-
-CHILD = """
-import sys
-import numpy as np
-from dynsr.discovery import discover
-from dynsr.methods.feynman.rational import RationalSearch
-t = np.linspace(0, 6, 301)
-x = np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * t + np.exp(-0.5 * t)])
-quick = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
-tell = lambda step: print(step.what, flush=True)
-discover((t, x), method=quick, jobs=1, out=sys.argv[1], progress=tell)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("parts", [1, 2, 3])
-def test_a_killed_discovery_goes_on_to_the_same_result(found, decay, tmp_path, parts):
-    """After kill -9 finished parts are kept and the rerun ends in the same result."""
-    child = subprocess.Popen(
-        [sys.executable, "-c", CHILD, str(tmp_path)], stdout=subprocess.PIPE, text=True
-    )
-    assert child.stdout is not None
-    for _ in range(parts):
-        child.stdout.readline()
-    time.sleep(0.02 * parts)
-    os.kill(child.pid, signal.SIGKILL)
-    child.wait()
-    child.stdout.close()
-    kept = [p for p in (tmp_path / "parts").iterdir() if not p.name.startswith(".")]
-    assert len(kept) >= parts
-    for path in kept:
-        assert "key" in json.loads(path.read_text())
-    before = {p: p.stat().st_mtime_ns for p in kept}
-    again = discover(decay, method=QUICK, jobs=1, out=tmp_path)
-    assert {p: p.stat().st_mtime_ns for p in kept} == before
-    assert {**again.as_record(), "seconds": 0} == {**found.as_record(), "seconds": 0}
 
 
 def test_a_saved_discovery_loads_as_it_was(found, tmp_path):

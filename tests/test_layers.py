@@ -15,7 +15,7 @@ import dynsr
 PACKAGE = Path(dynsr.__file__).parent
 
 LAYERS = {
-    **dict.fromkeys(("errors", "expression"), 0),
+    **dict.fromkeys(("errors", "expression", "definitions"), 0),
     **dict.fromkeys(("system", "trajectory", "samples", "pareto", "catalogue"), 1),
     # Smoothers and derivative schemes of samples; tables of the user's read as trajectories.
     **dict.fromkeys(("smoothers", "derivatives"), 1),
@@ -29,6 +29,7 @@ LAYERS = {
     **dict.fromkeys(("discovery", "paper", "audit", "replicate", "benchmarks"), 4),
     **dict.fromkeys(("tables", "plots", "report", "templates"), 4),
     **dict.fromkeys(("cells", "records", "results", "checkpoint"), 4),
+    **dict.fromkeys(("interruption", "live", "parts", "watch", "workers"), 4),
     **dict.fromkeys(("found", "polishing", "portfolio", "selection", "exports"), 4),
     **dict.fromkeys(("structure", "judging", "changes"), 4),
     **dict.fromkeys(
@@ -52,6 +53,7 @@ WITHIN = {
     "table_checks": {"roles"},
     "tabular": {"columns", "roles", "sources", "table_checks", "trajectory"},
     "expression": {"errors"},
+    "definitions": {"errors"},
     "methods": {"paper.bases", "simulate"},
     "scoring": {"simulate"},
     "audit": {"paper"},
@@ -59,8 +61,23 @@ WITHIN = {
     "cells": {"paper", "records"},
     "crosscheck": {"paper", "comparison", "trajectory_checks"},
     "trajectory_checks": {"comparison", "paper"},
-    "discovery": {"checkpoint", "found", "polishing", "portfolio", "selection", "structure"},
+    "checkpoint": {"live", "workers"},
+    "discovery": {
+        "checkpoint",
+        "found",
+        "interruption",
+        "parts",
+        "polishing",
+        "portfolio",
+        "selection",
+        "structure",
+        "watch",
+    },
+    "interruption": {"checkpoint", "found", "live", "selection"},
+    "live": {"exports", "selection"},
+    "parts": {"checkpoint", "selection"},
     "selection": {"exports"},
+    "watch": {"checkpoint", "live"},
     "found": {
         "checkpoint",
         "discovery_report",

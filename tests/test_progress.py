@@ -1,4 +1,5 @@
 import io
+from dataclasses import replace
 
 import pytest
 import sympy
@@ -8,6 +9,8 @@ from dynsr.commands import progress as module
 from dynsr.commands.progress import SearchProgress, best_equation
 from dynsr.expression import parse
 from dynsr.pareto import Candidate, ParetoFront
+from dynsr.selection import write_candidates
+from dynsr.watch import Running, Step
 
 FRONT = ParetoFront(
     [
@@ -26,39 +29,76 @@ def test_best_equation_is_the_knee():
     assert len(best_equation(long)) < 80
 
 
-def test_a_log_gets_one_line_a_stage(capsys, monkeypatch):
-    """Where stderr is no terminal, a new stage is one line, at most one in two seconds."""
-    now = [0.0]
-    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+def step(seconds, done=0, what="", running=(), left=65.0):
+    """Give a report of a run of four parts."""
+    record = {"target": "x", "method": "sindy", "front": write_candidates(FRONT)} if what else {}
+    return Step(what, done, 4, record, running, seconds, left if done < 4 else None)
+
+
+def search(stage="generations", total=40.0):
+    """Give a running search that has a formula."""
+    return Running("search-y-ga", "y", "ga", stage, 12.0, total, "2*x*[y]", 0.5, 7.0)
+
+
+def test_a_log_gets_a_line_a_part_at_most_one_in_two_seconds(capsys):
+    """Where stderr is no terminal, parts that end are lines with the equation and time left."""
     with SearchProgress() as progress:
-        for second, stage in ((0, "read"), (1, "skipped"), (3, "grow"), (9, "grow"), (9.5, "end")):
-            now[0] = second
-            progress(stage, 2, 2 if stage == "end" else None, "x*y")
+        for report in (step(0), step(1, 1, "a"), step(1.5, 2, "b"), step(4, 3, "c")):
+            progress(report)
+        progress(step(4.5, 4, "d"))
+        progress(step(5, 4))
+    found = "x' by sindy: -x*y + 1.5*x  (error 0.001)"
+    assert capsys.readouterr().err.splitlines() == [
+        f"[1/4] 0:01 {found}; about 1:05 left",
+        f"[3/4] 0:04 {found}; about 1:05 left",
+        f"[4/4] 0:04 {found}",
+    ]
+
+
+def test_a_log_tells_of_long_searches_ever_less_often(capsys):
+    """While nothing ends, a running search is told of after 10, 30, 70, 150, ... seconds."""
+    with SearchProgress() as progress:
+        for seconds in range(400):
+            progress(step(float(seconds), running=(search(),)))
     lines = capsys.readouterr().err.splitlines()
-    assert lines == ["read: x*y", "grow: x*y", "[2/2] end: x*y"]
+    assert lines[0] == "[0/4] 0:10 y' by ga, generations 12/40: 2*x*[y]  (error 0.5)"
+    assert [line.split()[1] for line in lines] == [
+        "0:10",
+        "0:30",
+        "1:10",
+        "2:30",
+        "3:50",
+        "5:10",
+        "6:30",
+    ]
 
 
 def test_quiet_says_nothing(capsys):
     """With --quiet nothing is written."""
     with SearchProgress(quiet=True) as progress:
-        progress("read", 1, 2, "x*y")
+        progress(step(100, 1, "a", (search(),)))
         progress.say("a line")
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("total", [None, 4])
-def test_a_terminal_shows_stage_and_equation(monkeypatch, total):
-    """On a terminal the stage, the time left and the best equation so far are drawn."""
+@pytest.mark.parametrize("total", [None, 40.0])
+def test_a_terminal_shows_every_running_search(monkeypatch, total):
+    """On a terminal each running part is a line with its stage and formula, cut to the width."""
     screen = io.StringIO()
-    monkeypatch.setattr(
-        module,
-        "console",
-        lambda stderr: Console(file=screen, force_terminal=True, width=160, highlight=False),
-    )
+    narrow = Console(file=screen, force_terminal=True, width=100, highlight=False)
+    monkeypatch.setattr(module, "console", lambda stderr: narrow)
     with SearchProgress() as progress:
-        progress("brute force [1]", 1, total, "-x*y + 1.5*x")
+        long = replace(search(), part="search-x-ga", state="x", best="x + " * 100)
+        progress(step(75, 1, "a", (search("brute force [1]", total), long)))
         progress._bar.refresh()
         progress.say("one line [2]")
-    drawn = screen.getvalue()
-    assert "brute force [1]" in drawn and "one line [2]" in drawn
-    assert "-x*y + 1.5*x" in drawn and "left" in drawn
+        drawn = screen.getvalue()
+        assert "brute force [1]" in drawn and "one line [2]" in drawn and "2*x*[y]" in drawn
+        assert "1 of 4 parts" in drawn and "1:15" in drawn and "about 1:05 left" in drawn
+        assert "x + x + x" in drawn and "…" in drawn
+        assert len(progress._bar.tasks) == 3
+        progress(step(80, 2, "b", (search(),)))
+        assert len(progress._bar.tasks) == 2
+        progress(step(90, 4, "b"))
+        progress._bar.refresh()
+    assert "fitting the constants" in screen.getvalue()

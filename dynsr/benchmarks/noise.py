@@ -117,19 +117,19 @@ def _make_part(cell: Cell, folder: RunFolder) -> Part:
     return Part(cell.name, key, run_cell, (cell, searches))
 
 
-def run_cell(cell: Cell, searches: Path | None = None) -> Record:
+def run_cell(cell: Cell, searches: Path | None = None, tell: Any = None) -> Record:
     """Discover the system of a cell; gives the record of its states.
 
     An error of the search is kept in the record, and every state then counts as not found.
     Finished searches are kept in the folder ``searches`` if one is given; their time counts, also
-    where they were taken from there.
+    where they were taken from there. ``tell`` is not called: what ends is told cell by cell.
     """
     failure: list[str] = []
     clock = _Clock()
 
     def search(data: Trajectory, seed: int) -> Mapping[str, sympy.Expr]:
         try:
-            return discover(
+            found = discover(
                 data,
                 method=cell.method,
                 preset=cell.preset,
@@ -138,10 +138,14 @@ def run_cell(cell: Cell, searches: Path | None = None) -> Record:
                 jobs=1,
                 out=searches,
                 progress=clock,
-            ).equations
+            )
         except DynsrError as error:
             failure.append(str(error))
             return {}
+        if not found.complete:
+            # A cell that was stopped must not pass for finished.
+            raise KeyboardInterrupt
+        return found.equations
 
     found = measure_recovery([cell.system], search, [cell.level], [cell.seed])
     timed = [replace(r, seconds=r.seconds + clock.saved) for r in found]
@@ -156,6 +160,8 @@ class _Clock:
         self.saved, self.last = 0.0, time.monotonic()
 
     def __call__(self, step: Step) -> None:
+        if not step.what:
+            return
         now = time.monotonic()
         self.saved += max(0.0, step.record.get("seconds", 0.0) - (now - self.last))
         self.last = now

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,9 +12,11 @@ import typer
 
 from dynsr.commands import options, output
 from dynsr.commands.known import read_equations
-from dynsr.commands.progress import SearchProgress, best_equation
+from dynsr.commands.notes import Notes
+from dynsr.commands.progress import SearchProgress
 from dynsr.commands.reading import load_table, split_inputs
-from dynsr.commands.saved import keep, score_discovery, show_discovery, summarise
+from dynsr.commands.saved import keep, score_discovery, summarise
+from dynsr.commands.showing import show_discovery, show_files
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
@@ -88,35 +91,36 @@ def discover(
     if bool(files) == bool(system):
         raise InputError("give a file of data or --system, one of the two")
     columns, formulas = split_inputs(inputs)
-    if files:
-        data = load_table(files, time_column, states, columns, trajectory, quiet)
-    else:
-        _refuse_columns(time_column, states, trajectory, [*(columns or []), *formulas])
-        data, formulas = _training_data(str(system), engine)
-    folder = _choose_folder(out, files[0].stem if files else str(system), json)
-    with SearchProgress(quiet) as progress:
-        found = search(
-            data,
-            progress,
-            method=_choose_method(method, preset, system, engine),
-            preset=preset,
-            scheme=scheme or ("forward" if preset == "paper" else "auto"),
-            targets=options.read_names(targets) or "all",
-            inputs=formulas or None,
-            known=read_equations(known) if known else None,
-            seed=seed,
-            jobs=jobs,
-            engine=engine,
-            out=folder,
-        )
-    saved = keep(found, folder)
-    scores = score_discovery(found, data, system, engine)
+    notes = Notes(quiet)
+    with notes:
+        if files:
+            data = load_table(files, time_column, states, columns, trajectory, notes.say)
+        else:
+            _refuse_columns(time_column, states, trajectory, [*(columns or []), *formulas])
+            data, formulas = _training_data(str(system), engine)
+        with SearchProgress(quiet) as progress:
+            found, folder = _search_in(
+                _folders(out, files[0].stem if files else str(system), json),
+                data,
+                progress,
+                method=_choose_method(method, preset, system, engine),
+                preset=preset,
+                scheme=scheme or ("forward" if preset == "paper" else "auto"),
+                targets=options.read_names(targets) or "all",
+                inputs=formulas or None,
+                known=read_equations(known) if known else None,
+                seed=seed,
+                jobs=jobs,
+                engine=engine,
+            )
+        saved = keep(found, folder)
+        scores = score_discovery(found, data, system, engine) if found.complete else {}
     if json:
-        output.print_json({**summarise(found), "scores": scores, "files": saved})
+        output.print_json({**summarise(found), "scores": scores, "files": saved, **notes.told})
     else:
-        show_discovery(found, scores)
-        for path in saved:
-            output.note(f"{'open' if path.suffix == '.html' else 'saved'}: {path}")
+        show_discovery(found, scores, notes.told, quiet)
+    if not quiet:
+        show_files(found, saved, folder)
 
 
 def check_engine(engine: str) -> None:
@@ -148,14 +152,40 @@ def _training_data(name: str, engine: str) -> tuple[list[Trajectory], dict[str, 
     return [training_trajectory(system, engine)], dict(system.inputs)
 
 
-def _choose_folder(out: Path | None, stem: str, json: bool) -> Path | None:
-    """Give the folder to keep results in: the one asked for, or for readers one named after data.
+def _folders(out: Path | None, stem: str, json: bool) -> Iterator[Path | None]:
+    """Give the folder asked for; or for readers those named after the data, in their order.
 
     Programs, which read JSON, get files only where they ask for them.
     """
-    if out is None and json:
-        return None
-    return output.make_folder(out or Path(f"{stem}-dynsr"))
+    if out is not None or json:
+        yield out
+        return
+    yield Path(f"{stem}-dynsr")
+    for number in count(2):
+        yield Path(f"{stem}-dynsr-{number}")
+
+
+def _search_in(
+    folders: Iterator[Path | None],
+    data: Sequence[Trajectory],
+    progress: SearchProgress,
+    **settings: Any,
+) -> tuple[Discovery, Path | None]:
+    """Search, with results in the first of the folders that is not another discovery's."""
+    from dynsr.checkpoint import FolderTaken
+
+    taken = None
+    for folder in folders:
+        if folder is not None:
+            output.make_folder(folder)
+        if taken is not None:
+            progress.say(f"{str(taken).partition(';')[0]}; this one goes to {str(folder)!r}")
+        try:
+            return search(data, progress, out=folder, **settings), folder
+        except FolderTaken as error:
+            taken = error
+    assert taken is not None
+    raise taken
 
 
 def _choose_method(
@@ -183,26 +213,11 @@ def search(
     **settings: Any,
 ) -> Discovery:
     """Run a discovery and show its progress; what is finished is kept in ``out``."""
-    from dynsr.discovery import Step
     from dynsr.discovery import discover as run
 
-    def tell(step: Step) -> None:
-        progress(step.what, step.done, step.total, _best(step.record))
-
-    progress("searching", 0, None, "")
     try:
-        return run(list(data), method=method, out=out, progress=tell, **settings)
+        return run(list(data), method=method, out=out, progress=progress, **settings)
     except KeyboardInterrupt:
         if out is not None:
             progress.say(f"what is finished is kept in {out}; the same command goes on from there")
         raise
-
-
-def _best(record: Mapping[str, Any]) -> str:
-    """Give the best equation in the record of a finished part, as a few words."""
-    from dynsr.discovery import read_candidates
-    from dynsr.pareto import ParetoFront
-
-    rivals = [rival["candidate"] for rival in record.get("rivals", [])[:1]]
-    found = best_equation(ParetoFront(read_candidates(rivals or record.get("front", []))))
-    return f"{record['target']}' = {found}" if found and "target" in record else found

@@ -48,17 +48,24 @@ def replicate(
     from dynsr.replicate import PAPER_NAMES
     from dynsr.replicate import replicate as run
 
-    found = run(
-        systems=options.read_names(systems) or PAPER_NAMES,
-        methods=options.read_names(methods) or METHODS,
-        runs=runs,
-        seed=seed,
-        jobs=jobs,
-        out=out,
-        quick=quick,
-        engine=engine,
-        progress=not quiet,
-    )
+    try:
+        found = run(
+            systems=options.read_names(systems) or PAPER_NAMES,
+            methods=options.read_names(methods) or METHODS,
+            runs=runs,
+            seed=seed,
+            jobs=jobs,
+            out=out,
+            quick=quick,
+            engine=engine,
+            progress=not quiet,
+            # They are written where they are shown.
+            report=False,
+        )
+    except KeyboardInterrupt:
+        if not quiet:
+            output.note(f"finished cells are kept in {out}; the same command goes on from there")
+        raise
     deliver_results(found.folder, found.records, found.settings, json)
 
 

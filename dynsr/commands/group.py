@@ -102,13 +102,25 @@ def _warnings_as_lines() -> Iterator[None]:
         yield
 
 
+def _end_at_once() -> NoReturn:
+    if sys.stderr.isatty():
+        sys.stderr.write("\x1b[?25h")  # the cursor, which a live display hides
+    _end("interrupted twice", INTERRUPTED)
+    os._exit(INTERRUPTED)
+
+
 @contextmanager
 def _noted_interrupts() -> Iterator[list[int]]:
-    """Remember Ctrl-C even where a search swallows it to give its best front so far."""
+    """Remember Ctrl-C even where a search swallows it to give its best front so far.
+
+    A second one ends the process at once; its workers see that it is gone and end too.
+    """
     noted: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
         noted.append(number)
+        if len(noted) > 1:
+            _end_at_once()
         signal.default_int_handler(number, frame)
 
     ours = (

@@ -49,20 +49,22 @@ InputFormulas = Annotated[
 
 def systems(name: SystemName = None, json: options.Json = False) -> None:
     """List the known systems, or show one of them with its equations."""
-    from dynsr.catalogue import SYSTEMS, find_system
+    from dynsr.definitions import DEFINITIONS, find_definition
 
-    chosen = [find_system(name)] if name else list(SYSTEMS.values())
+    chosen = [find_definition(name)] if name else list(DEFINITIONS.values())
     if json:
-        output.print_json([_describe(system) for system in chosen])
+        from dynsr.catalogue import SYSTEMS
+
+        output.print_json([_describe(SYSTEMS[known.name]) for known in chosen])
         return
     rows = [
         (
-            system.name,
-            "\n".join(f"{s}' = {e}" for s, e in system.equations().items()),
-            "\n".join(f"{n} = {e}" for n, e in system.inputs.items()),
-            system.description,
+            known.name,
+            "\n".join(f"{s}' = {e}" for s, e in known.equations.items()),
+            "\n".join(f"{n} = {e}" for n, e in known.inputs.items()),
+            known.description,
         )
-        for system in chosen
+        for known in chosen
     ]
     output.print_table("Known systems", ("name", "equations", "inputs", "what it is"), rows)
 

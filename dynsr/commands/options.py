@@ -13,9 +13,9 @@ OUTPUT, SEARCH, DATA, NUMERICS = "Output", "Search", "Data", "Numerics"
 
 def complete_system(incomplete: str) -> Iterator[tuple[str, str]]:
     """Offer the names of the known systems to the shell."""
-    from dynsr.catalogue import SYSTEMS
+    from dynsr.definitions import DEFINITIONS
 
-    for name, system in SYSTEMS.items():
+    for name, system in DEFINITIONS.items():
         if name.startswith(incomplete):
             yield name, system.description
 

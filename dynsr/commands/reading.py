@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,9 +19,9 @@ def load_table(
     states: options.Names,
     inputs: options.Names,
     trajectory: str | None,
-    quiet: bool = False,
+    say: Callable[[str], None] = output.note,
 ) -> list[Trajectory]:
-    """Read the trajectories of files and say on stderr how their columns were understood."""
+    """Read the trajectories of files and say how their columns were understood."""
     from dynsr.tabular import read_trajectories
 
     table = read_trajectories(
@@ -31,8 +31,7 @@ def load_table(
         inputs,
         trajectory,
     )
-    if not quiet:
-        output.note(table.guess)
+    say(table.guess)
     return table.trajectories
 
 

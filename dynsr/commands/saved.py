@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,13 +22,27 @@ DiscoveryFile = Annotated[
 
 
 def keep(found: Discovery, folder: Path | None) -> list[Path]:
-    """Save a discovery and its report in a folder; gives the files."""
+    """Save a discovery and its report in a folder; gives the files.
+
+    One that was interrupted takes the place of no complete one and gets no report.
+    """
     if folder is None:
         return []
     saved, page = folder / "discovery.json", folder / "report.html"
+    if not found.complete:
+        return [] if _is_complete(saved) else [found.save(saved)]
     found.save(saved)
     found.report(page)
     return [saved, page]
+
+
+def _is_complete(path: Path) -> bool:
+    from dynsr.found import Discovery
+
+    try:
+        return Discovery.load(path).complete
+    except InputError:
+        return False
 
 
 def score_discovery(
@@ -72,22 +86,10 @@ def summarise(found: Discovery) -> dict[str, Any]:
         "inputs": found.inputs,
         "settings": found.settings,
         "seconds": found.seconds,
+        "complete": found.complete,
         "engine": found.settings["engine"],
         "seed": found.settings["seed"],
     }
-
-
-def show_discovery(found: Discovery, scores: Mapping[str, Any]) -> None:
-    """Print the equations, their constants' errors, why they were chosen and how they score."""
-    from dynsr.expression import round_constants
-
-    for state, expr in found.equations.items():
-        typer.echo(f"{state}' = {round_constants(expr, 6)}")
-    for state, words in found.explanation.items():
-        output.note(f"{state}: {words}")
-    rows = [(name, value) for name, value in flatten(output.to_plain(scores))]
-    output.print_table("Scores", ("score", "value"), rows)
-    output.note(f"{found.seconds:.1f} s")
 
 
 def flatten(scores: Any, name: str = "") -> Iterator[tuple[str, Any]]:
@@ -114,13 +116,17 @@ def score(
 ) -> None:
     """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
     found = load_discovery(model)
-    data = load_table(files, time_column, states, inputs, trajectory, quiet=json)
+    data = load_table(files, time_column, states, inputs, trajectory, _say_to(json))
     scores = found.score(data)
     if json:
         output.print_json(scores)
         return
     rows = list(flatten(output.to_plain(scores)))
     output.print_table(f"{model} on {', '.join(map(str, files))}", ("score", "value"), rows)
+
+
+def _say_to(json: bool) -> Callable[[str], None]:
+    return (lambda words: None) if json else output.note
 
 
 def report(
