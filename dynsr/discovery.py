@@ -23,7 +23,7 @@ from dynsr.found import Discovery
 from dynsr.intake import split_held_back, take_trajectories
 from dynsr.interruption import collect_best, stopping_at_interrupt
 from dynsr.methods.base import AbstractMethod
-from dynsr.methods.matching import read_inputs
+from dynsr.methods.matching import is_noisy, read_inputs
 from dynsr.methods.snapping import tidy
 from dynsr.pareto import Candidate, ParetoFront
 from dynsr.parts import pick_one, search_one
@@ -35,6 +35,7 @@ from dynsr.selection import (
     read_candidates,
     write_candidates,
 )
+from dynsr.structure import settle
 from dynsr.trajectory import Trajectory
 from dynsr.watch import Step, Watch
 
@@ -141,6 +142,13 @@ def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
     return ParetoFront([*pool, *written])
 
 
+def _why(settled: sympy.Expr, picked: sympy.Expr) -> str:
+    """Say when the states themselves asked for another formula than the slopes did."""
+    if settled == picked:
+        return ""
+    return " Fitted to the noisy states themselves, other terms take fewer bits; they were taken."
+
+
 def _path(out: str | Path | None) -> Path | None:
     return None if out is None else Path(out)
 
@@ -219,8 +227,10 @@ class _Problem:
         """Search, choose and polish."""
         pools = self.search(states, methods, jobs, watch)
         picks = self.pick(states, pools, jobs, watch)
+        whole = {s: self.known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()}
+        settled = self.settle(whole, picks, drives)
         polished = polish(
-            {s: self.known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()},
+            settled,
             self.runs,
             drives,
             {s: self.samples(s, self.runs, known_left_out=False) for s in states},
@@ -230,8 +240,20 @@ class _Problem:
             equations=polished.exprs,
             errors=polished.errors,
             front={s: _whole_front(pools[s], picks[s]) for s in states},
-            explanation={s: p.explanation for s, p in picks.items()},
+            explanation={s: p.explanation + _why(settled[s], whole[s]) for s, p in picks.items()},
         )
+
+    def settle(
+        self,
+        exprs: Mapping[str, sympy.Expr],
+        picks: Mapping[str, Pick],
+        inputs: Mapping[str, sympy.Expr],
+    ) -> Mapping[str, sympy.Expr]:
+        """Let whole systems compete on the states where noise makes slopes unsure."""
+        if self.known or not is_noisy(self.runs):
+            return exprs
+        rivals = {s: [r.candidate.expr for r in p.rivals[1:]] for s, p in picks.items()}
+        return settle(exprs, rivals, self.runs, inputs)
 
     def search(
         self,

@@ -31,6 +31,7 @@ LAYERS = {
     **dict.fromkeys(("cells", "records", "results", "checkpoint"), 4),
     **dict.fromkeys(("interruption", "live", "parts", "watch", "workers"), 4),
     **dict.fromkeys(("found", "polishing", "portfolio", "selection", "exports"), 4),
+    **dict.fromkeys(("structure", "judging", "changes"), 4),
     **dict.fromkeys(
         ("prediction", "ensemble", "fronts", "discovery_report", "trainable", "hybrid"), 4
     ),
@@ -56,6 +57,7 @@ WITHIN = {
     "methods": {"paper.bases", "simulate"},
     "scoring": {"simulate"},
     "audit": {"paper"},
+    "benchmarks": {"checkpoint", "discovery", "tables"},
     "cells": {"paper", "records"},
     "crosscheck": {"paper", "comparison", "trajectory_checks"},
     "trajectory_checks": {"comparison", "paper"},
@@ -68,6 +70,7 @@ WITHIN = {
         "polishing",
         "portfolio",
         "selection",
+        "structure",
         "watch",
     },
     "interruption": {"checkpoint", "found", "live", "selection"},
@@ -88,6 +91,8 @@ WITHIN = {
     "discovery_report": {"exports", "found", "fronts", "plots", "prediction", "report", "tables"},
     "fronts": {"exports"},
     "ensemble": {"found"},
+    "changes": {"judging"},
+    "structure": {"changes", "judging"},
     "trainable": {"exports"},
     "replicate": {"cells", "records", "report", "results", "tables"},
     "report": {"exports", "plots", "records", "results", "tables"},

@@ -14,6 +14,7 @@ from dynsr.expression import parse
         ("-9.7*sin(1.0004*a) - 0.1*b", "-0.1*b - 9.81*sin(a)", 0.11 / 9.81),
         ("(2*x + 2*y)/(2*y + 6)", "(x + y)/(3 + y)", 0.0),
         ("0.6 - 1.5*x/(0.33 + x)", "0.6 - 1.5*x/(0.3 + x)", 1 / 11),
+        ("sin(a)^3/(1 + sin(a)^2)", "sin(a)*(1 - cos(a)^2)/(2 - cos(a)^2)", 0.0),
         ("(3*x + 1)*(x - 2)", "3*x^2 - 5*x - 2", 0.0),
     ],
 )
@@ -30,6 +31,7 @@ def test_same_form_however_written(found, true, off):
         ("1.5*x", "x*(1.5 - y)"),
         ("sin(2*a)", "sin(a)"),
         ("a", "sin(a)"),
+        ("x/(1 + sin(a)^2)", "x/(1 + sin(a))"),
         ("x/(3 + y)", "(x + y)/(3 + y)"),
     ],
 )

@@ -93,7 +93,8 @@ def compare_formulas(found: sympy.Expr, true: sympy.Expr) -> tuple[bool, float]:
     """Say whether two formulas have the same terms, and how far their constants are apart.
 
     Both are brought to one fraction of sums, whose first term of the denominator has the constant
-    1; the distance is the largest relative one. Formulas of other terms are infinitely far apart.
+    1 (sin(v)^2 is taken as 1 - cos(v)^2); the distance is the largest relative one. Formulas of
+    other terms are infinitely far apart.
 
     >>> from dynsr.expression import parse
     >>> same, off = compare_formulas(parse("x*(1.5 - 1.01*y)"), parse("1.5*x - x*y"))
@@ -116,10 +117,26 @@ def _terms(expr: sympy.Expr) -> dict[Any, float]:
 
 def _constants(expr: sympy.Expr) -> dict[sympy.Expr, float]:
     found: dict[sympy.Expr, float] = {}
-    for term in sympy.Add.make_args(sympy.expand(expr)):
+    for term in sympy.Add.make_args(sympy.expand(_without_squared_sines(sympy.expand(expr)))):
         number, rest = term.as_coeff_Mul()
         found[rest] = found.get(rest, 0.0) + float(number)
-    return {term: number for term, number in found.items() if number}
+    largest = max(map(abs, found.values()))
+    # Terms that cancel leave rounding.
+    return {term: number for term, number in found.items() if abs(number) > 1e-12 * largest}
+
+
+def _without_squared_sines(expr: sympy.Expr) -> sympy.Expr:
+    """Write sin(v)^2 as 1 - cos(v)^2: equal functions have equal terms."""
+
+    def squared(node: sympy.Expr) -> bool:
+        whole = node.is_Pow and node.exp.is_Integer and node.exp >= 2
+        return bool(whole and isinstance(node.base, sympy.sin))
+
+    def written(node: sympy.Expr) -> sympy.Expr:
+        pairs, left = divmod(int(node.exp), 2)
+        return (1 - sympy.cos(node.base.args[0]) ** 2) ** pairs * node.base**left
+
+    return expr.replace(squared, written)
 
 
 def _round_inside(expr: sympy.Expr) -> sympy.Expr:

@@ -194,9 +194,16 @@ def _cut(
     length: int,
 ) -> Windows:
     states = [runs[0].index(state) for state in flow.rhs]
-    drives = [_drive(flow.driven, run, inputs) for run in runs]
+    drives = drives_of(flow.driven, runs, inputs)
     parts = [r.x[:, states] for r in runs]
     return cut_windows([r.t for r in runs], parts, drives, length, _MOST_WINDOWS)
+
+
+def drives_of(
+    driven: Sequence[str], runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
+) -> list[Callable[[np.ndarray], np.ndarray]]:
+    """Give for every trajectory its driven columns and the time, (d + 1, n), at any n times."""
+    return [_drive(driven, run, inputs) for run in runs]
 
 
 def _drive(

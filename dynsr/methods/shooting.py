@@ -97,8 +97,12 @@ class Shooting:
         loss: str,
         deadline: float,
         most: int = 25,
+        gain: float = _GAIN,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Fit constants (P,) and starts (k, W), misses weighed in units of their present size."""
+        """Fit constants (P,) and starts (k, W), misses weighed in units of their present size.
+
+        Ends after ``most`` steps, or when one lowers the loss by less than the share ``gain``.
+        """
         rho, weigh = LOSSES[loss]
         misses = self.misses(constants, starts)
         unit = self.unit(misses)[:, None]
@@ -118,7 +122,7 @@ class Shooting:
                     (constants, starts), level, damping = trial, reached, damping / 10
                     break
                 damping *= 10
-            if not level < before * (1 - _GAIN):
+            if not level < before * (1 - gain):
                 break
         return constants, starts
 

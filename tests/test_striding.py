@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+from dynsr.expression import parse
+from dynsr.methods.flow import Flow, Windows
+from dynsr.methods.striding import KeptWindows, ProbedFlow, StridingFlow
+
+T = np.linspace(0, 2, 201)
+RHS = {"a": parse("b"), "b": parse("-9.81*sin(a) - 0.1*b + F")}
+START = np.array([[1.0], [0.3]])
+
+
+def drive(times):
+    """Force and time."""
+    return np.stack([np.sin(6 * times), times])
+
+
+WINDOWS = Windows(T[:, None], np.zeros((len(T), 2, 1)), drive)
+
+
+@pytest.mark.parametrize("stride", [2, 3, 8])
+def test_strides_follow_the_solution(stride):
+    """States at every row are those of DOP853, whether or not the rows divide by the stride."""
+    found = StridingFlow(RHS, ("F",), (), stride).run(WINDOWS, START, np.empty(0), 1)
+    truth = solve_ivp(
+        lambda t, s: [s[1], -9.81 * np.sin(s[0]) - 0.1 * s[1] + np.sin(6 * t)],
+        *((0, 2), START[:, 0], "DOP853"),
+        t_eval=T,
+        rtol=1e-11,
+        atol=1e-11,
+    ).y.T
+    assert found.shape == (201, 2, 1)
+    assert np.allclose(found[:, :, 0], truth, atol=3e-7 * stride**4)
+
+
+def test_probes_have_the_sensitivity_of_their_term():
+    """The slope by a probe is what a small multiple of its term changes, the states as before."""
+    flow = ProbedFlow(RHS, ("F",), (sympy.Symbol("p"),), 2, ((1, parse("a*b")),))
+    states, slopes = flow.run_sensitive(WINDOWS, START, np.zeros(1), 1)
+    plain = StridingFlow(RHS, ("F",), (), 2).run(WINDOWS, START, np.empty(0), 1)
+    assert np.array_equal(states, plain)
+    moved = {**RHS, "b": RHS["b"] + 1e-5 * parse("a*b")}
+    more = StridingFlow(moved, ("F",), (), 2).run(WINDOWS, START, np.empty(0), 1)
+    assert np.allclose(slopes[:, :, 0], (more - plain) / 1e-5, atol=2e-4)
+
+
+def test_driven_columns_are_read_once():
+    """Kept windows give what plain ones do, and ask for each time once."""
+    asked = []
+
+    def counted(times):
+        asked.append(len(times))
+        return drive(times)
+
+    kept = KeptWindows(WINDOWS.t, WINDOWS.x, counted)
+    assert np.array_equal(kept.driven_at(1), WINDOWS.driven_at(1))
+    before = len(asked)
+    kept.driven_at(1)
+    assert len(asked) == before
+    one = Flow(RHS, ("F",), ()).run(kept, START, np.empty(0), 1)
+    assert len(asked) == before and np.isfinite(one).all()
