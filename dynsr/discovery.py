@@ -150,7 +150,8 @@ def _why(settled: sympy.Expr, picked: sympy.Expr) -> str:
 
 
 def _path(out: str | Path | None) -> Path | None:
-    return None if out is None else Path(out)
+    # A worker that outlives a change of folder must not take a relative path for its own.
+    return None if out is None else Path(out).absolute()
 
 
 def _choose_targets(targets: str | Sequence[str], run: Trajectory) -> tuple[str, ...]:

@@ -122,7 +122,7 @@ def open_folder(out: str | Path, settings: Mapping[str, Any]) -> Path:
 
     Raises InputError when it cannot be written, holds other things, or has other settings.
     """
-    folder = Path(out)
+    folder = Path(out).absolute()
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give a folder for the results")
     try:

@@ -208,3 +208,12 @@ def test_code_in_a_saved_file_is_never_run(found, tmp_path):
     path.write_text(json.dumps(record))
     with pytest.raises(InputError):
         Discovery.load(path)
+
+
+def test_a_relative_folder_is_that_of_the_caller(decay, tmp_path, monkeypatch):
+    """Workers kept from an earlier call write where the caller stands now, not where it stood."""
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        discover(decay, method="rational", preset="quick", jobs=2, out="kept")
+    assert list((tmp_path / "second" / "kept" / "parts").glob("search-*"))

@@ -79,7 +79,7 @@ def run_noise(
     jobs : cells at a time; each is searched by one process.
     finished : called with the rows of each cell as it ends.
     """
-    folder = RunFolder(None if out is None else Path(out))
+    folder = RunFolder(None if out is None else Path(out).absolute())
     parts = [
         _make_part(Cell(system, level, seed, method, preset), folder)
         for system in systems
