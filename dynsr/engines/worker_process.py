@@ -70,11 +70,6 @@ class WorkerProcess:
         """Whether it can be asked: running, and started by this very process."""
         return self._owner == os.getpid() and self._ending.alive and self._process.poll() is None
 
-    @property
-    def process_id(self) -> int:
-        """The worker's process number."""
-        return self._process.pid
-
     def request(
         self,
         header: Mapping[str, Any],

@@ -18,11 +18,6 @@ class Features:
     values: np.ndarray
     costs: np.ndarray
 
-    def up_to(self, cost: int) -> Features:
-        """Give the features of at most that cost."""
-        keep = int(np.searchsorted(self.costs, cost, side="right"))
-        return Features(self.exprs[:keep], self.values[:keep], self.costs[:keep])
-
 
 @dataclass(frozen=True, eq=False)
 class _Atom:
