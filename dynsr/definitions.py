@@ -25,14 +25,14 @@ class Definition:
     step: float = 0.01
 
 
-LOTKA_VOLTERRA = Definition(
+_LOTKA_VOLTERRA = Definition(
     equations={"x": "x*(1.5 - y)", "y": "-y*(3 - x)"},
     x0=(1.0, 1.0),
     name="lotka-volterra",
     description="prey x and predators y",
 )
 
-PENDULUM = Definition(
+_PENDULUM = Definition(
     equations={"theta1": "theta2", "theta2": "-0.1*theta2 - 9.81*sin(theta1)"},
     # 0.4 pi as Julia computes it: 0.4 * float(pi)
     x0=(0.4 * 3.141592653589793, 1.0),
@@ -42,7 +42,7 @@ PENDULUM = Definition(
 
 # The printed equations have other signs, and an angular acceleration where the velocity is
 # meant; these are the ones that reproduce the paper's numbers.
-CART_POLE = Definition(
+_CART_POLE = Definition(
     equations={
         "w": "y",
         "x": "z",
@@ -55,13 +55,13 @@ CART_POLE = Definition(
     description="pole angle w in rad, cart position x in m, their velocities y and z, force F in N",
 )
 
-LORENZ = Definition(
+_LORENZ = Definition(
     equations={"x": "10*(y - x)", "y": "x*(28 - z) - y", "z": "x*y - 8/3*z"},
     x0=(-8.0, 8.0, 27.0),
     name="lorenz",
     description="Lorenz's convection model (1963), chaotic",
 )
-ROSSLER = Definition(
+_ROSSLER = Definition(
     equations={"x": "-y - z", "y": "x + 0.2*y", "z": "0.2 + z*(x - 5.7)"},
     x0=(1.0, 1.0, 0.0),
     train=(0.0, 50.0),
@@ -70,13 +70,13 @@ ROSSLER = Definition(
     name="rossler",
     description="Roessler's attractor (1976), chaotic",
 )
-VAN_DER_POL = Definition(
+_VAN_DER_POL = Definition(
     equations={"x": "y", "y": "2*(1 - x^2)*y - x"},
     x0=(1.0, 0.0),
     name="van-der-pol",
     description="Van der Pol's oscillator (1926)",
 )
-DUFFING = Definition(
+_DUFFING = Definition(
     equations={"x": "y", "y": "x - x^3 - 0.2*y + F"},
     x0=(1.0, 0.0),
     inputs={"F": "0.3*cos(t)"},
@@ -86,7 +86,7 @@ DUFFING = Definition(
     name="duffing",
     description="Duffing's oscillator with a known periodic force F",
 )
-MICHAELIS_MENTEN = Definition(
+_MICHAELIS_MENTEN = Definition(
     equations={"x": "0.6 - 1.5*x/(0.3 + x)"},
     x0=(0.9,),
     train=(0.0, 8.0),
@@ -94,7 +94,7 @@ MICHAELIS_MENTEN = Definition(
     name="michaelis-menten",
     description="enzyme kinetics with a constant inflow",
 )
-SIR = Definition(
+_SIR = Definition(
     equations={"s": "-0.4*s*i", "i": "0.4*s*i - 0.1*i"},
     x0=(0.99, 0.01),
     train=(0.0, 60.0),
@@ -107,15 +107,15 @@ SIR = Definition(
 DEFINITIONS = {
     definition.name: definition
     for definition in (
-        LOTKA_VOLTERRA,
-        PENDULUM,
-        CART_POLE,
-        LORENZ,
-        ROSSLER,
-        VAN_DER_POL,
-        DUFFING,
-        MICHAELIS_MENTEN,
-        SIR,
+        _LOTKA_VOLTERRA,
+        _PENDULUM,
+        _CART_POLE,
+        _LORENZ,
+        _ROSSLER,
+        _VAN_DER_POL,
+        _DUFFING,
+        _MICHAELIS_MENTEN,
+        _SIR,
     )
 }
 

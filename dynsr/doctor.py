@@ -12,8 +12,8 @@ import numpy as np
 import sympy
 
 from dynsr import __version__
-from dynsr.engines import julia_setup
 from dynsr.engines.base import AbstractEngine, InitialValueProblem, SparseProblem
+from dynsr.engines.julia_setup import install as install_julia
 from dynsr.engines.select import ENGINES, find_engine
 from dynsr.errors import EngineError, EngineUnavailable
 
@@ -87,7 +87,7 @@ def install() -> str:
 
     Raises EngineUnavailable where juliacall is not installed, EngineError where it does not work.
     """
-    return julia_setup.install()
+    return install_julia()
 
 
 def _examine_package(name: str, extra: str, required: bool) -> Check:

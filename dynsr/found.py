@@ -12,9 +12,18 @@ from typing import Any
 import numpy as np
 import sympy
 
-from dynsr import exports
 from dynsr.derivatives import choose_samples
 from dynsr.errors import DynsrError, InputError
+from dynsr.exports import (
+    arguments_of,
+    shown,
+    to_julia,
+    to_latex,
+    to_mathml,
+    to_numpy,
+    to_python,
+    to_text_block,
+)
 from dynsr.expression import evaluate, parse, to_text
 from dynsr.intake import take_trajectories
 from dynsr.methods.forecasting import forecast_miss
@@ -72,7 +81,7 @@ class Discovery:
         """Inputs as they were in the data; states without an equation are read from there."""
         given: dict[str, Any] = dict(self.inputs)
         source = run or (self.trajectories[0] if self.trajectories else None)
-        for name in exports.arguments_of(self.equations):
+        for name in arguments_of(self.equations):
             if name not in given and source is not None and name in source.names:
                 column = source.columns[:, source.names.index(name)]
                 given[name] = np.interp(times, source.t, column)
@@ -111,19 +120,19 @@ class Discovery:
 
     def latex(self) -> str:
         """Write the equations as LaTeX."""
-        return exports.to_latex(self.equations)
+        return to_latex(self.equations)
 
     def to_python(self) -> str:
         """Write the equations as a Python function for ``scipy.integrate.solve_ivp``."""
-        return exports.to_python(self.equations)
+        return to_python(self.equations)
 
     def to_numpy(self) -> Callable[..., np.ndarray]:
         """Give the right-hand side as a function of arrays."""
-        return exports.to_numpy(self.equations)
+        return to_numpy(self.equations)
 
     def to_julia(self) -> str:
         """Write the equations as a Julia function for DifferentialEquations.jl."""
-        return exports.to_julia(self.equations)
+        return to_julia(self.equations)
 
     def to_torch(self) -> Any:
         """Give the right-hand side as a torch module whose constants can be trained."""
@@ -205,15 +214,15 @@ class Discovery:
 
     def __repr__(self) -> str:
         """Write the equations, one a line."""
-        return exports.to_text_block(self.equations)
+        return to_text_block(self.equations)
 
     def _repr_latex_(self) -> str:
         return f"$$\n{self.latex()}\n$$"
 
     def _repr_html_(self) -> str:
         rows = "".join(
-            f'<tr><td style="text-align:left">{exports.to_mathml(e, s)}'
-            f"<br><code>{escape(s)}' = {escape(exports.shown(e))}</code></td>"
+            f'<tr><td style="text-align:left">{to_mathml(e, s)}'
+            f"<br><code>{escape(s)}' = {escape(shown(e))}</code></td>"
             f'<td style="text-align:left">{escape(self.explanation.get(s, ""))}</td></tr>'
             for s, e in self.equations.items()
         )
@@ -227,7 +236,7 @@ class Discovery:
         table = Table("state", "equation", "why", title="Equations found", show_lines=True)
         for state, expr in self.equations.items():
             why = Text(self.explanation.get(state, ""), style="dim")
-            table.add_row(Text(f"{state}'"), Text(exports.shown(expr), style="bold"), why)
+            table.add_row(Text(f"{state}'"), Text(shown(expr), style="bold"), why)
         return table
 
 

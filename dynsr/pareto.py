@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import sympy
 
-from dynsr import expression
+from dynsr.expression import complexity, evaluate
 from dynsr.samples import Samples
 
 
@@ -40,11 +40,11 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
 
     >>> s = Samples(np.array([[1.0], [2.0]]), np.array([2.0, 4.0]), ("x",), "x", "given",
     ...             np.arange(2.0))
-    >>> score_candidate(expression.parse("2*x"), s).loss
+    >>> score_candidate(2 * sympy.Symbol("x"), s).loss
     0.0
     """
-    predicted = expression.evaluate(expr, samples.columns)
-    return Candidate(expr, rmse(predicted, samples.y), expression.complexity(expr), source)
+    predicted = evaluate(expr, samples.columns)
+    return Candidate(expr, rmse(predicted, samples.y), complexity(expr), source)
 
 
 @lru_cache(maxsize=4096)

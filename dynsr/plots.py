@@ -18,7 +18,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dynsr.pareto import ParetoFront
 from dynsr.samples import Samples
 from dynsr.trajectory import Trajectory
 
@@ -117,28 +116,6 @@ def draw_states(
         axis.set_ylabel(_label(state, (units or {}).get(state, "")))
     axes.flat[-1].set_xlabel("time t (s)")
     _legend_below(figure, axes.flat[0])
-    return figure
-
-
-def draw_fronts(fronts: Mapping[str, ParetoFront], noise_floor: float | None = None) -> Figure:
-    """Draw Pareto fronts: loss against description length, one line of steps a label."""
-    figure, axes = _canvas(1, 1, (5.6, 3.8))
-    axis = axes.flat[0]
-    for k, (label, front) in enumerate(fronts.items()):
-        bits = [c.complexity for c in front]
-        # A loss of 0 has no logarithm; it is drawn at the smallest float's scale.
-        loss = [max(c.loss, 1e-16) for c in front]
-        colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
-        axis.step(bits, loss, where="post", color=colour, alpha=0.6)
-        axis.plot(bits, loss, marker, color=colour, label=label)
-    if noise_floor:
-        axis.axhline(noise_floor, color="black", ls=":", lw=1, label="noise floor")
-    axis.set(
-        yscale="log",
-        xlabel="description length (bits)",
-        ylabel="RMSE on the samples (state units / s)",
-    )
-    axis.legend(frameon=False)
     return figure
 
 

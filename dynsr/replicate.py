@@ -51,7 +51,7 @@ from dynsr.records import (
     read_record,
     write_record,
 )
-from dynsr.report import write_results
+from dynsr.replication_page import write_results
 from dynsr.results import all_tables
 from dynsr.system import System
 from dynsr.tables import Table

@@ -8,7 +8,6 @@ import sympy
 from dynsr.audit import agrees_cut, audit
 from dynsr.catalogue import find_system
 from dynsr.expression import parse
-from dynsr.paper.printed import appendix_mean
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +42,9 @@ def test_means_over_the_runs_are_the_appendix_ones(rows):
     """Our own losses have the means that the printed ones have, to the digits printed."""
     for key in {(row.system, row.method) for row in rows} - {("lotka-volterra", "SINDy")}:
         ours = [row.ours for row in rows if (row.system, row.method) == key]
+        printed = [float(row.printed) for row in rows if (row.system, row.method) == key]
         tolerance = 0.02 if key == ("pendulum", "SINDy") else 1e-3
-        assert statistics.fmean(ours) == pytest.approx(appendix_mean(*key)[0], abs=tolerance)
+        assert statistics.fmean(ours) == pytest.approx(statistics.fmean(printed), abs=tolerance)
 
 
 def test_rows_are_json(rows):

@@ -279,14 +279,14 @@ def test_exit_codes_in_a_real_shell(tmp_path):
 @pytest.mark.slow
 def test_replicate_and_report(tmp_path, monkeypatch):
     """A replication ends in records, tables, the figure and a page; the page can be made anew."""
-    import dynsr.report
+    import dynsr.replication_page
 
     out = tmp_path / "results"
     words = ("--systems", "lotka-volterra", "--methods", "ga", "--runs", 1, "--quick", "-j", 1)
     written = []
-    write = dynsr.report.write_results
+    write = dynsr.replication_page.write_results
     monkeypatch.setattr(
-        dynsr.report, "write_results", lambda *args: written.append(args) or write(*args)
+        dynsr.replication_page, "write_results", lambda *args: written.append(args) or write(*args)
     )
     found = json.loads(run("replicate", *words, "-o", out, "--json", "-q").stdout)
     assert len(written) == 1

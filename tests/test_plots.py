@@ -2,10 +2,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import sympy
 
 from dynsr import plots
-from dynsr.pareto import Candidate, ParetoFront
 from dynsr.samples import Samples
 from dynsr.trajectory import Trajectory
 
@@ -56,18 +54,6 @@ def test_states_are_drawn_with_intervals():
     assert [len(axis.collections) for axis in figure.axes] == [1, 0]
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["data", "found", "interval"]
     assert len(plots.draw_states(TRUE).axes) == 2
-
-
-def test_fronts_are_drawn_on_a_logarithmic_scale():
-    """Loss over bits, logarithmic, also for a loss of 0; the noise floor is a line."""
-    x = sympy.Symbol("x")
-    front = ParetoFront([Candidate(x, 1.0, 1.0), Candidate(x**2, 0.0, 5.0)])
-    figure = plots.draw_fronts({"one": front, "empty": ParetoFront()}, noise_floor=0.01)
-    axis = figure.axes[0]
-    assert axis.get_yscale() == "log" and "bits" in axis.get_xlabel()
-    labels = [t.get_text() for t in axis.get_legend().get_texts()]
-    assert labels == ["one", "empty", "noise floor"]
-    assert len(plots.to_bytes(figure)) > 3000
 
 
 def test_residuals_are_the_samples_less_the_prediction():

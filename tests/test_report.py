@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from dynsr.report import Picture, render_page, render_replication, write_results
+from dynsr.replication_page import render_replication, write_results
+from dynsr.report import Picture, render_page
 from dynsr.tables import Formula, Table
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -14,7 +14,7 @@ from dynsr.discovery_report import render_discovery
 from dynsr.expression import parse
 from dynsr.found import Discovery
 from dynsr.pareto import Candidate, ParetoFront
-from dynsr.report import render_replication
+from dynsr.replication_page import render_replication
 from dynsr.trajectory import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -73,7 +73,7 @@ def deliver_results(
     folder: Path, records: Sequence[Record], settings: Mapping[str, Any], json: bool
 ) -> None:
     """Write every table, figure and the report of a replication, and show its Table 1."""
-    from dynsr.report import write_results
+    from dynsr.replication_page import write_results
     from dynsr.results import table_1
 
     written = write_results(folder, records, settings)

@@ -164,7 +164,7 @@ def report(
 
 def _report_replication(folder: Path, out: Path | None, json: bool) -> None:
     from dynsr.commands.experiments import deliver_results, load_results
-    from dynsr.report import render_replication
+    from dynsr.replication_page import render_replication
     from dynsr.writing import write_text
 
     records, settings = load_results(folder)

@@ -10,7 +10,6 @@ import scipy
 import sympy
 
 from dynsr import __version__
-from dynsr.engines import tsit5, tsit5_groups
 from dynsr.engines.base import (
     AbstractEngine,
     InitialValueProblem,
@@ -18,6 +17,8 @@ from dynsr.engines.base import (
     SparseProblem,
     SparseSolution,
 )
+from dynsr.engines.tsit5 import solve
+from dynsr.engines.tsit5_groups import solve_all
 
 
 class EmbeddedEngine(AbstractEngine):
@@ -31,11 +32,11 @@ class EmbeddedEngine(AbstractEngine):
 
     def integrate(self, problem: InitialValueProblem) -> Integration:
         """Solve an initial value problem by :func:`dynsr.engines.tsit5.solve`."""
-        return tsit5.solve(problem)
+        return solve(problem)
 
     def integrate_all(self, problems: Sequence[InitialValueProblem]) -> list[Integration]:
         """Solve many problems by :func:`dynsr.engines.tsit5_groups.solve_all`."""
-        return tsit5_groups.solve_all(problems)
+        return solve_all(problems)
 
     def regress(self, problem: SparseProblem) -> SparseSolution:
         """Solve a sparse regression problem by :func:`dynsr.engines.sparse.solve_sparse`."""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import statistics
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -84,17 +82,3 @@ def rows_of(system: str, method: str) -> tuple[PrintedExpression, ...]:
     return tuple(
         row for row in printed_expressions() if (row.system, row.method) == (system, method)
     )
-
-
-def appendix_mean(system: str, method: str) -> tuple[float, float]:
-    """Mean and sample standard deviation (n - 1) of the losses that the appendix prints.
-
-    Where table 1 says something else, this is what it should say. One run has spread NaN.
-
-    >>> mean, spread = appendix_mean("cart-pole", "DynAIFeynman")
-    >>> round(mean, 4), round(spread, 3)
-    (1.2246, 0.361)
-    """
-    losses = [row.loss for row in rows_of(system, method)]
-    spread = statistics.stdev(losses) if len(losses) > 1 else math.nan
-    return statistics.fmean(losses), spread
