@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich import print
 
-from dynsr.report import write_table
+from dynsr.report.page import write_table
 from experiment import read_options, run
 
 options = read_options(__doc__)

@@ -7,8 +7,8 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
 from dynsr.errors import DynsrError
-from dynsr.methods.select import METHODS
-from dynsr.replicate import PAPER_NAMES, Replication, replicate
+from dynsr.methods.registry import METHODS
+from dynsr.paper.replication import PAPER_NAMES, Replication, replicate
 
 
 def read_options(description: str | None) -> Namespace:

@@ -3,8 +3,8 @@
 
 from pathlib import Path
 
-from dynsr.plots import to_bytes
-from dynsr.results import FIGURE_1, figure_1
+from dynsr.paper.results import FIGURE_1, figure_1
+from dynsr.report.plots import to_bytes
 from experiment import read_options, run
 
 options = read_options(__doc__)

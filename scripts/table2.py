@@ -5,8 +5,8 @@ from pathlib import Path
 
 from rich import print
 
-from dynsr.report import write_table
-from dynsr.results import table_2
+from dynsr.paper.results import table_2
+from dynsr.report.page import write_table
 from experiment import read_options
 
 options = read_options(__doc__)

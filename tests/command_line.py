@@ -2,7 +2,7 @@
 
 from typer.testing import CliRunner
 
-from dynsr.cli import app
+from dynsr.cli.app import app
 
 
 def run(*words, code=0):

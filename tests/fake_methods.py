@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import sympy
 
+from dynsr.fit.candidates import ParetoFront, score_candidate
 from dynsr.methods.base import AbstractMethod, silent
-from dynsr.pareto import ParetoFront, score_candidate
 
 
 @dataclass(frozen=True)

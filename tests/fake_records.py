@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from dynsr.catalogue import find_system
-from dynsr.expression import parse
-from dynsr.records import Record
-from dynsr.scoring import score_expressions
+from dynsr.data.system import find_system
+from dynsr.discovery.scoring import score_expressions
+from dynsr.expression.parsing import parse
+from dynsr.paper.records import Record
 
 # The first expressions of the paper's own appendix tables (GA), as records of ours.
 PRINTED = {

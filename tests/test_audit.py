@@ -5,9 +5,9 @@ import statistics
 import pytest
 import sympy
 
-from dynsr.audit import agrees_cut, audit
-from dynsr.catalogue import find_system
-from dynsr.expression import parse
+from dynsr.data.system import find_system
+from dynsr.expression.parsing import parse
+from dynsr.paper.auditing import agrees_cut, audit
 
 
 @pytest.fixture(scope="module")

@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 import sympy
 
+from dynsr.data.samples import Samples, make_samples
+from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
-from dynsr.expression import evaluate, parse
-from dynsr.methods.feynman.bruteforce import (
-    BruteForce,
-    BruteForceStage,
-    search_values,
-)
-from dynsr.methods.feynman.description import choose
-from dynsr.methods.feynman.stage import Context
-from dynsr.samples import Samples, make_samples
-from dynsr.trajectory import Trajectory
+from dynsr.expression.evaluation import evaluate
+from dynsr.expression.parsing import parse
+from dynsr.fit.description import choose
+from dynsr.methods.feynman.enumeration.brute_force import BruteForce, BruteForceStage, search_values
+from dynsr.methods.feynman.stages.base import Context
 
 GOLDEN = Path(__file__).parent / "golden" / "tsit5"
 SMALL = BruteForce(max_size=5, beam=0, device="cpu")

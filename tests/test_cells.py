@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynsr.catalogue import CART_POLE, DUFFING, LOTKA_VOLTERRA, PENDULUM
-from dynsr.cells import Cell, Plan, cell_method, cell_samples, compute_cell
-from dynsr.expression import evaluate
+from dynsr.data.system import CART_POLE, DUFFING, LOTKA_VOLTERRA, PENDULUM
+from dynsr.expression.evaluation import evaluate
+from dynsr.paper.replication import Cell, Plan, cell_method, cell_samples, compute_cell
 
 sys.path.insert(0, str(Path(__file__).parent))
 from fake_methods import make  # noqa: E402 (found beside this file)
@@ -57,7 +57,7 @@ def test_a_degree_four_polynomial_scores_as_the_paper_says():
 
     import sympy
 
-    from dynsr.scoring import printed_loss
+    from dynsr.discovery.scoring import printed_loss
 
     for system, printed in ((CART_POLE, 0.579), (PENDULUM, 2.167), (LOTKA_VOLTERRA, 0.19)):
         samples = cell_samples(Cell(system, "dynaifeynman", 1), "embedded")

@@ -16,9 +16,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from dynsr.cli import app
-from dynsr.commands.group import CommandGroup
-from dynsr.tabular import read_trajectories
+from dynsr.cli.app import app
+from dynsr.cli.group import CommandGroup
+from dynsr.data.reading import read_trajectories
 
 sys.path.insert(0, str(Path(__file__).parent))
 from command_line import run  # noqa: E402 (found beside this file)
@@ -279,14 +279,14 @@ def test_exit_codes_in_a_real_shell(tmp_path):
 @pytest.mark.slow
 def test_replicate_and_report(tmp_path, monkeypatch):
     """A replication ends in records, tables, the figure and a page; the page can be made anew."""
-    import dynsr.replication_page
+    import dynsr.paper
 
     out = tmp_path / "results"
     words = ("--systems", "lotka-volterra", "--methods", "ga", "--runs", 1, "--quick", "-j", 1)
     written = []
-    write = dynsr.replication_page.write_results
+    write = dynsr.paper.write_results
     monkeypatch.setattr(
-        dynsr.replication_page, "write_results", lambda *args: written.append(args) or write(*args)
+        dynsr.paper, "write_results", lambda *args: written.append(args) or write(*args)
     )
     found = json.loads(run("replicate", *words, "-o", out, "--json", "-q").stdout)
     assert len(written) == 1
@@ -312,8 +312,7 @@ def test_an_interrupted_replication_says_how_to_go_on(monkeypatch):
     def stop(**options):
         raise KeyboardInterrupt
 
-    # By its full name, since dynsr.replicate is the function.
-    monkeypatch.setattr(importlib.import_module("dynsr.replicate"), "replicate", stop)
+    monkeypatch.setattr("dynsr.paper.replicate", stop)
     said = run("replicate", "-o", "here", code=130).stderr
     assert "kept in here; the same command goes on" in said and "error: interrupted" in said
 
@@ -362,24 +361,24 @@ def test_doctor():
 
 def test_doctor_fails_on_what_is_needed(monkeypatch):
     """Something needed that is missing makes exit code 2, after the whole table."""
-    import dynsr.doctor
+    import dynsr.checks
 
-    broken = dynsr.doctor.Check("numpy", "missing", "not installed", "pip install numpy")
-    monkeypatch.setattr(dynsr.doctor, "examine", lambda: [broken])
+    broken = dynsr.checks.doctor.Check("numpy", "missing", "not installed", "pip install numpy")
+    monkeypatch.setattr(dynsr.checks, "examine", lambda: [broken])
     assert "pip install numpy" in run("doctor", code=2).stdout
 
 
 def test_crosscheck(monkeypatch):
     """A crosscheck gives a verdict a row, and exit code 2 when one differs."""
-    import dynsr.crosscheck
+    import dynsr.checks
 
     words = ("crosscheck", "--systems", "cart-pole", "--sections", "corrected")
     rows = json.loads(run(*words, "--json").stdout)
     assert rows and {row["verdict"] for row in rows} <= {"agrees", "absent"}
     assert "unknown section 'nope'" in refuse("crosscheck", "--sections", "nope")
-    row, *_ = dynsr.crosscheck.crosscheck(["cart-pole"], sections=["corrected"])
+    row, *_ = dynsr.checks.crosscheck(["cart-pole"], sections=["corrected"])
     wrong = dataclasses.replace(row, difference=1.0)
-    monkeypatch.setattr(dynsr.crosscheck, "crosscheck", lambda **_: [wrong])
+    monkeypatch.setattr(dynsr.checks, "crosscheck", lambda **_: [wrong])
     assert json.loads(run("crosscheck", "--json", code=2).stdout)[0]["verdict"] == "differs"
 
 

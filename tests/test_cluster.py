@@ -6,8 +6,8 @@ import signal
 import numpy as np
 import pytest
 
-from dynsr.discovery import discover
-from dynsr.methods.feynman.rational import RationalSearch
+from dynsr.discovery.search import discover
+from dynsr.methods.rational import RationalSearch
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
 

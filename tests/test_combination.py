@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from dynsr.expression import evaluate, parse
-from dynsr.methods.feynman.bruteforce import BruteForce, search_values
-from dynsr.methods.feynman.combination import find_exponents
+from dynsr.expression.evaluation import evaluate
+from dynsr.expression.parsing import parse
+from dynsr.methods.feynman.enumeration.brute_force import BruteForce, search_values
+from dynsr.methods.feynman.enumeration.power_laws import find_exponents
 
 
 def planted(formula: str, names: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

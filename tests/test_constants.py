@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from dynsr.expression import parse
-from dynsr.methods.constants import Template, refit
-from dynsr.samples import Samples
+from dynsr.data.samples import Samples
+from dynsr.expression.parsing import parse
+from dynsr.fit.constants import Template, refit
 
 
 def _samples_of(x: np.ndarray, y: np.ndarray) -> Samples:

@@ -6,12 +6,17 @@ import sys
 import numpy as np
 import pytest
 
-from dynsr.comparison import absent
-from dynsr.crosscheck import SECTIONS, CrosscheckRow, coefficient_difference, crosscheck
+from dynsr.checks.crosschecks import (
+    SECTIONS,
+    CrosscheckRow,
+    absent,
+    coefficient_difference,
+    crosscheck,
+)
 from dynsr.engines.base import SparseProblem, SparseSolution
 from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.errors import EngineError, EngineUnavailable, InputError
-from dynsr.paper.bases import BASES
+from dynsr.paper.protocol import BASES
 
 CASES = [(s, system) for s in ("corrected", "pysindy") for system in BASES]
 
@@ -62,7 +67,7 @@ def test_without_an_engine_each_section_says_so(monkeypatch: pytest.MonkeyPatch)
     def unavailable(name: str) -> None:
         raise EngineUnavailable("Julia is not installed; run dynsr doctor --install")
 
-    monkeypatch.setattr("dynsr.crosscheck.find_engine", unavailable)
+    monkeypatch.setattr("dynsr.checks.crosschecks.find_engine", unavailable)
     rows = crosscheck(["pendulum"], engines=["julia"])
     assert [row.section for row in rows] == list(SECTIONS)
     assert {row.verdict for row in rows} == {"absent"}
@@ -106,7 +111,7 @@ def test_an_engine_that_fails_is_no_absence(monkeypatch: pytest.MonkeyPatch):
         def integrate(self, problem):
             raise EngineError("julia ended unexpectedly")
 
-    monkeypatch.setattr("dynsr.crosscheck.find_engine", lambda name: Failing())
+    monkeypatch.setattr("dynsr.checks.crosschecks.find_engine", lambda name: Failing())
     (row,) = crosscheck(["pendulum"], ["julia"], ["trajectories"])
     assert (row.verdict, row.worst) == ("differs", "julia ended unexpectedly")
 

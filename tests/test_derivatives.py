@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dynsr.derivatives import (
+from dynsr.data.samples import backward_difference, forward_difference
+from dynsr.data.slopes import (
     BiasWarning,
     choose_samples,
     choose_scheme,
     estimate_noise,
     slope_bias,
+    smooth_column,
     warn_if_biased,
 )
+from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
-from dynsr.samples import backward_difference, forward_difference
-from dynsr.smoothers import smooth_column
-from dynsr.trajectory import Trajectory
 
 
 def lotka_volterra(t, noise=0.0, seed=0):

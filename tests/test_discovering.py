@@ -11,7 +11,7 @@ import pandas
 import pytest
 import sympy
 
-from dynsr.commands.saved import flatten
+from dynsr.cli.results import flatten
 from dynsr.methods.genetic import GeneticAlgorithm
 from dynsr.methods.sindy import SINDy
 
@@ -152,7 +152,7 @@ def seen(monkeypatch):
         calls.update(options, data=data)
         candidate = {"expr": "-0.5*x", "loss": 0.1, "complexity": 3.0, "source": "fake"}
         record = {"target": "x", "front": [candidate]}
-        progress(dynsr.discovery.Step("search-x-fake", 1, 1, record))
+        progress(dynsr.discovery.search.Step("search-x-fake", 1, 1, record))
         return Found({"engine": options["engine"], "seed": options["seed"], "methods": ["fake"]})
 
     monkeypatch.setattr(dynsr.discovery, "discover", discover)
@@ -213,8 +213,8 @@ def test_a_terminal_gets_the_equations_in_a_frame(monkeypatch, capsys):
     """On a terminal the equations stand in a frame; a warning is repeated at the end."""
     from rich.console import Console
 
-    from dynsr.commands import output
-    from dynsr.commands.showing import show_discovery
+    from dynsr.cli import output
+    from dynsr.cli.discovery import show_discovery
 
     wide = Console(force_terminal=True, width=80, highlight=False, color_system=None)
     monkeypatch.setattr(output, "console", lambda stderr=False: wide)
@@ -234,7 +234,7 @@ def test_quiet_leaves_the_equations_alone(tmp_path, monkeypatch, seen):
 
 def test_long_fractions_are_shown_as_decimals(capsys):
     """981/100 is written 9.81; 8/3 stays."""
-    from dynsr.commands.showing import show_discovery
+    from dynsr.cli.discovery import show_discovery
 
     found = Found({})
     x = sympy.Symbol("x")
@@ -301,7 +301,7 @@ def test_columns_go_with_a_file():
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
     """Discover decay for real and keep it; gives the data and the saved discovery."""
-    from dynsr.discovery import discover
+    from dynsr.discovery.search import discover
 
     folder = tmp_path_factory.mktemp("kept")
     data = decay(folder / "data.csv")
@@ -387,7 +387,7 @@ def test_a_second_interrupt_ends_at_once():
     """Ctrl-C pressed again does not wait for what the first one began."""
     code = (
         "import typer, time\n"
-        "from dynsr.commands.group import CommandGroup\n"
+        "from dynsr.cli.group import CommandGroup\n"
         "app = typer.Typer(cls=CommandGroup)\n"
         "app.callback()(lambda: None)\n"
         "@app.command()\n"
@@ -415,7 +415,7 @@ def test_another_discovery_gets_a_folder_of_its_own(tmp_path, monkeypatch):
     t = np.linspace(0, 1, 101)
     pandas.DataFrame({"t": t, "x": t}).to_csv("line.csv", index=False)
     words = ("discover", "line.csv", "--method", "sindy", "-j", 1, "-q")
-    monkeypatch.setattr("dynsr.commands.discovering.keep", lambda found, folder: [])
+    monkeypatch.setattr("dynsr.cli.discovery.keep", lambda found, folder: [])
     for seed in (0, 1, 0, 1):
         result = run(*words[:-1], "--seed", seed)
         said = "other seed (0 there, 1 here); this one goes to 'line-dynsr-2'"

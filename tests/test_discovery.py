@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import sympy
 
-from dynsr.catalogue import CART_POLE, LORENZ, LOTKA_VOLTERRA, PENDULUM
-from dynsr.discovery import discover
+from dynsr.data.system import CART_POLE, LORENZ, LOTKA_VOLTERRA, PENDULUM
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.search import discover
+from dynsr.engines.simulation import add_noise, simulate, training_trajectory
 from dynsr.errors import InputError
-from dynsr.expression import parse
-from dynsr.found import Discovery
-from dynsr.methods.feynman.rational import RationalSearch
-from dynsr.methods.matching import is_noisy
-from dynsr.polishing import polish
-from dynsr.simulate import add_noise, simulate, training_trajectory
+from dynsr.expression.parsing import parse
+from dynsr.fit.polishing import polish
+from dynsr.fit.shooting import is_noisy
+from dynsr.methods.rational import RationalSearch
 
 QUICK = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
 

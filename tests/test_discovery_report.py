@@ -7,11 +7,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from dynsr.discovery_report import render_discovery
-from dynsr.expression import parse
-from dynsr.found import Discovery
-from dynsr.pareto import Candidate, ParetoFront
-from dynsr.trajectory import Trajectory
+from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.result import Discovery
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.report.discovery import render_discovery
 
 
 @pytest.fixture(scope="module")

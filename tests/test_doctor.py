@@ -5,7 +5,7 @@ from importlib import metadata
 import numpy as np
 import pytest
 
-from dynsr import doctor
+from dynsr.checks import doctor
 from dynsr.engines.base import AbstractEngine, Integration, SparseSolution
 from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.errors import EngineError, EngineUnavailable
@@ -99,14 +99,14 @@ def test_checks_are_plain_data():
 
 def test_installing_without_juliacall_says_what_to_install_first(monkeypatch):
     """The remedy is pip's line, in an error of one line."""
-    monkeypatch.setattr(doctor.julia_setup.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(EngineUnavailable, match=r"pip install 'dynsr\[julia\]'"):
         doctor.install()
 
 
 def test_nothing_is_installed_into_a_project_of_the_users_own(monkeypatch, tmp_path):
     """With a Julia and a project given by the environment, there is nothing to install."""
-    monkeypatch.setattr(doctor.julia_setup.importlib.util, "find_spec", lambda name: object())
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
     monkeypatch.setenv("PYTHON_JULIACALL_EXE", sys.executable)
     monkeypatch.setenv("PYTHON_JULIACALL_PROJECT", str(tmp_path))
     assert doctor.install() == f"nothing to install: PYTHON_JULIACALL_PROJECT names {tmp_path}"

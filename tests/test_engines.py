@@ -10,15 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynsr.catalogue import CART_POLE, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM
-from dynsr.crosscheck import coefficient_difference
-from dynsr.engines import julia_setup
+from dynsr.checks.crosschecks import coefficient_difference
+from dynsr.data.system import CART_POLE, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM, System
 from dynsr.engines.base import AbstractEngine, InitialValueProblem, SparseProblem
-from dynsr.engines.select import ENGINES, find_engine
+from dynsr.engines.julia import setup as julia_setup
+from dynsr.engines.registry import ENGINES, find_engine
 from dynsr.errors import EngineUnavailable, InputError
-from dynsr.expression import parse
-from dynsr.paper.records import SparseRecord, sparse_records
-from dynsr.system import System
+from dynsr.expression.parsing import parse
+from dynsr.paper.reference import SparseRecord, sparse_records
 
 GOLDEN = Path(__file__).parent / "golden" / "tsit5"
 FILES = {

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from dynsr.ensemble import bootstrap, intervals
+from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.uncertainty import bootstrap, intervals
 from dynsr.errors import InputError
-from dynsr.expression import parse
-from dynsr.found import Discovery
-from dynsr.pareto import Candidate, ParetoFront
-from dynsr.trajectory import Trajectory
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate, ParetoFront
 
 
 @pytest.fixture(scope="module")

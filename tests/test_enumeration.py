@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from dynsr.expression import OPERATORS
-from dynsr.methods.feynman.alphabet import make_letters
-from dynsr.methods.feynman.bruteforce import BruteForce, search_values
+from dynsr.expression.operators import OPERATORS
+from dynsr.methods.feynman.enumeration.alphabet import make_letters
+from dynsr.methods.feynman.enumeration.brute_force import BruteForce, search_values
 
 OPERATORS_TRIED = (
     ("+", "-", "*", "/", "square", "sqrt", "inv", "sin", "exp", "log"),

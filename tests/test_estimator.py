@@ -8,9 +8,9 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
+from dynsr.discovery.estimator import DynsrRegressor
 from dynsr.errors import InputError
-from dynsr.estimator import DynsrRegressor
-from dynsr.methods.feynman.rational import RationalSearch
+from dynsr.methods.rational import RationalSearch
 
 SMALL = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1, width=20)
 

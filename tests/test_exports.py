@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dynsr.catalogue import CART_POLE
+from dynsr.data.system import CART_POLE
+from dynsr.discovery.prediction import predict
+from dynsr.engines.simulation import simulate
 from dynsr.errors import InputError
-from dynsr.exports import to_julia, to_latex, to_mathml, to_numpy, to_python
-from dynsr.expression import parse
-from dynsr.prediction import predict
-from dynsr.simulate import simulate
+from dynsr.expression.export import to_julia, to_latex, to_mathml, to_numpy, to_python
+from dynsr.expression.parsing import parse
 
 EQUATIONS = dict(zip(CART_POLE.states, CART_POLE.rhs, strict=True))
 STATE = np.array([0.3, -0.2, 1.1, 0.4])
@@ -52,7 +52,7 @@ def test_the_torch_module_is_the_equations_and_can_be_trained(expected):
     """It gives the same slopes, and the gradient by a constant is the true one."""
     import torch
 
-    from dynsr.trainable import EquationModule
+    from dynsr.discovery.hybrid import EquationModule
 
     module = EquationModule(EQUATIONS)
     out = module(0.0, torch.tensor(STATE), F=torch.tensor(FORCE, dtype=torch.float64))

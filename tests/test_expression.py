@@ -7,18 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynsr.errors import InputError
-from dynsr.expression import (
-    OPERATORS,
-    check_name,
-    compile_numpy,
-    compile_scalar,
-    complexity,
-    evaluate,
-    number_bits,
-    parse,
-    round_constants,
-    to_text,
-)
+from dynsr.expression.bits import complexity, number_bits
+from dynsr.expression.evaluation import compile_numpy, compile_scalar, evaluate
+from dynsr.expression.operators import OPERATORS
+from dynsr.expression.parsing import check_name, parse
+from dynsr.expression.writing import round_constants, to_text
 
 x, y = sympy.symbols("x y")
 

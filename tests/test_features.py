@@ -1,7 +1,7 @@
 import numpy as np
 
-from dynsr.expression import evaluate
-from dynsr.methods.feynman.features import build_features
+from dynsr.expression.evaluation import evaluate
+from dynsr.methods.features import build_features
 
 
 def test_values_are_those_of_the_expressions():

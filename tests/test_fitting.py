@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dynsr.methods.feynman.fitting import fit_linear, fit_robustly
+from dynsr.fit.linear import fit_linear, fit_robustly
 
 
 @pytest.mark.parametrize("columns", [1, 2, 4])

@@ -4,7 +4,7 @@ import struct
 import numpy as np
 import pytest
 
-from dynsr.engines.frames import read_frame, write_frame
+from dynsr.engines.julia.frames import read_frame, write_frame
 from dynsr.errors import EngineError
 
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import sympy
 
-from dynsr.expression import parse
-from dynsr.fronts import HEIGHT, place_front
-from dynsr.pareto import Candidate, ParetoFront
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.report.discovery import HEIGHT, place_front
 
 X = sympy.Symbol("x")
 

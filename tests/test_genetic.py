@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import sympy
 
+from dynsr.data.samples import Samples
 from dynsr.errors import InputError
-from dynsr.expression import evaluate
+from dynsr.expression.evaluation import evaluate
 from dynsr.methods.genetic import GeneticAlgorithm
-from dynsr.samples import Samples
 
 
 def planted(formula, seed=0, n=120):

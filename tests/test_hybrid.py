@@ -2,12 +2,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
-from dynsr.expression import evaluate, parse
-from dynsr.found import Discovery
-from dynsr.methods.feynman.rational import RationalSearch
-from dynsr.pareto import ParetoFront, rmse
-from dynsr.trajectory import Trajectory
+from dynsr.expression.evaluation import evaluate
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import ParetoFront, rmse
+from dynsr.methods.rational import RationalSearch
 
 
 @pytest.fixture(scope="module")

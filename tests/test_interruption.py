@@ -10,12 +10,12 @@ import joblib
 import numpy as np
 import pytest
 
-from dynsr.discovery import discover
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.search import discover
 from dynsr.errors import InputError
-from dynsr.expression import parse
-from dynsr.found import Discovery
-from dynsr.methods.feynman.rational import RationalSearch
+from dynsr.expression.parsing import parse
 from dynsr.methods.genetic import GeneticAlgorithm
+from dynsr.methods.rational import RationalSearch
 
 QUICK = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
 KILLED = [QUICK, GeneticAlgorithm(population=60, iterations=40)]
@@ -139,8 +139,8 @@ def test_a_folder_belongs_to_one_discovery(decay, tmp_path):
 CHILD = """
 import sys
 import numpy as np
-from dynsr.discovery import discover
-from dynsr.methods.feynman.rational import RationalSearch
+from dynsr.discovery.search import discover
+from dynsr.methods.rational import RationalSearch
 from dynsr.methods.genetic import GeneticAlgorithm
 t = np.linspace(0, 6, 301)
 x = np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * (1 + t)])

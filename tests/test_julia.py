@@ -12,14 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynsr.catalogue import CART_POLE, PENDULUM
-from dynsr.engines import julia, julia_worker, worker_process
+from dynsr.data.system import CART_POLE, PENDULUM
 from dynsr.engines.base import InitialValueProblem, SparseProblem
-from dynsr.engines.julia import JuliaEngine
-from dynsr.engines.julia_setup import find_sources
+from dynsr.engines.julia import engine as julia
+from dynsr.engines.julia import process as worker_process
+from dynsr.engines.julia import worker as julia_worker
+from dynsr.engines.julia.engine import JuliaEngine
+from dynsr.engines.julia.setup import find_sources
+from dynsr.engines.simulation import simulate
 from dynsr.errors import EngineError, EngineUnavailable
-from dynsr.expression import parse
-from dynsr.simulate import simulate
+from dynsr.expression.parsing import parse
 
 FAKE = Path(__file__).parent / "fake_julia"
 DIE, HANG, RAISE, CHATTER, NOT_FINITE, WRONG_SHAPE = 13, 14, 15, 16, 17, 18
@@ -232,7 +234,7 @@ def test_why_diffeqpy_does_not_load_is_told(monkeypatch):
 def test_the_worker_knows_no_torch(engine):
     """Torch is not loaded where Julia runs, whatever the session has loaded."""
     code = (
-        "import sys, dynsr.engines.julia_worker; "
+        "import sys, dynsr.engines.julia.worker; "
         "print([m for m in ('torch', 'matplotlib', 'pandas') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

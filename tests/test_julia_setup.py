@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from dynsr.engines import julia_setup
-from dynsr.engines.julia_setup import find_missing, find_sources
-from dynsr.engines.select import find_engine
+from dynsr.engines.julia import setup as julia_setup
+from dynsr.engines.julia.setup import find_missing, find_sources
+from dynsr.engines.registry import find_engine
 from dynsr.errors import EngineError, EngineUnavailable
 
 FAKE = Path(__file__).parent / "fake_julia"

@@ -7,11 +7,13 @@ import sympy
 import tree_sitter_julia
 from tree_sitter import Language, Parser
 
-from dynsr.catalogue import SYSTEMS
-from dynsr.engines.julia_setup import find_sources
-from dynsr.engines.julia_source import write_julia, write_slopes
+from dynsr.data.system import SYSTEMS
+from dynsr.engines.julia.setup import find_sources
+from dynsr.engines.julia.source import write_julia, write_slopes
 from dynsr.errors import InputError
-from dynsr.expression import FUNCTIONS, compile_numpy, parse
+from dynsr.expression.evaluation import compile_numpy
+from dynsr.expression.operators import FUNCTIONS
+from dynsr.expression.parsing import parse
 
 JULIA = Parser(Language(tree_sitter_julia.language()))
 FILES = sorted(find_sources().rglob("*.jl"))

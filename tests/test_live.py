@@ -3,10 +3,10 @@ import json
 import pytest
 import sympy
 
-from dynsr import live as module
-from dynsr.live import LiveFolder, Teller
+from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.jobs import live as module
+from dynsr.jobs.live import LiveFolder, Teller
 from dynsr.methods.base import Progress
-from dynsr.pareto import Candidate, ParetoFront
 
 X = sympy.Symbol("x")
 ABOUT = {"state": "x", "method": "ga"}

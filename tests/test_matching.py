@@ -3,13 +3,12 @@ import pytest
 import sympy
 from scipy.integrate import solve_ivp
 
+from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
-from dynsr.expression import parse
-from dynsr.methods.constants import free_constants
-from dynsr.methods.flow import Flow, cut_windows
-from dynsr.methods.matching import match_trajectories
-from dynsr.methods.shooting import Shooting
-from dynsr.trajectory import Trajectory
+from dynsr.expression.parsing import parse
+from dynsr.fit.constants import free_constants
+from dynsr.fit.flow import Flow, cut_windows
+from dynsr.fit.shooting import Shooting, match_trajectories
 
 
 def lotka_volterra(noise=0.0, rows=601, seed=0):

@@ -4,7 +4,7 @@ import sys
 import pytest
 
 from dynsr.errors import InputError
-from dynsr.methods.select import METHODS, make_method
+from dynsr.methods.registry import METHODS, make_method
 
 
 def test_the_names_give_the_methods_with_their_presets():
@@ -34,7 +34,7 @@ def test_unknown_names_are_refused(arguments, message):
 def test_a_choice_loads_only_what_it_chose():
     """To make a GA loads neither torch nor SINDy."""
     code = (
-        "import sys; from dynsr.methods.select import make_method; make_method('ga');"
+        "import sys; from dynsr.methods.registry import make_method; make_method('ga');"
         "sys.exit('torch' in sys.modules or 'dynsr.methods.sindy' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

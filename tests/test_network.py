@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from dynsr.data.samples import Samples
 from dynsr.methods.feynman.network import fit_network
-from dynsr.samples import Samples
 
 
 def _samples(count: int) -> Samples:

@@ -11,15 +11,15 @@ import sympy
 
 from dynsr.benchmarks.noise import (
     NoiseRow,
+    Recovery,
     formula_table,
     noise_table,
     recovery_rates,
     run_noise,
 )
-from dynsr.benchmarks.recovery import Recovery
-from dynsr.catalogue import CART_POLE, LOTKA_VOLTERRA
+from dynsr.data.system import CART_POLE, LOTKA_VOLTERRA
+from dynsr.fit.candidates import ParetoFront, score_candidate
 from dynsr.methods.base import AbstractMethod, silent
-from dynsr.pareto import ParetoFront, score_candidate
 
 ROOT = Path(__file__).parent.parent
 

@@ -6,9 +6,9 @@ import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynsr.expression import parse
-from dynsr.pareto import Candidate, ParetoFront, rmse, score_candidate
-from dynsr.samples import Samples
+from dynsr.data.samples import Samples
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate, ParetoFront, rmse, score_candidate
 
 pairs = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), max_size=15)
 

@@ -3,9 +3,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dynsr import plots
-from dynsr.samples import Samples
-from dynsr.trajectory import Trajectory
+from dynsr.data.samples import Samples
+from dynsr.data.trajectory import Trajectory
+from dynsr.report import plots
 
 T = np.linspace(0.0, 5.0, 60)
 TRUE = Trajectory(T, np.column_stack([np.sin(T), np.cos(T)]), ("a", "b"))

@@ -5,15 +5,15 @@ import pytest
 import sympy
 from scipy.integrate import solve_ivp
 
-from dynsr.expression import parse
-from dynsr.methods.constants import free_constants
-from dynsr.methods.feynman.description import Noise
-from dynsr.methods.matching import match_trajectories, measure_errors
-from dynsr.methods.variation import loosen
-from dynsr.polishing import polish
-from dynsr.samples import Samples
-from dynsr.selection import Rival, order_rivals
-from dynsr.trajectory import Trajectory
+from dynsr.data.samples import Samples
+from dynsr.data.trajectory import Trajectory
+from dynsr.expression.parsing import parse
+from dynsr.fit.constants import free_constants
+from dynsr.fit.description import Noise
+from dynsr.fit.polishing import polish
+from dynsr.fit.shooting import match_trajectories, measure_errors
+from dynsr.fit.variation import loosen
+from dynsr.selection.pick import Rival, order_rivals
 
 TRUE = {"x": "1.5*x - x*y", "y": "x*y - 3*y"}
 

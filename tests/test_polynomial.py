@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from dynsr.methods.feynman.polynomial import Polynomial, eliminate, fit_full, monomials
-from dynsr.methods.feynman.stage import Context
-from dynsr.samples import Samples
+from dynsr.data.samples import Samples
+from dynsr.methods.feynman.stages.base import Context
+from dynsr.methods.feynman.stages.polynomial import Polynomial, eliminate, fit_full, monomials
 
 
 def _samples(X: np.ndarray, y: np.ndarray) -> Samples:

@@ -5,8 +5,8 @@ import statistics
 import pytest
 import sympy
 
-from dynsr.catalogue import PAPER_SYSTEMS, find_system
-from dynsr.expression import parse
+from dynsr.data.system import PAPER_SYSTEMS, find_system
+from dynsr.expression.parsing import parse
 from dynsr.paper.printed import METHODS, TABLE_1, printed_expressions, rows_of
 
 

@@ -5,12 +5,12 @@ import pytest
 import sympy
 from rich.console import Console
 
-from dynsr.commands import progress as module
-from dynsr.commands.progress import SearchProgress, best_equation
-from dynsr.expression import parse
-from dynsr.pareto import Candidate, ParetoFront
-from dynsr.selection import write_candidates
-from dynsr.watch import Running, Step
+from dynsr.cli import progress as module
+from dynsr.cli.progress import SearchProgress, best_equation
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.jobs.watch import Running, Step
+from dynsr.selection.pick import write_candidates
 
 FRONT = ParetoFront(
     [

@@ -5,13 +5,13 @@ import pytest
 import sympy
 from scipy.integrate import solve_ivp
 
-from dynsr.catalogue import CART_POLE, MICHAELIS_MENTEN
-from dynsr.expression import compile_numpy, parse
-from dynsr.methods.feynman.rational import RationalSearch
-from dynsr.pareto import Candidate
-from dynsr.samples import Samples, finite_difference
-from dynsr.system import System
-from dynsr.trajectory import Trajectory
+from dynsr.data.samples import Samples, finite_difference
+from dynsr.data.system import CART_POLE, MICHAELIS_MENTEN, System
+from dynsr.data.trajectory import Trajectory
+from dynsr.expression.evaluation import compile_numpy
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate
+from dynsr.methods.rational import RationalSearch
 
 
 def _integrate(system: System) -> Trajectory:

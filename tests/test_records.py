@@ -9,7 +9,8 @@ import pytest
 import sympy
 
 from dynsr.errors import InputError
-from dynsr.records import (
+from dynsr.jobs.store import write_text
+from dynsr.paper.records import (
     Record,
     RecordError,
     describe_settings,
@@ -17,7 +18,6 @@ from dynsr.records import (
     plain_values,
     read_record,
     write_record,
-    write_text,
 )
 
 RECORD = Record(

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from dynsr.benchmarks.recovery import compare_formulas, measure_recovery
-from dynsr.catalogue import CART_POLE, LOTKA_VOLTERRA, PENDULUM
+from dynsr.benchmarks.noise import compare_formulas, measure_recovery
+from dynsr.data.system import CART_POLE, LOTKA_VOLTERRA, PENDULUM
 from dynsr.errors import InputError
-from dynsr.expression import parse
+from dynsr.expression.parsing import parse
 
 
 @pytest.mark.parametrize(

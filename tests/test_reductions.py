@@ -1,22 +1,23 @@
 import numpy as np
 import pytest
 
-from dynsr.expression import compile_numpy, evaluate, parse
-from dynsr.methods.constants import refit
-from dynsr.methods.feynman.compositionality import (
+from dynsr.data.samples import Samples
+from dynsr.expression.evaluation import compile_numpy, evaluate
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate, score_candidate
+from dynsr.fit.constants import refit
+from dynsr.methods.feynman.stages.base import Context
+from dynsr.methods.feynman.stages.inner_functions import (
     Compositionality,
     GeneralisedSymmetry,
     GeneralSeparability,
     scatter,
 )
-from dynsr.methods.feynman.polynomial import Polynomial
-from dynsr.methods.feynman.rational import RationalSearch
-from dynsr.methods.feynman.reduction import AbstractReducer, Reduce, Support
-from dynsr.methods.feynman.separability import Separability
-from dynsr.methods.feynman.stage import Context
-from dynsr.methods.feynman.symmetry import Symmetry
-from dynsr.pareto import Candidate, score_candidate
-from dynsr.samples import Samples
+from dynsr.methods.feynman.stages.polynomial import Polynomial
+from dynsr.methods.feynman.stages.reduction import AbstractReducer, Reduce, Support
+from dynsr.methods.feynman.stages.separability import Separability
+from dynsr.methods.feynman.stages.symmetry import Symmetry
+from dynsr.methods.rational import RationalSearch
 
 ALL = (Symmetry(), Separability(), Compositionality(), GeneralSeparability(), GeneralisedSymmetry())
 

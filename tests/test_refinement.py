@@ -3,11 +3,12 @@ from dataclasses import replace
 import numpy as np
 import sympy
 
-from dynsr.expression import evaluate, parse
-from dynsr.methods.feynman.refinement import Refinement
-from dynsr.methods.feynman.stage import Context
-from dynsr.pareto import score_candidate
-from dynsr.samples import Samples
+from dynsr.data.samples import Samples
+from dynsr.expression.evaluation import evaluate
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import score_candidate
+from dynsr.methods.feynman.stages.base import Context
+from dynsr.methods.feynman.stages.refinement import Refinement
 
 
 def _samples(law: str) -> Samples:

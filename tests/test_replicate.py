@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from dynsr.errors import InputError
-from dynsr.records import RecordWarning
-from dynsr.replicate import replicate
+from dynsr.paper.records import RecordWarning
+from dynsr.paper.replication import replicate
 
 HERE = Path(__file__).parent
 # A program that replicates with a slow fake method until it is done or killed.
@@ -20,7 +20,7 @@ PROGRAM = """
 import sys
 sys.path.insert(0, {here!r})
 from fake_methods import make
-from dynsr.replicate import replicate
+from dynsr.paper.replication import replicate
 replicate(["pendulum"], ["guess0.15"], runs=8, seed=3, jobs=2, out=sys.argv[1], make=make)
 """
 
@@ -218,8 +218,8 @@ def test_quick_runs_say_so(tmp_path):
 
 def test_the_genetic_algorithm_replicates_in_the_paper_settings(tmp_path):
     """A real cell: the paper's settings are in the record, its losses are those of its formula."""
-    from dynsr.catalogue import PENDULUM
-    from dynsr.scoring import equation_rmse, printed_loss, trajectory_loss
+    from dynsr.data.system import PENDULUM
+    from dynsr.discovery.scoring import equation_rmse, printed_loss, trajectory_loss
 
     record = replicate(["pendulum"], ["ga"], 1, jobs=1, out=tmp_path).records[0]
     assert (record.settings["bits"], record.settings["population"]) == (20, 70)
@@ -228,10 +228,3 @@ def test_the_genetic_algorithm_replicates_in_the_paper_settings(tmp_path):
     assert record.trajectory_loss == pytest.approx(trajectory_loss(PENDULUM, record.expr))
     assert record.versions["numpy"] and record.engine == "embedded" and record.seconds > 0
     assert record.front[-1]["expression"] == record.expression
-
-
-def test_replicate_is_public():
-    """``dynsr.replicate`` is the function, also after its module was imported."""
-    import dynsr
-
-    assert dynsr.replicate is replicate and callable(dynsr.replicate)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from dynsr.replication_page import render_replication, write_results
-from dynsr.report import Picture, render_page
-from dynsr.tables import Formula, Table
+from dynsr.paper.page import render_replication, write_results
+from dynsr.report.page import Picture, render_page
+from dynsr.report.tables import Formula, Table
 
 sys.path.insert(0, str(Path(__file__).parent))
 from fake_records import PRINTED, record  # noqa: E402 (found beside this file)

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynsr.discovery_report import render_discovery
-from dynsr.expression import parse
-from dynsr.found import Discovery
-from dynsr.pareto import Candidate, ParetoFront
-from dynsr.replication_page import render_replication
-from dynsr.trajectory import Trajectory
+from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.result import Discovery
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.paper.page import render_replication
+from dynsr.report.discovery import render_discovery
 
 sys.path.insert(0, str(Path(__file__).parent))
 from browser import Browser, find_chromium  # noqa: E402 (found beside this file)

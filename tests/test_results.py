@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dynsr.catalogue import LORENZ, LOTKA_VOLTERRA, PENDULUM
-from dynsr.expression import compile_numpy, parse
-from dynsr.results import (
+from dynsr.data.system import LORENZ, LOTKA_VOLTERRA, PENDULUM
+from dynsr.expression.evaluation import compile_numpy
+from dynsr.expression.parsing import parse
+from dynsr.paper.results import (
     all_tables,
     appendix_table,
     drawable,

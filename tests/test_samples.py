@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from dynsr.data.samples import SCHEMES, finite_difference, make_samples
+from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
-from dynsr.samples import SCHEMES, finite_difference, make_samples
-from dynsr.trajectory import Trajectory
 
 
 def _sine(step: float) -> Trajectory:

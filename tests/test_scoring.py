@@ -6,10 +6,8 @@ import pytest
 import sympy
 from scipy.integrate import solve_ivp
 
-from dynsr.catalogue import CART_POLE, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM
-from dynsr.errors import EngineError, InputError
-from dynsr.expression import parse
-from dynsr.scoring import (
+from dynsr.data.system import CART_POLE, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM, System
+from dynsr.discovery.scoring import (
     Score,
     compared_states,
     equation_rmse,
@@ -18,7 +16,8 @@ from dynsr.scoring import (
     score_model,
     trajectory_loss,
 )
-from dynsr.system import System
+from dynsr.errors import EngineError, InputError
+from dynsr.expression.parsing import parse
 
 # Two states that do not touch each other, so that losses have closed forms.
 DECAYS = System.from_strings(

@@ -1,9 +1,9 @@
 import numpy as np
 
-from dynsr.methods.feynman.backend import NumpyBackend
-from dynsr.methods.feynman.bank import Chunk
+from dynsr.methods.feynman.enumeration.backend import NumpyBackend
+from dynsr.methods.feynman.enumeration.bank import Chunk
+from dynsr.methods.feynman.enumeration.screening import Screen, Shortlist
 from dynsr.methods.feynman.problem import make_problems
-from dynsr.methods.feynman.screening import Screen, Shortlist
 
 
 def unexplained(columns: np.ndarray, z: np.ndarray) -> float:

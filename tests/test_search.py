@@ -2,14 +2,15 @@ import numpy as np
 import pytest
 import sympy
 
-from dynsr.catalogue import LOTKA_VOLTERRA, PENDULUM
+from dynsr.data.samples import Samples, make_samples
+from dynsr.data.system import LOTKA_VOLTERRA, PENDULUM
+from dynsr.discovery.scoring import score_model
+from dynsr.engines.simulation import training_trajectory
 from dynsr.errors import InputError
-from dynsr.expression import evaluate, parse
+from dynsr.expression.evaluation import evaluate
+from dynsr.expression.parsing import parse
 from dynsr.methods.base import Progress
 from dynsr.methods.feynman.search import PRESETS, STAGES, DynAIFeynman
-from dynsr.samples import Samples, make_samples
-from dynsr.scoring import score_model
-from dynsr.simulate import training_trajectory
 
 _QUICK = DynAIFeynman(stages=("polynomial", "brute force", "refinement"), candidates=5000)
 

@@ -6,9 +6,9 @@ import pytest
 
 from dynsr.engines.base import InitialValueProblem
 from dynsr.engines.embedded import EmbeddedEngine
-from dynsr.engines.select import find_engine
+from dynsr.engines.registry import find_engine
 from dynsr.errors import InputError
-from dynsr.expression import parse
+from dynsr.expression.parsing import parse
 
 
 def test_the_embedded_engine_integrates():
@@ -38,7 +38,7 @@ def test_versions_name_every_part():
 def test_choosing_an_engine_starts_nothing_foreign():
     """Neither Julia's bridge nor torch is loaded by choosing the embedded engine."""
     code = (
-        "import sys; from dynsr.engines.select import find_engine; find_engine('embedded'); "
+        "import sys; from dynsr.engines.registry import find_engine; find_engine('embedded'); "
         "print([m for m in ('juliacall', 'torch', 'matplotlib', 'pandas') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -49,7 +49,7 @@ def test_a_missing_julia_is_told_before_numbers_and_equations_load():
     """The refusal does not wait for NumPy and SymPy, the slowest part of a start."""
     code = (
         "import importlib.util, sys; importlib.util.find_spec = lambda name: None\n"
-        "from dynsr.engines.select import find_engine\n"
+        "from dynsr.engines.registry import find_engine\n"
         "try: find_engine('julia')\n"
         "except Exception as problem: print(type(problem).__name__, end=' ')\n"
         "print({'numpy', 'sympy'} & set(sys.modules))"

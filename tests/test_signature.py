@@ -1,6 +1,6 @@
 import numpy as np
 
-from dynsr.methods.feynman.signature import Seen
+from dynsr.methods.feynman.enumeration.bank import Seen
 
 
 def test_the_table_agrees_with_a_set():

@@ -1,16 +1,13 @@
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import dynsr
-from dynsr.catalogue import CART_POLE, LOTKA_VOLTERRA, PENDULUM, SYSTEMS
+from dynsr.data.samples import forward_difference
+from dynsr.data.system import CART_POLE, LOTKA_VOLTERRA, PENDULUM, SYSTEMS, System
+from dynsr.engines.simulation import add_noise, simulate, training_trajectory
 from dynsr.errors import EngineError, InputError
-from dynsr.samples import forward_difference
-from dynsr.simulate import add_noise, simulate, training_trajectory
-from dynsr.system import System
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -99,13 +96,3 @@ def test_an_impossible_noise_level_is_refused(level):
     """Negative and not finite levels are named."""
     with pytest.raises(InputError, match="noise"):
         add_noise(simulate(PENDULUM, t=[0.0, 1.0]), level, np.random.default_rng(0))
-
-
-def test_simulate_is_the_function_whatever_was_imported_first():
-    """``dynsr.simulate`` can be called before and after the module of that name is imported."""
-    code = (
-        "import dynsr.simulate, dynsr; from dynsr.simulate import add_noise; "
-        "print(len(dynsr.simulate(dynsr.find_system('pendulum'), t=[0.0, 1.0])))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "2"

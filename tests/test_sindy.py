@@ -8,20 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynsr.catalogue import LORENZ, MICHAELIS_MENTEN, PAPER_SYSTEMS, PENDULUM, find_system
+from dynsr.data.samples import Samples, make_samples
+from dynsr.data.system import LORENZ, MICHAELIS_MENTEN, PAPER_SYSTEMS, PENDULUM, find_system
 from dynsr.engines.base import InitialValueProblem
-from dynsr.engines.tsit5 import solve_steps
-from dynsr.engines.tsit5_replay import replay_steps
+from dynsr.engines.simulation import simulate
+from dynsr.engines.tsit5.single import replay_steps, solve_steps
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy, complexity, parse, to_text
+from dynsr.expression.bits import complexity
+from dynsr.expression.evaluation import compile_numpy
+from dynsr.expression.parsing import parse
+from dynsr.expression.writing import to_text
+from dynsr.fit.candidates import rmse, score_candidate
 from dynsr.methods.library import GrownLibrary, Library, polynomials
-from dynsr.methods.sindy import SINDy
-from dynsr.methods.sindy_path import eliminate
-from dynsr.paper.recipes import recorded_steps, sindy_samples
-from dynsr.paper.records import reference_samples
-from dynsr.pareto import rmse, score_candidate
-from dynsr.samples import Samples, make_samples
-from dynsr.simulate import simulate
+from dynsr.methods.sindy import SINDy, eliminate
+from dynsr.paper.protocol import recorded_steps, sindy_samples
+from dynsr.paper.reference import reference_samples
 
 GOLDEN = Path(__file__).parent / "golden"
 ROWS = json.loads((GOLDEN / "paper_rows.json").read_text())

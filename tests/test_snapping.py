@@ -2,19 +2,13 @@ import numpy as np
 import pytest
 import sympy
 
-from dynsr.expression import parse
-from dynsr.methods.constants import refit, skeleton
-from dynsr.methods.feynman.description import Noise
-from dynsr.methods.snapping import (
-    normal_forms,
-    simple_numbers,
-    snap,
-    snap_best,
-    tidy,
-)
-from dynsr.methods.variation import improve, loosen, neighbours
-from dynsr.pareto import score_candidate
-from dynsr.samples import Samples
+from dynsr.data.samples import Samples
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import score_candidate
+from dynsr.fit.constants import refit, skeleton
+from dynsr.fit.description import Noise
+from dynsr.fit.snapping import normal_forms, simple_numbers, snap, snap_best, tidy
+from dynsr.fit.variation import improve, loosen, neighbours
 
 
 @pytest.fixture

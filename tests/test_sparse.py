@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dynsr.engines.base import SparseProblem
-from dynsr.engines.sparse import solve_sparse
-from dynsr.engines.stack import Stack
+from dynsr.engines.sparse.iteration import Stack
+from dynsr.engines.sparse.solve import solve_sparse
 from dynsr.errors import InputError
-from dynsr.paper.records import SparseRecord, sparse_records
+from dynsr.paper.reference import SparseRecord, sparse_records
 
 RECORDS = [*sparse_records("2021"), *sparse_records("current")]
 # x, x y and 1.5 x - x y are dependent: any of the three may be written by the others with no error
@@ -73,8 +73,8 @@ def _planted(seed: int = 0, samples: int = 300) -> tuple[np.ndarray, np.ndarray]
 
 def test_the_stack_gives_what_one_problem_at_a_time_gives():
     """All left-hand sides iterated together have the coefficients of each iterated alone."""
-    from dynsr.engines.iteration import relations
-    from dynsr.engines.sparse_2021 import SR3, _solve
+    from dynsr.engines.sparse.iteration import relations
+    from dynsr.engines.sparse.release_2021 import SR3, _solve
 
     theta, dx = _planted()
     problem = SparseProblem(

@@ -3,9 +3,8 @@ import pytest
 import sympy
 from scipy.integrate import solve_ivp
 
-from dynsr.expression import parse
-from dynsr.methods.flow import Flow, Windows
-from dynsr.methods.striding import KeptWindows, ProbedFlow, StridingFlow
+from dynsr.expression.parsing import parse
+from dynsr.fit.flow import Flow, KeptWindows, ProbedFlow, StridingFlow, Windows
 
 T = np.linspace(0, 2, 201)
 RHS = {"a": parse("b"), "b": parse("-9.81*sin(a) - 0.1*b + F")}

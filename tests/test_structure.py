@@ -4,13 +4,20 @@ import numpy as np
 import pytest
 import sympy
 
-from dynsr.benchmarks.recovery import compare_formulas
-from dynsr.catalogue import LOTKA_VOLTERRA, PENDULUM
-from dynsr.changes import library, promising_changes, swap_everywhere, turn_terms
-from dynsr.expression import parse
-from dynsr.judging import Judge, independent_rows, term_bits
-from dynsr.simulate import add_noise, training_trajectory
-from dynsr.structure import settle
+from dynsr.benchmarks.noise import compare_formulas
+from dynsr.data.system import LOTKA_VOLTERRA, PENDULUM
+from dynsr.engines.simulation import add_noise, training_trajectory
+from dynsr.expression.parsing import parse
+from dynsr.selection.systems import (
+    Judge,
+    independent_rows,
+    library,
+    promising_changes,
+    settle,
+    swap_everywhere,
+    term_bits,
+    turn_terms,
+)
 
 WRONG = {
     "a term too many": "0.06*theta1*theta2^2 - 0.09*theta2 - 10*sin(theta1)",

@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 from scipy.optimize import least_squares
 
-from dynsr.methods.feynman.subsets import SubsetSearch, fit_ratio
+from dynsr.methods.rational import SubsetSearch, fit_ratio
 
 
 def _problem(seed: int, denominators: int = 0) -> SubsetSearch:

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from dynsr.catalogue import CART_POLE, SYSTEMS, find_system
+from dynsr.data.system import CART_POLE, SYSTEMS, System, find_system
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy, parse
-from dynsr.system import System
+from dynsr.expression.evaluation import compile_numpy
+from dynsr.expression.parsing import parse
 
 
 def test_a_system_is_read_from_strings_with_parameters():

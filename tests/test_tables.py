@@ -5,7 +5,7 @@ import statistics
 
 import pytest
 
-from dynsr.tables import Formula, Spread, Table, format_value
+from dynsr.report.tables import Formula, Spread, Table, format_value
 
 TABLE = Table(
     "my_table",

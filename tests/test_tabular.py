@@ -5,9 +5,9 @@ import pandas
 import polars
 import pytest
 
+from dynsr.data.reading import read_trajectories, write_csv
+from dynsr.data.trajectory import Trajectory
 from dynsr.errors import DynsrWarning, InputError
-from dynsr.tabular import read_trajectories, write_csv
-from dynsr.trajectory import Trajectory
 
 T = np.linspace(0.0, 2.0, 21)
 X = np.column_stack([np.sin(3 * T), np.cos(T)])

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
-from dynsr.trajectory import Trajectory
 
 
 @pytest.mark.parametrize(

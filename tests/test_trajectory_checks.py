@@ -4,15 +4,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynsr.crosscheck import PROGRAMS, crosscheck
-from dynsr.engines import diffeqpy
+from dynsr.checks.crosschecks import PROGRAMS, crosscheck
+from dynsr.checks.trajectories import trajectory_rows
 from dynsr.engines.base import Integration, SparseProblem
-from dynsr.engines.diffeqpy import DiffeqpyEngine
 from dynsr.engines.embedded import EmbeddedEngine
+from dynsr.engines.julia import diffeqpy
+from dynsr.engines.julia.diffeqpy import DiffeqpyEngine
 from dynsr.errors import EngineError, EngineUnavailable
-from dynsr.paper.bases import BASES
-from dynsr.paper.trajectory_records import trajectory_record
-from dynsr.trajectory_checks import trajectory_rows
+from dynsr.paper.protocol import BASES
+from dynsr.paper.reference import trajectory_record
 
 FAKE = Path(__file__).parent / "fake_julia"
 
@@ -91,7 +91,7 @@ def test_diffeqpy_is_compared_on_request(fake_julia, monkeypatch):
     """
     engine = DiffeqpyEngine(start_seconds=60.0)
     monkeypatch.setitem(PROGRAMS, "diffeqpy", lambda: engine)
-    monkeypatch.setattr("dynsr.crosscheck._start_program", lambda name: PROGRAMS[name]())
+    monkeypatch.setattr("dynsr.checks.crosschecks._start_program", lambda name: PROGRAMS[name]())
     rows = crosscheck(["pendulum"], [], extra=["diffeqpy"])
     engine.close()
     assert {(row.section, row.ours) for row in rows} == {("trajectories", "diffeqpy")}
@@ -105,7 +105,7 @@ def test_diffeqpy_is_compared_on_request(fake_julia, monkeypatch):
 def test_without_diffeqpy_its_rows_are_absent(monkeypatch):
     """Asked for and not installed: one absent row a system, with the remedy."""
     monkeypatch.setattr(diffeqpy.importlib.util, "find_spec", lambda name: None)
-    monkeypatch.setattr("dynsr.crosscheck._start_program", lambda name: PROGRAMS[name]())
+    monkeypatch.setattr("dynsr.checks.crosschecks._start_program", lambda name: PROGRAMS[name]())
     with pytest.raises(EngineUnavailable, match=r"pip install 'dynsr\[diffeqpy\]'"):
         DiffeqpyEngine()
     rows = crosscheck(["pendulum", "cart-pole"], [], extra=["diffeqpy"])

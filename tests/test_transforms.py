@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 
-from dynsr.expression import evaluate, parse
-from dynsr.methods.feynman.polynomial import Polynomial
-from dynsr.methods.feynman.stage import Context
-from dynsr.methods.feynman.transforms import DomainChange
-from dynsr.samples import Samples
+from dynsr.data.samples import Samples
+from dynsr.expression.evaluation import evaluate
+from dynsr.expression.parsing import parse
+from dynsr.methods.feynman.stages.base import Context
+from dynsr.methods.feynman.stages.domain_change import DomainChange
+from dynsr.methods.feynman.stages.polynomial import Polynomial
 
 _STAGE = DomainChange((Polynomial(degree=2, sparse=True),))
 

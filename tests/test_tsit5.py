@@ -7,12 +7,20 @@ import pytest
 import sympy
 from scipy.integrate import solve_ivp
 
-from dynsr.catalogue import CART_POLE, LORENZ, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM, SYSTEMS
+from dynsr.data.system import (
+    CART_POLE,
+    LORENZ,
+    LOTKA_VOLTERRA,
+    PAPER_SYSTEMS,
+    PENDULUM,
+    SYSTEMS,
+    System,
+)
 from dynsr.engines.base import InitialValueProblem
-from dynsr.engines.tsit5 import Steps, interpolate, solve, solve_steps
-from dynsr.engines.tsit5_tableau import stages_of_step
-from dynsr.expression import compile_scalar, parse
-from dynsr.system import System
+from dynsr.engines.tsit5.single import Steps, interpolate, solve, solve_steps
+from dynsr.engines.tsit5.tableau import stages_of_step
+from dynsr.expression.evaluation import compile_scalar
+from dynsr.expression.parsing import parse
 
 GOLDEN = Path(__file__).parent / "golden" / "tsit5"
 FILES = {

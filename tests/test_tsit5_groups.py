@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import sympy
 
-from dynsr.catalogue import CART_POLE, LORENZ, LOTKA_VOLTERRA, PENDULUM
+from dynsr.data.system import CART_POLE, LORENZ, LOTKA_VOLTERRA, PENDULUM
 from dynsr.engines.base import InitialValueProblem
-from dynsr.engines.tsit5 import solve
-from dynsr.engines.tsit5_batch import lane_slopes, solve_batch
-from dynsr.engines.tsit5_groups import fill_form, solve_all, split_numbers
+from dynsr.engines.tsit5.batch import lane_slopes, solve_batch
+from dynsr.engines.tsit5.groups import fill_form, solve_all, split_numbers
+from dynsr.engines.tsit5.single import solve
 from dynsr.errors import InputError
-from dynsr.expression import parse
+from dynsr.expression.parsing import parse
 
 
 def one_equation(text: str, x0: float, t, **settings) -> InitialValueProblem:

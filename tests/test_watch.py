@@ -3,9 +3,9 @@ import time
 
 import pytest
 
-from dynsr.checkpoint import Part
-from dynsr.live import LiveFolder
-from dynsr.watch import Watch, estimate_left
+from dynsr.jobs.checkpoint import Part
+from dynsr.jobs.live import LiveFolder
+from dynsr.jobs.watch import Watch, estimate_left
 
 PLAN = {"a": "rational", "b": "genetic", "c": "pick"}
 

@@ -54,7 +54,7 @@ def test_the_wheel_holds_all_that_dynsr_needs_at_run_time(wheel):
 
 def test_an_installed_dynsr_finds_julias_sources(installed, tmp_path):
     """Away from the checkout, the engine finds the julia folder inside the package."""
-    code = "from dynsr.engines.julia_setup import find_sources; print(find_sources())"
+    code = "from dynsr.engines.julia.setup import find_sources; print(find_sources())"
     found = Path(run_in(installed, code, tmp_path))
     assert found == installed / "dynsr" / "julia"
     assert all((found / "src" / name).is_file() for name in SOURCES)
@@ -74,7 +74,7 @@ def test_juliapkg_would_find_the_list_of_packages(installed, tmp_path):
 def test_an_installed_dynsr_integrates(installed, tmp_path):
     """The wheel alone is a working dynsr."""
     code = (
-        "from dynsr.catalogue import PENDULUM; from dynsr.simulate import simulate; "
+        "from dynsr.data.system import PENDULUM; from dynsr.engines.simulation import simulate; "
         "print(simulate(PENDULUM).x.shape)"
     )
     assert run_in(installed, code, tmp_path) == "(1001, 2)"

@@ -3,9 +3,10 @@ import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynsr.expression import complexity, evaluate, parse
-from dynsr.methods.grammar import PAD, Grammar
-from dynsr.methods.words import evaluate_words, to_postfix, to_sympy, word_bits
+from dynsr.expression.bits import complexity
+from dynsr.expression.evaluation import evaluate
+from dynsr.expression.parsing import parse
+from dynsr.methods.grammar import PAD, Grammar, evaluate_words, to_postfix, to_sympy, word_bits
 
 GRAMMAR = Grammar(("x", "y"), (1.0, -3.0, 0.5))
 COLUMNS = np.random.default_rng(1).uniform(0.2, 2.0, (2, 40))

@@ -8,7 +8,7 @@ from pathlib import Path
 import joblib
 import pytest
 
-from dynsr.workers import spread
+from dynsr.jobs.pool import spread
 
 
 def is_running(pid):
@@ -44,7 +44,7 @@ def test_other_backends_serve(backend):
 
 CHILD = """
 import os, sys, time
-from dynsr.workers import spread
+from dynsr.jobs.pool import spread
 def work(folder, i):
     open(f"{folder}/{os.getpid()}", "w").close()
     time.sleep(600)

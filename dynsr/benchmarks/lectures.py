@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 import sympy
 
+from dynsr.data import Samples
 from dynsr.errors import InputError
 from dynsr.expression import evaluate, parse
-from dynsr.samples import Samples
 
 Range = tuple[float, float]
 

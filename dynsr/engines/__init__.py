@@ -1,1 +1,5 @@
 """The engines that integrate and regress: ``embedded`` (default, Python) and ``julia``."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

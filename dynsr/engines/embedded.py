@@ -17,8 +17,8 @@ from dynsr.engines.base import (
     SparseProblem,
     SparseSolution,
 )
-from dynsr.engines.tsit5 import solve
-from dynsr.engines.tsit5_groups import solve_all
+from dynsr.engines.tsit5.groups import solve_all
+from dynsr.engines.tsit5.single import solve
 
 
 class EmbeddedEngine(AbstractEngine):
@@ -31,17 +31,17 @@ class EmbeddedEngine(AbstractEngine):
     name = "embedded"
 
     def integrate(self, problem: InitialValueProblem) -> Integration:
-        """Solve an initial value problem by :func:`dynsr.engines.tsit5.solve`."""
+        """Solve an initial value problem by :func:`dynsr.engines.tsit5.single.solve`."""
         return solve(problem)
 
     def integrate_all(self, problems: Sequence[InitialValueProblem]) -> list[Integration]:
-        """Solve many problems by :func:`dynsr.engines.tsit5_groups.solve_all`."""
+        """Solve many problems by :func:`dynsr.engines.tsit5.groups.solve_all`."""
         return solve_all(problems)
 
     def regress(self, problem: SparseProblem) -> SparseSolution:
-        """Solve a sparse regression problem by :func:`dynsr.engines.sparse.solve_sparse`."""
+        """Solve a sparse regression problem by :func:`dynsr.engines.sparse.solve.solve_sparse`."""
         # Here, so that who only integrates does not load linear algebra it never uses.
-        from dynsr.engines.sparse import solve_sparse
+        from dynsr.engines.sparse.solve import solve_sparse
 
         return solve_sparse(problem)
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynsr.pareto import ParetoFront
-from dynsr.samples import Samples
+from dynsr.data import Samples
+from dynsr.fit import ParetoFront
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import sympy
 
+from dynsr.data import Samples
 from dynsr.errors import InputError
+from dynsr.fit import ParetoFront, score_candidate
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.grammar import (
     DEFAULT_CONSTANTS,
@@ -16,10 +18,11 @@ from dynsr.methods.grammar import (
     DEFAULT_OPERATORS,
     PAD,
     Grammar,
+    evaluate_words,
+    to_postfix,
+    to_sympy,
+    word_bits,
 )
-from dynsr.methods.words import evaluate_words, to_postfix, to_sympy, word_bits
-from dynsr.pareto import ParetoFront, score_candidate
-from dynsr.samples import Samples
 
 # Table 2 of the paper, and per system the terminals of its printed words, which hold the true
 # coefficients ("an optimistic estimate", section 4). Twenty bits hold those words only with eight

@@ -1,1 +1,5 @@
-"""What the paper prints: settings, bases, expressions and losses, as data."""
+"""The paper: its protocol, what it prints, and its replication."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

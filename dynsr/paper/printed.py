@@ -10,7 +10,7 @@ from importlib.resources import files
 
 import sympy
 
-from dynsr.catalogue import find_system
+from dynsr.data import find_system
 from dynsr.expression import parse
 
 METHODS = ("DynAIFeynman", "GA", "SINDy")

@@ -1,99 +1,224 @@
-"""Reference answers of sparse regression, as DataDrivenDiffEq.jl and DataDrivenSparse.jl gave them.
+"""Records: what each cell of a replication gave, one JSON file a cell, written in one move.
 
-Two sets: "2021", the numerical core of DataDrivenDiffEq.jl 0.5.7 under Julia 1.5.3, and "current",
-DataDrivenSparse.jl 0.1.2 under Julia 1.10.5, on the same three trajectories.
+A folder of results holds ``manifest.json``, which names the settings that every cell shares, and
+``cells/``. A record is either there as a whole or not there: it is written beside its place and
+moved in. It carries a checksum, so that one which was damaged later is known.
 """
 
 from __future__ import annotations
 
-import gzip
+import hashlib
 import json
-from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from pathlib import Path
 from typing import Any
 
-import numpy as np
+import sympy
 
-from dynsr.catalogue import find_system
-from dynsr.engines.base import SparseProblem
-from dynsr.expression import compile_numpy
-from dynsr.methods.library import Library
-from dynsr.paper.bases import BASES
-from dynsr.samples import Samples, make_samples
-from dynsr.trajectory import Trajectory
+from dynsr.errors import DynsrError, DynsrWarning, InputError
+from dynsr.expression import parse, to_text
+from dynsr.jobs import write_text
 
-_SETTINGS = ("lambda", "threshold", "nu", "rho", "proximal")
+FORMAT = "dynsr replication 1"
+MANIFEST = "manifest.json"
+_NUMBERS = (
+    "fit_loss",
+    "complexity",
+    "equation_rmse",
+    "printed_loss",
+    "trajectory_loss",
+    "seconds",
+)
+# What a folder may hold before it has a manifest: a call may end between any two files.
+_OURS = ("cells", "tables")
+_STALE_SECONDS = 3600.0
 
 
-@dataclass(frozen=True, eq=False)
-class SparseRecord:
-    """One regression and Julia's answer.
+class RecordError(DynsrError, ValueError):
+    """A file is not the whole, undamaged record that it should be."""
 
-    ``iterations`` is None where the search came back empty; ``coefficients`` are in the order of
-    :class:`dynsr.engines.base.SparseSolution`.
+
+class RecordWarning(DynsrWarning):
+    """A record could not be used; its cell is computed again."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run of one method on one system.
+
+    Parameters
+    ----------
+    system, method, run, target : the cell; runs count from 1.
+    seed : the entropy and spawn key of the ``numpy.random.SeedSequence`` of this cell.
+    status : "done" or "failed"; then ``error`` says why in one line.
+    expression : right-hand side of the target's equation, text that :func:`dynsr.parse` reads.
+    fit_loss : its RMSE on the training samples, state units per second.
+    complexity : its description length in bits.
+    equation_rmse : root mean square of f_hat - f along the true test states (the paper's formula).
+    printed_loss : the trajectory loss behind the numbers that the paper prints.
+    trajectory_loss : the trajectory loss over all states from the right start.
+    seconds : wall time of the search.
+    engine, versions : what integrated and regressed, with the version of every part.
+    preset, settings : the method's own settings, all of them.
+    front : every formula of the Pareto front: expression, loss, complexity.
     """
 
     system: str
-    problem: SparseProblem
-    coefficients: np.ndarray
-    iterations: int | None
+    method: str
+    run: int
+    target: str
+    seed: tuple[int, ...]
+    status: str
+    engine: str
+    versions: Mapping[str, str]
+    preset: str
+    settings: Mapping[str, Any]
+    expression: str = ""
+    fit_loss: float = math.inf
+    complexity: float = math.inf
+    equation_rmse: float = math.inf
+    printed_loss: float = math.inf
+    trajectory_loss: float = math.inf
+    seconds: float = math.nan
+    error: str = ""
+    front: tuple[Mapping[str, Any], ...] = field(default=())
 
     @property
-    def title(self) -> str:
-        """What was asked, in one line."""
-        numbers = " ".join(f"{k}={v}" for k, v in self.problem.settings.items())
-        kind = "implicit" if self.problem.implicit else "explicit"
-        scale = " normalised" if self.problem.normalize else ""
-        return f"{self.system} {kind} {self.problem.optimizer} {numbers}{scale}"
+    def done(self) -> bool:
+        """Whether the cell gave a formula."""
+        return self.status == "done"
+
+    @property
+    def expr(self) -> sympy.Expr:
+        """The formula as a SymPy expression."""
+        return parse(self.expression)
 
 
-@cache
-def reference_samples(system_name: str) -> Samples:
-    """Samples on which the answers were made: 1000 forward differences of the last state.
+def write_record(record: Record, path: Path) -> None:
+    """Write a record to ``path`` in one move, with its checksum."""
+    body = plain_values(asdict(record))
+    write_text(path, _dumps({**body, "checksum": _checksum(body)}))
 
-    >>> len(reference_samples("pendulum"))
-    1000
+
+def read_record(path: Path) -> Record:
+    """Read a record back; raises RecordError that says what is wrong with the file."""
+    try:
+        body = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise RecordError(f"{path} is no whole record ({type(error).__name__})") from None
+    if not isinstance(body, dict) or set(body) != {f.name for f in fields(Record)} | {"checksum"}:
+        raise RecordError(f"{path} does not have the parts of a record")
+    if body.pop("checksum") != _checksum(body):
+        raise RecordError(f"{path} was changed or damaged: its checksum differs")
+    body["seed"], body["front"] = tuple(body["seed"]), tuple(map(_numbers, body["front"]))
+    return Record(**_numbers(body))
+
+
+def open_folder(out: str | Path, settings: Mapping[str, Any]) -> Path:
+    """Make a folder of results, or continue one that has the same settings.
+
+    Raises InputError when it cannot be written, holds other things, or has other settings.
     """
-    system = find_system(system_name)
-    path = files("dynsr.paper") / "references" / f"{system_name}.csv.gz"
-    lines = gzip.decompress(path.read_bytes()).decode().splitlines()
-    table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
-    t = table[:, 0]
-    inputs = compile_numpy(list(system.inputs.values()), ["t"])(t[None]).T
-    trajectory = Trajectory(t, table[:, 1:], system.states, inputs, tuple(system.inputs))
-    return make_samples(trajectory, system.target, "forward")
+    folder = Path(out).absolute()
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give a folder for the results")
+    try:
+        content = sorted(p.name for p in folder.iterdir()) if folder.exists() else []
+        if MANIFEST in content:
+            _check_manifest(folder / MANIFEST, settings)
+        elif foreign := [n for n in content if not (n in _OURS or _is_part(n))]:
+            raise InputError(
+                f"{folder} holds {foreign[0]!r} and no results of dynsr; "
+                "give a new or an empty folder"
+            )
+        (folder / "cells").mkdir(parents=True, exist_ok=True)
+        # Written anew each time, so that a folder that cannot be written is known at once.
+        write_text(folder / MANIFEST, _dumps({"format": FORMAT, "settings": dict(settings)}))
+        _remove_stale(folder)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise InputError(
+            f"cannot write results into {folder}: {reason}; give another folder"
+        ) from None
+    return folder
 
 
-@cache
-def reference_problem(system_name: str) -> tuple[np.ndarray, np.ndarray]:
-    """theta (p, 1000) of the paper's basis, and dx (1000,)."""
-    samples = reference_samples(system_name)
-    return Library.from_strings(BASES[system_name]).values(samples.columns), samples.y
+def describe_settings(method: Any) -> dict[str, Any]:
+    """Give the settings of a method (its fields) as values that JSON holds.
 
-
-def sparse_records(release: str) -> list[SparseRecord]:
-    """Give the records of release "2021" or "current".
-
-    >>> sparse_records("2021")[0].title
-    'pendulum explicit SR3 lambda=0.01 nu=1.0 normalised'
+    >>> from dynsr.methods.genetic import GeneticAlgorithm
+    >>> describe_settings(GeneticAlgorithm.preset("paper", "pendulum"))["bits"]
+    20
     """
-    path = files("dynsr.paper") / "references" / f"sindy_{release}.json"
-    return [_read(row, release) for row in json.loads(path.read_text(encoding="utf-8"))]
+    if not is_dataclass(method):
+        return {"name": str(getattr(method, "name", type(method).__name__))}
+    return plain_values({f.name: getattr(method, f.name) for f in fields(method)})
 
 
-def _read(row: dict[str, Any], release: str) -> SparseRecord:
-    theta, dx = reference_problem(row["system"])
-    old = release == "2021"
-    problem = SparseProblem(
-        theta,
-        dx,
-        row["optimizer"],
-        {key: row[key] for key in _SETTINGS if key in row},
-        row["normalize"] if old else False,
-        row["maxiter" if old else "maxiters"],
-        row["kind"] == "implicit",
-        "2021" if old else None,
-    )
-    steps = row["iterations" if old else "iterations_reported"]
-    return SparseRecord(row["system"], problem, np.array(row["coefficients"], dtype=float), steps)
+def _check_manifest(path: Path, settings: Mapping[str, Any]) -> None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        old = found["settings"]
+        ours = found["format"] == FORMAT and isinstance(old, dict)
+    except (UnicodeDecodeError, ValueError, TypeError, KeyError):
+        ours = False
+    if not ours:
+        raise InputError(f"{path} is no manifest of dynsr; give a new or an empty folder")
+    for key, value in plain_values(settings).items():
+        if old.get(key) != value:
+            raise InputError(
+                f"{path.parent} holds results with {key} {old.get(key)}, not {value}; "
+                f"give another folder, or {key} {old.get(key)} to continue them"
+            )
+
+
+def _is_part(name: str) -> bool:
+    return name.startswith(".") and name.endswith(".part")
+
+
+def _remove_stale(folder: Path) -> None:
+    """Remove what a killed process left half written long ago."""
+    for part in [*folder.glob(".*.part"), *folder.glob("cells/.*.part")]:
+        if time.time() - part.stat().st_mtime > _STALE_SECONDS:
+            part.unlink(missing_ok=True)
+
+
+def _checksum(body: Mapping[str, Any]) -> str:
+    return hashlib.sha256(_dumps(body).encode()).hexdigest()
+
+
+def _dumps(body: Mapping[str, Any]) -> str:
+    return json.dumps(body, indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+
+def plain_values(value: Any) -> Any:
+    """Bring values to what strict JSON holds.
+
+    Expressions become text, and so do the numbers that are not finite ("inf", "nan").
+    """
+    if isinstance(value, Mapping):
+        return {str(k): plain_values(v) for k, v in value.items()}
+    if isinstance(value, (set, frozenset)):
+        return sorted(map(plain_values, value), key=str)
+    if isinstance(value, (list, tuple)):
+        return [plain_values(v) for v in value]
+    if isinstance(value, sympy.Basic):
+        return to_text(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)
+    if value is None or isinstance(value, (str, bool, int, float)):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain_values({f.name: getattr(value, f.name) for f in fields(value)})
+    if hasattr(value, "tolist"):
+        return plain_values(value.tolist())
+    return str(getattr(value, "__name__", type(value).__name__))
+
+
+def _numbers(body: Mapping[str, Any]) -> dict[str, Any]:
+    """Read back the numbers that were written as text."""
+    keys = (*_NUMBERS, "loss")
+    return {k: float(v) if k in keys and isinstance(v, str) else v for k, v in body.items()}

@@ -20,13 +20,16 @@ import sympy
 from rich.console import Console
 from rich.table import Table
 
-from dynsr.catalogue import LOTKA_VOLTERRA, PENDULUM
-from dynsr.expression import parse
-from dynsr.methods.feynman.bruteforce import BruteForce, BruteForceResult, search_values
-from dynsr.methods.feynman.description import choose
-from dynsr.samples import Samples, make_samples
-from dynsr.simulate import training_trajectory
-from dynsr.system import System
+from dynsr.data.samples import Samples, make_samples
+from dynsr.data.system import LOTKA_VOLTERRA, PENDULUM, System
+from dynsr.engines.simulation import training_trajectory
+from dynsr.expression.parsing import parse
+from dynsr.fit.description import choose
+from dynsr.methods.feynman.enumeration.brute_force import (
+    BruteForce,
+    BruteForceResult,
+    search_values,
+)
 
 SCHEME, TOLERANCE = "central4", 0.01
 SYSTEMS = (LOTKA_VOLTERRA, PENDULUM)

@@ -15,13 +15,13 @@ from rich.console import Console
 from rich.table import Table
 
 from dynsr.benchmarks.lectures import Lecture, find_lectures
-from dynsr.expression import evaluate
-from dynsr.methods.feynman.bruteforce import BruteForce, search_values
-from dynsr.methods.feynman.description import choose
-from dynsr.methods.feynman.rational import RationalSearch
+from dynsr.data.samples import Samples
+from dynsr.expression.evaluation import evaluate
+from dynsr.fit.candidates import Candidate
+from dynsr.fit.description import choose
+from dynsr.methods.feynman.enumeration.brute_force import BruteForce, search_values
 from dynsr.methods.feynman.search import DynAIFeynman
-from dynsr.pareto import Candidate
-from dynsr.samples import Samples
+from dynsr.methods.rational import RationalSearch
 
 TOLERANCE, WIDEN, EXACT = 1e-6, 0.05, 1e-10
 

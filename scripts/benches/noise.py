@@ -15,16 +15,16 @@ from pathlib import Path
 from rich.console import Console
 
 from dynsr.benchmarks.noise import (
+    NOISE_LEVELS,
     NoiseRow,
     formula_table,
     noise_table,
     recovery_rates,
     run_noise,
 )
-from dynsr.benchmarks.recovery import NOISE_LEVELS
-from dynsr.catalogue import PAPER_SYSTEMS, find_system
+from dynsr.data.system import PAPER_SYSTEMS, find_system
 from dynsr.errors import DynsrError
-from dynsr.plots import draw_recovery, to_bytes
+from dynsr.report.plots import draw_recovery, to_bytes
 
 
 def read_options() -> argparse.Namespace:

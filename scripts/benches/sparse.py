@@ -21,8 +21,8 @@ from collections.abc import Callable  # noqa: E402
 import numpy as np  # noqa: E402
 
 from dynsr.engines.base import SparseProblem  # noqa: E402
-from dynsr.engines.sparse import solve_sparse  # noqa: E402
-from dynsr.paper.records import reference_problem  # noqa: E402
+from dynsr.engines.sparse.solve import solve_sparse  # noqa: E402
+from dynsr.paper.reference import reference_problem  # noqa: E402
 
 JULIA_SECONDS = 1.4
 TARGET_SECONDS = 0.3

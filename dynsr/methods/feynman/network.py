@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from dynsr.methods.feynman.polynomial import standard_coordinates
-from dynsr.samples import Samples
+from dynsr.data import Samples
+from dynsr.methods.feynman.stages.polynomial import standard_coordinates
 
 HIDDEN = (128, 128, 64, 64)
 _BATCH = 256

@@ -1,22 +1,134 @@
 """What a searched function f is fitted to: T(y) = b_1 g_1(x) + ... + b_q g_q(x) + c h(f(x)).
 
-Three kinds of problem share one bank of functions:
-
-* affine: y, or a domain change of it, is c f + d;
-* power law: y = C x_1^a_1 ... x_p^a_p f^b, linear in the logarithms, so that the exponents and C
-  of every f come in closed form;
-* exponential: y = C x_1^a_1 ... x_p^a_p exp(b f), likewise.
+T is a change of the target: search for T(y) instead of y, and come back by the inverse.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import sympy
 
-from dynsr.methods.feynman.domain import CHANGES, Target, make_targets
+from dynsr.errors import InputError
+from dynsr.expression import OPERATORS
+
+Values = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Change:
+    """T(y) with its inverse: ``forward`` and ``back`` are tokens of OPERATORS.
+
+    ``valid`` says whether T undoes ``back`` on the whole range of y; ``slope`` is dT/dy.
+    ``mirrored`` changes may be applied to -y where y is negative throughout.
+    """
+
+    name: str
+    forward: str
+    back: str
+    valid: Callable[[np.ndarray], bool]
+    slope: Values
+    mirrored: bool = False
+
+
+def _inside(low: float, high: float) -> Callable[[np.ndarray], bool]:
+    return lambda y: bool(y.min() >= low and y.max() <= high)
+
+
+def _positive(y: np.ndarray) -> bool:
+    return bool(y.min() > 1e-9 * np.abs(y).max())
+
+
+def _nonzero(y: np.ndarray) -> bool:
+    return bool(np.abs(y).min() > 1e-6 * np.abs(y).max())
+
+
+_HALF = np.pi / 2
+_ROUND = 1 - 1e-9
+CHANGES = {
+    change.name: change
+    for change in (
+        Change("y", "identity", "identity", lambda y: True, np.ones_like),
+        Change("inv", "inv", "inv", _nonzero, lambda y: 1 / y**2),
+        Change("square", "square", "sqrt", _positive, lambda y: 2 * y, True),
+        Change("sqrt", "sqrt", "square", _positive, lambda y: 0.5 / np.sqrt(y), True),
+        Change("log", "log", "exp", _positive, lambda y: 1 / y, True),
+        Change("exp", "exp", "log", _inside(-20, 20), np.exp),
+        Change("sin", "sin", "asin", _inside(-_HALF, _HALF), np.cos),
+        Change("cos", "cos", "acos", _inside(0, np.pi), np.sin),
+        Change(
+            "tan", "tan", "atan", _inside(-_HALF * 0.99, _HALF * 0.99), lambda y: np.cos(y) ** -2
+        ),
+        Change("asin", "asin", "sin", _inside(-_ROUND, _ROUND), lambda y: (1 - y * y) ** -0.5),
+        Change("acos", "acos", "cos", _inside(-_ROUND, _ROUND), lambda y: (1 - y * y) ** -0.5),
+        Change("atan", "atan", "tan", _inside(-1e6, 1e6), lambda y: 1 / (1 + y * y)),
+    )
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """One changed target: ``values`` = T(sign * y / factor), and the way back to y.
+
+    ``factor`` is 1 or a variable's values, ``symbol`` the same written.
+    """
+
+    change: Change
+    sign: float
+    values: np.ndarray
+    weights: np.ndarray
+    factor: np.ndarray | float = 1.0
+    symbol: sympy.Expr = sympy.S.One
+
+    @property
+    def name(self) -> str:
+        """The change's name, with the variable that y was divided by."""
+        return self.change.name if self.symbol == 1 else f"{self.change.name} of y/{self.symbol}"
+
+    def invert(self, predicted: np.ndarray) -> np.ndarray:
+        """Turn predictions of T(y) into predictions of y; NaN where the inverse is undefined."""
+        with np.errstate(all="ignore"):
+            return self.factor * self.sign * OPERATORS[self.change.back].numpy(predicted)
+
+    def build(self, expr: sympy.Expr) -> sympy.Expr:
+        """Turn a formula for T(y) into one for y."""
+        inner = OPERATORS[self.change.back].sympy(expr)
+        return self.symbol * (-inner if self.sign < 0 else inner)
+
+
+def make_targets(
+    y: np.ndarray,
+    names: Sequence[str],
+    factor: np.ndarray | float = 1.0,
+    symbol: sympy.Expr = sympy.S.One,
+) -> list[Target]:
+    """Give the changes of ``y / factor`` that can be undone on its range, the identity first.
+
+    ``weights`` of a target are 1 / |dT/dy|: least squares of T(y) with them is least squares of y
+    to first order. ``symbol`` is the factor written. Raises InputError for an unknown name.
+
+    >>> [t.change.name for t in make_targets(np.array([1.0, 2.0, 4.0]), ["log", "asin"])]
+    ['y', 'log']
+    """
+    targets = []
+    y = y / factor
+    for name in dict.fromkeys(("y", *names)):
+        if name not in CHANGES:
+            raise InputError(f"unknown domain change {name!r}; they are: {', '.join(CHANGES)}")
+        change = CHANGES[name]
+        sign = -1.0 if change.mirrored and y.max() < 0 else 1.0
+        if not change.valid(sign * y):
+            continue
+        with np.errstate(all="ignore"):
+            values = OPERATORS[change.forward].numpy(sign * y)
+            slopes = np.abs(change.slope(sign * y))
+        if np.all(np.isfinite(values)) and np.ptp(values) > 0:
+            weights = 1 / np.maximum(slopes, 1e-6 * slopes.max())
+            weights = weights * np.abs(factor)
+            targets.append(Target(change, sign, values, weights, factor, symbol))
+    return targets
 
 
 @dataclass(frozen=True, eq=False)

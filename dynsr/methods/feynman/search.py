@@ -9,26 +9,24 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import sympy
 
+from dynsr.data import Samples
 from dynsr.errors import InputError
+from dynsr.fit import Candidate, ParetoFront, choose, score_candidate, snap_best
 from dynsr.methods.base import AbstractMethod, Report, silent
-from dynsr.methods.feynman.bruteforce import BruteForce, BruteForceStage, SimpleStage
-from dynsr.methods.feynman.compositionality import (
+from dynsr.methods.feynman.enumeration.brute_force import BruteForce, BruteForceStage, SimpleStage
+from dynsr.methods.feynman.stages.base import AbstractStage, Context, Surrogate
+from dynsr.methods.feynman.stages.domain_change import DOMAIN_CHANGES, DomainChange
+from dynsr.methods.feynman.stages.inner_functions import (
     Compositionality,
     GeneralisedSymmetry,
     GeneralSeparability,
 )
-from dynsr.methods.feynman.description import choose
-from dynsr.methods.feynman.polynomial import Polynomial
-from dynsr.methods.feynman.rational import RationalSearch
-from dynsr.methods.feynman.reduction import AbstractReducer, Reduce, short
-from dynsr.methods.feynman.refinement import Refinement
-from dynsr.methods.feynman.separability import Separability
-from dynsr.methods.feynman.stage import AbstractStage, Context, Surrogate
-from dynsr.methods.feynman.symmetry import Symmetry
-from dynsr.methods.feynman.transforms import DOMAIN_CHANGES, DomainChange
-from dynsr.methods.snapping import snap_best
-from dynsr.pareto import Candidate, ParetoFront, score_candidate
-from dynsr.samples import Samples
+from dynsr.methods.feynman.stages.polynomial import Polynomial
+from dynsr.methods.feynman.stages.reduction import AbstractReducer, Reduce, short
+from dynsr.methods.feynman.stages.refinement import Refinement
+from dynsr.methods.feynman.stages.separability import Separability
+from dynsr.methods.feynman.stages.symmetry import Symmetry
+from dynsr.methods.rational import RationalSearch
 
 STAGES = (
     "rational",

@@ -1,0 +1,52 @@
+from .data import SYSTEMS, Samples, System, Trajectory, find_system, make_samples
+from .discovery import (
+    Discovery,
+    DynsrRegressor,
+    Score,
+    bootstrap,
+    discover,
+    equation_rmse,
+    printed_loss,
+    score_expressions,
+    trajectory_loss,
+)
+from .engines import add_noise, find_engine, simulate
+from .errors import DynsrError, EngineError, EngineUnavailable, InputError
+from .expression import parse
+from .fit import Candidate, ParetoFront
+from .methods import make_method
+from .paper import audit, replicate
+
+__version__: str
+
+__all__ = [
+    "Candidate",
+    "Discovery",
+    "DynsrError",
+    "DynsrRegressor",
+    "EngineError",
+    "EngineUnavailable",
+    "InputError",
+    "ParetoFront",
+    "SYSTEMS",
+    "Samples",
+    "Score",
+    "System",
+    "Trajectory",
+    "__version__",
+    "add_noise",
+    "audit",
+    "bootstrap",
+    "discover",
+    "equation_rmse",
+    "find_engine",
+    "find_system",
+    "make_method",
+    "make_samples",
+    "parse",
+    "printed_loss",
+    "replicate",
+    "score_expressions",
+    "simulate",
+    "trajectory_loss",
+]

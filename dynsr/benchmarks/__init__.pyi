@@ -1,0 +1,7 @@
+from .noise import Recovery, Search, measure_recovery
+
+__all__ = [
+    "Recovery",
+    "Search",
+    "measure_recovery",
+]

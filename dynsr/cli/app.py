@@ -1,0 +1,84 @@
+"""The ``dynsr`` command: one verb a task, every one with ``--help`` and ``--json``.
+
+Exit codes: 0 done, 2 bad input or an absent engine, 130 ended by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from dynsr import __version__
+from dynsr.cli import benchmarks, checks, data, discovery, paper, results
+from dynsr.cli.group import INTERRUPTED, CommandGroup
+
+app = typer.Typer(
+    name="dynsr",
+    cls=CommandGroup,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Example: dynsr generate lorenz -o l.csv --noise 0.01 && dynsr discover l.csv",
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"dynsr {__version__}")
+        raise typer.Exit()
+
+
+@app.callback(invoke_without_command=True)
+def _dynsr(
+    context: typer.Context,
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and end."
+        ),
+    ] = False,
+) -> None:
+    """Give it trajectories of a dynamical system; get its equations back as formulas."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+_DATA, _DISCOVERY, _PAPER, _CARE = "Systems and data", "Discovery", "The paper", "Care"
+
+app.command(rich_help_panel=_DATA, epilog="Example: dynsr systems pendulum")(data.systems)
+app.command(
+    rich_help_panel=_DATA, epilog="Example: dynsr generate lorenz -o l.csv --noise 0.01 --seed 1"
+)(data.generate)
+app.command(
+    rich_help_panel=_DATA, epilog="Example: dynsr simulate pendulum --x0 0.5,0 --span 0,20 -o p.csv"
+)(data.simulate)
+app.command(rich_help_panel=_DISCOVERY, epilog="Example: dynsr discover l.csv --out lorenz")(
+    discovery.discover
+)
+app.command(
+    rich_help_panel=_DISCOVERY, epilog="Example: dynsr score lorenz/discovery.json other.csv"
+)(results.score)
+app.command(
+    rich_help_panel=_DISCOVERY, epilog="Example: dynsr report lorenz/discovery.json -o report.html"
+)(results.report)
+app.command(
+    rich_help_panel=_PAPER, epilog="Example: dynsr replicate --systems pendulum --methods sindy"
+)(paper.replicate)
+app.command(rich_help_panel=_PAPER, epilog="Example: dynsr audit --json")(paper.audit)
+app.command(rich_help_panel=_CARE, epilog="Example: dynsr crosscheck")(checks.crosscheck)
+app.command(
+    rich_help_panel=_CARE,
+    epilog="Example: dynsr benchmark recovery --systems lorenz --noise 0,0.01",
+)(benchmarks.benchmark)
+app.command(rich_help_panel=_CARE, epilog="Example: dynsr doctor --install")(checks.doctor)
+
+
+def main() -> None:
+    """Run the command line that the shell gave."""
+    try:
+        app()
+    except KeyboardInterrupt:  # before the command itself began
+        typer.echo("error: interrupted", err=True)
+        sys.exit(INTERRUPTED)

@@ -1,0 +1,68 @@
+"""Care: what is installed and works, and whether the engines agree."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from dynsr.cli import options, output
+from dynsr.cli.group import BAD_INPUT
+
+
+def crosscheck(
+    systems: Annotated[
+        list[str] | None, typer.Option(help="Systems of the paper, by commas; all by default.")
+    ] = None,
+    engines: Annotated[list[str] | None, typer.Option(help="Engines to check, by commas.")] = None,
+    sections: Annotated[
+        list[str] | None, typer.Option(help="Kinds of comparison, by commas; all by default.")
+    ] = None,
+    extra: Annotated[
+        list[str] | None, typer.Option("--with", help="A further program: diffeqpy.")
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Compare engines with recorded answers and other programs: a verdict a row.
+
+    Runs with whatever is installed and says what it left out; exit code 2 when a row differs.
+    """
+    from dynsr.checks import crosscheck as run
+
+    asked = {"systems": systems, "engines": engines, "sections": sections, "extra": extra}
+    chosen = {name: options.read_names(value) for name, value in asked.items() if value}
+    rows = run(**chosen)  # type: ignore[arg-type] # only what was asked for is given
+    plain: list[dict[str, Any]] = [{**output.to_plain(row), "verdict": row.verdict} for row in rows]
+    if json:
+        output.print_json(plain)
+    else:
+        output.print_rows("Crosscheck", plain)
+    differing = sum(row.verdict == "differs" for row in rows)
+    if differing:
+        output.note(f"{differing} of {len(rows)} comparisons differ")
+        raise typer.Exit(BAD_INPUT)
+
+
+def doctor(
+    install: Annotated[
+        bool, typer.Option("--install", help="Set up Julia and its packages first.")
+    ] = False,
+    json: options.Json = False,
+) -> None:
+    """Say what is installed, what works, what is missing, and the line that mends it.
+
+    Exit code 2 when something that dynsr needs is missing or fails.
+    """
+    from dynsr.checks import examine, is_healthy
+    from dynsr.checks import install as set_up
+
+    if install:
+        output.note(set_up())
+    found = examine()
+    if json:
+        output.print_json(found)
+    else:
+        rows = [(check.name, check.state, check.detail, check.remedy) for check in found]
+        output.print_table("Doctor", ("what", "state", "detail", "what mends it"), rows)
+    if not is_healthy(found):
+        raise typer.Exit(BAD_INPUT)

@@ -1,0 +1,315 @@
+"""Data: list known systems, make data from them or from own equations, read what a user has."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dynsr.cli import options, output
+from dynsr.errors import InputError
+
+if TYPE_CHECKING:
+    from dynsr.data import Trajectory
+    from dynsr.discovery import Discovery
+
+
+def load_table(
+    files: Sequence[Path],
+    time_column: str | None,
+    states: options.Names,
+    inputs: options.Names,
+    trajectory: str | None,
+    say: Callable[[str], None] = output.note,
+) -> list[Trajectory]:
+    """Read the trajectories of files and say how their columns were understood."""
+    from dynsr.data import read_trajectories
+
+    table = read_trajectories(
+        list(files) if len(files) > 1 else files[0],
+        time_column,
+        options.read_names(states),
+        inputs,
+        trajectory,
+    )
+    say(table.guess)
+    return table.trajectories
+
+
+def load_discovery(path: Path) -> Discovery:
+    """Load a saved discovery; raises InputError when the file is not one, or is cut short."""
+    if path.is_dir() and (path / "discovery.json").exists():
+        path = path / "discovery.json"
+    if path.is_dir():
+        raise InputError(f"{str(path)!r} is a directory without a discovery.json; give the file")
+    if not path.exists():
+        raise InputError(f"there is no file {str(path)!r}; dynsr discover --out makes one")
+    from dynsr.discovery import Discovery
+
+    return Discovery.load(path)
+
+
+def split_inputs(inputs: options.Names) -> tuple[options.Names, dict[str, str]]:
+    """Tell columns, split at commas, from ``name=formula``; None where no column is named."""
+    if inputs is None:
+        return None, {}
+    formulas = read_equations([text for text in inputs if "=" in text])
+    return options.read_names([text for text in inputs if "=" not in text]), formulas
+
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from dynsr.data import System, Trajectory
+
+_MAX_ROWS = 10_000_000
+_LEFT_SIDE = re.compile(r"(?:d\s*(\w+)\s*/\s*d\s*t|(\w+)\s*'?)\s*")
+
+SystemName = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="[SYSTEM]",
+        help="A known system; dynsr systems lists them.",
+        autocompletion=options.complete_system,
+    ),
+]
+Equations = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--equations",
+        help="Own system: \"x'=y; y'=-sin(x)\" (may be repeated).",
+        rich_help_panel=options.DATA,
+    ),
+]
+InputFormulas = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--inputs",
+        help='Known input of the own system: "F=0.5*sin(6*t)".',
+        rich_help_panel=options.DATA,
+    ),
+]
+
+
+def systems(name: SystemName = None, json: options.Json = False) -> None:
+    """List the known systems, or show one of them with its equations."""
+    from dynsr.data import DEFINITIONS, find_definition
+
+    chosen = [find_definition(name)] if name else list(DEFINITIONS.values())
+    if json:
+        from dynsr.data import SYSTEMS
+
+        output.print_json([_describe(SYSTEMS[known.name]) for known in chosen])
+        return
+    rows = [
+        (
+            known.name,
+            "\n".join(f"{s}' = {e}" for s, e in known.equations.items()),
+            "\n".join(f"{n} = {e}" for n, e in known.inputs.items()),
+            known.description,
+        )
+        for known in chosen
+    ]
+    output.print_table("Known systems", ("name", "equations", "inputs", "what it is"), rows)
+
+
+def _describe(system: System) -> dict[str, Any]:
+    return {
+        "name": system.name,
+        "description": system.description,
+        "states": system.states,
+        "equations": system.equations(),
+        "inputs": system.inputs,
+        "x0": system.x0,
+        "train": system.train,
+        "test": system.test,
+        "step": system.step,
+        "target": system.target,
+    }
+
+
+def generate(
+    name: SystemName = None,
+    equations: Equations = None,
+    inputs: InputFormulas = None,
+    out: options.OutFile = None,
+    noise: Annotated[
+        float,
+        typer.Option(
+            help="Gaussian noise, as a fraction of each state's standard deviation.",
+            rich_help_panel=options.DATA,
+        ),
+    ] = 0.0,
+    seed: options.Seed = 0,
+    dt: options.Step = None,
+    span: options.Span = None,
+    x0: options.Start = None,
+    engine: options.Engine = "embedded",
+    reltol: options.Reltol = 1e-9,
+    abstol: options.Abstol = 1e-12,
+    json: options.Json = False,
+) -> None:
+    """Make data from a known system or your own equations: t, the states, then the inputs.
+
+    Without --out the table goes to stdout. The paper's data are coarser: --reltol 1e-3 --abstol
+    1e-6.
+    """
+    import numpy as np
+
+    from dynsr.engines import add_noise
+    from dynsr.engines import simulate as integrate
+
+    system = choose_system(name, equations, inputs, x0)
+    times = choose_times(system, span, dt)
+    start = options.read_numbers(x0, "--x0", len(system.states))
+    made = integrate(system, start, times, reltol, abstol, engine)
+    made = add_noise(made, noise, np.random.default_rng(seed))
+    deliver(made, out, json, {"system": system.name, "noise": noise, "seed": seed})
+
+
+def choose_system(
+    name: str | None,
+    equations: Sequence[str] | None,
+    inputs: Sequence[str] | None = None,
+    x0: str | None = None,
+) -> System:
+    """Give the known system of that name, or the one that the equations describe."""
+    from dynsr.data import System, find_system
+
+    if bool(name) == bool(equations):
+        raise InputError("give the name of a known system or --equations, one of the two")
+    if name:
+        if inputs:
+            raise InputError(f"--inputs go with --equations; system {name!r} has its own")
+        return find_system(name)
+    pairs = read_equations(equations or [])
+    formulas = read_equations(inputs or [])
+    start = options.read_numbers(x0, "--x0", len(pairs))
+    return System.from_strings(pairs, x0=start, inputs=formulas)
+
+
+def read_equations(texts: Sequence[str]) -> dict[str, str]:
+    """Read ``x'=y; y'=-x`` as {state: right-hand side}; raises InputError that names the piece.
+
+    >>> read_equations(["x' = y; dy/dt = -x"])
+    {'x': 'y', 'y': '-x'}
+    """
+    found: dict[str, str] = {}
+    for piece in (piece.strip() for text in texts for piece in re.split(r"[;\n]", text)):
+        if not piece:
+            continue
+        left, equals, right = piece.partition("=")
+        match = _LEFT_SIDE.fullmatch(left.strip())
+        if not equals or not match or not right.strip():
+            raise InputError(f"cannot read equation {piece[:60]!r}; write it like x'=y")
+        state = match[1] or match[2]
+        if state in found:
+            raise InputError(f"{state!r} has two equations; give it one")
+        found[state] = right.strip()
+    return found
+
+
+def choose_times(system: System, span: str | None, dt: float | None) -> np.ndarray:
+    """Give the times of a span, the system's training span by default; bounded in number."""
+    first, last = options.read_numbers(span, "--span", 2) or system.train
+    step = system.step if dt is None else dt
+    if not last > first:
+        raise InputError(f"--span {first:g},{last:g} must run forward in time")
+    if not 0 < step <= (last - first):
+        raise InputError(f"--dt {step:g} must be above 0 and fit into the span of {last - first:g}")
+    if (last - first) / step > _MAX_ROWS:
+        raise InputError(
+            f"--dt {step:g} over {last - first:g} s makes more than {_MAX_ROWS} rows; "
+            "take a larger one"
+        )
+    return system.times((first, last), step)
+
+
+def deliver(
+    trajectory: Trajectory, out: Path | None, json: bool, about: dict[str, Any] | None = None
+) -> None:
+    """Write a trajectory to a file or to stdout, as a table or as JSON."""
+    from dynsr.data import write_csv
+
+    columns = {"t": trajectory.t}
+    columns.update(zip(trajectory.names, trajectory.columns.T, strict=True))
+    if out is not None:
+        if out.suffix.lower() not in (".csv", ".tsv"):
+            raise InputError(f"cannot write {str(out)!r}; give a name that ends in .csv or .tsv")
+        write_csv(trajectory, out)
+    summary = {
+        **(about or {}),
+        "path": out,
+        "rows": len(trajectory),
+        "states": trajectory.states,
+        "inputs": trajectory.input_names,
+        "origin": trajectory.origin,
+    }
+    if json:
+        output.print_json(summary if out is not None else {**summary, "columns": columns})
+    elif out is None:
+        _print_table(columns)
+    else:
+        output.note(f"{out}: {len(trajectory)} rows of {', '.join(columns)}")
+
+
+def _print_table(columns: dict[str, np.ndarray]) -> None:
+    import numpy as np
+
+    typer.echo(",".join(columns))
+    for row in np.column_stack(list(columns.values())).tolist():
+        typer.echo(",".join(map(repr, row)))
+
+
+def simulate(
+    model: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SYSTEM|DISCOVERY.json]",
+            help="A known system, or a discovery that was saved.",
+            autocompletion=options.complete_system,
+        ),
+    ] = None,
+    equations: Equations = None,
+    inputs: InputFormulas = None,
+    x0: options.Start = None,
+    span: options.Span = None,
+    dt: options.Step = None,
+    out: options.OutFile = None,
+    engine: options.Engine = "embedded",
+    reltol: options.Reltol = 1e-6,
+    abstol: options.Abstol = 1e-9,
+    json: options.Json = False,
+) -> None:
+    """Integrate a known system, own equations or a saved discovery from a start state.
+
+    Without --out the table goes to stdout.
+    """
+    from dynsr.engines import simulate as integrate
+
+    if model and (model.endswith(".json") or Path(model).exists()):
+        system = _discovered_system(Path(model), inputs, x0)
+    else:
+        system = choose_system(model, equations, inputs, x0)
+    times = choose_times(system, span, dt)
+    start = options.read_numbers(x0, "--x0", len(system.states))
+    made = integrate(system, start, times, reltol, abstol, engine)
+    deliver(made, out, json, {"system": system.name})
+
+
+def _discovered_system(path: Path, inputs: Sequence[str] | None, x0: str | None) -> System:
+    from dynsr.data import System
+    from dynsr.expression import to_text
+
+    found = load_discovery(path)
+    equations = {state: to_text(expr) for state, expr in found.equations.items()}
+    formulas = {name: to_text(expr) for name, expr in found.inputs.items()}
+    start = options.read_numbers(x0, "--x0", len(equations))
+    if start is None:
+        raise InputError("a discovery needs a start state: --x0, one number a state")
+    return System.from_strings(
+        equations, x0=start, inputs={**formulas, **read_equations(inputs or [])}, name=path.stem
+    )

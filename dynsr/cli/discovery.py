@@ -1,0 +1,320 @@
+"""Discovery: find the equations behind data, show them, and say where the files are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from dynsr.cli import options, output
+from dynsr.cli.data import load_table, read_equations, split_inputs
+from dynsr.cli.output import Notes
+from dynsr.cli.progress import SearchProgress
+from dynsr.cli.results import keep, score_discovery, summarise
+from dynsr.errors import InputError
+
+if TYPE_CHECKING:
+    from dynsr.discovery import Discovery
+
+# Name in the scores -> heading, what it means.
+_SCORES = {
+    "slope_rmse": ("slopes off by", "error of the equation against the slopes of the data"),
+    "forecast": ("forecast off by", "median miss of short forecasts, 1 = the state's spread"),
+    "trajectory_rmse": ("run off by", "error of one integration over the whole data"),
+    "equation_rmse": ("true slopes off by", "error against the true equation on the test span"),
+    "printed_loss": ("paper's loss", "the loss that the paper prints"),
+    "trajectory_loss": ("test run off by", "error of an integration over the test span"),
+}
+
+
+def show_discovery(
+    found: Discovery,
+    scores: Mapping[str, Any],
+    told: Mapping[str, Sequence[str]],
+    quiet: bool = False,
+) -> None:
+    """Print the equations, then why they were chosen, how they score and what was assumed.
+
+    Quiet, the equations are all there is.
+    """
+    screen = output.console()
+    lines = list(_equations(found))
+    if screen.is_terminal and not quiet:
+        block = Text("\n".join(lines), style="bold")
+        heading = "Equations" if found.complete else "Equations so far"
+        screen.print(Panel(block, title=heading, border_style="green", expand=False))
+    else:
+        typer.echo("\n".join(lines))
+    if quiet:
+        return
+    for state, words in found.explanation.items():
+        line = words if words.startswith(f"{state}' =") else f"{state}: {words}"
+        screen.print(Text(line), soft_wrap=not screen.is_terminal)
+    if scores:
+        _print_scores(scores)
+    for kind, items in told.items():
+        for item in items:
+            screen.print(Text(f"{kind}: {item}", style="dim"), soft_wrap=not screen.is_terminal)
+
+
+def _equations(found: Discovery) -> Iterator[str]:
+    from dynsr.expression import shown
+    from dynsr.fit import tidy
+
+    for state, expr in found.equations.items():
+        yield f"{state}' = {shown(tidy(expr))}"
+
+
+def by_state(scores: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Give {state: {score: value}} from the scores on the data and against the truth.
+
+    >>> by_state({"data": {"x": {"forecast": 0.1}}, "truth": {"x": {"printed_loss": 2.0}}})
+    {'x': {'forecast': 0.1, 'printed_loss': 2.0}}
+    """
+    rows: dict[str, dict[str, Any]] = {}
+    for part in scores.values():
+        for state, values in output.to_plain(part).items():
+            rows.setdefault(state, {}).update(values)
+    return rows
+
+
+def _print_scores(scores: Mapping[str, Any]) -> None:
+    rows = by_state(scores)
+    names = [name for name in _SCORES if any(name in row for row in rows.values())]
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("")
+    for name in names:
+        table.add_column(_SCORES[name][0], justify="right")
+    for state, row in rows.items():
+        table.add_row(f"{state}'", *(_number(row.get(name)) for name in names))
+    screen = output.console()
+    screen.print()
+    screen.print(table)
+    meanings = "; ".join(f"{_SCORES[name][0]}: {_SCORES[name][1]}" for name in names)
+    screen.print(Text(meanings, style="dim"), soft_wrap=not screen.is_terminal)
+
+
+def _number(value: Any) -> str:
+    return "diverges" if value is None else f"{value:.3g}"
+
+
+def show_files(found: Discovery, saved: Sequence[Path], folder: Path | None) -> None:
+    """Say on stderr how long it took, where the files are, and how to go on after an interrupt."""
+    output.note(f"{found.seconds:.1f} s")
+    for path in saved:
+        output.note(f"{'open' if path.suffix == '.html' else 'saved'}: {path}")
+    if not found.complete:
+        where = f"what is finished is kept in {folder}; " if folder is not None else ""
+        goes_on = "the same command goes on from there" if where else "with --out it could go on"
+        output.note(f"interrupted: these are the best equations so far; {where}{goes_on}")
+
+
+if TYPE_CHECKING:
+    from dynsr.data import Trajectory
+    from dynsr.discovery import Discovery
+    from dynsr.methods import AbstractMethod
+
+
+def discover(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[FILE]...", help="CSV, TSV, Parquet or .npz; one or many."),
+    ] = None,
+    system: Annotated[
+        str | None,
+        typer.Option(
+            help="Take the data of a known system instead.",
+            autocompletion=options.complete_system,
+            rich_help_panel=options.DATA,
+        ),
+    ] = None,
+    time_column: options.TimeColumn = None,
+    states: options.StateColumns = None,
+    inputs: options.Inputs = None,
+    trajectory: options.TrajectoryColumn = None,
+    method: options.MethodName = "auto",
+    preset: options.Preset = "best",
+    targets: Annotated[
+        options.Names,
+        typer.Option(
+            "--targets",
+            "--target",
+            help="States to find; all by default.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
+    known: Annotated[
+        options.Names,
+        typer.Option(
+            help='Part of an equation that is known: "y\'=-3*y".',
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
+    scheme: Annotated[
+        str | None,
+        typer.Option(
+            help="How slopes are made: auto, forward, central4, ... The data choose by default.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
+    seed: options.Seed = 0,
+    jobs: options.Jobs = -1,
+    engine: options.Engine = "embedded",
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder for discovery.json and report.html.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Find the equation of every state from data, and check them by integrating.
+
+    Columns are guessed and the guess is shown; --time, --states, --inputs and --trajectory say
+    otherwise. Ctrl-C ends the search with the best equations so far.
+    """
+    check_engine(engine)
+    if bool(files) == bool(system):
+        raise InputError("give a file of data or --system, one of the two")
+    columns, formulas = split_inputs(inputs)
+    notes = Notes(quiet)
+    with notes:
+        if files:
+            data = load_table(files, time_column, states, columns, trajectory, notes.say)
+        else:
+            _refuse_columns(time_column, states, trajectory, [*(columns or []), *formulas])
+            data, formulas = _training_data(str(system), engine)
+        with SearchProgress(quiet) as progress:
+            found, folder = _search_in(
+                _folders(out, files[0].stem if files else str(system), json),
+                data,
+                progress,
+                method=_choose_method(method, preset, system, engine),
+                preset=preset,
+                scheme=scheme or ("forward" if preset == "paper" else "auto"),
+                targets=options.read_names(targets) or "all",
+                inputs=formulas or None,
+                known=read_equations(known) if known else None,
+                seed=seed,
+                jobs=jobs,
+                engine=engine,
+            )
+        saved = keep(found, folder)
+        scores = score_discovery(found, data, system, engine) if found.complete else {}
+    if json:
+        output.print_json({**summarise(found), "scores": scores, "files": saved, **notes.told})
+    else:
+        show_discovery(found, scores, notes.told, quiet)
+    if not quiet:
+        show_files(found, saved, folder)
+
+
+def check_engine(engine: str) -> None:
+    """Fail at once, before any search, when the engine is unknown or absent."""
+    from dynsr.engines import find_engine
+
+    find_engine(engine)
+
+
+def _refuse_columns(
+    time_column: str | None, states: options.Names, trajectory: str | None, inputs: list[str]
+) -> None:
+    """A known system has its columns; only a file leaves them open."""
+    for option, value in (
+        ("--time", time_column),
+        ("--states", states),
+        ("--trajectory", trajectory),
+        ("--inputs", inputs),
+    ):
+        if value:
+            raise InputError(f"{option} goes with a file of data; a known system has its own")
+
+
+def _training_data(name: str, engine: str) -> tuple[list[Trajectory], dict[str, Any]]:
+    from dynsr.data import find_system
+    from dynsr.engines import training_trajectory
+
+    system = find_system(name)
+    return [training_trajectory(system, engine)], dict(system.inputs)
+
+
+def _folders(out: Path | None, stem: str, json: bool) -> Iterator[Path | None]:
+    """Give the folder asked for; or for readers those named after the data, in their order.
+
+    Programs, which read JSON, get files only where they ask for them.
+    """
+    if out is not None or json:
+        yield out
+        return
+    yield Path(f"{stem}-dynsr")
+    for number in count(2):
+        yield Path(f"{stem}-dynsr-{number}")
+
+
+def _search_in(
+    folders: Iterator[Path | None],
+    data: Sequence[Trajectory],
+    progress: SearchProgress,
+    **settings: Any,
+) -> tuple[Discovery, Path | None]:
+    """Search, with results in the first of the folders that is not another discovery's."""
+    from dynsr.jobs import FolderTaken
+
+    taken = None
+    for folder in folders:
+        if folder is not None:
+            output.make_folder(folder)
+        if taken is not None:
+            progress.say(f"{str(taken).partition(';')[0]}; this one goes to {str(folder)!r}")
+        try:
+            return search(data, progress, out=folder, **settings), folder
+        except FolderTaken as error:
+            taken = error
+    assert taken is not None
+    raise taken
+
+
+def _choose_method(
+    method: str, preset: str, system: str | None, engine: str
+) -> str | list[AbstractMethod]:
+    """Give the paper's own settings for a system of the paper; else the name is enough."""
+    from dynsr.data import PAPER_SYSTEMS
+    from dynsr.methods import METHODS, make_method
+
+    ours = preset == "paper" and system in [known.name for known in PAPER_SYSTEMS]
+    if not ours or (method != "auto" and method not in METHODS):
+        return method
+    names = METHODS if method == "auto" else (method,)
+    made = [make_method(name, preset, system) for name in names]
+    # Methods are frozen dataclasses of settings, which their interface does not say.
+    return [replace(m, engine=engine) if hasattr(m, "engine") else m for m in made]  # type: ignore[type-var]
+
+
+def search(
+    data: Sequence[Trajectory],
+    progress: SearchProgress,
+    *,
+    method: str | list[AbstractMethod],
+    out: Path | None = None,
+    **settings: Any,
+) -> Discovery:
+    """Run a discovery and show its progress; what is finished is kept in ``out``."""
+    from dynsr.discovery import discover as run
+
+    try:
+        return run(list(data), method=method, out=out, progress=progress, **settings)
+    except KeyboardInterrupt:
+        if out is not None:
+            progress.say(f"what is finished is kept in {out}; the same command goes on from there")
+        raise

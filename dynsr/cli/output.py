@@ -1,0 +1,146 @@
+"""What commands print: results on stdout, as tables or as JSON; everything else on stderr.
+
+Notes say what was guessed and what was warned of in a run, at once and again at its end.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import typer
+from rich.console import Console
+
+from dynsr.errors import DynsrWarning
+
+_WIDE = 160
+
+
+def console(stderr: bool = False) -> Console:
+    """Give a console that does not fold its tables where nobody watches."""
+    found = Console(stderr=stderr, highlight=False, soft_wrap=False)
+    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=_WIDE)
+
+
+def print_json(value: Any) -> None:
+    """Print a value as JSON, alone on stdout."""
+    typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=False))
+
+
+def to_plain(value: Any) -> Any:
+    """Turn a value into what JSON can hold: arrays to lists, formulas to text, inf and NaN to null.
+
+    >>> to_plain({"x": (1, float("inf"))})
+    {'x': [1, None]}
+    """
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): to_plain(item) for key, item in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        return {part.name: to_plain(getattr(value, part.name)) for part in fields(value)}
+    if hasattr(value, "tolist"):  # an array or a number of numpy's
+        return to_plain(value.tolist())
+    if hasattr(value, "free_symbols"):
+        from dynsr.expression import to_text
+
+        return to_text(value)
+    if isinstance(value, Iterable):
+        return [to_plain(item) for item in value]
+    return str(value)
+
+
+def print_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], note: str = ""
+) -> None:
+    """Print a table on stdout."""
+    from dynsr.report import Table
+
+    table = Table("", title, tuple(columns), tuple(tuple(row) for row in rows), note)
+    console().print(table.to_rich())
+
+
+def print_rows(title: str, rows: Sequence[Any]) -> None:
+    """Print a table of dataclass instances or mappings that all have the same fields."""
+    records = [to_plain(row) for row in rows]
+    columns = list(records[0]) if records else []
+    print_table(title, columns, [[_cell(record[key]) for key in columns] for record in records])
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return json.dumps(value) if isinstance(value, (dict, list)) else value
+
+
+def note(message: str) -> None:
+    """Say something about the run, on stderr."""
+    typer.echo(message, err=True)
+
+
+def make_folder(path: Path) -> Path:
+    """Make a folder for results; raises InputError when that cannot be written to."""
+    from dynsr.errors import InputError
+
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / ".dynsr-writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(
+            f"cannot write to folder {str(path)!r}: {reason}; choose another"
+        ) from None
+    return path
+
+
+class Notes:
+    """Keeps the guesses that are said to it and, as a context, the warnings about the data."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        """Take whether guesses are shown; warnings always are."""
+        self._quiet = quiet
+        self.guessed: list[str] = []
+        self.warned: list[str] = []
+
+    @property
+    def told(self) -> dict[str, list[str]]:
+        """Give both lists by name."""
+        return {"guessed": self.guessed, "warned": self.warned}
+
+    def say(self, words: str) -> None:
+        """Keep a guess and show it on stderr."""
+        self.guessed.append(words)
+        if not self._quiet:
+            note(words)
+
+    def __enter__(self) -> Notes:
+        """Begin to listen."""
+        self._before = warnings.showwarning
+        warnings.showwarning = self._hear
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Listen no more."""
+        warnings.showwarning = self._before
+
+    def _hear(
+        self, message: Warning | str, category: type[Warning], *where: Any, **more: Any
+    ) -> None:
+        if issubclass(category, DynsrWarning):
+            self.warned.append(" ".join(str(message).split()))
+        self._before(message, category, *where, **more)

@@ -1,0 +1,150 @@
+"""The paper: its experiment run again, and its printed numbers scored again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from json import loads
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dynsr.cli import options, output
+from dynsr.errors import InputError
+
+if TYPE_CHECKING:
+    from dynsr.paper import AuditRow, Record
+
+Names = list[str] | None
+
+
+def replicate(
+    systems: Annotated[
+        Names, typer.Option(help="Systems, by commas; the paper's three by default.")
+    ] = None,
+    methods: Annotated[
+        Names, typer.Option(help="dynaifeynman, sindy, ga; all three by default.")
+    ] = None,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help="Runs of each; 5 as in the paper, 2 when quick.")
+    ] = None,
+    seed: options.Seed = 0,
+    jobs: options.Jobs = -1,
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help="Folder of the results.", rich_help_panel=options.OUTPUT),
+    ] = Path("results"),
+    quick: Annotated[bool, typer.Option(help="Small searches, for a first look.")] = False,
+    engine: options.Engine = "embedded",
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Run the paper's experiment again: Table 1, the appendix tables, Figure 1 and a report.
+
+    Whatever ends it, the next call with the same folder goes on where it stopped.
+    """
+    from dynsr.methods import METHODS
+    from dynsr.paper import PAPER_NAMES
+    from dynsr.paper import replicate as run
+
+    try:
+        found = run(
+            systems=options.read_names(systems) or PAPER_NAMES,
+            methods=options.read_names(methods) or METHODS,
+            runs=runs,
+            seed=seed,
+            jobs=jobs,
+            out=out,
+            quick=quick,
+            engine=engine,
+            progress=not quiet,
+            # They are written where they are shown.
+            report=False,
+        )
+    except KeyboardInterrupt:
+        if not quiet:
+            output.note(f"finished cells are kept in {out}; the same command goes on from there")
+        raise
+    deliver_results(found.folder, found.records, found.settings, json)
+
+
+def deliver_results(
+    folder: Path, records: Sequence[Record], settings: Mapping[str, Any], json: bool
+) -> None:
+    """Write every table, figure and the report of a replication, and show its Table 1."""
+    from dynsr.paper import table_1, write_results
+
+    written = write_results(folder, records, settings)
+    table = table_1(records)
+    if json:
+        output.print_json(
+            {
+                "settings": settings,
+                "table_1": table.to_records(),
+                "records": records,
+                "files": written,
+            }
+        )
+        return
+    output.console().print(table.to_rich())
+    for record in records:
+        if not record.done:
+            output.note(f"failed: {record.system} {record.method} {record.run}: {record.error}")
+    output.note(f"open: {folder / 'report.html'}")
+
+
+def load_results(folder: Path) -> tuple[list[Record], dict[str, Any]]:
+    """Load the records and the settings of a replication from its folder.
+
+    Raises InputError when the folder holds no results, RecordError when a file is cut short.
+    """
+    from dynsr.paper import MANIFEST, RecordError, read_record
+
+    try:
+        settings = loads((folder / MANIFEST).read_text(encoding="utf-8"))["settings"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise RecordError(
+            f"{folder / MANIFEST} is damaged or no manifest of dynsr; run dynsr replicate again"
+        ) from None
+    records = [read_record(path) for path in sorted((folder / "cells").glob("[!.]*.json"))]
+    if not records:
+        raise InputError(f"{str(folder)!r} holds no finished cell; run dynsr replicate first")
+    return records, settings
+
+
+def audit(
+    engine: options.Engine = "embedded",
+    json: options.Json = False,
+) -> None:
+    """Score the 33 printed expressions of the paper again and compare digit by digit."""
+    from dynsr.paper import audit as run
+
+    rows = run(engine)
+    if json:
+        output.print_json(rows)
+        return
+    output.print_table(
+        "Printed losses, scored again",
+        ("system", "method", "run", "printed", "ours", "agrees", "corrected", "note"),
+        [
+            (
+                row.system,
+                row.method,
+                row.run,
+                row.printed_digits,
+                f"{row.ours:.6g}",
+                "yes" if row.agrees else "no",
+                row.corrected,
+                _unrounded(row),
+            )
+            for row in rows
+        ],
+    )
+    agreeing = sum(row.agrees for row in rows)
+    typer.echo(f"{agreeing} of {len(rows)} printed losses agree to every printed digit (cut).")
+
+
+def _unrounded(row: AuditRow) -> str:
+    if row.unrounded is None:
+        return row.note
+    return f"{row.note} unrounded: {row.unrounded_expression}, loss {row.unrounded:.6g}".strip()

@@ -1,0 +1,165 @@
+"""Saved discoveries: keep them, show them, score them on other data, and report on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dynsr.cli import options, output
+from dynsr.cli.data import load_discovery, load_table
+from dynsr.errors import InputError
+
+if TYPE_CHECKING:
+    from dynsr.data import Trajectory
+    from dynsr.discovery import Discovery
+
+DiscoveryFile = Annotated[
+    Path, typer.Argument(metavar="DISCOVERY.json", help="A discovery that was saved.")
+]
+
+
+def keep(found: Discovery, folder: Path | None) -> list[Path]:
+    """Save a discovery and its report in a folder; gives the files.
+
+    One that was interrupted takes the place of no complete one and gets no report.
+    """
+    if folder is None:
+        return []
+    saved, page = folder / "discovery.json", folder / "report.html"
+    if not found.complete:
+        return [] if _is_complete(saved) else [found.save(saved)]
+    found.save(saved)
+    found.report(page)
+    return [saved, page]
+
+
+def _is_complete(path: Path) -> bool:
+    from dynsr.discovery import Discovery
+
+    try:
+        return Discovery.load(path).complete
+    except InputError:
+        return False
+
+
+def score_discovery(
+    found: Discovery, data: Sequence[Trajectory], system: str | None, engine: str
+) -> dict[str, Any]:
+    """Score on the data, and for a known system against the truth by all three losses."""
+    scores: dict[str, Any] = {"data": found.score(list(data))}
+    if system is not None:
+        from dynsr.data import find_system
+        from dynsr.discovery import score_model
+
+        truth = find_system(system)
+        method = ",".join(found.settings.get("methods", ()))
+        scores["truth"] = {
+            state: score_model(truth, expr, method, engine, state)
+            for state, expr in found.equations.items()
+        }
+    return scores
+
+
+def summarise(found: Discovery) -> dict[str, Any]:
+    """Give what a program wants of a discovery: equations, fronts, provenance."""
+    return {
+        "equations": found.equations,
+        "errors": found.errors,
+        "front": {state: front.candidates for state, front in found.front.items()},
+        "explanation": found.explanation,
+        "inputs": found.inputs,
+        "settings": found.settings,
+        "seconds": found.seconds,
+        "complete": found.complete,
+        "engine": found.settings["engine"],
+        "seed": found.settings["seed"],
+    }
+
+
+def flatten(scores: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Give nested scores as lines of a table.
+
+    >>> list(flatten({"data": {"x": 1.0}, "rows": 3}))
+    [('data x', 1.0), ('rows', 3)]
+    """
+    if isinstance(scores, Mapping):
+        for key, value in scores.items():
+            yield from flatten(value, f"{name} {key}".strip())
+    else:
+        yield name, scores
+
+
+def score(
+    model: DiscoveryFile,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Data to score it on.")],
+    time_column: options.TimeColumn = None,
+    states: options.StateColumns = None,
+    inputs: options.Inputs = None,
+    trajectory: options.TrajectoryColumn = None,
+    json: options.Json = False,
+) -> None:
+    """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
+    found = load_discovery(model)
+    data = load_table(files, time_column, states, inputs, trajectory, _say_to(json))
+    scores = found.score(data)
+    if json:
+        output.print_json(scores)
+        return
+    rows = list(flatten(output.to_plain(scores)))
+    output.print_table(f"{model} on {', '.join(map(str, files))}", ("score", "value"), rows)
+
+
+def _say_to(json: bool) -> Callable[[str], None]:
+    return (lambda words: None) if json else output.note
+
+
+def report(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DISCOVERY.json|RESULTS", help="A saved discovery, or a replication's folder."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="HTML file; beside the source by default.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Make one self-contained HTML report of a saved discovery or of a replication's results."""
+    from dynsr.paper import MANIFEST
+
+    if (source / MANIFEST).exists():
+        _report_replication(source, out, json)
+        return
+    found = load_discovery(source)
+    target = out or (source if source.is_dir() else source.parent) / "report.html"
+    found.report(target)
+    if json:
+        output.print_json({"report": target})
+    else:
+        output.note(f"open: {target}")
+
+
+def _report_replication(folder: Path, out: Path | None, json: bool) -> None:
+    from dynsr.cli.paper import deliver_results, load_results
+    from dynsr.jobs import write_text
+    from dynsr.paper import render_replication
+
+    records, settings = load_results(folder)
+    if out is None:
+        deliver_results(folder, records, settings, json)
+        return
+    write_text(out, render_replication(records, settings))
+    if json:
+        output.print_json({"report": out})
+    else:
+        output.note(f"open: {out}")

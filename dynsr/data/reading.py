@@ -1,0 +1,558 @@
+"""Reading: whatever the user has becomes trajectories of the same columns.
+
+Files, frames, mappings and arrays become named columns; roles say which is the time, a state, an
+input; checks say in plain words what is wrong.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sympy
+
+from dynsr.data.columns import Columns, generated_names
+from dynsr.data.delimited import read_delimited
+from dynsr.data.roles import Roles, clean_name, guess_roles
+from dynsr.data.table_checks import check_rows, check_values, thin, to_numbers
+from dynsr.data.trajectory import Trajectory
+from dynsr.errors import DynsrWarning, InputError
+from dynsr.expression import check_name, compile_numpy, parse
+
+
+def load_columns(source: Any) -> Columns:
+    """Load the columns of a file, a frame, a mapping of arrays, a Trajectory or a 2-D array.
+
+    Files are told by their suffix: ``.npz``, ``.npy``, ``.parquet`` or ``.pq``; anything else is
+    delimited text. An array has the time as its first column; a pair ``(t, x)`` is taken apart.
+
+    Raises InputError when the source is none of these or cannot be read.
+
+    >>> load_columns({"t": [0, 1], "x": [2.0, 3.0]}).names
+    ('t', 'x')
+    """
+    if isinstance(source, (str, os.PathLike)):
+        return _load_file(Path(source))
+    if isinstance(source, Trajectory):
+        values = (source.t, *source.columns.T)
+        return Columns(
+            ("t", *source.names), values, "the trajectory", inputs=tuple(source.input_names)
+        )
+    if isinstance(source, Mapping):
+        return _load_mapping(source, "the mapping")
+    if hasattr(source, "columns") and hasattr(source, "__getitem__"):
+        return _load_frame(source)
+    if isinstance(source, tuple) and len(source) == 2:
+        return _load_array(_beside(*source), "the arrays")
+    if isinstance(source, np.ndarray):
+        return _load_array(source, "the array")
+    raise InputError(
+        f"cannot read data from a {type(source).__name__}; "
+        "give a file, a data frame, a (t, x) pair of arrays, a mapping of columns or a Trajectory"
+    )
+
+
+def _load_file(path: Path) -> Columns:
+    _check_file(path)
+    suffix = path.suffix.lower()
+    if suffix in (".parquet", ".pq"):
+        return _load_parquet(path)
+    if suffix == ".npz":
+        return _load_npz(path)
+    if suffix == ".npy":
+        try:
+            return _load_array(np.load(path, allow_pickle=False), path.name)
+        except (ValueError, OSError, EOFError) as error:
+            raise _unreadable(path, "array file", error) from None
+    return read_delimited(path)
+
+
+def _check_file(path: Path) -> None:
+    if path.is_dir():
+        raise InputError(f"{str(path)!r} is a directory; give a file with the trajectory in it")
+    if not path.exists():
+        raise InputError(f"there is no file {str(path)!r}; check the name")
+    if not path.is_file():
+        raise InputError(f"{str(path)!r} is not a regular file; give a file of data")
+    if not os.access(path, os.R_OK):
+        raise InputError(f"file {str(path)!r} may not be read; change its permissions")
+    if path.stat().st_size == 0:
+        raise InputError(f"file {str(path)!r} is empty; it needs rows of times and states")
+
+
+def _unreadable(path: Path, kind: str, error: Exception) -> InputError:
+    if "pickle" in str(error).lower() or "object array" in str(error).lower():
+        return InputError(
+            f"{path.name!r} holds Python objects, which could run code when read; "
+            "save plain numbers (dtype float64) instead"
+        )
+    return InputError(f"{path.name!r} is damaged or not a {kind}; write it again and retry")
+
+
+def _load_parquet(path: Path) -> Columns:
+    import pandas
+
+    try:
+        frame = pandas.read_parquet(path)
+    except ImportError:
+        raise InputError(
+            f"reading {path.name!r} needs pyarrow; run: pip install pyarrow, or save it as CSV"
+        ) from None
+    except Exception as error:  # pyarrow raises a family of its own for damaged files
+        raise _unreadable(path, "Parquet file", error) from None
+    return _load_frame(frame, path.name)
+
+
+def _load_npz(path: Path) -> Columns:
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, TypeError, AttributeError) as error:
+        raise _unreadable(path, "npz archive", error) from None
+    return _load_mapping(arrays, path.name)
+
+
+def _load_mapping(arrays: Mapping[str, Any], label: str) -> Columns:
+    """Spread matrices over columns; an array of strings names the columns of the one before."""
+    labels = {k: tuple(map(str, v)) for k, v in arrays.items() if _is_text(v) and k in _LABELS}
+    names: list[str] = []
+    values: list[np.ndarray] = []
+    for key, value in arrays.items():
+        if key in labels:
+            continue
+        array = np.asarray(value)
+        if array.ndim == 1:
+            names.append(str(key))
+            values.append(_plain(array))
+        elif array.ndim == 2:
+            names += _matrix_names(str(key), array, labels)
+            values += [_plain(column) for column in array.T]
+        elif array.ndim > 2:
+            raise InputError(
+                f"array {key!r} of {label} has {array.ndim} dimensions; "
+                "give one column (n,) or a table (n, k), one row a time"
+            )
+    _check_lengths(names, values, label)
+    inputs = labels.get("input_names", ())
+    return Columns(tuple(names), tuple(values), label, inputs=tuple(n for n in inputs if n))
+
+
+# Array of names in an archive -> the matrix whose columns they name.
+_LABELS = {"states": "x", "input_names": "inputs", "columns": "data"}
+
+
+def _matrix_names(
+    key: str, matrix: np.ndarray, labels: Mapping[str, tuple[str, ...]]
+) -> Sequence[str]:
+    for label, named in _LABELS.items():
+        if key == named and len(labels.get(label, ())) == matrix.shape[1]:
+            return labels[label]
+    return [f"{key}{j + 1}" for j in range(matrix.shape[1])]
+
+
+def _is_text(value: Any) -> bool:
+    array = np.asarray(value)
+    return array.ndim == 1 and array.dtype.kind in "US"
+
+
+def _plain(array: np.ndarray) -> np.ndarray:
+    """Give numbers as float64 and everything else as objects."""
+    if array.dtype.kind == "M":
+        return array
+    if array.dtype.kind == "c":
+        raise InputError("the data holds complex numbers; give the real and imaginary parts apart")
+    return array.astype(float) if array.dtype.kind in "fiub" else array.astype(object)
+
+
+def _check_lengths(names: Sequence[str], values: Sequence[np.ndarray], label: str) -> None:
+    if not names:
+        raise InputError(f"{label} holds no columns; it needs times and states")
+    for name, value in zip(names, values, strict=True):
+        if len(value) != len(values[0]):
+            raise InputError(
+                f"column {name!r} of {label} has {len(value)} rows but {names[0]!r} has "
+                f"{len(values[0])}; give all columns the same length"
+            )
+
+
+def _load_frame(frame: Any, label: str = "the data frame") -> Columns:
+    index = getattr(frame, "index", None)
+    if getattr(index, "name", None) is not None:  # pandas: a named index is a column too
+        frame = frame.reset_index()
+    names = [str(name) for name in frame.columns]
+    duplicates = sorted({name for name in names if names.count(name) > 1})
+    if duplicates:
+        raise InputError(f"column name {duplicates[0]!r} is used twice in {label}; rename one")
+    values = [_plain(np.asarray(frame[name].to_numpy())) for name in frame.columns]
+    _check_lengths(names, values, label)
+    return Columns(tuple(names), tuple(values), label)
+
+
+def _beside(t: Any, x: Any) -> np.ndarray:
+    """Put times and states beside each other."""
+    try:
+        t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("t and x must be arrays of numbers") from None
+    if t.ndim != 1 or x.ndim not in (1, 2) or len(x) != len(t):
+        raise InputError(f"t {t.shape} and x {x.shape} do not fit; give t (n,) and x (n, k)")
+    return np.column_stack([t, x])
+
+
+def _load_array(array: np.ndarray, label: str) -> Columns:
+    if array.dtype.names:
+        return _load_mapping({name: array[name] for name in array.dtype.names}, label)
+    if array.ndim != 2:
+        raise InputError(
+            f"{label} has shape {array.shape}; give (n, 1 + k) with the time as first column, "
+            "or pass the times as time="
+        )
+    names = generated_names(array.shape[1])
+    return Columns(names, tuple(_plain(c) for c in array.T), label, named=False)
+
+
+MAX_ROWS = 200_000
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Trajectories that were read, and in words how their columns were understood."""
+
+    trajectories: list[Trajectory]
+    guess: str
+
+
+def read_trajectories(
+    source: Any,
+    time: str | np.ndarray | None = None,
+    states: Sequence[str] | str | None = None,
+    inputs: Sequence[str] | Mapping[str, str] | str | None = None,
+    trajectory: str | None = None,
+    *,
+    max_rows: int = MAX_ROWS,
+) -> Table:
+    """Read one or many trajectories from a table, a file of one, or a list of such sources.
+
+    Parameters
+    ----------
+    source : a CSV, TSV, Parquet, .npz or .npy file; a pandas or polars frame; a mapping of
+        columns; a pair of arrays (t (n,), x (n, k)); an array whose first column is the time; a
+        Trajectory; or a list of any of these, one or more trajectories each.
+    time : name of the time column, or the (n,) times themselves; guessed by default.
+    states : names of the state columns; every column left over by default. A source without
+        names, such as an array, takes these names.
+    inputs : columns that are known inputs, or expressions in t, such as ``"F=0.5*sin(6*t)"`` or
+        ``{"F": "0.5*sin(6*t)"}``.
+    trajectory : the column whose value names the trajectory that a row belongs to.
+    max_rows : more rows than this are thinned evenly, with a DynsrWarning.
+
+    Times may be uneven. Names that cannot stand in a formula are changed, with a DynsrWarning.
+    Raises InputError, one line that names the value and the remedy, when the table cannot be used.
+
+    >>> t = np.linspace(0, 1, 11)
+    >>> table = read_trajectories({"t": t, "x": t**2, "y": t**3})
+    >>> print(table.guess)
+    the mapping: time 't', 11 rows from 0 to 1 every 0.1; states x, y
+    """
+    if isinstance(source, list):
+        return _read_list(source, time, states, inputs, trajectory, max_rows)
+    if isinstance(time, (np.ndarray, list, tuple)):
+        source, time = (np.asarray(time), source), None
+    columns = _with_names(load_columns(source), states)
+    for note in columns.notes:
+        warnings.warn(note, DynsrWarning, stacklevel=2)
+    named, formulas = _split_inputs(inputs)
+    roles = guess_roles(columns, time, _listed(states), named, formulas, trajectory)
+    parts = _cut(columns, roles, formulas, max_rows)
+    return Table(parts, f"{columns.label}: {describe(parts, roles, formulas)}")
+
+
+def _read_list(sources: list[Any], *arguments: Any) -> Table:
+    if not sources:
+        raise InputError("no data was given; give at least one file, frame or array")
+    *options, max_rows = arguments
+    share = max(max_rows // len(sources), 1)
+    tables = [read_trajectories(source, *options, max_rows=share) for source in sources]
+    parts = [part for table in tables for part in table.trajectories]
+    for part in parts[1:]:
+        if part.states != parts[0].states or part.input_names != parts[0].input_names:
+            raise InputError(
+                f"the trajectories have different columns ({', '.join(parts[0].names)} and "
+                f"{', '.join(part.names)}); give all the same columns"
+            )
+    return Table(parts, "; ".join(dict.fromkeys(table.guess for table in tables)))
+
+
+def _listed(names: Sequence[str] | str | None) -> list[str] | None:
+    if names is None:
+        return None
+    parts = names.split(",") if isinstance(names, str) else names
+    return [str(part).strip() for part in parts if str(part).strip()]
+
+
+def _with_names(columns: Columns, states: Sequence[str] | str | None) -> Columns:
+    """Let the caller's state names name the columns of a source that has none."""
+    wanted = _listed(states)
+    if columns.named or not wanted or set(wanted) <= set(columns.names):
+        return columns
+    if len(wanted) != len(columns.names) - 1:
+        raise InputError(
+            f"{len(wanted)} state names ({', '.join(wanted)}) do not fit {columns.label} with "
+            f"{len(columns.names) - 1} columns beside the time; give one name a column"
+        )
+    return replace(columns, names=("t", *wanted))
+
+
+def _split_inputs(
+    inputs: Sequence[str] | Mapping[str, str] | str | None,
+) -> tuple[list[str] | None, dict[str, str]]:
+    """Tell input columns from ``name=expression in t``; None means that inputs are guessed."""
+    if inputs is None:
+        return None, {}
+    if isinstance(inputs, Mapping):
+        return None, {clean_name(k): str(v) for k, v in inputs.items()}
+    columns: list[str] = []
+    formulas: dict[str, str] = {}
+    for item in [inputs] if isinstance(inputs, str) and "=" in inputs else _listed(inputs) or []:
+        name, equals, text = item.partition("=")
+        if equals:
+            formulas[clean_name(name.strip())] = text.strip()
+        else:
+            columns.append(name)
+    return (None if formulas and not columns else columns), formulas
+
+
+def _cut(
+    columns: Columns, roles: Roles, formulas: Mapping[str, str], max_rows: int
+) -> list[Trajectory]:
+    by_name = dict(zip(columns.names, columns.values, strict=True))
+    wanted = [*roles.states, *roles.inputs]
+    t = to_numbers(by_name[roles.time], roles.time, columns.label, time=True)
+    data = [to_numbers(by_name[name], name, columns.label) for name in wanted]
+    groups = _groups(by_name.get(roles.trajectory) if roles.trajectory else None, t)
+    check_rows(t, roles.time, groups, columns.label)
+    check_values(data, wanted, roles, columns.label)
+    table = np.column_stack(data)
+    functions = compile_numpy([parse(text, ["t"]) for text in formulas.values()], ["t"])
+    count, origin = len(roles.states), {"source": columns.label}
+    names = [roles.renamed[name] for name in wanted]
+    parts = []
+    for rows in thin(groups, len(t), max_rows, columns.label):
+        extra = functions(t[rows][None]).T
+        inputs = np.column_stack([table[rows, count:], extra])
+        _check_formulas(extra, t[rows], formulas)
+        parts.append(
+            Trajectory(
+                t[rows],
+                table[rows, :count],
+                tuple(names[:count]),
+                inputs,
+                (*names[count:], *formulas),
+                origin,
+            )
+        )
+    return parts
+
+
+def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, str]) -> None:
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        row, column = bad[0]
+        name, text = list(formulas.items())[column]
+        raise InputError(
+            f"input {name} = {text} is {values[row, column]} at t = {t[row]:g}; "
+            "give a formula that is finite over the whole data"
+        )
+
+
+def _groups(labels: np.ndarray | None, t: np.ndarray) -> dict[str, np.ndarray]:
+    """Rows of each trajectory, in order of appearance; one that starts again is a new one."""
+    if labels is not None:
+        text = np.array([str(label) for label in labels])
+        _, first, inverse = np.unique(text, return_index=True, return_inverse=True)
+        return {text[first[g]]: np.flatnonzero(inverse == g) for g in np.argsort(first)}
+    starts = np.flatnonzero((np.diff(t) < 0) & (t[1:] == t[0])) + 1
+    pieces = np.split(np.arange(len(t)), starts)
+    return {str(i + 1): piece for i, piece in enumerate(pieces)}
+
+
+def describe(parts: Sequence[Trajectory], roles: Roles, formulas: Mapping[str, str]) -> str:
+    """Say in words how the columns were understood."""
+    total = sum(len(part) for part in parts)
+    many = f"{len(parts)} trajectories" + (
+        f" named by {roles.trajectory!r}" if roles.trajectory else ", each starting the time again"
+    )
+    head = f"time {roles.time!r}, " + (f"{many}, " if len(parts) > 1 else "")
+    first, last = min(part.t[0] for part in parts), max(part.t[-1] for part in parts)
+    words = [f"{head}{total} rows from {first:g} to {last:g} {_spacing(parts)}"]
+    words.append(f"states {', '.join(roles.renamed[name] for name in roles.states)}")
+    inputs = [roles.renamed[name] for name in roles.inputs]
+    inputs += [f"{name} = {text}" for name, text in formulas.items()]
+    if inputs:
+        words.append(f"inputs {', '.join(inputs)}")
+    if roles.ignored:
+        words.append(f"not used: {', '.join(map(repr, roles.ignored))}")
+    return "; ".join(words)
+
+
+def _spacing(parts: Sequence[Trajectory]) -> str:
+    steps = np.concatenate([np.diff(part.t) for part in parts])
+    low, high = float(steps.min()), float(steps.max())
+    # Times written with few digits differ in their last one.
+    if high - low <= 1e-3 * high:
+        return f"every {float(np.median(steps)):.4g}"
+    return f"in uneven steps of {low:.3g} to {high:.3g}"
+
+
+def write_csv(
+    trajectories: Trajectory | Sequence[Trajectory], path: str | os.PathLike[str]
+) -> None:
+    """Write t, the states and the inputs as CSV (TSV when the name ends so), to full precision.
+
+    Many trajectories get a first column ``trajectory`` that counts from 1. Raises InputError when
+    the file cannot be written or the trajectories have different columns.
+    """
+    import pandas
+
+    parts = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
+    if not parts:
+        raise InputError("there is no trajectory to write; give at least one")
+    frames = []
+    for number, part in enumerate(parts, start=1):
+        if part.names != parts[0].names:
+            raise InputError("the trajectories have different columns; write them to several files")
+        frame = pandas.DataFrame(
+            np.column_stack([part.t, part.columns]), columns=["t", *part.names]
+        )
+        if len(parts) > 1:
+            frame.insert(0, "trajectory", number)
+        frames.append(frame)
+    target = Path(path)
+    try:
+        pandas.concat(frames).to_csv(
+            target, index=False, sep="\t" if target.suffix.lower() == ".tsv" else ","
+        )
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"cannot write {str(path)!r}: {reason}; choose another file") from None
+
+
+_FEWEST_ROWS = 8
+_HELD_BACK = 0.2
+_FEWEST_HELD_BACK = 12
+
+
+def take_trajectories(
+    data: Any, inputs: Mapping[str, Any] | Sequence[str] | None = None
+) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
+    """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
+
+    ``data`` is a Trajectory, a list of them, ``(t, x)`` arrays or a source of
+    :func:`dynsr.data.reading.read_trajectories`. ``inputs`` names columns that are inputs, or maps
+    names to expressions in ``t``. Raises InputError when nothing usable is there.
+
+    >>> runs, inputs = take_trajectories(([0.0, *range(1, 9)], np.ones((9, 1))), {"F": "sin(t)"})
+    >>> runs[0].names, inputs
+    (('x', 'F'), {'F': sin(t)})
+    """
+    named = inputs if isinstance(inputs, Mapping) else {}
+    columns = [] if inputs is None or isinstance(inputs, Mapping) else list(inputs)
+    runs = [_as_inputs(run, columns) for run in _read(data)]
+    if not runs:
+        raise InputError("there is no trajectory in the data; give at least one")
+    if any(run.names != runs[0].names for run in runs):
+        raise InputError("the trajectories have different columns; give all the same columns")
+    short = min(runs, key=len)
+    if len(short) < _FEWEST_ROWS:
+        raise InputError(
+            f"{len(short)} rows are too few to find equations in; "
+            f"give at least {_FEWEST_ROWS} a trajectory"
+        )
+    drives = {check_name(name, "input"): parse(e, ["t"]) for name, e in named.items()}
+    return [_with_drives(run, drives) for run in runs], drives
+
+
+def _read(data: Any) -> list[Trajectory]:
+    if isinstance(data, Trajectory):
+        return [data]
+    if isinstance(data, (list, tuple)) and data and all(isinstance(d, Trajectory) for d in data):
+        return list(data)
+    if isinstance(data, tuple) and len(data) == 2 and not isinstance(data[0], str):
+        return [_from_arrays(*data)]
+    if isinstance(data, list) and data and all(isinstance(d, tuple) for d in data):
+        return [_from_arrays(*pair) for pair in data]
+
+    return read_trajectories(data).trajectories
+
+
+def _from_arrays(t: Any, x: Any) -> Trajectory:
+    try:
+        times, states = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("t and x must be arrays of numbers; give (t, x) or a file") from None
+    if states.ndim == 1:
+        states = states[:, None]
+    if states.ndim != 2:
+        raise InputError(f"x has shape {states.shape}; rows are times, columns are states")
+    names = ("x", "y", "z") if states.shape[1] <= 3 else ()
+    chosen = names[: states.shape[1]] or tuple(f"x{i + 1}" for i in range(states.shape[1]))
+    return Trajectory(times, states, chosen)
+
+
+def _as_inputs(run: Trajectory, columns: Sequence[str]) -> Trajectory:
+    """Move state columns to the inputs."""
+    moved = [name for name in columns if name not in run.input_names]
+    for name in moved:
+        run.index(name)
+    if not moved:
+        return run
+    kept = [name for name in run.states if name not in moved]
+    if not kept:
+        raise InputError("every column is an input; leave at least one state")
+    x = run.x[:, [run.index(name) for name in kept]]
+    extra = run.x[:, [run.index(name) for name in moved]]
+    inputs = np.column_stack([run.inputs, extra])
+    return Trajectory(run.t, x, tuple(kept), inputs, (*run.input_names, *moved), run.origin)
+
+
+def _with_drives(run: Trajectory, drives: Mapping[str, sympy.Expr]) -> Trajectory:
+    """Put the values of inputs that are expressions beside the columns."""
+    new = {name: expr for name, expr in drives.items() if name not in run.input_names}
+    clash = [name for name in new if name in run.states]
+    if clash:
+        raise InputError(f"input {clash[0]!r} is already a state; give it another name")
+    if not new:
+        return run
+    values = compile_numpy(list(new.values()), ["t"])(run.t[None]).T
+    inputs = np.column_stack([run.inputs, values])
+    return Trajectory(run.t, run.x, run.states, inputs, (*run.input_names, *new), run.origin)
+
+
+def split_held_back(
+    runs: Sequence[Trajectory],
+) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Hold a fifth back: whole trajectories when there are five or more, else each one's tail.
+
+    Nothing is held back where that would leave too few rows to learn from.
+
+    >>> t = np.arange(100.0)
+    >>> training, held_back = split_held_back([Trajectory(t, t[:, None], ("x",))])
+    >>> len(training[0]), len(held_back[0])
+    (80, 20)
+    """
+    if len(runs) >= 5:
+        last = max(1, round(_HELD_BACK * len(runs)))
+        return list(runs[:-last]), list(runs[-last:])
+    cuts = [round((1 - _HELD_BACK) * len(run)) for run in runs]
+    if min(len(run) - cut for run, cut in zip(runs, cuts, strict=True)) < _FEWEST_HELD_BACK:
+        return list(runs), []
+    return (
+        [run.select(slice(None, cut)) for run, cut in zip(runs, cuts, strict=True)],
+        [run.select(slice(cut, None)) for run, cut in zip(runs, cuts, strict=True)],
+    )

@@ -1,0 +1,208 @@
+"""Roles of columns: which is the time, which are states, inputs, or the name of a trajectory."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dynsr.data.columns import Columns
+from dynsr.errors import DynsrWarning, InputError
+from dynsr.expression import check_name
+
+_TIME = re.compile(r"t|time|times|timestamps?|datetime|date|sec|secs|seconds?|zeit|temps", re.I)
+_TRAJECTORY = re.compile(
+    r"(traj(ectory)?|run|trial|episode|experiment|series|replicate|sample|group)(_?(id|no|nr))?|id",
+    re.I,
+)
+_INPUT = re.compile(r"(f|force|forcing)|(input|control|forcing)s?_?\w*|u_?\d*", re.I)
+# A unit in brackets or after a blank bracket: "x [m/s]", "theta (rad)".
+_UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
+
+
+@dataclass(frozen=True)
+class Roles:
+    """Columns by their role, under their names in the source.
+
+    ``renamed`` gives every state and input the name that it has in formulas; ``ignored`` are
+    columns that no role was found for; ``chosen`` says that the caller named the states.
+    """
+
+    time: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    trajectory: str | None
+    renamed: Mapping[str, str] = field(default_factory=dict)
+    ignored: tuple[str, ...] = ()
+    chosen: bool = False
+
+
+def guess_roles(
+    columns: Columns,
+    time: str | None,
+    states: Sequence[str] | None,
+    inputs: Sequence[str] | None,
+    formulas: Mapping[str, str],
+    trajectory: str | None,
+) -> Roles:
+    """Give each column its role: as the caller said, or else by its name and its values.
+
+    Raises InputError that lists the columns when one that was named is not there, when no column
+    can be the time, or when no state is left.
+    """
+    time = _find(time, columns, "time") if time else _guess_time(columns)
+    if trajectory:
+        trajectory = _find(trajectory, columns, "trajectory")
+    elif states is None or not any(_TRAJECTORY.fullmatch(name) for name in states):
+        trajectory = _guess_trajectory(columns, time)
+    left = [name for name in columns.names if name not in (time, trajectory)]
+    known = None if inputs is None else [_find(name, columns, "input") for name in inputs]
+    chosen = None if states is None else [_find(name, columns, "state") for name in states]
+    if known is None:
+        free = [n for n in left if n not in (chosen or []) and clean_name(n) not in formulas]
+        known = _guess_inputs(free, columns, chosen)
+    if chosen is None:
+        given = [n for n in left if clean_name(n) in formulas or _is_row_number(n, columns)]
+        chosen = [n for n in left if n not in known and n not in given]
+    _check_roles(time, chosen, known, columns)
+    used = [*chosen, *known]
+    return Roles(
+        time,
+        tuple(chosen),
+        tuple(known),
+        trajectory,
+        _rename(used, formulas),
+        tuple(name for name in left if name not in used),
+        states is not None,
+    )
+
+
+def _check_roles(time: str, states: Sequence[str], inputs: Sequence[str], columns: Columns) -> None:
+    both = [name for name in states if name in inputs or name == time]
+    if both:
+        role = "the time" if both[0] == time else "an input"
+        raise InputError(f"column {both[0]!r} is both a state and {role}; give it one role")
+    twice = [name for name in [*states, *inputs] if [*states, *inputs].count(name) > 1]
+    if twice:
+        raise InputError(f"column {twice[0]!r} is named twice; name each once")
+    if not states:
+        raise InputError(
+            f"{columns.label} has no column left for a state (columns: {_shown(columns.names)}); "
+            "give a time column and at least one state"
+        )
+
+
+def _shown(names: Sequence[str]) -> str:
+    listed = ", ".join(names[:12])
+    return listed if len(names) <= 12 else f"{listed}, ... ({len(names)} in all)"
+
+
+def _find(name: str, columns: Columns, role: str) -> str:
+    """Find a column by its name in the source or by the name it gets in formulas."""
+    if name in columns.names:
+        return name
+    for original in columns.names:
+        if clean_name(original) == name:
+            return original
+    raise InputError(
+        f"no column {name!r} for the {role} in {columns.label}; "
+        f"its columns are: {_shown(columns.names)}"
+    )
+
+
+def _bare(name: str) -> str:
+    return _UNIT.sub("", name).strip()
+
+
+def _guess_time(columns: Columns) -> str:
+    for name in columns.names:
+        if _TIME.fullmatch(_bare(name)) or re.fullmatch(r"(t|time)_\w+", name, re.I):
+            return name
+    if not columns.named:
+        return columns.names[0]
+    for name, values in zip(columns.names, columns.values, strict=True):
+        if values.dtype.kind == "M":
+            return name
+        rising = values.dtype.kind == "f" and len(values) > 1 and bool(np.all(np.diff(values) > 0))
+        if rising and name:
+            return name
+    raise InputError(
+        f"no column of {columns.label} looks like the time (columns: {_shown(columns.names)}); "
+        "name it, e.g. --time seconds, or add a column t"
+    )
+
+
+def _guess_trajectory(columns: Columns, time: str) -> str | None:
+    """Find the column that names trajectories: by its name, with few values, each in one run."""
+    for name, values in zip(columns.names, columns.values, strict=True):
+        if name == time or not _TRAJECTORY.fullmatch(_bare(name)):
+            continue
+        text = values.dtype.kind == "O"
+        if not text and not (np.isfinite(values).all() and np.all(values == np.round(values))):
+            continue
+        distinct = len(set(map(str, values))) if text else len(np.unique(values))
+        if distinct * 5 <= len(values):
+            return name
+    return None
+
+
+def _guess_inputs(
+    names: Sequence[str], columns: Columns, states: Sequence[str] | None
+) -> list[str]:
+    found = [name for name in names if name in columns.inputs]
+    if found or states is not None and set(names) == set(columns.inputs):
+        return found
+    fits = [name for name in names if _INPUT.fullmatch(_bare(name))]
+    if {_bare(name).lower() for name in names} & {"v", "w"}:  # u beside v or w is a state
+        fits = [name for name in fits if _bare(name).lower() != "u"]
+    return fits if len(fits) < len(names) or states is not None else []
+
+
+def _is_row_number(name: str, columns: Columns) -> bool:
+    values = columns.values[columns.names.index(name)]
+    unnamed = not name or name.startswith("Unnamed:") or name == "index"
+    return unnamed and values.dtype.kind == "f" and bool(np.all(np.diff(values) == 1))
+
+
+def clean_name(name: str) -> str:
+    """Give the name that a column has in formulas: its own where that can stand in one.
+
+    Units in brackets go, other signs become underscores, and names of functions get a number.
+
+    >>> [clean_name(name) for name in ("theta (rad)", "x-1", "sin", "2nd")]
+    ['theta', 'x_1', 'sin_1', 'x2nd']
+    """
+    text = unicodedata.normalize("NFKC", _bare(name) or name)
+    text = re.sub(r"_{2,}", "_", re.sub(r"\W", "_", text)).strip("_") or "x"
+    if not text.isidentifier():
+        text = f"x{text}"
+    try:
+        return check_name(text)
+    except InputError:
+        return f"{text}_1"
+
+
+def _rename(names: Sequence[str], formulas: Mapping[str, str]) -> dict[str, str]:
+    renamed: dict[str, str] = {}
+    taken = {"t", *formulas}
+    own = {name for name in names if clean_name(name) == name} - taken
+    for name in names:
+        new, number = clean_name(name), 1
+        while new in taken or (new in own and new != name):
+            number += 1
+            new = f"{clean_name(name)}_{number}"
+        taken.add(new)
+        renamed[name] = new
+    changed = {name: new for name, new in renamed.items() if name != new}
+    if changed:
+        shown = ", ".join(f"{name[:60]!r} -> {new}" for name, new in changed.items())
+        warnings.warn(
+            f"columns were renamed so that they can stand in formulas: {shown}",
+            DynsrWarning,
+            stacklevel=4,
+        )
+    return renamed

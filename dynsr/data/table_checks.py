@@ -1,0 +1,196 @@
+"""Checks of a table's cells and rows: each problem is one line with the value and the remedy."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dynsr.data.roles import Roles
+from dynsr.errors import DynsrWarning, InputError
+
+MIN_ROWS = 10
+_MIN_ROWS_EACH = 5
+_SCALE_RATIO = 1e6
+
+
+def to_numbers(values: np.ndarray, name: str, label: str, time: bool = False) -> np.ndarray:
+    """Give a column as float64; dates become seconds from the first one.
+
+    Raises InputError that names the first cell which is no number.
+    """
+    if values.dtype.kind == "f":
+        return values
+    if time:
+        dates = _as_dates(values)
+        if dates is not None:
+            return (dates - dates[0]) / np.timedelta64(1, "s")
+    if values.dtype.kind == "M":
+        raise InputError(f"column {name!r} of {label} holds dates; only the time may be a date")
+    numbers = np.empty(len(values))
+    for row, cell in enumerate(values):
+        number = _as_number(cell)
+        if number is None:
+            raise InputError(
+                f"column {name!r} of {label} holds the text {str(cell)[:40]!r} in row {row + 1}; "
+                "give numbers, or leave the column out"
+            )
+        numbers[row] = number
+    return numbers
+
+
+def _as_number(cell: Any) -> float | None:
+    try:
+        return np.nan if cell is None else float(cell)
+    except (TypeError, ValueError):
+        return None
+
+
+def _as_dates(values: np.ndarray) -> np.ndarray | None:
+    if values.dtype.kind == "M":
+        return values
+    if _as_number(values[0]) is not None:
+        return None
+    import pandas
+
+    try:
+        dates = pandas.to_datetime(values, format="ISO8601", utc=True)
+    except (ValueError, TypeError):
+        return None
+    return dates.tz_localize(None).to_numpy()
+
+
+def check_rows(t: np.ndarray, time: str, groups: Mapping[str, np.ndarray], label: str) -> None:
+    """Check that each trajectory has rows enough and times that increase."""
+    if len(t) < MIN_ROWS:
+        raise InputError(
+            f"{label} has {len(t)} row{'s' * (len(t) != 1)}, which cannot show an equation; "
+            f"give at least {MIN_ROWS}"
+        )
+    bad = np.flatnonzero(~np.isfinite(t))
+    if bad.size:
+        raise InputError(
+            f"time {time!r} of {label} is {t[bad[0]]} in row {bad[0] + 1}{_more(bad)}; "
+            "remove or repair such rows"
+        )
+    for name, rows in groups.items():
+        where = f" of trajectory {name}" if len(groups) > 1 else ""
+        if len(rows) < _MIN_ROWS_EACH:
+            raise InputError(
+                f"trajectory {name} of {label} has {len(rows)} rows; "
+                f"give each at least {_MIN_ROWS_EACH}, or leave it out"
+            )
+        _check_order(t, rows, f"time {time!r}{where}", label)
+
+
+def _check_order(t: np.ndarray, rows: np.ndarray, what: str, label: str) -> None:
+    steps = np.diff(t[rows])
+    bad = np.flatnonzero(steps <= 0)
+    if not bad.size:
+        return
+    here, row = t[rows[bad[0]]], rows[bad[0] + 1]
+    if steps[bad[0]] == 0:
+        raise InputError(
+            f"{what} repeats in row {row + 1} of {label} ({here:g} twice){_more(bad)}; "
+            "keep one row a time, or name the column that tells trajectories apart (--trajectory)"
+        )
+    raise InputError(
+        f"{what} runs backwards at row {row + 1} of {label} ({here:g} then {t[row]:g})"
+        f"{_more(bad)}; sort the rows by time"
+    )
+
+
+def _more(bad: np.ndarray) -> str:
+    return f" and {len(bad) - 1} more" if len(bad) > 1 else ""
+
+
+def check_values(
+    data: Sequence[np.ndarray], names: Sequence[str], roles: Roles, label: str
+) -> None:
+    """Check that values are finite, and states neither constant nor copies of each other."""
+    for name, values in zip(names, data, strict=True):
+        _check_finite(values, name, label)
+    states = dict(zip(roles.states, data, strict=False))
+    for name, values in states.items():
+        if values.min() == values.max():
+            _refuse_constant(name, values[0], roles, label)
+    _warn_identical(dict(zip(names, data, strict=True)), label)
+    _warn_scales(states, label)
+
+
+def _check_finite(values: np.ndarray, name: str, label: str) -> None:
+    bad = np.flatnonzero(~np.isfinite(values))
+    if not bad.size:
+        return
+    if np.isnan(values[bad[0]]):
+        breaks = np.flatnonzero(np.diff(bad) > 1)
+        end = bad[breaks[0]] if breaks.size else bad[-1]
+        run = f"row {bad[0] + 1}" if end == bad[0] else f"rows {bad[0] + 1} to {end + 1}"
+        raise InputError(
+            f"column {name!r} of {label} has no value (NaN) in {run} ({bad.size} in all); "
+            "fill them, remove those rows, or split the data there into trajectories"
+        )
+    raise InputError(
+        f"column {name!r} of {label} holds {values[bad[0]]} in row {bad[0] + 1}{_more(bad)}; "
+        "remove or repair such rows"
+    )
+
+
+def _refuse_constant(name: str, value: float, roles: Roles, label: str) -> None:
+    if roles.chosen:
+        warnings.warn(
+            f"state {name!r} of {label} is {value:g} in every row, so its equation can only be 0",
+            DynsrWarning,
+            stacklevel=4,
+        )
+        return
+    others = ",".join(other for other in roles.states if other != name) or "..."
+    raise InputError(
+        f"column {name!r} of {label} is {value:g} in every row, so it has no equation to find; "
+        f"leave it out (--states {others}) or make it an input (--inputs {name})"
+    )
+
+
+def _warn_identical(columns: Mapping[str, np.ndarray], label: str) -> None:
+    seen: dict[bytes, str] = {}
+    for name, values in columns.items():
+        first = seen.setdefault(values.tobytes(), name)
+        if first != name:
+            warnings.warn(
+                f"columns {first!r} and {name!r} of {label} are identical, so formulas in one or "
+                f"the other cannot be told apart; leave one out",
+                DynsrWarning,
+                stacklevel=4,
+            )
+
+
+def _warn_scales(states: Mapping[str, np.ndarray], label: str) -> None:
+    scales = {name: float(np.std(values)) for name, values in states.items() if np.std(values) > 0}
+    if not scales:
+        return
+    low, high = min(scales, key=lambda n: scales[n]), max(scales, key=lambda n: scales[n])
+    if scales[high] > _SCALE_RATIO * scales[low]:
+        warnings.warn(
+            f"states {low!r} and {high!r} of {label} vary by {scales[low]:.1g} and "
+            f"{scales[high]:.1g}; units that bring them closer make the search surer",
+            DynsrWarning,
+            stacklevel=4,
+        )
+
+
+def thin(
+    groups: Mapping[str, np.ndarray], total: int, max_rows: int, label: str
+) -> list[np.ndarray]:
+    """Keep every k-th row of each trajectory when there are more than ``max_rows``, and warn."""
+    if total <= max_rows:
+        return list(groups.values())
+    stride = -(-total // max_rows)
+    warnings.warn(
+        f"{label} has {total} rows; every {stride}th was kept "
+        f"(give a shorter piece of it, such as its first {max_rows} rows, to keep the fine steps)",
+        DynsrWarning,
+        stacklevel=4,
+    )
+    return [rows[::stride] if len(rows) >= 5 * stride else rows for rows in groups.values()]

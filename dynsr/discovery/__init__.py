@@ -1,0 +1,5 @@
+"""Discovery: from trajectories to the equations of every state, and what is done with them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

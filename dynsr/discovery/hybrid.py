@@ -1,0 +1,280 @@
+"""Found equations in torch: with trainable constants, or a network for the slopes they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy
+import torch
+
+from dynsr.data import Samples, Trajectory, choose_samples
+from dynsr.errors import InputError
+from dynsr.expression import arguments_of, compile_numpy, evaluate, to_text
+from dynsr.fit import free_constants
+
+
+class EquationModule(torch.nn.Module):
+    """dx/dt of a system: ``module(t, state, **inputs)`` with state (..., k) gives (..., k).
+
+    Every float is a parameter (float64, trainable); whole numbers and fractions are structure.
+    """
+
+    def __init__(self, equations: Mapping[str, sympy.Expr]) -> None:
+        """Compile the equations; their floats become ``constants``."""
+        super().__init__()
+        self.states = tuple(equations)
+        self.inputs = arguments_of(equations)
+        symbols: list[sympy.Symbol] = []
+        values: list[float] = []
+        self._templates = []
+        for state, expr in equations.items():
+            template, found = free_constants(expr, f"constant_{state}_")
+            symbols += found
+            values += found.values()
+            self._templates.append(template)
+        self._symbols = symbols
+        self.constants = torch.nn.Parameter(torch.tensor(values, dtype=torch.float64))
+        names = [sympy.Symbol(n) for n in (*self.states, "t", *self.inputs)]
+        functions = [{"sign": torch.sign, "Abs": torch.abs}, "torch"]
+        self._function = sympy.lambdify([*names, *symbols], self._templates, functions, cse=True)
+
+    def forward(
+        self, t: torch.Tensor | float, state: torch.Tensor, **inputs: torch.Tensor
+    ) -> torch.Tensor:
+        """Give dx/dt."""
+        columns = list(state.unbind(-1))
+        missing = [name for name in self.inputs if name not in inputs]
+        if missing:
+            raise TypeError(f"input {missing[0]!r} is missing")
+        given = [inputs[name] for name in self.inputs]
+        found = self._function(*columns, t, *given, *self.constants)
+        rows = [torch.as_tensor(f, dtype=state.dtype).expand_as(columns[0]) for f in found]
+        return torch.stack(rows, dim=-1)
+
+    def equations(self) -> dict[str, str]:
+        """Every state with its right-hand side, the present constants put in."""
+        values = [sympy.Float(v) for v in self.constants.tolist()]
+        put = dict(zip(self._symbols, values, strict=True))
+        return {
+            s: to_text(e.xreplace(put)) for s, e in zip(self.states, self._templates, strict=True)
+        }
+
+
+if TYPE_CHECKING:
+    from dynsr.discovery.result import Discovery
+
+_SUBSTEPS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """A network g with y - f(X) = g(X) + error, for one state.
+
+    ``share`` is the part of the slopes' variance (robust) that the network carries: the drop in
+    mean squared, clipped misses on rows it was not trained on. ``freedom`` is the degrees of
+    freedom of the fitted Student-t error: small for heavy tails, large for nearly Gaussian.
+    """
+
+    state: str
+    network: torch.nn.Module
+    centre: np.ndarray
+    scale: np.ndarray
+    unit: float
+    share: float
+    freedom: float
+
+    def evaluate(self, X: np.ndarray) -> np.ndarray:
+        """(n,) slopes in state units per second for (n, p) columns."""
+        inside = torch.from_numpy((np.asarray(X, dtype=float) - self.centre) / self.scale)
+        with torch.no_grad():
+            return self.unit * self.network(inside)[:, 0].numpy()
+
+
+@dataclass(frozen=True, eq=False)
+class HybridModel:
+    """Equations plus networks: dx/dt = f(x) + g(x)."""
+
+    found: Discovery
+    residuals: Mapping[str, Residual]
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """State -> part of the slopes' variance that the network carries, 0 to 1."""
+        return {state: residual.share for state, residual in self.residuals.items()}
+
+    def slopes(self, X: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+        """Give dx/dt of every state for (n, p) columns of the data at (n,) times."""
+        names = self.found.trajectories[0].names
+        columns = {**{name: X[:, i] for i, name in enumerate(names)}, "t": t}
+        return {
+            state: evaluate(expr, columns) + self.residuals[state].evaluate(X)
+            for state, expr in self.found.equations.items()
+        }
+
+    def simulate(
+        self,
+        x0: Sequence[float] | np.ndarray | None = None,
+        t: Sequence[float] | np.ndarray | None = None,
+    ) -> Trajectory:
+        """Integrate both parts with Runge-Kutta 4, by default over the first trajectory.
+
+        Inputs are those of the first trajectory. Raises InputError when the solution diverges.
+        """
+        run = self.found.trajectories[0]
+        times = run.t if t is None else np.asarray(t, dtype=float)
+        order = [run.index(state) for state in self.found.equations]
+        start = run.x[0] if x0 is None else np.asarray(x0, dtype=float)
+        rhs = self._field(run, order)
+        path = [start]
+        for a, b in zip(times, times[1:], strict=False):
+            path.append(_step(rhs, path[-1], a, b))
+        found = np.array(path)
+        if not np.all(np.isfinite(found)):
+            lost = times[np.flatnonzero(~np.isfinite(found).all(axis=1))[0]]
+            raise InputError(f"the model has no solution at t = {lost:g}; shorten the time span")
+        return Trajectory(times, found, run.states)
+
+    def _field(
+        self, run: Trajectory, order: Sequence[int]
+    ) -> Callable[[float, np.ndarray], np.ndarray]:
+        missing = [s for s in run.states if s not in self.found.equations]
+        if missing:
+            raise InputError(f"the equation of {missing[0]!r} is missing; discover all states")
+        exact = compile_numpy(list(self.found.equations.values()), [*run.names, "t"])
+        drives = compile_numpy(list(self.found.inputs.values()), ["t"])
+        known = list(self.found.inputs)
+
+        def rhs(t: float, x: np.ndarray) -> np.ndarray:
+            given = dict(zip(known, drives(np.array([t])), strict=True)) if known else {}
+            inputs = [
+                given.get(name, np.interp(t, run.t, run.inputs[:, i]))
+                for i, name in enumerate(run.input_names)
+            ]
+            row = np.array([*x, *inputs], dtype=float)
+            slope = np.empty(len(x))
+            slope[list(order)] = exact(np.append(row, t))
+            for state, place in zip(self.found.equations, order, strict=True):
+                slope[place] += self.residuals[state].evaluate(row[None])[0]
+            return slope
+
+        return rhs
+
+    def residual_samples(self, state: str) -> Samples:
+        """Give the slopes that the equation leaves, as the network sees them, without the noise.
+
+        A symbolic search on these says what the network has learned.
+        """
+        samples = choose_samples(list(self.found.trajectories), state)
+        learned = self.residuals[state].evaluate(samples.X)
+        return Samples(
+            samples.X, learned, samples.names, state, "network", samples.t, samples.noise
+        )
+
+    def explain(self, state: str, method: Any = None, seed: int = 0) -> Any:
+        """Search a formula for what the network carries; gives a Pareto front."""
+        from dynsr.methods import choose_methods
+
+        chosen = method or next(iter(choose_methods("rational", "quick").values()))
+        return chosen.search(self.residual_samples(state), np.random.default_rng(seed))
+
+
+def _step(
+    rhs: Callable[[float, np.ndarray], np.ndarray], x: np.ndarray, a: float, b: float
+) -> np.ndarray:
+    h = (b - a) / _SUBSTEPS
+    for i in range(_SUBSTEPS):
+        t = a + i * h
+        k1 = rhs(t, x)
+        k2 = rhs(t + h / 2, x + h / 2 * k1)
+        k3 = rhs(t + h / 2, x + h / 2 * k2)
+        k4 = rhs(t + h, x + h * k3)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
+def fit_hybrid(
+    found: Discovery, *, width: int = 32, epochs: int = 400, seed: int = 0
+) -> HybridModel:
+    """Train one network a state on the slopes that its equation leaves.
+
+    The likelihood is Student's t with fitted scale and degrees of freedom, so that a few wild
+    slopes do not decide. Every fifth block of rows is kept out to choose the best epoch and to
+    measure the share. Raises InputError when the data are not there.
+    """
+    if not found.trajectories:
+        raise InputError("the data are not here; discover again before asking for a hybrid")
+    residuals = {}
+    for state, expr in found.equations.items():
+        samples = choose_samples(list(found.trajectories), state)
+        left = samples.y - evaluate(expr, {**samples.columns, "t": samples.t})
+        residuals[state] = _train(samples, left, width, epochs, seed)
+    return HybridModel(found, residuals)
+
+
+def _train(samples: Samples, left: np.ndarray, width: int, epochs: int, seed: int) -> Residual:
+    centre, scale = samples.X.mean(axis=0), samples.X.std(axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    unit = float(np.median(np.abs(left))) * 1.4826 or 1.0
+    kept_out = (np.arange(len(left)) * 25 // len(left)) % 5 == 2
+    X = torch.from_numpy((samples.X - centre) / scale)
+    y = torch.from_numpy(left / unit)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = _network(X.shape[1], width)
+        freedom = _descend(network, X, y, torch.from_numpy(kept_out), epochs)
+    with torch.no_grad():
+        predicted = unit * network(X)[:, 0].numpy()
+    share = _share(samples.y[kept_out], left[kept_out], predicted[kept_out])
+    return Residual(samples.target, network, centre, scale, unit, share, freedom)
+
+
+def _network(inputs: int, width: int) -> torch.nn.Sequential:
+    last = torch.nn.Linear(width, 1)
+    # It begins as zero: nothing is added that the data do not ask for.
+    torch.nn.init.zeros_(last.weight)
+    torch.nn.init.zeros_(last.bias)
+    layers = [torch.nn.Linear(inputs, width), torch.nn.Tanh()]
+    return torch.nn.Sequential(
+        *layers, torch.nn.Linear(width, width), torch.nn.Tanh(), last
+    ).double()
+
+
+def _descend(
+    network: torch.nn.Sequential, X: torch.Tensor, y: torch.Tensor, out: torch.Tensor, epochs: int
+) -> float:
+    """Maximise the likelihood; the weights of the best epoch on the rows kept out stay."""
+    shape = torch.zeros(2, dtype=torch.float64, requires_grad=True)
+    optimiser = torch.optim.Adam([*network.parameters(), shape], lr=0.01)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
+    best, weights = np.inf, {k: v.clone() for k, v in network.state_dict().items()}
+    for _ in range(epochs):
+        optimiser.zero_grad()
+        losses = _student(y - network(X)[:, 0], shape)
+        held = float(losses[out].mean().detach())
+        if held < best:
+            best, weights = held, {k: v.clone() for k, v in network.state_dict().items()}
+        losses[~out].mean().backward()
+        optimiser.step()
+        schedule.step()
+    network.load_state_dict(weights)
+    return float(1 + torch.exp(shape[1].detach()))
+
+
+def _student(misses: torch.Tensor, shape: torch.Tensor) -> torch.Tensor:
+    """Negative log likelihood of Student's t; scale exp(shape[0]), freedom 1 + exp(shape[1])."""
+    scale, freedom = torch.exp(shape[0]), 1 + torch.exp(shape[1])
+    constant = torch.lgamma(freedom / 2) - torch.lgamma((freedom + 1) / 2)
+    constant = constant + 0.5 * torch.log(freedom * torch.pi) + shape[0]
+    return constant + (freedom + 1) / 2 * torch.log1p((misses / scale) ** 2 / freedom)
+
+
+def _share(y: np.ndarray, left: np.ndarray, predicted: np.ndarray) -> float:
+    """Part of the slopes' variance that the network explains on rows kept out."""
+    size = float(np.mean((y - y.mean()) ** 2)) or 1.0
+    bound = 5 * 1.4826 * float(np.median(np.abs(left))) or np.inf
+    before = np.mean(np.minimum(left**2, bound**2))
+    after = np.mean(np.minimum((left - predicted) ** 2, bound**2))
+    return float(np.clip((before - after) / size, 0.0, 1.0))

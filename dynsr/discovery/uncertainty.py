@@ -1,0 +1,208 @@
+"""Ensembles: how sure are the terms and constants of an equation, by the bootstrap.
+
+Every member of an ensemble sees trajectories, or windows of them, drawn with replacement, fits
+the terms again and drops those that do not pay for themselves. The share of members that keep a
+term is its inclusion probability, and the spread of its coefficient an interval (the bagging of
+Fasel et al. 2022, "Ensemble-SINDy", with the description length in the place of a threshold).
+
+The fit is that of the weak form (Schaeffer and McCalla 2017): with a bump phi that vanishes at the
+ends of a window, the integral of phi' x is minus that of phi f(x). No slope is ever taken, so no
+smoother biases the intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy
+from joblib import Parallel, delayed
+
+from dynsr.data import Trajectory
+from dynsr.discovery.result import Discovery
+from dynsr.errors import InputError
+from dynsr.expression import compile_numpy
+from dynsr.fit import Noise, data_bits, estimate_noise
+
+_WINDOWS = 20
+_POWER = 4
+# Bits of a coefficient and of the term it stands before.
+_TERM_BITS = 20.0
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term of an equation: how often it was kept, and the interval of its coefficient."""
+
+    expr: sympy.Expr
+    probability: float
+    median: float
+    interval: tuple[float, float]
+
+
+def bootstrap(
+    found: Discovery,
+    *,
+    members: int = 100,
+    level: float = 0.95,
+    rivals: int = 3,
+    seed: int = 0,
+    jobs: int = 1,
+) -> dict[str, list[Term]]:
+    """Give every term of every equation, and of the next best formulas, with its certainty.
+
+    Parameters
+    ----------
+    found : a discovery that still has its data.
+    members : ensembles drawn.
+    level : share of members that the interval holds.
+    rivals : formulas of the front whose terms compete with those of the equation.
+    seed, jobs : the result depends on the seed, not on the jobs.
+
+    Twentieths of a trajectory are drawn, and whole trajectories where there are five
+    or more. Raises InputError when the data are not there.
+
+    >>> from dynsr.discovery.search import discover
+    >>> t = np.linspace(0, 3, 301)
+    >>> found = discover((t, np.exp(-0.5 * t)[:, None]), preset="quick", jobs=1)
+    >>> [(str(term.expr), term.probability) for term in bootstrap(found, members=20)["x"]][0]
+    ('x', 1.0)
+    """
+    if not found.trajectories:
+        raise InputError("the data are not here; discover again before asking for an ensemble")
+    if members < 2 or not 0 < level < 1:
+        raise InputError(f"{members} members at level {level}; give two or more and 0 < level < 1")
+    result = {}
+    sequences = np.random.SeedSequence(seed).spawn(len(found.equations))
+    for (state, expr), sequence in zip(found.equations.items(), sequences, strict=True):
+        exprs, bottom = _terms(expr, [c.expr for c in list(found.front[state])[-rivals:]])
+        blocks = [b for run in found.trajectories for b in _weaken(run, state, exprs, bottom)]
+        if len(found.trajectories) >= 5:
+            blocks = [_join(_weaken(r, state, exprs, bottom)) for r in found.trajectories]
+        whole = _join(blocks)
+        coefficients = np.linalg.lstsq(whole.values.T, whole.y, rcond=None)[0]
+        noise = estimate_noise([whole.y - coefficients @ whole.values], whole.y)
+        draws = Parallel(n_jobs=jobs)(
+            delayed(_fit_member)(blocks, noise, child) for child in sequence.spawn(members)
+        )
+        result[state] = _summarise(exprs, np.array(list(draws)), level)
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Weak:
+    """Integrals of terms, (m, r), and of the slope, (r,), over the windows of one block."""
+
+    values: np.ndarray
+    y: np.ndarray
+
+
+def _join(blocks: Sequence[_Weak]) -> _Weak:
+    return _Weak(
+        np.concatenate([b.values for b in blocks], axis=1), np.concatenate([b.y for b in blocks])
+    )
+
+
+def _weaken(
+    run: Trajectory, state: str, exprs: Sequence[sympy.Expr], bottom: sympy.Expr
+) -> list[_Weak]:
+    """Give one block for each twentieth of a trajectory, of the bumps whose middle lies there."""
+    evaluated = compile_numpy([*exprs, bottom], [*run.names, "t"])
+    *rows, below = evaluated(np.concatenate([run.columns.T, run.t[None]]))
+    values, x = np.array(rows) / below, run.x[:, run.index(state)]
+    width = max(8, len(run) // _WINDOWS)
+    starts = np.arange(0, len(run) - width, max(1, width // 4))
+    if len(starts) < 4:
+        raise InputError(f"{len(run)} rows are too few for an ensemble; give at least 24")
+    index = starts[:, None] + np.arange(width + 1)
+    t = run.t[index]
+    half = (t[:, -1:] - t[:, :1]) / 2
+    s = (t - t[:, :1]) / half - 1
+    bump, slope = (1 - s**2) ** _POWER, -2 * _POWER * s * (1 - s**2) ** (_POWER - 1) / half
+    # The measure makes the integral of the bump 1, so that y is a mean slope.
+    steps = _trapezoid_weights(t)
+    steps /= np.sum(steps * bump, axis=1, keepdims=True)
+    y = -np.einsum("wi,wi,wi->w", steps, slope, x[index])
+    integrals = np.einsum("wi,wi,mwi->mw", steps, bump, values[:, index])
+    owner = np.arange(len(starts)) * _WINDOWS // len(starts)
+    return [_Weak(integrals[:, owner == b], y[owner == b]) for b in np.unique(owner)]
+
+
+def _trapezoid_weights(t: np.ndarray) -> np.ndarray:
+    steps = np.diff(t, axis=1)
+    edge = np.zeros((len(t), 1))
+    return (np.hstack([edge, steps]) + np.hstack([steps, edge])) / 2
+
+
+def _terms(
+    expr: sympy.Expr, rivals: Sequence[sympy.Expr]
+) -> tuple[tuple[sympy.Expr, ...], sympy.Expr]:
+    """Terms of the equation and, where it is a sum, of its rivals; and its denominator."""
+    top, bottom = sympy.fraction(sympy.together(expr)) if _is_ratio(expr) else (expr, sympy.S.One)
+    found = list(sympy.Add.make_args(sympy.expand(top)))
+    if bottom == 1:
+        for rival in rivals:
+            found += [] if _is_ratio(rival) else sympy.Add.make_args(sympy.expand(rival))
+    bare = dict.fromkeys(term.as_coeff_Mul()[1] for term in found if term != 0)
+    return tuple(bare), bottom
+
+
+def _is_ratio(expr: sympy.Expr) -> bool:
+    return bool(sympy.fraction(expr)[1].free_symbols)
+
+
+def _fit_member(
+    blocks: Sequence[_Weak], noise: Noise, sequence: np.random.SeedSequence
+) -> np.ndarray:
+    """(m,) coefficients on one draw; 0 for a term that was dropped."""
+    rng = np.random.default_rng(sequence)
+    drawn = _join([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))])
+    values = drawn.values
+    keep = list(range(len(values)))
+    coefficients, bits = _fit(values, keep, drawn.y, noise)
+    while len(keep) > 1:
+        trials = [_fit(values, [k for k in keep if k != out], drawn.y, noise) for out in keep]
+        best = int(np.argmin([bits for _, bits in trials]))
+        if trials[best][1] - _TERM_BITS >= bits:
+            break
+        coefficients, bits = trials[best]
+        keep.pop(best)
+    full = np.zeros(len(values))
+    full[keep] = coefficients
+    return full
+
+
+def _fit(
+    values: np.ndarray, keep: Sequence[int], y: np.ndarray, noise: Noise
+) -> tuple[np.ndarray, float]:
+    """Fit robustly (Cauchy weights); gives coefficients and the bits of the misses."""
+    columns = values[list(keep)]
+    weights = np.ones(len(y))
+    coefficients = np.zeros(len(keep))
+    for _ in range(5):
+        coefficients = np.linalg.lstsq((columns * weights).T, y * weights, rcond=None)[0]
+        misses = y - coefficients @ columns
+        weights = 1 / np.sqrt(1 + (misses / noise.floor) ** 2)
+    return coefficients, data_bits(misses, noise)
+
+
+def _summarise(exprs: Sequence[sympy.Expr], draws: np.ndarray, level: float) -> list[Term]:
+    tails = [(1 - level) / 2, (1 + level) / 2]
+    terms = []
+    for expr, column in zip(exprs, draws.T, strict=True):
+        kept = column[column != 0]
+        low, high = np.quantile(kept, tails) if len(kept) else (0.0, 0.0)
+        middle = float(np.median(kept)) if len(kept) else 0.0
+        share = len(kept) / len(column)
+        terms.append(Term(expr, share, middle, (float(low), float(high))))
+    return sorted(terms, key=lambda term: (-term.probability, str(term.expr)))
+
+
+def intervals(terms: Mapping[str, Sequence[Term]]) -> list[tuple[str, str, float, float, float]]:
+    """Give rows (state, term, probability, low, high) for a table."""
+    return [
+        (state, str(term.expr), term.probability, *term.interval)
+        for state, found in terms.items()
+        for term in found
+    ]

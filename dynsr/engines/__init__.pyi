@@ -1,0 +1,39 @@
+from .base import (
+    DEFAULT_ABSTOL,
+    DEFAULT_RELTOL,
+    AbstractEngine,
+    InitialValueProblem,
+    Integration,
+    Optimizer,
+    Release,
+    SparseProblem,
+    SparseSolution,
+)
+from .embedded import EmbeddedEngine
+from .julia.diffeqpy import DiffeqpyEngine
+from .julia.setup import install
+from .registry import ENGINES, find_engine
+from .simulation import add_noise, simulate, training_trajectory
+from .tsit5.single import interpolate, replay_steps
+
+__all__ = [
+    "AbstractEngine",
+    "DEFAULT_ABSTOL",
+    "DEFAULT_RELTOL",
+    "DiffeqpyEngine",
+    "ENGINES",
+    "EmbeddedEngine",
+    "InitialValueProblem",
+    "Integration",
+    "Optimizer",
+    "Release",
+    "SparseProblem",
+    "SparseSolution",
+    "add_noise",
+    "find_engine",
+    "install",
+    "interpolate",
+    "replay_steps",
+    "simulate",
+    "training_trajectory",
+]

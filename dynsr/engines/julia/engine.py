@@ -1,0 +1,176 @@
+"""The Julia engine: OrdinaryDiffEqTsit5 and DataDrivenSparse, the tools of the paper, by juliacall.
+
+Julia runs in a process of its own, started on the first use. Only the worker in it and the setup
+know juliacall.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dynsr.engines.base import (
+    AbstractEngine,
+    InitialValueProblem,
+    Integration,
+    SparseProblem,
+    SparseSolution,
+)
+from dynsr.engines.julia.frames import Frame
+from dynsr.engines.julia.process import Announce, WorkerProcess
+from dynsr.engines.julia.setup import ENVIRONMENT, find_sources, name_remedy, require_julia
+from dynsr.engines.julia.source import write_slopes
+from dynsr.engines.sparse.settings import read_settings
+from dynsr.errors import EngineError, EngineUnavailable
+
+# Installing and compiling the packages for the first time is what takes this long.
+START_SECONDS = 3600.0
+REGRESS_SECONDS = 600.0
+# The solver keeps the time limit of an integration itself; this is for the way there and back.
+GRACE_SECONDS = 30.0
+LONGEST_SECONDS = 1e9
+
+
+def announce_on_stderr(text: str) -> None:
+    """Write a line of progress to standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
+class JuliaEngine(AbstractEngine):
+    """Integrates and regresses in Julia.
+
+    Parameters
+    ----------
+    regress_seconds : a regression that takes longer is stopped.
+    start_seconds : so is a start of Julia, which may install and compile packages.
+    announce : is given a line when a stage of the start takes more than two seconds.
+
+    With ``PYTHON_JULIACALL_EXE`` and ``PYTHON_JULIACALL_PROJECT`` set, that Julia runs in that
+    project, and nothing is resolved or installed; it must hold OrdinaryDiffEqTsit5,
+    DataDrivenDiffEq, DataDrivenSparse and PythonCall. Otherwise juliapkg's own settings
+    (``PYTHON_JULIAPKG_*``) say where Julia lives.
+
+    Raises EngineUnavailable, with the remedy, where Julia is not set up.
+    """
+
+    name = "julia"
+    # What the worker is asked for.
+    integration = "integrate"
+
+    def __init__(
+        self,
+        regress_seconds: float = REGRESS_SECONDS,
+        start_seconds: float = START_SECONDS,
+        announce: Announce = announce_on_stderr,
+    ) -> None:
+        """Check that Julia is there; it starts on the first use."""
+        require_julia()
+        self.regress_seconds = regress_seconds
+        self.start_seconds = start_seconds
+        self.announce = announce
+        self._versions: dict[str, str] = {}
+        self._process: WorkerProcess | None = None
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as settings; that process starts a Julia of its own."""
+        return (type(self), (self.regress_seconds, self.start_seconds, self.announce))
+
+    def integrate(self, problem: InitialValueProblem) -> Integration:
+        """Solve an initial value problem by OrdinaryDiffEqTsit5."""
+        header = {
+            "call": self.integration,
+            "slopes": write_slopes(problem.rhs, problem.states),
+            "reltol": float(problem.reltol),
+            "abstol": float(problem.abstol),
+            "max_steps": int(problem.max_steps),
+            # A header holds finite numbers only.
+            "max_seconds": min(float(problem.max_seconds), LONGEST_SECONDS),
+        }
+        seconds = problem.max_seconds + GRACE_SECONDS
+        facts, results = self._ask(header, {"x0": problem.x0, "t": problem.t}, seconds)
+        x = _expect(results, "x", (len(problem.t), len(problem.states)))
+        finite = bool(np.isfinite(x).all())
+        message = str(facts["message"])
+        if not finite and not message:
+            message = "the solution is not finite"
+        return Integration(
+            x, finite and not message, int(facts["accepted"]), int(facts["rejected"]), message
+        )
+
+    def regress(self, problem: SparseProblem) -> SparseSolution:
+        """Solve a sparse regression: by DataDrivenSparse today, by DynSR's own code as in 2021."""
+        settings = read_settings(problem)
+        header = {
+            "call": "regress",
+            "optimizer": problem.optimizer,
+            "release": problem.release or "",
+            "relaxation": settings.relaxation,
+            "proximal": settings.proximal,
+            "normalize": bool(problem.normalize),
+            "max_iterations": int(problem.max_iterations),
+            "implicit": bool(problem.implicit),
+        }
+        arrays = {
+            "theta": problem.theta,
+            "dx": problem.dx,
+            "weights": np.array(settings.weights),
+        }
+        facts, results = self._ask(header, arrays, self.regress_seconds)
+        count = len(problem.theta) * (2 if problem.implicit else 1)
+        coefficients = _expect(results, "coefficients", (count,))
+        if not np.isfinite(coefficients).all():
+            raise EngineError("Julia's coefficients are not finite; scale the library or drop rows")
+        iterations = int(facts["iterations"])
+        return SparseSolution(
+            coefficients, None if iterations < 0 else iterations, bool(facts["converged"])
+        )
+
+    def versions(self) -> dict[str, str]:
+        """Name Julia and its packages with their versions; starts Julia when it has not run."""
+        if not self._versions:
+            facts, _ = self._ask({"call": "versions"}, {}, GRACE_SECONDS)
+            self._versions = {str(k): str(v) for k, v in facts["versions"].items()}
+        return dict(self._versions)
+
+    def close(self) -> None:
+        """End Julia; it starts again on the next use."""
+        with self._lock:
+            if self._process is not None:
+                self._process.close()
+            self._process = None
+
+    def _ask(
+        self, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray], seconds: float
+    ) -> Frame:
+        with self._lock:
+            if self._process is None or not self._process.alive:
+                if self._process is not None:
+                    self._process.close()
+                self._process = WorkerProcess(
+                    "dynsr.engines.julia.worker", "julia", {**ENVIRONMENT, **os.environ}
+                )
+            asked = {**header, "source": str(find_sources() / "src" / "DynSR.jl")}
+            try:
+                return self._process.request(
+                    asked, arrays, seconds, self.start_seconds, self.announce
+                )
+            except EngineUnavailable as problem:
+                # What failed to load is not loaded by trying again in the same process.
+                self._process.close()
+                raise EngineUnavailable(
+                    f"Julia does not start: {problem}; {name_remedy()}"
+                ) from None
+
+
+def _expect(results: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
+    value = results.get(name)
+    if value is None or value.shape != shape:
+        found = None if value is None else value.shape
+        raise EngineError(f"Julia answered {name} of shape {found} where {shape} was asked for")
+    return value

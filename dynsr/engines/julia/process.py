@@ -1,0 +1,224 @@
+"""A process of its own that answers requests, so that its crash is an error and never the end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+import weakref
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from dynsr.engines.julia.frames import Frame, read_frame, write_frame
+from dynsr.errors import EngineError, EngineUnavailable
+
+Announce = Callable[[str], None]
+# A stage that is over sooner is not worth a line.
+QUIET_SECONDS = 2.0
+_TICK = 0.25
+_LAST_WORDS = 30
+_SIGNS_OF_PROGRESS = ("Precompiling", "Installing", "Installed", "Downloading", "Resolving")
+
+
+class WorkerProcess:
+    """One running worker: ``module.main()`` in a fresh Python, spoken to by frames over pipes.
+
+    The worker answers each request with frames whose ``event`` is "progress" (a stage of its
+    start, in words), "working" (the start is over, the time limit of the request counts),
+    "answer", "error" or "unavailable". ``name`` is what messages call it.
+    """
+
+    def __init__(self, module: str, name: str, environment: Mapping[str, str]) -> None:
+        """Start the process; it answers as soon as it is up."""
+        # The path is set before anything is imported: no file of the working directory or of
+        # the package's own folders can stand in for a module of Python's.
+        code = (
+            f"import sys; sys.path[:] = {json.dumps(sys.path)}; from {module} import main; main()"
+        )
+        self.name = name
+        self._owner = os.getpid()
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=dict(environment),
+            # Ctrl-C is for the user's session; it decides what becomes of the worker.
+            start_new_session=True,
+        )
+        self._frames: queue.SimpleQueue[Frame | None] = queue.SimpleQueue()
+        self._told = _Told()
+        self._threads = [
+            threading.Thread(target=_pass_frames, args=(self._process, self._frames), daemon=True),
+            threading.Thread(target=_listen, args=(self._process, self._told), daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+        self._ending = weakref.finalize(self, _end, self._process, self._owner, self._threads)
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can be asked: running, and started by this very process."""
+        return self._owner == os.getpid() and self._ending.alive and self._process.poll() is None
+
+    def request(
+        self,
+        header: Mapping[str, Any],
+        arrays: Mapping[str, np.ndarray],
+        seconds: float,
+        start_seconds: float,
+        announce: Announce,
+    ) -> Frame:
+        """Ask and wait for the answer, ``seconds`` for the work and ``start_seconds`` before it.
+
+        Raises EngineError when the worker reports a failure, dies or is late; in the last two
+        cases, and when the wait is interrupted, the worker is ended.
+        """
+        try:
+            self._send(header, arrays)
+            return self._wait(seconds, start_seconds, announce)
+        except _Reported as reported:
+            raise reported.error from None
+        except BaseException:
+            # An answer that came later would be taken for that of the next request.
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End the worker and give back its pipes; nothing happens when it has ended."""
+        if self._owner == os.getpid():
+            self._ending()
+
+    def _send(self, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+        assert self._process.stdin is not None
+        try:
+            write_frame(self._process.stdin, header, arrays)
+        except OSError:
+            raise EngineError(self._obituary()) from None
+
+    def _wait(self, seconds: float, start_seconds: float, announce: Announce) -> Frame:
+        deadline, limit, doing = time.monotonic() + start_seconds, start_seconds, "start"
+        self._told.begin(self._told.stage)
+        while True:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise EngineError(
+                    f"{self.name} did not {doing} within {limit:g} s and was stopped; "
+                    "it starts again on its next use"
+                )
+            try:
+                frame = self._frames.get(timeout=min(left, _TICK))
+            except queue.Empty:
+                self._told.announce(self.name, announce)
+                continue
+            if frame is None:
+                raise EngineError(self._obituary())
+            header, _ = frame
+            if header["event"] == "progress":
+                self._told.begin(str(header["text"]))
+            elif header["event"] == "working":
+                self._told.begin("")
+                deadline, limit, doing = time.monotonic() + seconds, seconds, "answer"
+            elif header["event"] == "answer":
+                return frame
+            else:
+                kind = EngineUnavailable if header["event"] == "unavailable" else EngineError
+                raise _Reported(kind(str(header["message"])))
+
+    def _obituary(self) -> str:
+        code: int | None
+        try:
+            code = self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            code = None
+        self._threads[1].join(timeout=1)
+        words = " | ".join(list(self._told.words)[-3:]) or "it said nothing"
+        return (
+            f"{self.name} ended unexpectedly ({_manner(code)}) and starts again on its next use; "
+            f"its last words: {words[:500]}"
+        )
+
+
+class _Told:
+    """What a worker lets be known: the stage of its start and the last lines it wrote."""
+
+    def __init__(self) -> None:
+        self.words: deque[str] = deque(maxlen=_LAST_WORDS)
+        self.begin("starting")
+
+    def begin(self, stage: str) -> None:
+        """Note that a stage begins; an empty one is not announced."""
+        self.stage, self._since = stage, time.monotonic()
+
+    def announce(self, name: str, announce: Announce) -> None:
+        """Announce the stage, once, when it takes long."""
+        if self.stage and time.monotonic() - self._since > QUIET_SECONDS:
+            announce(f"{name}: {self.stage}")
+            self.stage = ""
+
+
+class _Reported(Exception):
+    """Carries an error that the worker reported and survived."""
+
+    def __init__(self, error: EngineError) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+def _manner(code: int | None) -> str:
+    if code is None:
+        return "its stream broke off"
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"signal {signal.Signals(-code).name}"
+    except ValueError:
+        return f"signal {-code}"
+
+
+def _pass_frames(process: subprocess.Popen[bytes], frames: queue.SimpleQueue[Frame | None]) -> None:
+    assert process.stdout is not None
+    try:
+        while (frame := read_frame(process.stdout)) is not None:
+            frames.put(frame)
+    except (EngineError, OSError, ValueError):
+        pass
+    frames.put(None)
+
+
+def _listen(process: subprocess.Popen[bytes], told: _Told) -> None:
+    """Keep what the worker writes to its standard error; some lines tell of progress."""
+    assert process.stderr is not None
+    try:
+        for raw in process.stderr:
+            line = raw.decode(errors="replace").strip()
+            if line:
+                told.words.append(line)
+            if any(sign in line[:40] for sign in _SIGNS_OF_PROGRESS):
+                told.begin(line[:100])
+    except (OSError, ValueError):
+        pass
+
+
+def _end(process: subprocess.Popen[bytes], owner: int, threads: list[threading.Thread]) -> None:
+    # A forked child inherits the finalizer, but the worker is its parent's.
+    if os.getpid() != owner:
+        return
+    process.kill()
+    process.wait()
+    for thread in threads:
+        thread.join(timeout=5)
+    for stream in (process.stdin, process.stdout, process.stderr):
+        if stream is not None:
+            # What was still to be written to a dead process is lost, as it should be.
+            with contextlib.suppress(OSError):
+                stream.close()

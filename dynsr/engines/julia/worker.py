@@ -1,0 +1,202 @@
+"""The process in which Julia runs: reads requests from standard input and answers on the output.
+
+Torch is never imported here: loading it before Julia can crash both. What Julia or a library
+prints goes to standard error, so that nothing but frames reaches the engine.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable
+from typing import IO, Any
+
+import numpy as np
+
+from dynsr.engines.julia.frames import read_frame, write_frame
+
+LONGEST_MESSAGE = 600
+_TINY_SLOPES = "(du, u, p, t) -> begin\n    du[1] = -1.0 * u[1]\n    nothing\nend"
+
+
+class Session:
+    """Julia with dynsr's module in it; ``tell`` is given the stages of its start in words."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        """Start nothing yet: the first request does."""
+        self._tell = tell
+        self._module: Any = None
+        self._warm: set[str] = set()
+        self._calls = {
+            "integrate": self._integrate,
+            "regress": self._regress,
+            "diffeqpy": self._integrate_by_diffeqpy,
+        }
+        self._versions: dict[str, str] = {}
+
+    def load(self, source: str) -> None:
+        """Start Julia and load dynsr's module from its file; nothing happens the second time."""
+        if self._module is not None:
+            return
+        self._tell("starting Julia (packages that are missing are installed, which takes minutes)")
+        import juliacall
+
+        self._tell("loading Julia's packages (compiled on the first time, which takes minutes)")
+        main = juliacall.Main
+        main.seval("path -> Base.include(Main, path)")(source)
+        self._module = main.seval("Main.DynSR")
+        lines = str(self._module.versions()).splitlines()
+        self._versions = {
+            **dict(line.split(" ", 1) for line in lines),
+            "juliacall": str(juliacall.__version__),
+        }
+
+    def warm_up(self, header: dict[str, Any]) -> None:
+        """Compile what the call needs, so that the time it is given is for its work alone."""
+        call = header["call"]
+        if call in self._calls and call not in self._warm:
+            self._tell(f"compiling {call}, once a session")
+            tiny = _tiny_regression if call == "regress" else _tiny_integration
+            if call == "diffeqpy":
+                # It may install and compile packages, and why that fails is to be told.
+                _load_diffeqpy()
+            # Whether the tiny problem can be solved is nobody's question.
+            with contextlib.suppress(Exception):
+                self._calls[call](*tiny(header))
+            self._warm.add(call)
+
+    def answer(
+        self, header: dict[str, Any], arrays: dict[str, np.ndarray]
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Do what is asked: "integrate", "regress" or "versions"."""
+        if header["call"] == "versions":
+            return {"versions": self._versions}, {}
+        return self._calls[header["call"]](header, arrays)
+
+    def _integrate(
+        self, header: dict[str, Any], arrays: dict[str, np.ndarray]
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        x, accepted, rejected, message = self._module.integrate(
+            str(header["slopes"]),
+            arrays["x0"],
+            arrays["t"],
+            float(header["reltol"]),
+            float(header["abstol"]),
+            int(header["max_steps"]),
+            float(header["max_seconds"]),
+        )
+        facts = {"accepted": int(accepted), "rejected": int(rejected), "message": str(message)}
+        return facts, {"x": np.array(x, copy=True).astype(float)}
+
+    def _integrate_by_diffeqpy(
+        self, header: dict[str, Any], arrays: dict[str, np.ndarray]
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        de, vector = _load_diffeqpy()
+        t = arrays["t"]
+        slopes = self._module.compile(str(header["slopes"]))
+        problem = de.ODEProblem(slopes, vector(arrays["x0"]), (float(t[0]), float(t[-1])))
+        solver = de.Tsit5()
+        # As in integrate: releases differ in how much the first step may grow.
+        controller = self._module.first_step_controller(solver)
+        solution = de.solve(
+            problem,
+            solver,
+            **({} if controller is None else {"controller": controller}),
+            saveat=vector(t),
+            reltol=float(header["reltol"]),
+            abstol=float(header["abstol"]),
+            maxiters=int(header["max_steps"]),
+        )
+        x, accepted, rejected, message = self._module.answer_at(
+            vector(t), solution, float(header["max_seconds"])
+        )
+        facts = {"accepted": int(accepted), "rejected": int(rejected), "message": str(message)}
+        return facts, {"x": np.array(x, copy=True).astype(float)}
+
+    def _regress(
+        self, header: dict[str, Any], arrays: dict[str, np.ndarray]
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        coefficients, iterations, converged = self._module.regress(
+            arrays["theta"],
+            arrays["dx"],
+            str(header["optimizer"]),
+            str(header["release"]),
+            arrays["weights"],
+            float(header["relaxation"]),
+            str(header["proximal"]),
+            bool(header["normalize"]),
+            int(header["max_iterations"]),
+            bool(header["implicit"]),
+        )
+        facts = {"iterations": int(iterations), "converged": bool(converged)}
+        return facts, {"coefficients": np.array(coefficients, copy=True).astype(float)}
+
+
+def _load_diffeqpy() -> tuple[Any, Any]:
+    """Give DifferentialEquations.jl, and the function that makes an array one of Julia's own."""
+    import juliacall
+
+    # diffeqpy installs another Julia unless it finds a program of that name.
+    folders = [str(juliacall.Main.seval("Sys.BINDIR")), *os.environ["PATH"].split(os.pathsep)]
+    os.environ["PATH"] = os.pathsep.join(dict.fromkeys(folders))
+    from diffeqpy import de
+
+    return de, juliacall.Main.seval("x -> Vector{Float64}(x)")
+
+
+def _tiny_integration(header: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    tiny = {**header, "slopes": _TINY_SLOPES, "max_steps": 1000, "max_seconds": 60.0}
+    return tiny, {"x0": np.array([1.0]), "t": np.array([0.0, 1.0])}
+
+
+def _tiny_regression(header: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    x = np.linspace(0.1, 2.0, 20)
+    theta = np.array([np.ones(20), x, x**2])
+    tiny = {**header, "max_iterations": 10, "implicit": False}
+    return tiny, {"theta": theta, "dx": 2 * x, "weights": np.array([0.01])}
+
+
+def main() -> None:
+    """Answer requests until the engine closes the pipe."""
+    requests, answers = _take_pipes()
+    session = Session(lambda text: write_frame(answers, {"event": "progress", "text": text}))
+    while (frame := read_frame(requests)) is not None:
+        header, arrays = frame
+        # Whatever a foreign library raises, the engine is told and the worker lives on.
+        try:
+            session.load(header["source"])
+        except Exception as problem:
+            write_frame(answers, {"event": "unavailable", "message": _one_line(problem)})
+            continue
+        try:
+            session.warm_up(header)
+            write_frame(answers, {"event": "working"})
+            facts, results = session.answer(header, arrays)
+        except Exception as problem:
+            write_frame(answers, {"event": "error", "message": _one_line(problem)})
+            continue
+        write_frame(answers, {"event": "answer", **facts}, results)
+
+
+def _take_pipes() -> tuple[IO[bytes], IO[bytes]]:
+    """Keep the pipes for frames and turn the standard output of everyone else to the error's."""
+    requests = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
+    nowhere = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nowhere, 0)
+    os.close(nowhere)
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    return requests, answers
+
+
+def _one_line(problem: Exception) -> str:
+    """Say what went wrong in the words of who said it, without the stack."""
+    text = str(problem).split("Stacktrace:")[0]
+    # A program that juliacall ran said why it failed on its own standard error.
+    told = str(getattr(problem, "stderr", None) or "").strip()
+    if told:
+        text += f" It said: {told.splitlines()[-1]}"
+    line = " ".join(text.split()) or type(problem).__name__
+    return line if len(line) <= LONGEST_MESSAGE else line[: LONGEST_MESSAGE - 3] + "..."

@@ -1,0 +1,1 @@
+"""Sparse regression as DataDrivenDiffEq.jl did it in 2021 and does it today."""

@@ -1,0 +1,1 @@
+"""Tsit5 as OrdinaryDiffEq.jl takes it, for one system and for many at once."""

@@ -1,0 +1,5 @@
+"""Fits: constants, snapping, whole trajectories, noise and description length."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

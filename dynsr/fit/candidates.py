@@ -1,0 +1,119 @@
+"""Candidates and the Pareto front of description length against error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.expression import complexity, evaluate
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One formula found for a target.
+
+    ``loss`` is its RMSE on the samples (state units per second); ``complexity`` its description
+    length in bits, :func:`dynsr.expression.complexity`; ``source`` the stage that found it.
+    """
+
+    expr: sympy.Expr
+    loss: float
+    complexity: float
+    source: str = ""
+
+
+def rmse(predicted: np.ndarray, actual: np.ndarray) -> float:
+    """Root of the mean squared difference; inf where a prediction is not a finite number."""
+    with np.errstate(all="ignore"):
+        value = float(np.sqrt(np.mean((np.asarray(predicted) - actual) ** 2)))
+    return value if math.isfinite(value) else math.inf
+
+
+def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Candidate:
+    """Evaluate an expression on samples and make the candidate.
+
+    >>> s = Samples(np.array([[1.0], [2.0]]), np.array([2.0, 4.0]), ("x",), "x", "given",
+    ...             np.arange(2.0))
+    >>> score_candidate(2 * sympy.Symbol("x"), s).loss
+    0.0
+    """
+    predicted = evaluate(expr, samples.columns)
+    return Candidate(expr, rmse(predicted, samples.y), complexity(expr), source)
+
+
+@lru_cache(maxsize=4096)
+def _text(expr: sympy.Expr) -> str:
+    """Order ties; kept, because fronts grow by many small additions and printing is slow."""
+    return str(expr)
+
+
+@dataclass(frozen=True)
+class ParetoFront:
+    """Candidates of which none is both simpler and better than another, simplest first.
+
+    >>> a = Candidate(sympy.Symbol("x"), 1.0, 1.0)
+    >>> b = Candidate(sympy.Symbol("y"), 2.0, 2.0)
+    >>> len(ParetoFront([a]).add(b))
+    1
+    """
+
+    candidates: tuple[Candidate, ...] = ()
+
+    def __init__(self, candidates: Iterable[Candidate] = ()) -> None:
+        """Keep the undominated ones of the candidates; those with loss inf or NaN are dropped."""
+        kept: list[Candidate] = []
+        ordered = sorted(
+            (c for c in candidates if math.isfinite(c.loss) and math.isfinite(c.complexity)),
+            key=lambda c: (c.complexity, c.loss, _text(c.expr)),
+        )
+        for candidate in ordered:
+            if not kept or candidate.loss < kept[-1].loss:
+                kept.append(candidate)
+        object.__setattr__(self, "candidates", tuple(kept))
+
+    def __iter__(self) -> Iterator[Candidate]:
+        """Go through the candidates, simplest first."""
+        return iter(self.candidates)
+
+    def __len__(self) -> int:
+        """Count the candidates."""
+        return len(self.candidates)
+
+    def __getitem__(self, index: int) -> Candidate:
+        """Give one candidate; 0 is the simplest, -1 the most accurate."""
+        return self.candidates[index]
+
+    def add(self, *candidates: Candidate) -> ParetoFront:
+        """Give the front of these candidates and mine."""
+        return ParetoFront((*self.candidates, *candidates))
+
+    def merge(self, other: ParetoFront) -> ParetoFront:
+        """Give the front of both fronts' candidates."""
+        return ParetoFront((*self.candidates, *other.candidates))
+
+    @property
+    def best_fit(self) -> Candidate:
+        """The candidate of lowest loss, which the paper reports; ValueError on an empty front."""
+        if not self.candidates:
+            raise ValueError("the front is empty")
+        return self.candidates[-1]
+
+    @cached_property
+    def knee(self) -> Candidate:
+        """The candidate at the sharpest bend: the largest drop in log loss a bit of complexity.
+
+        Measured as the distance below the line that joins the ends of the front in the plane of
+        complexity and log loss.
+        """
+        if len(self.candidates) < 3:
+            return self.best_fit
+        x = np.array([c.complexity for c in self.candidates])
+        y = np.log2([max(c.loss, 1e-300) for c in self.candidates])
+        x, y = (x - x[0]) / (x[-1] - x[0]), (y - y[-1]) / (y[0] - y[-1])
+        return self.candidates[int(np.argmax(1 - x - y))]

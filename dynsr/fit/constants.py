@@ -1,0 +1,215 @@
+"""Constants of a formula: taken out, fitted to samples, put back; the shape stays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.expression import compile_numpy
+
+# A residual that is not a finite number counts as this many times the size of the target.
+_PENALTY = 1e3
+_MOST_STEPS = 12
+_MOST_PLAIN_STEPS = 60
+# Shares of a step that are tried in turn, and the gains below which a fit has come to its end:
+# in nats a row with a unit (all constants are then far within their errors), else relative.
+_SHARES = (1.0, 0.3, 0.1, 0.01)
+_GAIN, _PLAIN_GAIN = 1e-6, 1e-12
+
+
+def free_constants(expr: sympy.Expr, prefix: str) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]:
+    """Put a symbol in the place of every float; give the template and the symbols' values.
+
+    Every occurrence gets its own symbol. Integers, rationals, pi and exponents that are whole
+    numbers belong to the structure and stay.
+
+    >>> template, values = free_constants(sympy.Float(2.5) * sympy.Symbol("x"), "c")
+    >>> template, list(values.values())
+    (c0*x, [2.5])
+    """
+    values: dict[sympy.Symbol, float] = {}
+
+    def replaced(node: sympy.Expr) -> sympy.Expr:
+        if node.is_Float:
+            symbol = sympy.Symbol(f"{prefix}{len(values)}")
+            values[symbol] = float(node)
+            return symbol
+        if not node.args:
+            return node
+        if node.is_Pow and node.exp.is_Float and float(node.exp).is_integer():
+            return node.func(replaced(node.base), sympy.Integer(int(node.exp)))
+        return node.func(*[replaced(argument) for argument in node.args])
+
+    return replaced(expr), values
+
+
+def skeleton(expr: sympy.Expr) -> sympy.Expr:
+    """Write a formula with all its floats alike; formulas of one shape have one skeleton.
+
+    >>> skeleton(sympy.sympify("2.5*x + 1.1")) == skeleton(sympy.sympify("0.3*x - 7.0"))
+    True
+    """
+    return expr.xreplace({number: sympy.pi for number in expr.atoms(sympy.Float)})
+
+
+def as_floats(values: np.ndarray) -> list[sympy.Expr]:
+    """Give SymPy floats of twelve digits: no data are surer, more would only show rounding."""
+    return [sympy.Float(float(f"{v:.11e}")) for v in values]
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """A formula with its k floats taken out, on n samples; compiled once for all values of them.
+
+    >>> x = np.linspace(0.0, 3.0, 50)
+    >>> s = Samples(x[:, None], 3 * np.exp(-0.5 * x), ("x",), "x", "given", x)
+    >>> template = Template.of(sympy.sympify("2.0*exp(-1.0*x)"), s)
+    >>> template.put(as_floats(template.fit(template.values)))
+    3.0*exp(-0.5*x)
+    """
+
+    shape: sympy.Expr
+    parameters: tuple[sympy.Symbol, ...]
+    values: np.ndarray
+    samples: Samples
+
+    @classmethod
+    def of(cls, expr: sympy.Expr, samples: Samples) -> Template:
+        """Take the floats out of a formula in the variables of the samples."""
+        # The space keeps these names apart from any name of a column.
+        shape, values = free_constants(expr, "constant ")
+        return cls(shape, tuple(values), np.array(list(values.values())), samples)
+
+    def put(self, numbers: Sequence[sympy.Expr]) -> sympy.Expr:
+        """Put k numbers in."""
+        return self.shape.xreplace(dict(zip(self.parameters, numbers, strict=True)))
+
+    @cached_property
+    def _names(self) -> list[str]:
+        return [*self.samples.names, *map(str, self.parameters)]
+
+    @cached_property
+    def _sensitive(self) -> Callable[[np.ndarray], np.ndarray]:
+        slopes = [sympy.diff(self.shape, parameter) for parameter in self.parameters]
+        return compile_numpy(slopes, self._names)
+
+    @cached_property
+    def _plain(self) -> Callable[[np.ndarray], np.ndarray]:
+        return compile_numpy([self.shape], self._names)
+
+    @cached_property
+    def _size(self) -> float:
+        return float(np.sqrt(np.mean(np.square(self.samples.y)))) or 1.0
+
+    def _arguments(self, values: np.ndarray) -> np.ndarray:
+        rows = np.broadcast_to(values[:, None], (len(values), len(self.samples)))
+        return np.concatenate([self.samples.X.T, rows])
+
+    def residual(self, values: np.ndarray) -> np.ndarray:
+        """(n,) f(X) - y; NaN or inf outside the domain."""
+        return self._plain(self._arguments(values))[0] - self.samples.y
+
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """(k, n) derivatives of f by the parameters; 0 where they are not finite."""
+        found = self._sensitive(self._arguments(values))
+        return found if np.all(np.isfinite(found)) else np.nan_to_num(found, posinf=0, neginf=0)
+
+    def _tame(self, values: np.ndarray) -> np.ndarray:
+        penalty = _PENALTY * self._size
+        residual = self.residual(values)
+        if np.all(np.isfinite(residual)):
+            return residual
+        return np.nan_to_num(residual, nan=penalty, posinf=penalty, neginf=-penalty)
+
+    def fit(
+        self, values: np.ndarray, free: np.ndarray | None = None, unit: float | None = None
+    ) -> np.ndarray:
+        """Fit the ``free`` (k,) parameters, all by default, from ``values``; gives all values.
+
+        Minimises the sum of squared residuals or, with a ``unit`` u in units of y, the Cauchy
+        loss sum_i log(1 + (r_i / u)^2), for which large errors among small ones count little. A
+        Cauchy loss whose unit is far below the residuals has a minimum at every sample, so the
+        unit comes down to the one asked for by tenths of the median residual.
+        """
+        chosen = np.ones(len(values), dtype=bool) if free is None else free
+        if not chosen.any():
+            return values
+        if unit is not None:
+            unit = max(unit, 1e-12 * self._size)
+            median = float(np.median(np.abs(self._tame(values))))
+            steps = math.ceil(math.log10(median / unit)) if median > 10 * unit else 0
+            for i in range(steps):
+                values = self._descend(values, chosen, median / 10**i)
+        return self._descend(values, chosen, unit)
+
+    def _descend(self, values: np.ndarray, free: np.ndarray, unit: float | None) -> np.ndarray:
+        """Take reweighted Gauss-Newton steps, shortened until they gain."""
+        residual = self._tame(values)
+        level = _level(residual, unit)
+        for _ in range(_MOST_PLAIN_STEPS if unit is None else _MOST_STEPS):
+            root = _root_weights(residual, unit)
+            slopes = self.slopes(values)[free] * root
+            size = np.maximum(np.linalg.norm(slopes, axis=1), 1e-300)
+            step = np.linalg.lstsq((slopes / size[:, None]).T, -residual * root, rcond=1e-12)[0]
+            for share in _SHARES:
+                trial = values.copy()
+                trial[free] += share * step / size
+                residual_there = self._tame(trial)
+                reached = _level(residual_there, unit)
+                if reached < level:
+                    break
+            else:
+                return values
+            gain, level = level - reached, reached
+            values, residual = trial, residual_there
+            if gain < (_PLAIN_GAIN * level if unit is None else _GAIN * len(residual)):
+                break
+        return values
+
+    def covariance(
+        self, values: np.ndarray, free: np.ndarray | None = None, unit: float | None = None
+    ) -> np.ndarray:
+        """Covariance of the ``free`` parameters, the others being known, at ``values``.
+
+        The inverse of the weighted normal matrix times the weighted residual variance; infinite
+        where the samples do not determine a parameter.
+        """
+        residual = self._tame(values)
+        root = _root_weights(residual, unit)
+        variance = float(np.sum((root * residual) ** 2) / np.sum(root**2))
+        scaled = self.slopes(values)[slice(None) if free is None else free] * root
+        # Parameters may differ by many powers of ten.
+        norms = np.linalg.norm(scaled, axis=1)
+        if not np.all(norms > 0):
+            return np.full((len(norms),) * 2, math.inf)
+        scaled = scaled / norms[:, None]
+        inverse = np.linalg.pinv(scaled @ scaled.T, hermitian=True)
+        return inverse * variance / np.outer(norms, norms)
+
+
+def _root_weights(residual: np.ndarray, unit: float | None) -> np.ndarray:
+    return np.ones(len(residual)) if unit is None else 1 / np.sqrt(1 + (residual / unit) ** 2)
+
+
+def _level(residual: np.ndarray, unit: float | None) -> float:
+    with np.errstate(all="ignore"):
+        level = np.sum(residual**2 if unit is None else np.log1p((residual / unit) ** 2))
+    return float(level) if math.isfinite(level) else math.inf
+
+
+def refit(expr: sympy.Expr, samples: Samples, unit: float | None = None) -> sympy.Expr:
+    """Fit the floats of a formula to samples; see :meth:`Template.fit`.
+
+    >>> t = np.linspace(0, 1, 20)
+    >>> s = Samples(t[:, None], 3 * t, ("x",), "x", "given", t)
+    >>> refit(sympy.Float(2.5) * sympy.Symbol("x"), s, 1e-3)
+    3.0*x
+    """
+    template = Template.of(expr, samples)
+    return template.put(as_floats(template.fit(template.values, unit=unit)))

@@ -1,0 +1,461 @@
+"""Shooting: the constants of a whole system, fitted to the measured states.
+
+Multiple shooting (Bock 1981): shared constants, own starts a window, robust Levenberg-Marquardt.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import sympy
+from scipy.interpolate import make_interp_spline
+
+from dynsr.data import Trajectory, estimate_noise
+from dynsr.errors import InputError
+from dynsr.expression import compile_numpy, parse
+from dynsr.fit.constants import free_constants
+from dynsr.fit.flow import Flow, Windows, cut_windows
+
+# loss -> (rho(z), rho'(z)) of the squared residual z in units of the misses.
+LOSSES: dict[str, tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]] = {
+    "linear": (lambda z: z, np.ones_like),
+    "soft_l1": (lambda z: 2 * (np.sqrt(1 + z) - 1), lambda z: 1 / np.sqrt(1 + z)),
+    "cauchy": (np.log1p, lambda z: 1 / (1 + z)),
+}
+# A relative gain below this is less than the constants' own uncertainty.
+_GAIN = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Weighted normal equations: ``shared`` (P, P), ``cross`` (W, P, k), ``own`` (W, k, k).
+
+    ``pull`` (P,) and ``own_pull`` (W, k) are the gradients. Without free starts k is 0.
+    """
+
+    shared: np.ndarray
+    cross: np.ndarray
+    own: np.ndarray
+    pull: np.ndarray
+    own_pull: np.ndarray
+
+    def step(self, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        """Solve with the diagonal raised by the share ``damping``: (P,) and (W, k)."""
+        own = self.own + damping * _diagonal(self.own)
+        eliminated = np.linalg.solve(own, self.cross.transpose(0, 2, 1))
+        centre = self.shared + damping * _diagonal(self.shared)
+        schur = centre - np.einsum("wpk,wkq->pq", self.cross, eliminated)
+        alone = np.linalg.solve(own, self.own_pull[..., None])[..., 0]
+        constants = np.linalg.solve(schur, self.pull - np.einsum("wpk,wk->p", self.cross, alone))
+        return -constants, -(alone - eliminated @ constants)
+
+
+def _diagonal(blocks: np.ndarray) -> np.ndarray:
+    diagonal = np.einsum("...ii->...i", blocks)
+    floor = 1e-12 * np.max(diagonal, axis=-1, keepdims=True, initial=1e-300)
+    return np.maximum(diagonal, floor)[..., None] * np.eye(blocks.shape[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Shooting:
+    """Misses of a flow at the rows of all windows, in units of each state's ``spread``.
+
+    With ``free`` starts each window begins at a fitted state and is compared with its own first
+    measurement too; otherwise it begins at that measurement.
+    """
+
+    flow: Flow
+    windows: Windows
+    spread: np.ndarray
+    free: bool
+    substeps: int = 1
+
+    def misses(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """(rows, k, W) found minus measured; NaN where the flow diverges."""
+        found = self.flow.run(self.windows, starts, constants, self.substeps)
+        return self._compare(found)
+
+    def _compare(self, found: np.ndarray) -> np.ndarray:
+        return ((found - self.windows.x) / self.spread[:, None])[0 if self.free else 1 :]
+
+    def linearise(
+        self, constants: np.ndarray, starts: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Misses, their slopes by the constants (W, rows * k, P) and by the starts (.., k or 0)."""
+        found, sensitivity = self.flow.run_sensitive(self.windows, starts, constants, self.substeps)
+        slopes = (sensitivity / self.spread[:, None, None])[0 if self.free else 1 :]
+        lanes = slopes.transpose(3, 0, 1, 2).reshape(starts.shape[1], -1, slopes.shape[2])
+        count = len(constants)
+        return self._compare(found), lanes[..., :count], lanes[..., count if self.free else None :]
+
+    def unit(self, misses: np.ndarray) -> np.ndarray:
+        """(k,) robust size of the misses of every state, never below rounding."""
+        return np.maximum(1.4826 * np.median(np.abs(misses), axis=(0, 2)), 1e-13)
+
+    def minimise(
+        self,
+        constants: np.ndarray,
+        starts: np.ndarray,
+        loss: str,
+        deadline: float,
+        most: int = 25,
+        gain: float = _GAIN,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Fit constants (P,) and starts (k, W), misses weighed in units of their present size.
+
+        Ends after ``most`` steps, or when one lowers the loss by less than the share ``gain``.
+        """
+        rho, weigh = LOSSES[loss]
+        misses = self.misses(constants, starts)
+        unit = self.unit(misses)[:, None]
+        level, damping = _level(rho, misses / unit), 1e-4
+        for _ in range(most):
+            misses, by_constant, by_start = self.linearise(constants, starts)
+            weights = weigh((misses / unit) ** 2) / unit**2
+            try:
+                normal = _normal(_by_lane(misses), by_constant, by_start, _by_lane(weights))
+            except FloatingPointError:
+                break
+            before = level
+            while damping < 1e8 and time.monotonic() < deadline:
+                trial = self._try(normal, damping, constants, starts)
+                reached = np.inf if trial is None else _level(rho, self.misses(*trial) / unit)
+                if trial is not None and reached < level:
+                    (constants, starts), level, damping = trial, reached, damping / 10
+                    break
+                damping *= 10
+            if not level < before * (1 - gain):
+                break
+        return constants, starts
+
+    def _try(
+        self, normal: Normal, damping: float, constants: np.ndarray, starts: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        try:
+            shared, own = normal.step(damping)
+        except np.linalg.LinAlgError:
+            return None
+        if not self.free:
+            return constants + shared, starts
+        return constants + shared, starts + own.T
+
+    def standard_errors(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """(P,) sandwich estimate; without free starts the misses of one window hang together."""
+        misses, by_constant, by_start = self.linearise(constants, starts)
+        unit = self.unit(misses)[:, None]
+        weights = _by_lane(1 / (1 + (misses / unit) ** 2) / unit**2)
+        flat = _by_lane(misses)
+        normal = _normal(flat, by_constant, by_start, weights)
+        if self.free:
+            eliminated = np.linalg.solve(
+                normal.own + 1e-12 * _diagonal(normal.own), normal.cross.transpose(0, 2, 1)
+            )
+            by_constant = by_constant - by_start @ eliminated
+        # Columns of like size keep the pseudo-inverse from dropping a small constant.
+        scale = np.sqrt(np.einsum("wrp,wr,wrp->p", by_constant, weights, by_constant))
+        scaled = by_constant / np.maximum(scale, 1e-300)
+        bread = np.linalg.pinv(np.einsum("wrp,wr,wrq->pq", scaled, weights, scaled))
+        pulls = scaled * (weights * flat)[..., None]
+        if not self.free and len(pulls) > len(constants):
+            pulls = pulls.sum(axis=1, keepdims=True)
+        rows = pulls.reshape(-1, pulls.shape[-1])
+        variance = np.diag(bread @ (rows.T @ rows) @ bread)
+        return np.sqrt(np.maximum(variance, 0)) / np.maximum(scale, 1e-300)
+
+
+def _by_lane(values: np.ndarray) -> np.ndarray:
+    """(rows, k, W) -> (W, rows * k)."""
+    return values.transpose(2, 0, 1).reshape(values.shape[2], -1)
+
+
+def _level(rho: Callable[..., np.ndarray], misses: np.ndarray) -> float:
+    with np.errstate(all="ignore"):
+        level = float(np.sum(rho(misses**2)))
+    return level if np.isfinite(level) else np.inf
+
+
+def _normal(
+    misses: np.ndarray, by_constant: np.ndarray, by_start: np.ndarray, weights: np.ndarray
+) -> Normal:
+    """Build the normal equations; raises FloatingPointError where a slope is not finite."""
+    weighted = by_constant * weights[..., None]
+    own = by_start * weights[..., None]
+    normal = Normal(
+        np.tensordot(weighted, by_constant, axes=([0, 1], [0, 1])),
+        weighted.transpose(0, 2, 1) @ by_start,
+        own.transpose(0, 2, 1) @ by_start,
+        np.einsum("wrp,wr->p", weighted, misses),
+        np.einsum("wrk,wr->wk", own, misses),
+    )
+    if not (np.all(np.isfinite(normal.shared)) and np.all(np.isfinite(normal.own))):
+        raise FloatingPointError
+    return normal
+
+
+_MOST_WINDOWS = 400
+# Plain first, then ever more robust.
+_ROUNDS = ("linear", "soft_l1", "cauchy")
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """Equations whose constants fit the states.
+
+    ``errors`` gives for every state its constants in order of appearance as (value, standard
+    error); ``misses`` are those of the integrated states, window after window, in units of each
+    state's spread, and ``loss`` is the median of their sizes; ``success`` says whether the fit
+    could be done at all.
+    """
+
+    exprs: dict[str, sympy.Expr]
+    errors: dict[str, tuple[tuple[float, float], ...]]
+    misses: np.ndarray
+    success: bool
+
+    @property
+    def loss(self) -> float:
+        """Give the median size of the misses; inf where there are none."""
+        return float(np.median(np.abs(self.misses))) if len(self.misses) else np.inf
+
+    @classmethod
+    def untouched(cls, exprs: Mapping[str, sympy.Expr], success: bool = False) -> Match:
+        """Equations as they came, without a fit."""
+        return cls(dict(exprs), {s: () for s in exprs}, np.empty(0), success)
+
+
+def match_trajectories(
+    exprs: Mapping[str, sympy.Expr],
+    trajectories: Trajectory | Sequence[Trajectory],
+    *,
+    inputs: Mapping[str, sympy.Expr] | None = None,
+    window: int | None = None,
+    max_seconds: float = 10.0,
+) -> Match:
+    """Refine every float constant of ``exprs`` so that the integrated states fit the data.
+
+    Parameters
+    ----------
+    exprs : state -> right-hand side in the states, the inputs and ``t``. States without one are
+        read from the data like inputs.
+    trajectories : one or many, of the same columns.
+    inputs : input name -> expression in ``t``, where it is known; other inputs are interpolated.
+    window : intervals a window; by default 10 for clean data, and for noisy data, where the start
+        of each window is fitted too, a tenth of the longest trajectory but 20 to 100.
+    max_seconds : the best constants found by then are given.
+
+    Integers and rationals are structure and stay. Raises InputError when a state is unknown.
+
+    >>> t = np.linspace(0, 1, 51)
+    >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
+    >>> match = match_trajectories({"x": sympy.Float(-1.9) * sympy.Symbol("x")}, decay)
+    >>> round(match.errors["x"][0][0], 6)
+    -2.0
+    """
+    runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
+    flow, values, owners = prepare(exprs, runs, inputs or {})
+    free = is_noisy(runs)
+    if min(map(len, runs)) < 3:
+        return Match.untouched(exprs, success=not len(values))
+    length = window or _window_length(runs, free)
+    shooting = build_shooting(flow, runs, inputs or {}, length, free)
+    fitted = _fit(shooting, np.array(values), time.monotonic() + max_seconds)
+    return Match.untouched(exprs) if fitted is None else _match(flow, owners, *fitted)
+
+
+def _window_length(runs: Sequence[Trajectory], free: bool) -> int:
+    return min(100, max(20, max(map(len, runs)) // 10)) if free else 10
+
+
+def build_shooting(
+    flow: Flow,
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    length: int,
+    free: bool,
+) -> Shooting:
+    """Cut the runs into windows of ``length`` intervals, their starts ``free`` or measured."""
+    columns = [runs[0].index(state) for state in flow.rhs]
+    spread = np.std(np.concatenate([run.x for run in runs]), axis=0)[columns]
+    windows = _cut(flow, runs, inputs, length)
+    return Shooting(flow, windows, np.maximum(spread, 1e-300), free)
+
+
+def measure_errors(
+    exprs: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    max_seconds: float = 10.0,
+) -> dict[str, tuple[tuple[float, float], ...]]:
+    """Give (value, standard error) of every float of equations that stay as they are.
+
+    The errors are those which the constants would have if they were fitted, so also a constant
+    that was made a simple number has one; inf where the data do not tell.
+
+    >>> t = np.linspace(0, 1, 51)
+    >>> x = np.exp(-2 * t) + 1e-3 * np.cos(40 * t)
+    >>> decay = Trajectory(t, x[:, None], ("x",))
+    >>> measure_errors({"x": sympy.Float(-2.0) * sympy.Symbol("x")}, [decay], {})["x"][0][0]
+    -2.0
+    """
+    flow, values, owners = prepare(exprs, runs, inputs)
+    constants = np.array(values)
+    errors = np.full(len(values), np.inf)
+    if len(values) and min(map(len, runs)) >= 3:
+        free = is_noisy(runs)
+        shooting = build_shooting(flow, runs, inputs, _window_length(runs, free), free)
+        put = dict(zip(flow.constants, map(sympy.Float, values), strict=True))
+        rhs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
+        fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
+        with np.errstate(all="ignore"):
+            starts = shooting.windows.x[0]
+            fixed = replace(fixed, substeps=choose_substeps(fixed, np.empty(0), starts))
+            _, starts = _minimise(fixed, np.empty(0), starts, time.monotonic() + max_seconds)
+            shooting = replace(shooting, substeps=fixed.substeps)
+            errors = _standard_errors(shooting, constants, starts)
+    pairs = list(zip(owners, values, errors.tolist(), strict=True))
+    return {s: tuple((v, e) for owner, v, e in pairs if owner == s) for s in exprs}
+
+
+def is_noisy(runs: Sequence[Trajectory]) -> bool:
+    """Say whether measurement noise of a state is above 1e-5 of its spread."""
+    long = [run for run in runs if len(run) > 4]
+    if not long:
+        return False
+    noise = np.mean([estimate_noise(run) for run in long], axis=0)
+    return bool(np.any(noise > 1e-5 * np.std(np.concatenate([run.x for run in runs]), axis=0)))
+
+
+def read_inputs(
+    exprs: Mapping[str, str | sympy.Expr], names: Sequence[str]
+) -> dict[str, sympy.Expr]:
+    """Read expressions in ``names``, one a key; raises InputError where one cannot be read."""
+    return {key: parse(expr, names) for key, expr in exprs.items()}
+
+
+def prepare(
+    exprs: Mapping[str, sympy.Expr], runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
+) -> tuple[Flow, list[float], list[str]]:
+    """Give the flow, its constants' values and the states that own these; raises InputError."""
+    if not runs or any(run.names != runs[0].names for run in runs):
+        raise InputError("the trajectories have different columns; give all the same columns")
+    rhs: dict[str, sympy.Expr] = {}
+    constants: list[sympy.Symbol] = []
+    values: list[float] = []
+    owners: list[str] = []
+    for state, expr in exprs.items():
+        runs[0].index(state)
+        # The space keeps these names apart from any name of a column.
+        template, found = free_constants(expr, f"constant {state} ")
+        rhs[state] = template
+        constants += found
+        values += found.values()
+        owners += [state] * len(found)
+    others = [n for n in (*runs[0].names, *inputs) if n not in rhs]
+    used = {str(s) for expr in rhs.values() for s in expr.free_symbols}
+    driven = tuple(dict.fromkeys(n for n in others if n in used))
+    return Flow(rhs, driven, tuple(constants)), values, owners
+
+
+def _cut(
+    flow: Flow,
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    length: int,
+) -> Windows:
+    states = [runs[0].index(state) for state in flow.rhs]
+    drives = drives_of(flow.driven, runs, inputs)
+    parts = [r.x[:, states] for r in runs]
+    return cut_windows([r.t for r in runs], parts, drives, length, _MOST_WINDOWS)
+
+
+def drives_of(
+    driven: Sequence[str], runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
+) -> list[Callable[[np.ndarray], np.ndarray]]:
+    """Give for every trajectory its driven columns and the time, (d + 1, n), at any n times."""
+    return [_drive(driven, run, inputs) for run in runs]
+
+
+def _drive(
+    driven: Sequence[str], run: Trajectory, inputs: Mapping[str, sympy.Expr]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Give the driven columns and the time, (d + 1, n), at any n times."""
+    known = [name for name in driven if name in inputs]
+    exact = compile_numpy([inputs[name] for name in known], ["t"])
+    data = [name for name in driven if name not in inputs]
+    position = [run.names.index(name) for name in data]
+    degree = min(5, (len(run) - 1) // 2 * 2 - 1) if len(run) > 3 else 1
+    spline = make_interp_spline(run.t, run.columns[:, position], k=degree) if data else None
+    order = [(*known, *data).index(name) for name in driven]
+
+    def drive(t: np.ndarray) -> np.ndarray:
+        rows = list(exact(t[None])) + (list(spline(t).T) if spline is not None else [])
+        return np.array([*(rows[i] for i in order), t])
+
+    return drive
+
+
+def _fit(
+    shooting: Shooting, constants: np.ndarray, deadline: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Give the constants, their errors and the misses; None when the start diverges."""
+    starts = shooting.windows.x[0]
+    with np.errstate(all="ignore"):
+        shooting = replace(shooting, substeps=choose_substeps(shooting, constants, starts))
+        if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
+            return None
+        constants, starts = _minimise(shooting, constants, starts, deadline)
+        # Along time, so that signs that stay show errors that hang together.
+        misses = shooting.misses(constants, starts).transpose(2, 1, 0).ravel()
+        return constants, _standard_errors(shooting, constants, starts), misses
+
+
+def _minimise(
+    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, deadline: float
+) -> tuple[np.ndarray, np.ndarray]:
+    for loss in _ROUNDS if len(constants) or shooting.free else ():
+        constants, starts = shooting.minimise(constants, starts, loss, deadline)
+    return constants, starts
+
+
+def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    if not len(constants):
+        return constants
+    try:
+        errors = shooting.standard_errors(constants, starts)
+    except (np.linalg.LinAlgError, FloatingPointError):
+        return np.full(len(constants), np.inf)
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
+    """Halve the step until that moves the states less than rounding or than their misses."""
+    coarse = shooting.misses(constants, starts)
+    for substeps in (2, 4, 8, 16):
+        fine = replace(shooting, substeps=substeps).misses(constants, starts)
+        moved = np.nanmax(np.abs(fine - coarse), initial=0.0)
+        if moved < 1e-9 or moved < 0.01 * np.nanmedian(np.abs(fine)):
+            return substeps // 2
+        coarse = fine
+    return 16
+
+
+def _match(
+    flow: Flow, owners: Sequence[str], values: np.ndarray, errors: np.ndarray, misses: np.ndarray
+) -> Match:
+    put = {c: sympy.Float(float(v)) for c, v in zip(flow.constants, values, strict=True)}
+    exprs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
+    pairs = list(zip(owners, values.tolist(), errors.tolist(), strict=True))
+    ordered = {
+        state: _in_order(expr, {v: e for owner, v, e in pairs if owner == state})
+        for state, expr in exprs.items()
+    }
+    return Match(exprs, ordered, misses, True)
+
+
+def _in_order(expr: sympy.Expr, errors: Mapping[float, float]) -> tuple[tuple[float, float], ...]:
+    """Pair constants with their errors as they now appear: SymPy sorts terms by their numbers."""
+    _, found = free_constants(expr, "constant ")
+    return tuple((value, errors.get(value, np.inf)) for value in found.values())

@@ -1,0 +1,103 @@
+"""Small changes of a formula: one factor for its sine, one function for its argument, and so on.
+
+Over a short range w and sin(w) are nearly the same column, so a search that ranks by squared
+error may prefer the wrong one. Each change is fitted and judged by its bits; the best is changed
+again until none is better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.expression import complexity
+from dynsr.fit.candidates import Candidate, score_candidate
+from dynsr.fit.constants import refit
+from dynsr.fit.description import Noise, description_length
+from dynsr.fit.snapping import map_numbers, snap
+
+_ROUNDS = 3
+_MOST_SNAPPED = 3
+_LONGEST = 250.0
+
+
+def neighbours(expr: sympy.Expr) -> list[sympy.Expr]:
+    """Give the formulas that differ in one place: v for sin(v) or sin(v) for v.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> [str(n) for n in neighbours(x * y)]
+    ['x*sin(y)', 'y*sin(x)']
+    """
+    found = {n for n in _swap(expr, False) if n != expr}
+    return sorted(found, key=lambda n: (complexity(n), str(n)))
+
+
+def _swap(node: sympy.Expr, inside: bool) -> Iterator[sympy.Expr]:
+    if node.is_Symbol:
+        if not inside:
+            yield sympy.sin(node)
+        return
+    if node.func in (sympy.sin, sympy.tan, sympy.tanh) and node.args[0].is_Symbol:
+        yield node.args[0]
+    for index, argument in enumerate(node.args):
+        for changed in _swap(argument, inside or node.is_Function):
+            yield node.func(*node.args[:index], changed, *node.args[index + 1 :])
+
+
+def improve(candidate: Candidate, samples: Samples, noise: Noise) -> Candidate:
+    """Climb from a candidate to its best neighbour until none takes fewer bits.
+
+    Long formulas are handed back as they are: they have too many neighbours to be worth it.
+    """
+    best, least = candidate, description_length(candidate, samples, noise)
+    for _ in range(_ROUNDS):
+        if complexity(best.expr) > _LONGEST:
+            break
+        mine, *fitted = [
+            score_candidate(refit(loosen(e), samples, noise.floor), samples)
+            for e in [best.expr, *neighbours(best.expr)]
+        ]
+        # Before snapping all have dear constants, so only among themselves are they comparable.
+        bound = description_length(mine, samples, noise)
+        bits = [description_length(c, samples, noise) for c in fitted]
+        order = [i for i in np.argsort(bits, kind="stable") if bits[i] < bound][:_MOST_SNAPPED]
+        snapped = [
+            score_candidate(snap(fitted[i].expr, samples, noise), samples, candidate.source)
+            for i in order
+        ]
+        bits = [description_length(c, samples, noise) for c in snapped]
+        if not bits or min(bits) >= least:
+            break
+        least = min(bits)
+        best = snapped[bits.index(least)]
+    return best
+
+
+def loosen(expr: sympy.Expr) -> sympy.Expr:
+    """Make every coefficient of the sums above and below a fraction line a float again.
+
+    Below the line the last coefficient stays, since the whole is only given up to a factor.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> loosen((x - 3 * y) / (2 - x))
+    (1.0*x - 3.0*y)/(2.0 - x)
+    """
+    top, bottom = sympy.fraction(expr)
+    above = sympy.Add(*[_loose_term(t) for t in sympy.Add.make_args(sympy.expand(top))])
+    if bottom == 1:
+        return above
+    terms = sorted(sympy.Add.make_args(bottom), key=lambda t: (len(t.free_symbols) > 0, str(t)))
+    return above / sympy.Add(*map(_loose_term, terms[:-1]), terms[-1])
+
+
+def _loose_term(term: sympy.Expr) -> sympy.Expr:
+    coefficient, rest = term.as_coeff_Mul()
+    functions = {f: map_numbers(f, _loose_number) for f in rest.atoms(sympy.Function)}
+    return sympy.Float(float(coefficient)) * rest.xreplace(functions)
+
+
+def _loose_number(number: sympy.Expr) -> sympy.Expr:
+    return number if abs(number) == 1 or number == 0 else sympy.Float(float(number))

@@ -1,0 +1,1 @@
+"""The brute-force search: distinct functions formed bottom-up, screened in closed form."""

@@ -1,0 +1,1 @@
+"""The stages of DynAIFeynman, one a file."""

@@ -1,0 +1,208 @@
+"""Polynomial fits: every degree in full, and sparse ones by backward elimination."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations_with_replacement, product
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.expression import complexity
+from dynsr.fit import Candidate, ParetoFront, rmse, score_candidate
+from dynsr.methods.feynman.stages.base import AbstractStage, Context
+
+Exponents = tuple[int, ...]
+_FEW = 24
+_FITTED, _EXCESS = 0.8, 10.0
+
+
+def monomials(variables: int, degree: int) -> list[Exponents]:
+    """Exponents of all monomials of total degree up to ``degree``, lowest degree first.
+
+    >>> monomials(2, 1)
+    [(0, 0), (1, 0), (0, 1)]
+    """
+    found = []
+    for total in range(degree + 1):
+        for chosen in combinations_with_replacement(range(variables), total):
+            found.append(tuple(chosen.count(j) for j in range(variables)))
+    return found
+
+
+def design(X: np.ndarray, exponents: list[Exponents]) -> np.ndarray:
+    """(n, k) values of k monomials at the n rows of ``X``."""
+    highest = max((max(e) for e in exponents if e), default=0)
+    powers = np.stack([X**k for k in range(highest + 1)])
+    columns = np.arange(X.shape[1])
+    return np.stack([np.prod(powers[list(e), :, columns], axis=0) for e in exponents], axis=1)
+
+
+@dataclass(frozen=True)
+class Polynomial(AbstractStage):
+    """Least squares over all monomials up to ``degree`` (the paper's appendix: degree 4).
+
+    Every degree from 0 up is given in full. With ``sparse`` each degree is also thinned out: the
+    term that explains least is dropped and the rest fitted again, by plain and by robust (Cauchy)
+    least squares, down to one term; sums of at most 24 terms are given. A degree is left out when
+    it has more terms than half the rows, and in full also when its fit to the first four fifths of
+    the rows misses the last fifth by more than 10 times as much: such a polynomial follows the
+    samples and diverges as soon as it leaves them.
+    """
+
+    degree: int = 4
+    sparse: bool = True
+    name = "polynomial"
+
+    def run(self, samples: Samples, context: Context) -> list[Candidate]:
+        """Fit every degree; see the class."""
+        front = ParetoFront()
+        for degree in range(self.degree + 1):
+            context.tell(self.name, degree, self.degree + 1)
+            if math.comb(degree + samples.X.shape[1], degree) > max(1, len(samples) // 2):
+                break
+            if carries_over(samples, degree):
+                front = front.add(fit_full(samples, degree))
+            if self.sparse and degree:
+                front = front.add(*thin_out(samples, degree, robust=False))
+                front = front.add(*thin_out(samples, degree, robust=True))
+        return list(front)
+
+
+def carries_over(samples: Samples, degree: int) -> bool:
+    """Whether the fit of a degree to the first four fifths of the rows holds on the last fifth."""
+    centre, scale = standard_coordinates(samples.X)
+    values = design((samples.X - centre) / scale, monomials(samples.X.shape[1], degree))
+    first = max(1, int(_FITTED * len(samples)))
+    weights = np.linalg.lstsq(values[:first], samples.y[:first], rcond=None)[0]
+    residual = samples.y - values @ weights
+    own, tail = residual[:first], residual[first:]
+    if not len(tail):
+        return True
+    floor = 1e-7 * float(np.std(samples.y))
+    limit = _EXCESS * max(float(np.sqrt(np.mean(own**2))), floor)
+    return bool(np.sqrt(np.mean(tail**2)) <= limit)
+
+
+def fit_full(samples: Samples, degree: int) -> Candidate:
+    """Fit all monomials up to a degree by least squares in standardised coordinates.
+
+    The coefficients are taken back to the variables themselves without rounding; where that
+    would lose digits (columns far from zero) the formula stays in centred variables.
+    """
+    exponents = monomials(samples.X.shape[1], degree)
+    centre, scale = standard_coordinates(samples.X)
+    values = design((samples.X - centre) / scale, exponents)
+    weights = np.linalg.lstsq(values, samples.y, rcond=None)[0]
+    raw = expand_shift(dict(zip(exponents, weights, strict=True)), centre, scale)
+    source = f"polynomial {degree}"
+    candidate = score_candidate(_as_expression(raw, samples.names), samples, source)
+    spread = float(np.std(samples.y)) or 1.0
+    if candidate.loss > rmse(values @ weights, samples.y) + 1e-9 * spread:
+        symbols = {
+            sympy.Symbol(n): (sympy.Symbol(n) - m) / s
+            for n, m, s in zip(samples.names, centre.tolist(), scale.tolist(), strict=True)
+        }
+        centred = _as_expression(dict(zip(exponents, weights, strict=True)), samples.names)
+        candidate = score_candidate(centred.xreplace(symbols), samples, source)
+    return candidate
+
+
+def standard_coordinates(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of each column; a constant column has scale 1."""
+    scale = np.std(X, axis=0)
+    return np.mean(X, axis=0), np.where(scale > 0, scale, 1.0)
+
+
+def expand_shift(
+    terms: dict[Exponents, float], centre: np.ndarray, scale: np.ndarray
+) -> dict[Exponents, float]:
+    """Turn a polynomial in (x - centre) / scale into one in x.
+
+    >>> expand_shift({(2,): 4.0}, np.array([1.0]), np.array([2.0]))
+    {(0,): 1.0, (1,): -2.0, (2,): 1.0}
+    """
+    out: dict[Exponents, float] = {}
+    for exponents, weight in terms.items():
+        factors = [
+            [math.comb(e, k) * (-m) ** (e - k) / s**e for k in range(e + 1)]
+            for e, m, s in zip(exponents, centre.tolist(), scale.tolist(), strict=True)
+        ]
+        for powers in product(*(range(e + 1) for e in exponents)):
+            share = math.prod(f[k] for f, k in zip(factors, powers, strict=True))
+            out[powers] = out.get(powers, 0.0) + float(weight) * share
+    return out
+
+
+def _as_expression(terms: dict[Exponents, float], names: tuple[str, ...]) -> sympy.Expr:
+    symbols = [sympy.Symbol(name) for name in names]
+    return sympy.Add(
+        *(
+            sympy.Float(weight)
+            * sympy.Mul(*(s**e for s, e in zip(symbols, exponents, strict=True)))
+            for exponents, weight in terms.items()
+            if weight != 0.0
+        )
+    )
+
+
+def thin_out(samples: Samples, degree: int, robust: bool) -> list[Candidate]:
+    """Sparse polynomials of up to 24 terms, by backward elimination from all monomials."""
+    exponents = monomials(samples.X.shape[1], degree)
+    values = design(samples.X, exponents)
+    found = []
+    for kept, weights in eliminate(values, samples.y, robust):
+        if len(kept) > _FEW:
+            continue
+        expr = _as_expression(
+            {exponents[j]: w for j, w in zip(kept, weights, strict=True)}, samples.names
+        )
+        loss = rmse(values[:, kept] @ weights, samples.y)
+        found.append(Candidate(expr, loss, complexity(expr), "polynomial, sparse"))
+    return found
+
+
+def eliminate(
+    values: np.ndarray, y: np.ndarray, robust: bool
+) -> Iterator[tuple[list[int], np.ndarray]]:
+    """Yield (columns kept, their weights), dropping the column that explains least each time.
+
+    ``values`` is (n, k). Above 24 columns an eighth of them goes at a time. With ``robust`` rows
+    are weighted 1 / (1 + (r / eps)^2), eps the median of |r| of the full fit, so that a few rows
+    with large errors do not steer the fit.
+    """
+    norms = np.linalg.norm(values, axis=0)
+    kept = [int(j) for j in np.flatnonzero(norms > 0)]
+    scaled = values / np.where(norms > 0, norms, 1.0)
+    trust = np.ones(len(y))
+    floor = 0.0
+    while kept:
+        many = len(kept) > _FEW
+        for _ in range((2 if many else 8) if robust else 1):
+            weights, gain = _fit_and_gain(scaled[:, kept], y, np.sqrt(trust))
+            residual = y - scaled[:, kept] @ weights
+            floor = floor or max(float(np.median(np.abs(residual))), 1e-12 * np.ptp(y), 1e-300)
+            if robust:
+                before, trust = trust, 1 / (1 + np.square(residual / floor))
+                if np.abs(trust - before).max() < 1e-3:
+                    break
+        yield list(kept), weights / norms[kept]
+        order = np.argsort(gain, kind="stable")
+        for index in sorted(order[: len(kept) // 8 if many else 1], reverse=True):
+            del kept[int(index)]
+
+
+def _fit_and_gain(
+    values: np.ndarray, y: np.ndarray, root: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted least squares, and how much each column lowers the sum of squares."""
+    # The triangular factor has the same right singular vectors at a fraction of the size.
+    q, triangle = np.linalg.qr(values * root[:, None])
+    u, s, vt = np.linalg.svd(triangle)
+    inverse = np.where(s > 1e-12 * s[0], 1 / np.maximum(s, 1e-300), 0.0)
+    weights = vt.T @ (inverse * (u.T @ (q.T @ (y * root))))
+    variance = np.square(vt.T * inverse).sum(axis=1)
+    return weights, np.square(weights) / np.maximum(variance, 1e-300)

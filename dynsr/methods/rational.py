@@ -1,0 +1,473 @@
+"""Sparse sums and ratios of features that grow from the variables alone.
+
+The best small subsets for y = N(x) / D(x) are found by a beam search on Gram matrices.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.expression import complexity
+from dynsr.fit import Candidate, ParetoFront, rmse, score_candidate
+from dynsr.methods.base import AbstractMethod, Progress, Report, silent
+from dynsr.methods.features import Features, build_features
+from dynsr.methods.feynman.problem import Target, make_targets
+
+Support = frozenset[int]
+_COLLINEAR = 1e-7
+_CANCELLATION = 50.0
+# Squared errors fall to less than this share, or a further term was not worth it.
+_IDLE = 0.9**2
+# Subsets extended in one stack: enough to be quick, few enough to stay in the cache.
+_CHUNK = 32
+
+
+@dataclass(frozen=True, eq=False)
+class SubsetSearch:
+    """Search for few terms with y D(x) = N(x), linear in the coefficients of both.
+
+    With D = 1 - sum_j b_j d_j(x) and N = sum_k a_k n_k(x) this is the regression of y on the
+    columns n_k and y d_j. The error that matters is that of N / D, so a subset's score is
+    sum (y D - N)^2 / mean(D^2): without the denominator a D that is nearly 0 everywhere would win.
+
+    Parameters
+    ----------
+    numerators : (m, n) values of the features that N may hold.
+    denominators : (q, n) values of the features that D may hold; q may be 0.
+    y : (n,) target.
+    weights : (n,) weight of each sample.
+    width : how many subsets of each size are kept.
+    deadline : ``time.monotonic()`` value after which no further subset is extended.
+    """
+
+    numerators: np.ndarray
+    denominators: np.ndarray
+    y: np.ndarray
+    weights: np.ndarray
+    width: int = 200
+    deadline: float = math.inf
+
+    @cached_property
+    def _columns(self) -> tuple[np.ndarray, np.ndarray]:
+        columns = np.vstack([self.numerators, self.denominators * self.y])
+        columns = columns * np.sqrt(self.weights)
+        norms = np.linalg.norm(columns, axis=1)
+        norms[norms == 0] = np.inf
+        return columns / norms[:, None], norms
+
+    @cached_property
+    def _gram(self) -> tuple[np.ndarray, np.ndarray, float]:
+        columns, _ = self._columns
+        y = self.y * np.sqrt(self.weights)
+        return columns @ columns.T, columns @ y, float(y @ y)
+
+    @cached_property
+    def _denominator_moments(self) -> tuple[np.ndarray, np.ndarray]:
+        weighted = self.denominators * (self.weights / self.weights.sum())
+        return weighted.sum(axis=1), weighted @ self.denominators.T
+
+    def extend(self, supports: Sequence[Support]) -> np.ndarray:
+        """(b, m + q) score of each of b subsets of one size with each column added.
+
+        Useless additions score inf. By the bordered normal equations all additions to a subset of
+        s columns together cost O((m + q) s^2).
+        """
+        gram, projections, total = self._gram
+        chosen = np.array([sorted(support) for support in supports], dtype=int)
+        rows = gram[chosen]
+        systems = np.take_along_axis(rows, chosen[:, None, :], axis=2)
+        right = np.concatenate([rows, projections[chosen][..., None]], axis=2)
+        both = _solve(systems, right)
+        solved, fitted = both[..., :-1], both[..., -1]
+        pivots = 1 - np.einsum("bij,bij->bj", rows, solved)
+        moments = projections - np.einsum("bij,bi->bj", rows, fitted)
+        rest = total - np.einsum("bi,bi->b", projections[chosen], fitted)
+        usable = pivots > _COLLINEAR
+        np.put_along_axis(usable, chosen, False, axis=1)
+        added = np.where(usable, moments / np.where(usable, pivots, 1.0), 0.0)
+        coefficients = fitted[..., None] - solved * added[:, None, :]
+        size = np.maximum(np.abs(added), np.abs(coefficients).max(axis=1, initial=0.0))
+        usable &= size < _CANCELLATION * np.sqrt(total)
+        # The difference below is exact only to rounding of the total.
+        error = np.maximum(rest[:, None] - added * moments, 1e-15 * total)
+        square = self._mean_square_denominators(chosen, coefficients, added)
+        return np.where(usable, error / np.maximum(square, 1e-9), np.inf)
+
+    def _mean_square_denominators(
+        self, chosen: np.ndarray, coefficients: np.ndarray, added: np.ndarray
+    ) -> np.ndarray:
+        """(b, m + q) mean of D^2 after each addition."""
+        m = len(self.numerators)
+        square = np.ones(added.shape)
+        if not len(self.denominators):
+            return square
+        _, norms = self._columns
+        first, second = self._denominator_moments
+        own = added[:, m:] / norms[m:]
+        square[:, m:] += -2 * own * first + own**2 * np.diag(second)
+        # Columns of the numerator take no part in D: their coefficients count as 0 there.
+        inside = chosen >= m
+        index = np.where(inside, chosen - m, 0)
+        b = np.where(inside[..., None], coefficients / norms[chosen][..., None], 0.0)
+        square -= 2 * np.einsum("bs,bsj->bj", first[index], b)
+        pairs = second[index[:, :, None], index[:, None, :]]
+        square += np.einsum("bsj,bsj->bj", b, pairs @ b)
+        square[:, m:] += 2 * own * np.einsum("bsj,bsj->bj", b[..., m:], second[index])
+        return square
+
+    def search(self, max_size: int) -> list[list[Support]]:
+        """Give, for each size from 1 to ``max_size``, the best subsets found, best first.
+
+        Every size starts from all additions to the subsets one smaller; then members are swapped,
+        one at a time, until no swap improves the kept ones. Ends once two more terms lower the
+        error by less than a tenth.
+        """
+        found: list[list[Support]] = []
+        scores: list[float] = []
+        parents: list[Support] = [frozenset()]
+        for _ in range(max_size):
+            pool: dict[Support, float] = {}
+            self._grow(parents, 40, pool)
+            kept = self._swap(pool)
+            if not kept:
+                break
+            found.append(list(kept))
+            scores.append(min(kept.values()))
+            parents = found[-1]
+            idle = len(scores) > 2 and scores[-1] > _IDLE * scores[-3]
+            if idle or time.monotonic() > self.deadline:
+                break
+        return found
+
+    def _grow(self, supports: Sequence[Support], most: int, pool: dict[Support, float]) -> None:
+        for start in range(0, len(supports), _CHUNK):
+            if time.monotonic() > self.deadline:
+                break
+            chunk = supports[start : start + _CHUNK]
+            scores = self.extend(chunk)
+            most = min(most, scores.shape[1])
+            best = np.argpartition(scores, most - 1, axis=1)[:, :most]
+            values = np.take_along_axis(scores, best, axis=1)
+            for row, column in zip(*np.nonzero(np.isfinite(values)), strict=True):
+                grown = chunk[row] | {int(best[row, column])}
+                pool.setdefault(grown, float(values[row, column]))
+
+    def _best(self, pool: dict[Support, float]) -> dict[Support, float]:
+        ordered = sorted(pool.items(), key=lambda item: (item[1], sorted(item[0])))
+        return dict(ordered[: self.width])
+
+    def _swap(self, pool: dict[Support, float]) -> dict[Support, float]:
+        kept = self._best(pool)
+        tried: set[Support] = set()
+        reduced: set[Support] = set()
+        for _ in range(8):
+            waiting = [support for support in kept if support not in tried]
+            if not waiting:
+                break
+            pool = dict(kept)
+            tried.update(waiting)
+            smaller = dict.fromkeys(s - {member} for s in waiting for member in sorted(s))
+            fresh = [support for support in smaller if support not in reduced]
+            reduced.update(fresh)
+            self._grow(fresh, 10, pool)
+            kept = self._best(pool)
+        return kept
+
+
+def _solve(systems: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a stack of normal equations; a singular one among them as if barely regular."""
+    if not systems.shape[1]:
+        return np.zeros(right.shape)
+    try:
+        return np.linalg.solve(systems, right)
+    except np.linalg.LinAlgError:
+        return np.linalg.solve(systems + 1e-12 * np.eye(systems.shape[1]), right)
+
+
+@dataclass(frozen=True, eq=False)
+class RatioFit:
+    """Coefficients of one subset: ``numerator`` and ``denominator`` map feature -> coefficient.
+
+    D holds the constant 1 besides; ``residual`` (n,) is y - N / D.
+    """
+
+    numerator: dict[int, float]
+    denominator: dict[int, float]
+    residual: np.ndarray
+
+
+def fit_ratio(
+    search: SubsetSearch, support: Support, rounds: int = 6, weights: np.ndarray | None = None
+) -> RatioFit:
+    """Fit a subset so that the error of N / D itself is least.
+
+    Repeats the linear fit with rows weighted by 1 / |D| of the round before (Sanathanan and
+    Koerner 1963), by orthogonal factorisation, so that an exact relation is fitted exactly.
+    """
+    m = len(search.numerators)
+    chosen = sorted(support)
+    top = [c for c in chosen if c < m]
+    bottom = [c - m for c in chosen if c >= m]
+    columns = np.vstack([search.numerators[top], search.denominators[bottom] * search.y]).T
+    root = np.sqrt(search.weights if weights is None else weights)
+    denominator = np.ones_like(search.y)
+    solution = np.zeros(len(chosen))
+    for _ in range(rounds if bottom else 1):
+        scale = root / np.maximum(np.abs(denominator), 1e-12)
+        solution = np.linalg.lstsq(columns * scale[:, None], search.y * scale, rcond=None)[0]
+        denominator = 1 - solution[len(top) :] @ search.denominators[bottom]
+    with np.errstate(all="ignore"):
+        predicted = (solution[: len(top)] @ search.numerators[top]) / denominator
+    return RatioFit(
+        dict(zip(top, solution.tolist(), strict=False)),
+        {j: -c for j, c in zip(bottom, solution[len(top) :].tolist(), strict=True)},
+        search.y - predicted,
+    )
+
+
+_EXACT = 1e-9
+
+
+@dataclass(frozen=True)
+class RationalSearch(AbstractMethod):
+    """Search for a short sum of features, or a ratio of two.
+
+    Parameters
+    ----------
+    max_terms : most coefficients in a formula, numerator and denominator together.
+    costs : feature costs at which the search is run in turn; it ends early once a formula is
+        exact, or the same at two costs.
+    max_features : features at most in the numerator's library.
+    denominators : search ratios too.
+    width : subsets kept at each size.
+    rounds : searches at each cost; from the second on samples are weighted by how well the best
+        formula so far explains them (Cauchy weights), since slopes of trajectories carry a few
+        large errors among many small ones.
+    keep : formulas handed on at each size.
+    max_rows : evenly spaced samples used at most.
+    inverses : features are products of powers of the variables, negative ones too, and nothing
+        else, up to the fourth degree above and below; for laws without a constant term.
+    changes : domain changes of the target, names of ``domain.CHANGES``, that are searched after it.
+    seconds : time after which nothing further is begun.
+
+    >>> x = np.linspace(0.5, 2.0, 200)
+    >>> samples = Samples(x[:, None], 3 * x / (2 + x**2), ("x",), "x", "given", x)
+    >>> front = RationalSearch(costs=(2,)).search(samples, np.random.default_rng(0))
+    >>> front.best_fit.loss < 1e-9
+    True
+    """
+
+    max_terms: int = 6
+    costs: tuple[int, ...] = (3, 4, 6)
+    max_features: int = 1500
+    denominators: bool = True
+    width: int = 200
+    rounds: int = 2
+    keep: int = 4
+    max_rows: int = 2000
+    inverses: bool = False
+    changes: tuple[str, ...] = ()
+    seconds: float = math.inf
+
+    name = "rational"
+
+    def search(
+        self, samples: Samples, rng: np.random.Generator, report: Report = silent
+    ) -> ParetoFront:
+        """Search; ``rng`` is not used, since nothing here is left to chance."""
+        front = ParetoFront()
+        try:
+            for done, candidates in enumerate(self.find(samples)):
+                front = front.add(*candidates)
+                report(Progress("rational", done + 1, len(self.costs) * self.rounds, front))
+        except KeyboardInterrupt:
+            pass
+        return front
+
+    def find(self, samples: Samples) -> Iterator[list[Candidate]]:
+        """Yield the best formulas of every size, after each search."""
+        if np.ptp(samples.y) == 0:
+            yield [score_candidate(sympy.Float(float(samples.y[0])), samples, self.name)]
+            return
+        deadline = time.monotonic() + self.seconds
+        for target in make_targets(samples.y, self.changes):
+            if target.change.name == "y":
+                exact = yield from self._find(samples, deadline)
+            else:
+                changed = replace(samples, y=target.values)
+                exact = yield from self._find_back(changed, target, samples, deadline)
+            if exact or time.monotonic() > deadline:
+                return
+
+    def _find_back(
+        self, changed: Samples, target: Target, samples: Samples, deadline: float
+    ) -> Generator[list[Candidate], None, bool]:
+        """Find formulas for a changed target and turn them into formulas of the target itself."""
+        search = self._find(changed, deadline)
+        while True:
+            try:
+                found = next(search)
+            except StopIteration as end:
+                return bool(end.value)
+            name = f"{self.name} of {target.name}"
+            yield [score_candidate(target.build(c.expr), samples, name) for c in found]
+
+    def _find(self, samples: Samples, deadline: float) -> Generator[list[Candidate], None, bool]:
+        """Yield formulas after each search; give in the end whether one is exact."""
+        rows = samples
+        if len(samples) > self.max_rows:
+            rows = samples.select(np.linspace(0, len(samples) - 1, self.max_rows).astype(int))
+        weights = np.ones(len(rows))
+        reached: sympy.Expr | None = None
+        used = set(rows.names)
+        for cost in self.costs:
+            numerators = self._numerators(rows.columns, cost, used)
+            for _ in range(self.rounds):
+                ranked = self._search_once(rows, numerators, cost, weights, deadline)
+                if not ranked:
+                    return False
+                yield [formula.score(samples) for group in ranked for formula in group[: self.keep]]
+                plain = _plainest(ranked)
+                if float(np.abs(plain.residual).max()) < _EXACT * float(np.ptp(rows.y)):
+                    return True
+                weights = 1 / (1 + (plain.residual / max(plain.median, 1e-300)) ** 2)
+                if time.monotonic() > deadline:
+                    return False
+            if plain.shape == reached:
+                return False
+            reached = plain.shape
+            used = {str(v) for f in _close_to_least(ranked)[:2] for v in f.expr.free_symbols}
+        return False
+
+    def _numerators(self, columns: dict[str, np.ndarray], cost: int, used: set[str]) -> Features:
+        """Features of all variables; where those are too many, of the variables in use alone."""
+        features = build_features(columns, cost, 4, self.max_features, self.inverses)
+        if features.costs[-1] < cost and used < set(columns):
+            few = {name: values for name, values in columns.items() if name in used}
+            features = build_features(few, cost, 4, self.max_features, self.inverses)
+        return features
+
+    def _search_once(
+        self,
+        rows: Samples,
+        numerators: Features,
+        cost: int,
+        weights: np.ndarray,
+        deadline: float,
+    ) -> list[list[_Formula]]:
+        degree = 4 if self.inverses else 2
+        denominators = build_features(rows.columns, min(cost, 4), degree, inverses=self.inverses)
+        below = denominators.values[1:] if self.denominators else np.empty((0, len(rows)))
+        subsets = SubsetSearch(numerators.values, below, rows.y, weights, self.width, deadline)
+        fits = [
+            [fit_ratio(subsets, support) for support in supports[: 5 * self.keep]]
+            for supports in subsets.search(self.max_terms)
+        ]
+        if not fits:
+            return []
+        medians = [float(np.median(np.abs(fit.residual))) for group in fits for fit in group]
+        floor = max(np.nanmin(medians), 1e-12 * float(np.abs(rows.y).max()))
+        ranked = []
+        for group in fits:
+            formulas = [_Formula(fit, numerators, denominators, floor) for fit in group]
+            ranked.append(sorted(formulas, key=lambda formula: formula.bits))
+        return ranked
+
+
+@dataclass(frozen=True, eq=False)
+class _Formula:
+    fit: RatioFit
+    numerators: Features
+    denominators: Features
+    floor: float
+
+    @cached_property
+    def expr(self) -> sympy.Expr:
+        """The formula itself; only those that are handed on need it."""
+        return _expression(self.fit, self.numerators, self.denominators)
+
+    @property
+    def residual(self) -> np.ndarray:
+        return self.fit.residual
+
+    def score(self, samples: Samples) -> Candidate:
+        """Make the candidate; its loss is at hand when the fit used all samples."""
+        if len(samples) != len(self.residual):
+            return score_candidate(self.expr, samples, RationalSearch.name)
+        loss = rmse(self.residual, np.zeros(len(samples)))
+        return Candidate(self.expr, loss, complexity(self.expr), RationalSearch.name)
+
+    @property
+    def median(self) -> float:
+        value = float(np.median(np.abs(self.residual)))
+        return value if math.isfinite(value) else math.inf
+
+    @property
+    def shape(self) -> sympy.Expr:
+        """The formula with all its floats alike."""
+        return self.expr.xreplace({number: sympy.S.Pi for number in self.expr.atoms(sympy.Float)})
+
+    @property
+    def bits(self) -> float:
+        """Bits a sample of the residual above the floor."""
+        with np.errstate(all="ignore"):
+            data = float(np.mean(np.log2(1 + np.abs(self.residual) / self.floor)))
+        return data if math.isfinite(data) else math.inf
+
+
+def _close_to_least(ranked: list[list[_Formula]]) -> list[_Formula]:
+    least = min(group[0].bits for group in ranked)
+    return [group[0] for group in ranked if group[0].bits <= least + 0.25]
+
+
+def _plainest(ranked: list[list[_Formula]]) -> _Formula:
+    """The formula of fewest terms whose data bits are close to the least of all.
+
+    More terms always explain slopes a little better, because their errors are not independent.
+    """
+    return _close_to_least(ranked)[0]
+
+
+def _expression(fit: RatioFit, numerators: Features, denominators: Features) -> sympy.Expr:
+    """Write N / D with the common factor that makes most coefficients simple."""
+    top = [(numerators.exprs[i], c) for i, c in fit.numerator.items()]
+    if not fit.denominator:
+        return sympy.Add(*(sympy.Float(c) * e for e, c in top))
+    bottom = [(sympy.S.One, 1.0)]
+    bottom += [(denominators.exprs[j + 1], c) for j, c in fit.denominator.items()]
+    scale, pinned = _common_factor([c for _, c in (*bottom, *top)])
+    terms = [(e, c * scale) for e, c in (*bottom, *top)]
+    numbers = [sympy.Float(c) for _, c in terms]
+    # One number is free to choose in a ratio; as an integer it stays out of later refinement.
+    numbers[pinned] = sympy.Integer(round(terms[pinned][1]))
+    products = [number * e for number, (e, _) in zip(numbers, terms, strict=True)]
+    return sympy.Add(*products[len(bottom) :]) / sympy.Add(*products[: len(bottom)])
+
+
+def _common_factor(coefficients: list[float]) -> tuple[float, int]:
+    """Factor that brings most coefficients near integers, and which one it makes an integer."""
+    best = (math.inf, 1.0, 0)
+    for index, coefficient in enumerate(coefficients):
+        if coefficient == 0:
+            continue
+        for whole in (1, 2, 3, 4):
+            factor = whole / abs(coefficient)
+            price = sum(_price(c * factor) for c in coefficients)
+            if price < best[0] - 1e-9:
+                best = (price, factor, index)
+    return best[1], best[2]
+
+
+def _price(value: float) -> float:
+    nearest = round(value)
+    if nearest and abs(value - nearest) < 0.01 * abs(value) and abs(nearest) < 10:
+        return math.log2(1 + abs(nearest))
+    return 10 + abs(math.log2(max(abs(value), 1e-12)))

@@ -1,0 +1,18 @@
+from .discovery import write_report
+from .page import Picture, render_page, write_table
+from .plots import Panel, draw_panels, draw_states, to_bytes
+from .tables import Formula, Spread, Table
+
+__all__ = [
+    "Formula",
+    "Panel",
+    "Picture",
+    "Spread",
+    "Table",
+    "draw_panels",
+    "draw_states",
+    "render_page",
+    "to_bytes",
+    "write_report",
+    "write_table",
+]

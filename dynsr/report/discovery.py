@@ -1,0 +1,324 @@
+"""The report of one discovery: a single HTML page that needs no network."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+from typing import Any
+
+import numpy as np
+import sympy
+
+from dynsr import __version__
+from dynsr.data import Samples, Trajectory, choose_samples
+from dynsr.discovery import Discovery, predict
+from dynsr.errors import DynsrError, InputError
+from dynsr.expression import complexity, evaluate, shown, to_mathml
+from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, rmse
+from dynsr.report.page import Picture, render_page
+from dynsr.report.plots import draw_phase_portrait, draw_residuals, draw_slopes, draw_states
+from dynsr.report.tables import Table
+
+HEIGHT = 220.0
+_SMALLEST = 1e-16
+_MOST_FORMULAS = 5
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@dataclass(frozen=True)
+class Dot:
+    """One formula of a front: its place, its text, what it costs, and whether it was chosen."""
+
+    x: float
+    y: float
+    formula: str
+    detail: str
+    chosen: bool
+    candidate: Candidate
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A front as it is drawn.
+
+    ``rows`` and ``columns`` are (place, label) of the ticks; ``steps`` are (x1, y1, x2, y2) of the
+    line that no formula is below.
+    """
+
+    dots: tuple[Dot, ...]
+    rows: tuple[tuple[float, str], ...]
+    columns: tuple[tuple[float, str], ...]
+    steps: tuple[tuple[float, float, float, float], ...]
+
+
+def place_front(front: ParetoFront, chosen: Candidate | str) -> Chart:
+    """Place a front over description length (across) and the logarithm of the loss (down).
+
+    ``chosen`` is the text of the equation that was chosen, or a candidate, which is drawn even
+    where the front does not hold it.
+
+    >>> import sympy
+    >>> x = sympy.Symbol("x")
+    >>> front = ParetoFront([Candidate(x, 1.0, 2.0), Candidate(2 * x, 0.1, 4.0)])
+    >>> chart = place_front(front, "2*x")
+    >>> [(dot.x, dot.y, dot.chosen) for dot in chart.dots]
+    [(50.0, 0.0, False), (100.0, 220.0, True)]
+    >>> chart.columns
+    ((0.0, '0'), (25.0, '1'), (50.0, '2'), (75.0, '3'), (100.0, '4'))
+    """
+    text = chosen if isinstance(chosen, str) else shown(chosen.expr)
+    some = list(front)
+    if isinstance(chosen, Candidate) and all(shown(c.expr) != text for c in some):
+        some = sorted([*some, chosen], key=lambda c: (c.complexity, -c.loss))
+    logs = [math.log10(max(c.loss, _SMALLEST)) for c in some] or [0.0]
+    low, high = math.floor(min(logs)), max(math.ceil(max(logs)), math.floor(min(logs)) + 1)
+    bits = _ticks(max((c.complexity for c in some), default=1.0))
+
+    def place(candidate: Candidate) -> tuple[float, float]:
+        height = (high - math.log10(max(candidate.loss, _SMALLEST))) / (high - low)
+        return round(100 * candidate.complexity / bits[-1], 2), round(HEIGHT * height, 1)
+
+    every = math.ceil((high - low) / _MOST_FORMULAS)
+    return Chart(
+        tuple(Dot(*place(c), shown(c.expr), _cost(c), shown(c.expr) == text, c) for c in some),
+        tuple(
+            (round(HEIGHT * (high - power) / (high - low), 1), "10" + str(power).translate(_RAISED))
+            for power in range(high, low - 1, -every)
+        ),
+        tuple((round(100 * b / bits[-1], 2), f"{b:g}") for b in bits),
+        tuple(_steps([place(c) for c in front])),
+    )
+
+
+def _cost(candidate: Candidate) -> str:
+    source = f", found by {candidate.source}" if candidate.source else ""
+    bits = f"{candidate.complexity:.0f} bit" + "s" * (round(candidate.complexity) != 1)
+    return f"{bits}, RMSE {candidate.loss:.3g}{source}"
+
+
+def _steps(places: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float, float, float]]:
+    for (x1, y1), (x2, y2) in zip(places, places[1:], strict=False):
+        yield x1, y1, x2, y1
+        yield x2, y1, x2, y2
+
+
+def _ticks(largest: float) -> list[float]:
+    """Give round numbers from 0 to the first that is not below the largest, at most six of them."""
+    power = 10.0 ** math.floor(math.log10(max(largest, 1.0)))
+    step = next(s for s in (0.1, 0.2, 0.25, 0.5, 1, 2) if largest <= 5 * s * power) * power
+    return [k * step for k in range(max(1, math.ceil(largest / step - 1e-9)) + 1)]
+
+
+_MOST_RUNS = 3
+_MOST_ROWS = 2000
+_DRAWS = 20
+
+
+def write_report(found: Discovery, path: Path) -> Path:
+    """Write the page; gives its path. Raises InputError when it cannot be written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(render_discovery(found), "utf-8")
+    return path
+
+
+def render_discovery(found: Discovery) -> str:
+    """Give the page: equations, reasons, interactive fronts, trajectories, residuals, phases.
+
+    Pictures need the data, which a loaded discovery does not have; the rest is always there.
+    """
+    samples = _samples(found)
+    return render_page(
+        "discovery.html.j2",
+        summary=_summary(found),
+        equations=[_equation(found, state) for state in found.equations],
+        latex=found.latex(),
+        fronts={state: _front(found, state, samples.get(state)) for state in found.equations},
+        trajectories=list(_trajectories(found)),
+        slopes=[picture for state in samples for picture in _slopes(found, samples[state])],
+        scores=_scores(found),
+        exports=[("Python", found.to_python()), ("Julia", found.to_julia())],
+        facts=_facts(found),
+    )
+
+
+def _samples(found: Discovery) -> dict[str, tuple[Samples, np.ndarray]]:
+    """Give for each state its slopes, and what its equation says they are."""
+    pairs = {}
+    for state, expr in found.equations.items() if found.trajectories else ():
+        samples = _slopes_of(found, state)
+        pairs[state] = samples, evaluate(expr, {**samples.columns, "t": samples.t})
+    return pairs
+
+
+def _slopes_of(found: Discovery, state: str) -> Samples:
+    """Make the slopes as the discovery did; the user's own are not kept, so the data choose."""
+    runs = list(found.trajectories)
+    chosen = choose_samples(runs, state)
+    scheme = found.settings.get("scheme", {}).get(state, chosen.scheme)
+    if scheme == chosen.scheme:
+        return chosen
+    try:
+        return choose_samples(runs, state, scheme=scheme)
+    except (InputError, ValueError):
+        return chosen
+
+
+def _summary(found: Discovery) -> str:
+    states = ", ".join(found.equations)
+    known = f"{len(found.equations)} equation{'s' * (len(found.equations) > 1)}, for {states}"
+    if not found.trajectories:
+        return f"{known}. The data are not in this report: it was made from a saved discovery."
+    rows, count = sum(len(run) for run in found.trajectories), len(found.trajectories)
+    start, end = found.trajectories[0].t[[0, -1]]
+    over = f"from t = {start:g} to {end:g}" if count == 1 else f"in {count} trajectories"
+    return f"{known}, from {rows} rows {over}."
+
+
+def _equation(found: Discovery, state: str) -> dict[str, Any]:
+    expr = found.equations[state]
+    return {
+        "state": state,
+        "text": f"{state}' = {shown(expr)}",
+        "mathml": to_mathml(expr, state),
+        "why": found.explanation.get(state, ""),
+        "constants": [f"{v:.6g} ± {e:.2g}" for v, e in found.errors.get(state, ())],
+    }
+
+
+def _front(found: Discovery, state: str, samples: tuple[Samples, np.ndarray] | None) -> Chart:
+    expr = found.equations[state]
+    if samples is None:
+        return place_front(found.front[state], shown(expr))
+    loss = rmse(samples[1], samples[0].y)
+    if not np.isfinite(loss):
+        return place_front(found.front[state], shown(expr))
+    return place_front(found.front[state], Candidate(expr, loss, complexity(expr), "polishing"))
+
+
+def _trajectories(found: Discovery) -> Iterator[Picture]:
+    for number, run in enumerate(found.trajectories[:_MOST_RUNS], 1):
+        thin = run.select(slice(None, None, max(1, len(run) // _MOST_ROWS)))
+        model = _simulate(found, thin)
+        name = f"Trajectory {number}" if len(found.trajectories) > 1 else "The trajectory"
+        yield Picture.of(
+            draw_states(thin, model, _bands(found, thin) if model else None),
+            f"{name}: the data, and the equations integrated from the first row. The band "
+            "holds 95 % of the curves that constants drawn within their errors give."
+            if model
+            else f"{name}: the data. The equations cannot be integrated over it.",
+        )
+        if len(run.states) > 1:
+            yield Picture.of(
+                draw_phase_portrait(thin, model, *run.states[:2]),
+                f"{name} as a phase portrait: {run.states[1]} against {run.states[0]}.",
+            )
+
+
+def _slopes(found: Discovery, pair: tuple[Samples, np.ndarray]) -> Iterator[Picture]:
+    samples, predicted = pair
+    yield Picture.of(
+        draw_slopes(samples, predicted),
+        f"The slopes of {samples.target}, taken from the data by {samples.scheme}, and what the "
+        "equation says they are.",
+    )
+    yield Picture.of(
+        draw_residuals(samples, predicted),
+        f"What the equation leaves of the slopes of {samples.target}, over time and counted.",
+    )
+
+
+def _simulate(found: Discovery, run: Trajectory) -> Trajectory | None:
+    """Integrate from the run's first row; None where the equations diverge or need more states."""
+    if set(found.equations) != set(run.states):
+        return None
+    start = [run.x[0, run.index(state)] for state in found.equations]
+    try:
+        return predict(found.equations, start, run.t, found.inputs_at(run.t, run))
+    except DynsrError:
+        return None
+
+
+def _bands(found: Discovery, run: Trajectory) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Give for each state the 2.5 % and 97.5 % quantiles over drawn constants."""
+    rng = np.random.default_rng(0)
+    start = [run.x[0, run.index(state)] for state in found.equations]
+    inputs = found.inputs_at(run.t, run)
+    curves = []
+    for _ in range(_DRAWS):
+        drawn = {s: _draw(e, found.errors.get(s, ()), rng) for s, e in found.equations.items()}
+        try:
+            curves.append(predict(drawn, start, run.t, inputs).x)
+        except DynsrError:
+            continue
+    if len(curves) < _DRAWS // 2:
+        return {}
+    low, high = np.quantile(np.array(curves), [0.025, 0.975], axis=0)
+    return {s: (low[:, i], high[:, i]) for i, s in enumerate(found.equations)}
+
+
+def _draw(
+    expr: sympy.Expr, errors: tuple[tuple[float, float], ...], rng: np.random.Generator
+) -> sympy.Expr:
+    """Move every constant by its own error; one without an error stays."""
+    template, values = free_constants(loosen(expr), "constant ")
+    moved = {}
+    for symbol, value in values.items():
+        nearest = min(errors, key=lambda pair: abs(pair[0] - value), default=(value, 0.0))
+        error = nearest[1] if np.isfinite(nearest[1]) else 0.0
+        moved[symbol] = sympy.Float(value + error * rng.standard_normal())
+    return template.xreplace(moved)
+
+
+def _scores(found: Discovery) -> Table | None:
+    if not found.trajectories:
+        return None
+    rows = tuple((state, *scores.values()) for state, scores in found.score().items())
+    return Table(
+        "scores",
+        "Errors on the data",
+        ("State", "Slopes", "Forecast", "Whole trajectory"),
+        rows,
+        "Slopes: RMSE of the equation against the slopes of the data, in units of the state a "
+        "unit of time. Forecast: the median miss over 50 rows, as a share of the state's "
+        "standard deviation. Whole trajectory: RMSE of one integration from the first row to the "
+        "last; a chaotic system leaves any data in the end.",
+    )
+
+
+def _facts(found: Discovery) -> list[tuple[str, str]]:
+    settings, runs = dict(found.settings), found.trajectories
+    version = settings.pop("version", __version__)
+    count = "1 trajectory" if len(runs) == 1 else f"{len(runs)} trajectories"
+    return [
+        ("made by", f"dynsr {version}"),
+        ("command", _command(found)),
+        *([("data", f"{sum(map(len, runs))} rows in {count}")] if runs else []),
+        *((f"input {name}", shown(expr)) for name, expr in found.inputs.items()),
+        *((name, _read(value)) for name, value in settings.items() if value not in ("", {})),
+        ("seconds", f"{found.seconds:.1f}"),
+    ]
+
+
+def _command(found: Discovery) -> str:
+    """Give the command that searches the same data in the same way."""
+    settings = found.settings
+    known = settings.get("known", {})
+    options = {
+        "inputs": ",".join(f"{name}={shown(e)}" for name, e in found.inputs.items()),
+        "method": settings.get("method", "auto"),
+        "preset": settings.get("preset", ""),
+        "known": "; ".join(f"{state}'={text}" for state, text in known.items()),
+        "seed": str(settings.get("seed", "")),
+        "engine": settings.get("engine", ""),
+    }
+    given = (f"--{name} {quote(value)}" for name, value in options.items() if value)
+    return " ".join(["dynsr discover DATA", *given])
+
+
+def _read(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k}: {v}" for k, v in value.items())
+    return ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)

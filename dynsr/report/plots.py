@@ -1,0 +1,273 @@
+"""Pictures, as matplotlib figures; no other file of dynsr names matplotlib.
+
+Every function gives a new figure of its own and touches no global state. Colours are those of
+Okabe and Ito, which colour-blind readers tell apart, and each curve has its own line style too.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from dynsr.data import Samples, Trajectory
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+STYLES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
+MARKERS = ("o", "s", "^", "D", "v", "P")
+# A page on a phone shows a picture of this many inches with letters that can be read.
+_WIDTH = 5.2
+# What a curve that runs away may take of the picture: this many spans of the truth.
+_ROOM = 0.6
+_STYLE = {
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "legend.frameon": False,
+    "svg.hashsalt": "dynsr",
+    # Letters stay letters: readers can select them, and a page sets them in its own type.
+    "svg.fonttype": "none",
+    "path.simplify_threshold": 0.5,
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One state over time: the truth, and what was inferred.
+
+    Parameters
+    ----------
+    title, state, unit : what is shown; the state's name labels the axis.
+    t : (n,) times in seconds.
+    truth : (n,) true values, in the state's unit.
+    found : label -> (r, n) values of r runs; NaN from where a run diverged.
+    """
+
+    title: str
+    state: str
+    t: np.ndarray
+    truth: np.ndarray
+    found: Mapping[str, np.ndarray] = field(default_factory=dict)
+    unit: str = ""
+
+
+def draw_panels(panels: Sequence[Panel], labels: Sequence[str] = ()) -> Figure:
+    """Draw true and inferred curves, one panel beside the other (the paper's Figure 1).
+
+    Every run is a thin line and the first run of each label a thick one. The axis follows the
+    truth, so that a run that leaves it does not flatten the rest. A label has the same colour in
+    every panel; ``labels`` sets their order, for pictures that are to agree with others.
+    """
+    order = list(dict.fromkeys([*labels, *(label for p in panels for label in p.found)]))
+    figure, axes = _canvas(1, len(panels), (5.2 * len(panels), 3.6))
+    for axis, panel in zip(axes.flat, panels, strict=True):
+        axis.plot(panel.t, panel.truth, color="black", lw=2.6, label="truth", alpha=0.8)
+        for label, runs in panel.found.items():
+            k = order.index(label)
+            for r, run in enumerate(np.atleast_2d(runs)):
+                axis.plot(
+                    panel.t,
+                    run,
+                    color=COLOURS[k % len(COLOURS)],
+                    ls=STYLES[k % len(STYLES)],
+                    lw=1.6 if r == 0 else 0.7,
+                    alpha=1.0 if r == 0 else 0.45,
+                    label=label if r == 0 else None,
+                )
+        _follow(axis, panel.truth, [np.asarray(runs) for runs in panel.found.values()])
+        axis.set(title=panel.title, xlabel="time t (s)", ylabel=_label(panel.state, panel.unit))
+    _legend_below(figure, max(axes.flat, key=lambda axis: len(axis.lines)))
+    return figure
+
+
+def draw_states(
+    true: Trajectory,
+    found: Trajectory | None = None,
+    intervals: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Figure:
+    """Draw every state of a trajectory over time, with the one found and its intervals.
+
+    ``intervals`` gives (lower, upper) arrays at the times of ``found`` for some states.
+    """
+    figure, axes = _canvas(len(true.states), 1, (_WIDTH, 1.6 * len(true.states) + 0.8), sharex=True)
+    for axis, state in zip(axes.flat, true.states, strict=True):
+        column = true.x[:, true.index(state)]
+        axis.plot(true.t, column, color="black", lw=2.2, alpha=0.8, label="data")
+        if found is not None:
+            curve = found.x[:, found.index(state)]
+            axis.plot(found.t, curve, color=COLOURS[1], ls="--", lw=1.4, label="found")
+            if intervals and state in intervals:
+                axis.fill_between(
+                    found.t, *intervals[state], color=COLOURS[1], alpha=0.25, label="interval"
+                )
+            _follow(axis, column, [curve])
+        axis.set_ylabel(_label(state, (units or {}).get(state, "")))
+    axes.flat[-1].set_xlabel("time t (s)")
+    _legend_below(figure, axes.flat[0])
+    return figure
+
+
+def draw_residuals(samples: Samples, predicted: np.ndarray) -> Figure:
+    """Draw what a formula leaves over: residuals over time, and how they are distributed."""
+    residuals = samples.y - np.asarray(predicted, dtype=float)
+    figure, axes = _canvas(1, 2, (_WIDTH, 3.2), width_ratios=(4, 1), sharey=True)
+    over_time, histogram = axes.flat
+    over_time.plot(samples.t, residuals, ".", ms=2.5, color=COLOURS[0], rasterized=True)
+    over_time.axhline(0.0, color="black", lw=0.8)
+    over_time.set(xlabel="time t (s)", ylabel=f"residual of d{samples.target}/dt")
+    finite = residuals[np.isfinite(residuals)]
+    histogram.hist(finite, bins=40, orientation="horizontal", color=COLOURS[0], alpha=0.7)
+    histogram.set(xlabel="samples")
+    return figure
+
+
+def draw_slopes(samples: Samples, predicted: np.ndarray) -> Figure:
+    """Draw the slopes of the data over time, as dots, and what a formula gives there."""
+    figure, axes = _canvas(1, 1, (_WIDTH, 3.2))
+    axis = axes.flat[0]
+    axis.plot(samples.t, samples.y, ".", ms=5, color="0.6", label="data", rasterized=True)
+    given = np.array(predicted, dtype=float)
+    # Time that runs backwards is the start of the next trajectory: no line joins the two.
+    given[1:][np.diff(samples.t) <= 0] = np.nan
+    axis.plot(samples.t, given, color=COLOURS[1], lw=1.2, label="equation")
+    _follow(axis, samples.y, [given])
+    axis.set(xlabel="time t (s)", ylabel=f"d{samples.target}/dt")
+    _legend_below(figure, axis)
+    return figure
+
+
+def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str, up: str) -> Figure:
+    """Draw one state against another: the true path and the one found."""
+    figure, axes = _canvas(1, 1, (_WIDTH, 4.6))
+    axis = axes.flat[0]
+    i, j = true.index(across), true.index(up)
+    axis.plot(true.x[:, i], true.x[:, j], color="black", lw=2.2, alpha=0.8, label="data")
+    axis.plot(*true.x[0, [i, j]], "o", color="black", label="start")
+    if found is not None:
+        path = found.x[:, [found.index(across), found.index(up)]]
+        axis.plot(*path.T, color=COLOURS[1], ls="--", lw=1.4, label="found")
+        _follow(axis, true.x[:, j], [path[:, 1]])
+        low, high = _limits(true.x[:, i], [path[:, 0]])
+        axis.set_xlim(low, high)
+    axis.set(xlabel=across, ylabel=up)
+    _legend_below(figure, axis)
+    return figure
+
+
+def draw_recovery(
+    levels: Sequence[float],
+    rates: Mapping[str, Sequence[float]],
+    intervals: Mapping[str, tuple[Sequence[float], Sequence[float]]] | None = None,
+) -> Figure:
+    """Draw how often each method recovers the equation (0 to 1) as the noise grows.
+
+    ``levels`` are relative noise levels, 0 included if wanted; ``intervals`` (lower, upper).
+    """
+    figure, axes = _canvas(1, 1, (5.6, 3.6))
+    axis = axes.flat[0]
+    at = np.arange(len(levels))
+    for k, (label, rate) in enumerate(rates.items()):
+        colour = COLOURS[k % len(COLOURS)]
+        style = STYLES[k % len(STYLES)]
+        axis.plot(at, rate, color=colour, ls=style, marker=MARKERS[k % len(MARKERS)], label=label)
+        if intervals and label in intervals:
+            axis.fill_between(at, *intervals[label], color=colour, alpha=0.15)
+    axis.set_xticks(at, [f"{100 * level:g}" for level in levels])
+    axis.set(ylim=(-0.03, 1.03), xlabel="noise (% of each state's deviation)")
+    axis.set_ylabel("share of runs that recover the equation")
+    axis.legend(frameon=False)
+    return figure
+
+
+def to_bytes(figure: Figure, kind: str = "png", dpi: int = 150) -> bytes:
+    """Give the picture as a file's content; the same figure gives the same bytes."""
+    out = io.BytesIO()
+    # Without a date and a version, so that equal pictures are equal files.
+    metadata: dict[str, None] = {"Software": None} if kind == "png" else {"Date": None}
+    if kind == "pdf":
+        metadata = {"CreationDate": None}
+    with rc_context(_STYLE):
+        figure.savefig(out, format=kind, dpi=dpi, metadata=metadata)
+    return out.getvalue()
+
+
+def to_svg(figure: Figure, label: str) -> str:
+    """Give the picture as an ``svg`` element for a page, as wide as the page lets it be.
+
+    Black becomes the colour of the page's letters, and there is no background, so that a dark
+    page and a printed one both show it well. ``label`` is what a screen reader says.
+    """
+    metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    out = io.StringIO()
+    with rc_context(_STYLE):
+        figure.savefig(out, format="svg", dpi=200, metadata=metadata, transparent=True)
+    drawn = re.search(r'viewBox="([^"]*)"[^>]*>(.*)</svg>', out.getvalue(), re.DOTALL)
+    assert drawn is not None
+    body = re.sub(r"<style.*?</style>|font-family: [^;]*; ", "", drawn[2], flags=re.DOTALL)
+    # A name that nothing refers to would stand on the page once for every picture.
+    used = set(re.findall(r"#([\w.]+)", body))
+    body = re.sub(r' id="([^"]*)"', lambda name: name[0] if name[1] in used else "", body)
+    body = body.replace("#000000", "currentColor")
+    head = f'role="img" aria-label="{escape(label)}" viewBox="{drawn[1]}"'
+    return f'<svg class="picture" {head}>{body}</svg>'
+
+
+def _canvas(
+    rows: int,
+    columns: int,
+    size: tuple[float, float],
+    width_ratios: Sequence[float] | None = None,
+    sharex: bool = False,
+    sharey: bool = False,
+) -> tuple[Figure, np.ndarray]:
+    with rc_context(_STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(
+            rows,
+            columns,
+            squeeze=False,
+            sharex=sharex,
+            sharey=sharey,
+            gridspec_kw={"width_ratios": width_ratios} if width_ratios else None,
+        )
+    return figure, axes
+
+
+def _limits(truth: np.ndarray, found: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Limits that hold the truth, and as much of the rest as is near it."""
+    low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
+    room = _ROOM * ((high - low) or 1.0)
+    for values in found:
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            low = min(low, max(float(finite.min()), float(np.nanmin(truth)) - room))
+            high = max(high, min(float(finite.max()), float(np.nanmax(truth)) + room))
+    margin = 0.05 * ((high - low) or 1.0)
+    return low - margin, high + margin
+
+
+def _follow(axis: Axes, truth: np.ndarray, found: Sequence[np.ndarray]) -> None:
+    axis.set_ylim(*_limits(truth, found))
+
+
+def _label(state: str, unit: str) -> str:
+    return f"{state} ({unit})" if unit else state
+
+
+def _legend_below(figure: Figure, axis: Axes) -> None:
+    handles, labels = axis.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=min(len(labels), 4), frameon=False
+    )

@@ -1,0 +1,216 @@
+"""The order of the rooms: a room takes only from those before it, and only what they offer.
+
+A file may import files of its own room by their full names; of another room, what its
+``__init__`` exports.
+"""
+
+import ast
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import dynsr
+
+PACKAGE = Path(dynsr.__file__).parent
+
+# The order in which `ls dynsr` reads as the theory; a room imports only from rooms before it.
+ROOMS = (
+    "errors",
+    "expression",
+    "data",
+    "engines",
+    "fit",
+    "methods",
+    "selection",
+    "jobs",
+    "discovery",
+    "report",
+    "paper",
+    "checks",
+    "benchmarks",
+    "cli",
+)
+
+# (file, room it takes from against the order) -> why. A line that nothing needs fails.
+EXCEPTIONS = {
+    ("discovery/result.py", "report"): "Discovery.plot and .report are the result's own verbs",
+    ("methods/sindy.py", "paper"): "the preset of the paper",
+}
+
+# Foreign module -> the only files that may import it, by name.
+HOMES = {
+    "torch": {
+        "methods/feynman/network.py",
+        "methods/feynman/enumeration/backend.py",
+        "discovery/hybrid.py",
+    },
+    "matplotlib": {"report/plots.py"},
+    "juliacall": {"engines/julia/worker.py"},
+    "juliapkg": {"engines/julia/setup.py"},
+    "diffeqpy": {"engines/julia/worker.py"},
+}
+
+FILES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
+
+
+def imports_of(tree: ast.AST, types: bool = False) -> Iterator[tuple[str, str, int]]:
+    """Give (module, name or "", line) of every import anywhere in a file; of types if asked."""
+    nodes = [tree]
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, ast.If) and not types and "TYPE_CHECKING" in ast.unparse(node.test):
+            continue
+        nodes.extend(ast.iter_child_nodes(node))
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name, "", node.lineno
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: imports are absolute here"
+            for alias in node.names:
+                yield node.module or "", alias.name, node.lineno
+
+
+def doors() -> dict[str, dict[str, str]]:
+    """Give room -> name that it exports -> the module that holds it, from the rooms' stubs."""
+    found = {}
+    for room in ROOMS:
+        if room != "errors":
+            stub = ast.parse((PACKAGE / room / "__init__.pyi").read_text())
+            lines = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+            found[room] = {a.name: f"dynsr.{room}.{n.module}" for n in lines for a in n.names}
+    return found
+
+
+def room_of(file: str) -> str:
+    """Give the room of a file below dynsr."""
+    return file.partition("/")[0].removesuffix(".py")
+
+
+def faults_of(file: str, tree: ast.AST) -> list[str]:
+    """Say which imports of a file break the order."""
+    room, faults = room_of(file), []
+    place = ROOMS.index(room)
+    for module, name, line in imports_of(tree):
+        first, *rest = module.split(".")
+        if first in HOMES and file not in HOMES[first]:
+            faults.append(f"{file}:{line} imports {first}; its home is {sorted(HOMES[first])}")
+        if first != "dynsr" or (not rest and name == "__version__"):
+            continue
+        other = rest[0] if rest else name
+        if other not in ROOMS:
+            faults.append(f"{file}:{line} imports {other}, which is no room")
+        elif other != room and len(rest) > 1:
+            faults.append(f"{file}:{line} reaches into {module}; take it from dynsr.{other}")
+        elif ROOMS.index(other) > place and (file, other) not in EXCEPTIONS:
+            faults.append(f"{file}:{line} imports {other}, a later room")
+        elif other == room and len(rest) == 1 and f"{room}/{name}.py" not in FILES:
+            faults.append(f"{file}:{line} takes {name} of its own room through its __init__")
+    return faults
+
+
+@pytest.mark.parametrize("file", [f for f in FILES if not f.startswith("__")])
+def test_a_file_imports_only_from_rooms_before_its_own(file):
+    """Every file has a room, takes from earlier ones at their doors, and leaves foreigners home."""
+    assert faults_of(file, ast.parse((PACKAGE / file).read_text())) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "source", "words"),
+    [
+        ("errors.py", "from dynsr.cli import main", "imports cli, a later room"),
+        ("data/system.py", "def f():\n    import dynsr.fit", "imports fit, a later room"),
+        ("fit/flow.py", "from dynsr.data.system import System", "reaches into dynsr.data.system"),
+        ("report/page.py", "import matplotlib.pyplot", "its home is"),
+        ("methods/sindy.py", "from torch import nn", "its home is"),
+        ("data/samples.py", "from dynsr import report", "imports report, a later room"),
+        ("data/samples.py", "from dynsr.data import System", "through its __init__"),
+        ("checks/doctor.py", "import dynsr.helpers", "which is no room"),
+    ],
+)
+def test_what_breaks_the_order_is_found(file, source, words):
+    """The check itself finds each kind of fault, at any depth of a file."""
+    assert any(words in fault for fault in faults_of(file, ast.parse(source)))
+
+
+def test_every_exception_is_needed():
+    """An exception to the order stands only as long as the import that needs it."""
+    for file, other in EXCEPTIONS:
+        taken = imports_of(ast.parse((PACKAGE / file).read_text()))
+        assert any(module == f"dynsr.{other}" for module, _, _ in taken), (file, other)
+
+
+def test_a_foreign_module_is_used_where_it_is_at_home():
+    """Every file that HOMES names imports what it is the home of."""
+    for foreign, files in HOMES.items():
+        for file in files:
+            taken = imports_of(ast.parse((PACKAGE / file).read_text()))
+            assert any(m.split(".")[0] == foreign for m, _, _ in taken), (file, foreign)
+
+
+def test_no_import_is_circular():
+    """Files import one another in no circle, wherever in a file the import stands."""
+    graph: dict[str, set[str]] = {}
+    homes = doors()
+    for file in FILES:
+        name = ("dynsr." + file.removesuffix(".py").replace("/", ".")).removesuffix(".__init__")
+        mine = graph.setdefault(name, set())
+        for module, taken, _ in imports_of(ast.parse((PACKAGE / file).read_text())):
+            room = module.removeprefix("dynsr.")
+            if module.startswith("dynsr.") and (file, room) not in EXCEPTIONS:
+                inner = f"{room}.{taken}".replace(".", "/") + ".py"
+                mine.add(
+                    f"{module}.{taken}"
+                    if inner in FILES
+                    else homes.get(room, {}).get(taken, module)
+                )
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
+
+
+def test_a_room_exports_what_others_take():
+    """Every name at a room's door is taken by another room, is public, or is said in the docs."""
+    taken = {
+        (module.removeprefix("dynsr."), name)
+        for file in FILES
+        for module, name, _ in imports_of(ast.parse((PACKAGE / file).read_text()), types=True)
+    }
+    docs = "".join(p.read_text() for p in (PACKAGE.parent / "docs").rglob("*.md"))
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
+    public = {a.name for n in stub.body if isinstance(n, ast.ImportFrom) for a in n.names}
+    idle = [
+        (room, name)
+        for room, names in doors().items()
+        for name in names
+        if (room, name) not in taken and name not in public and name not in docs
+    ]
+    assert idle == []
+
+
+def test_the_rooms_are_what_the_folder_holds():
+    """Beside the rooms, ``dynsr`` holds ``__init__``, ``__main__`` and two files for packaging."""
+    found = {p.name.removesuffix(".py") for p in PACKAGE.iterdir()} - {"__pycache__"}
+    assert found == {*ROOMS, "__init__", "__init__.pyi", "__main__", "py.typed", "juliapkg.json"}
+
+
+def test_contributing_maps_the_rooms_in_their_order():
+    """The table of CONTRIBUTING.md names every room, in the order that imports follow."""
+    text = (PACKAGE.parent / "CONTRIBUTING.md").read_text()
+    rows = [line.split("`")[1] for line in text.splitlines() if line.startswith("| `")]
+    assert tuple(row.removesuffix(".py").rstrip("/") for row in rows[: len(ROOMS)]) == ROOMS
+
+
+@pytest.mark.parametrize("room", [r for r in ROOMS if r != "errors"])
+def test_no_module_shares_a_name_with_what_its_room_exports(room):
+    """What a room exports is what the attribute of that name is: no module hides behind it."""
+    door = import_module(f"dynsr.{room}")
+    files = {p.stem for p in (PACKAGE / room).iterdir()}
+    assert files.isdisjoint(getattr(door, "__all__", ()))
+    for name in getattr(door, "__all__", ()):
+        assert not isinstance(getattr(door, name), ModuleType)
+    assert files.isdisjoint(dynsr.__all__) or room == "cli"
