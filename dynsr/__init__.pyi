@@ -6,7 +6,6 @@ from .discovery import (
     bootstrap,
     discover,
     equation_rmse,
-    printed_loss,
     score_expressions,
     trajectory_loss,
 )
@@ -15,7 +14,7 @@ from .errors import DynsrError, EngineError, EngineUnavailable, InputError
 from .expression import parse
 from .fit import Candidate, ParetoFront
 from .methods import make_method
-from .paper import audit, replicate
+from .paper import audit, printed_loss, replicate
 
 __version__: str
 

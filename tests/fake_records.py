@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from dynsr.data.system import find_system
-from dynsr.discovery.scoring import score_expressions
 from dynsr.expression.parsing import parse
+from dynsr.paper.protocol import score_as_printed
 from dynsr.paper.records import Record
 
 # The first expressions of the paper's own appendix tables (GA), as records of ours.
@@ -17,7 +17,7 @@ PRINTED = {
 def record(system, expression, run=1, method="ga", **losses):
     """Give a record of a formula, with its losses as they are scored."""
     found = find_system(system)
-    score = score_expressions(found, [parse(expression)], method)[0]
+    score = score_as_printed(found, [parse(expression)], method)[0]
     return replace(
         Record(system, method, run, found.target, (0,), "done", "embedded", {}, "paper", {}),
         expression=expression,

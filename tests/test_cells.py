@@ -51,15 +51,16 @@ def test_sindy_finds_the_papers_pendulum():
 def test_a_degree_four_polynomial_scores_as_the_paper_says():
     """Least squares with every term of degree 4 in the states has the paper's kind of loss.
 
-    The cart-pole's run 5 has 0.579, its pendulum's run 1 has 2.167: ours are within a tenth.
+    The pendulum's is the loss printed for its run 1, 2.167, to within 1e-4. The cart-pole's is
+    0.520 where run 5 prints 0.579, and Lotka-Volterra's 0.0329 where the runs print 0.134 to 0.258.
     """
     from itertools import product
 
     import sympy
 
-    from dynsr.discovery.scoring import printed_loss
+    from dynsr.paper.protocol import printed_loss
 
-    for system, printed in ((CART_POLE, 0.579), (PENDULUM, 2.167), (LOTKA_VOLTERRA, 0.19)):
+    for system, expected in ((CART_POLE, 0.5197), (PENDULUM, 2.167), (LOTKA_VOLTERRA, 0.03288)):
         samples = cell_samples(Cell(system, "dynaifeynman", 1), "embedded")
         powers = [e for e in product(range(5), repeat=len(samples.names)) if sum(e) <= 4]
         theta = np.array([np.prod(samples.X ** np.array(e), axis=1) for e in powers]).T
@@ -70,7 +71,7 @@ def test_a_degree_four_polynomial_scores_as_the_paper_says():
             for c, e in zip(found, powers, strict=True)
         ]
         loss = printed_loss(system, sympy.Add(*terms), "DynAIFeynman")
-        assert loss <= printed * 1.1
+        assert loss == pytest.approx(expected, abs=1e-4)
 
 
 def test_the_engine_of_the_plan_is_the_methods():

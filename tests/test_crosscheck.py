@@ -16,9 +16,9 @@ from dynsr.checks.crosschecks import (
 from dynsr.engines.base import SparseProblem, SparseSolution
 from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.errors import EngineError, EngineUnavailable, InputError
-from dynsr.paper.protocol import BASES
+from dynsr.paper.protocol import PAPER_NAMES
 
-CASES = [(s, system) for s in ("corrected", "pysindy") for system in BASES]
+CASES = [(s, system) for s in ("corrected", "pysindy") for system in PAPER_NAMES]
 
 
 # Each record is held by a test of its own; here one system shows that they make rows.

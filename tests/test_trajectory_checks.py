@@ -11,13 +11,13 @@ from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.engines.julia import diffeqpy
 from dynsr.engines.julia.diffeqpy import DiffeqpyEngine
 from dynsr.errors import EngineError, EngineUnavailable
-from dynsr.paper.protocol import BASES
+from dynsr.paper.protocol import PAPER_NAMES
 from dynsr.paper.reference import trajectory_record
 
 FAKE = Path(__file__).parent / "fake_julia"
 
 
-@pytest.mark.parametrize("system", BASES)
+@pytest.mark.parametrize("system", PAPER_NAMES)
 def test_the_embedded_engine_agrees_with_julia_and_scipy(system):
     """All four trajectory rows of every system are filled, and their verdict is that both agree."""
     rows = crosscheck([system], ["embedded"], ["trajectories"])
@@ -69,7 +69,7 @@ def test_a_missing_state_is_as_far_off_as_can_be():
 
 def test_the_records_are_over_the_training_span():
     """Steps and saved times begin at 0 and end at 10, and both begin at the system's start."""
-    for system in BASES:
+    for system in PAPER_NAMES:
         for case in ("steps", "tight"):
             t, x = trajectory_record(system, case)
             assert t[0] == 0.0 and t[-1] == pytest.approx(10.0) and np.isfinite(x).all()

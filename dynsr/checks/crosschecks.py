@@ -16,7 +16,7 @@ from dynsr.checks.comparison import CrosscheckRow, absent
 from dynsr.checks.trajectories import trajectory_rows
 from dynsr.engines import ENGINES, AbstractEngine, DiffeqpyEngine, SparseProblem, find_engine
 from dynsr.errors import EngineError, EngineUnavailable, InputError
-from dynsr.paper import BASES, SparseRecord, sparse_records
+from dynsr.paper import PAPER_NAMES, SparseRecord, sparse_records
 
 COEFFICIENT_LIMIT = 1e-6
 # Both take the same steps, so that a cap changes what is compared, not how well it agrees.
@@ -27,7 +27,7 @@ Section = Callable[[str, AbstractEngine], Iterator[CrosscheckRow]]
 
 
 def crosscheck(
-    systems: Sequence[str] = tuple(BASES),
+    systems: Sequence[str] = PAPER_NAMES,
     engines: Sequence[str] = ENGINES,
     sections: Sequence[str] | None = None,
     extra: Sequence[str] = (),
@@ -44,7 +44,7 @@ def crosscheck(
     """
     chosen = tuple(SECTIONS) if sections is None else tuple(sections)
     for kind, names, known in (
-        ("system", systems, tuple(BASES)),
+        ("system", systems, PAPER_NAMES),
         ("section", chosen, tuple(SECTIONS)),
         ("program", extra, tuple(PROGRAMS)),
     ):

@@ -29,7 +29,7 @@ _SCORES = {
     "forecast": ("forecast off by", "median miss of short forecasts, 1 = the state's spread"),
     "trajectory_rmse": ("run off by", "error of one integration over the whole data"),
     "equation_rmse": ("true slopes off by", "error against the true equation on the test span"),
-    "printed_loss": ("paper's loss", "the loss that the paper prints"),
+    "printed_loss": ("paper's loss", "the loss as the paper's tables were made"),
     "trajectory_loss": ("test run off by", "error of an integration over the test span"),
 }
 

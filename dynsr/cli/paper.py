@@ -35,6 +35,10 @@ def replicate(
         typer.Option("--out", "-o", help="Folder of the results.", rich_help_panel=options.OUTPUT),
     ] = Path("results"),
     quick: Annotated[bool, typer.Option(help="Small searches, for a first look.")] = False,
+    recorded_steps: Annotated[
+        bool,
+        typer.Option(help="Take the steps that the solver of 2021 took, for SINDy's samples."),
+    ] = False,
     engine: options.Engine = "embedded",
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -56,6 +60,7 @@ def replicate(
             jobs=jobs,
             out=out,
             quick=quick,
+            recorded_steps=recorded_steps,
             engine=engine,
             progress=not quiet,
             # They are written where they are shown.

@@ -48,16 +48,16 @@ def _is_complete(path: Path) -> bool:
 def score_discovery(
     found: Discovery, data: Sequence[Trajectory], system: str | None, engine: str
 ) -> dict[str, Any]:
-    """Score on the data, and for a known system against the truth by all three losses."""
+    """Score on the data, and for a known system against the truth by every loss that it has."""
     scores: dict[str, Any] = {"data": found.score(list(data))}
     if system is not None:
         from dynsr.data import find_system
-        from dynsr.discovery import score_model
+        from dynsr.paper import score_as_printed
 
         truth = find_system(system)
         method = ",".join(found.settings.get("methods", ()))
         scores["truth"] = {
-            state: score_model(truth, expr, method, engine, state)
+            state: score_as_printed(truth, [expr], method, target=state, engine=engine)[0].losses
             for state, expr in found.equations.items()
         }
     return scores

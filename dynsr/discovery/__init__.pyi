@@ -4,10 +4,9 @@ from .result import Discovery
 from .scoring import (
     Score,
     equation_rmse,
-    printed_loss,
     score_expressions,
-    score_model,
     trajectory_loss,
+    trajectory_losses,
 )
 from .search import discover
 from .uncertainty import bootstrap
@@ -20,8 +19,7 @@ __all__ = [
     "discover",
     "equation_rmse",
     "predict",
-    "printed_loss",
     "score_expressions",
-    "score_model",
     "trajectory_loss",
+    "trajectory_losses",
 ]

@@ -1,13 +1,13 @@
-"""Scoring: how far an equation that was found is from the true one, measured in three ways.
+"""Scoring: how far an equation that was found is from the true one, for any known system.
 
-- **equation RMSE**, the formula of the paper's text: root mean square of f_hat(x) - f(x) along the
-  true states of the test span, for the target alone (Weilbach et al. 2021, section 4.1).
-- **printed loss**, what the paper's tables really hold (decoded from its printed expressions):
-  the true system and the one with the equation replaced are integrated over the test span from
-  the start x0 placed at its first time, and loss = sqrt(mean over t of the sum over states d in D
-  of (x_hat_d - x_d)^2). D is all states for SINDy and the first two for every other method; the
-  altered pendulum starts at (0.3, 0), the truth at x0.
-- **trajectory loss**, the corrected one: the same with D all states, and both from x0.
+- **equation RMSE**: root mean square of f_hat(x) - f(x) along the true states of the test span,
+  for the target alone (Weilbach et al. 2021, section 4.1).
+- **trajectory loss**: the true system and the one with the equation replaced are integrated over
+  the test span, both from x0 at its first time; loss = sqrt(mean over t of the sum over all states
+  d of (x_hat_d - x_d)^2).
+
+The loss behind the numbers that the paper prints differs from the second one in its start and its
+states; it is the paper's alone, :mod:`dynsr.paper.protocol`.
 
 Both integrations take Tsit5 at its default tolerances and are compared at 5001 times. A solution
 that diverges, leaves its domain or needs more than 10 000 steps (the true ones of the paper need
@@ -31,29 +31,27 @@ from dynsr.expression import compile_numpy, parse, to_text
 
 COMPARED_TIMES = 5001
 MAX_STEPS = 10_000
-# Evidently the first two of the cart-pole's own start, copied.
-PRINTED_STARTS: dict[str, tuple[float, ...]] = {"pendulum": (0.3, 0.0)}
 _AT_ONCE = 256
 
 
-@dataclass(frozen=True)
-class Losses:
-    """The three losses of one equation; infinity where it has no value or diverges."""
-
-    equation_rmse: float
-    printed_loss: float
-    trajectory_loss: float
-
-
-_LOSSES = tuple(f.name for f in fields(Losses))
+_LOSSES = ("equation_rmse", "printed_loss", "trajectory_loss")
 
 
 @dataclass(frozen=True)
 class Score:
-    """One equation that a method found, with its three losses (state units, or those per second).
+    """One equation that a method found, with its losses.
 
-    ``expr`` is the right-hand side found for ``target``; ``seconds`` the time the search took;
-    ``origin`` says where the numbers come from (engine and versions).
+    Parameters
+    ----------
+    system, method, seed : what was searched, by what, from which seed.
+    target : the state whose equation was sought.
+    expr : the right-hand side found for it.
+    equation_rmse : state units per second.
+    trajectory_loss : state units.
+    printed_loss : the loss behind the numbers that the paper prints, state units; None unless the
+        paper's protocol was asked for and the system is one of the paper's.
+    seconds : time that the search took.
+    origin : where the numbers come from (engine and versions).
     """
 
     system: str
@@ -62,16 +60,28 @@ class Score:
     target: str
     expr: sympy.Expr
     equation_rmse: float
-    printed_loss: float
     trajectory_loss: float
+    printed_loss: float | None = None
     seconds: float = math.nan
     origin: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def losses(self) -> dict[str, float]:
+        """Every loss that was measured, by its name."""
+        values = {name: getattr(self, name) for name in _LOSSES}
+        return {name: value for name, value in values.items() if value is not None}
+
     def as_dict(self) -> dict[str, Any]:
-        """Give the parts as JSON can hold them: the expression as text, infinity as None."""
+        """Give the fields as JSON can hold them: the expression as text, infinity as None.
+
+        A loss that was not measured is left out.
+        """
         record = {**asdict(self), "expr": to_text(self.expr), "origin": dict(self.origin)}
         for name in (*_LOSSES, "seconds"):
-            record[name] = record[name] if math.isfinite(record[name]) else None
+            if record[name] is None:
+                del record[name]
+            elif not math.isfinite(record[name]):
+                record[name] = None
         return record
 
     @classmethod
@@ -79,7 +89,8 @@ class Score:
         """Read back what :meth:`as_dict` gave."""
         known = {f.name: record[f.name] for f in fields(cls) if f.name in record}
         for name in _LOSSES:
-            known[name] = math.inf if known[name] is None else float(known[name])
+            if name in known:
+                known[name] = math.inf if known[name] is None else float(known[name])
         if known.get("seconds") is None:
             known["seconds"] = math.nan
         return cls(**{**known, "expr": parse(known["expr"])})
@@ -93,8 +104,15 @@ def equation_rmse(
 ) -> float:
     """Root mean square of f_hat(x) - f(x) along the true states of the test span.
 
-    ``expr`` may use the states, the inputs and ``t``. Infinity where it has no value. Raises
-    InputError for an unknown name or target.
+    Parameters
+    ----------
+    system : the true system.
+    expr : right-hand side that was found; may use the states, the inputs and ``t``.
+    target : the state it was found for; the system's own target by default.
+    engine : what integrates.
+
+    Infinity where it has no value. Raises InputError for an unknown name or target, EngineError
+    when the true system has no solution over its test span.
 
     >>> from dynsr.data.system import PENDULUM
     >>> round(equation_rmse(PENDULUM, parse("-9.81*sin(theta1) - 0.1*theta2 + 0.25")), 12)
@@ -109,53 +127,50 @@ def trajectory_loss(
     target: str | None = None,
     engine: str | AbstractEngine = "embedded",
 ) -> float:
-    """Corrected loss: sqrt(mean over t of sum over all states of (x_hat - x)^2), both from x0.
+    """Trajectory loss: sqrt(mean over t of sum over all states of (x_hat - x)^2), both from x0.
 
-    Infinity when the altered system diverges. Raises InputError for an unknown name or target.
+    Parameters
+    ----------
+    system : the true system.
+    expr : right-hand side that was found; may use the states, the inputs and ``t``.
+    target : the state it was found for; the system's own target by default.
+    engine : what integrates.
+
+    Infinity when the altered system diverges. Raises InputError for an unknown name or target,
+    EngineError when the true system has no solution over its test span.
 
     >>> from dynsr.data.system import LOTKA_VOLTERRA
     >>> trajectory_loss(LOTKA_VOLTERRA, parse("-y*(3 - x)"))
     0.0
     """
-    test = _Test.of(system, find_engine(engine))
-    altered = system.with_rhs(target or system.target, expr)
-    return test.distance(test.integrate([(altered, system.x0)])[0], system.states)
+    return trajectory_losses(system, [expr], target, engine)[0]
 
 
-def printed_loss(
+def trajectory_losses(
     system: System,
-    expr: sympy.Expr,
-    method: str,
+    exprs: Sequence[sympy.Expr],
     target: str | None = None,
     engine: str | AbstractEngine = "embedded",
-) -> float:
-    """Loss as the paper's tables were really made for ``method`` (see the module's text).
+    *,
+    start: Sequence[float] | None = None,
+    states: Sequence[str] | None = None,
+) -> list[float]:
+    """Give the trajectory loss of each of many equations of one target.
 
-    Infinity when the altered system diverges. Raises InputError for an unknown name or target.
+    Parameters
+    ----------
+    system, target, engine : as in :func:`trajectory_loss`.
+    exprs : the right-hand sides that were found.
+    start : (k,) where the altered systems start; the true one always starts at its x0, the default.
+    states : whose distances are added up; all by default.
 
     >>> from dynsr.data.system import CART_POLE
-    >>> round(printed_loss(CART_POLE, parse("-2*w"), "GA"), 5)
-    0.41711
+    >>> some = trajectory_losses(CART_POLE, [parse("-2*w")], states=["w", "x"])
+    >>> some < trajectory_losses(CART_POLE, [parse("-2*w")])
+    True
     """
     test = _Test.of(system, find_engine(engine))
-    altered = system.with_rhs(target or system.target, expr)
-    found = test.integrate([(altered, printed_start(system))])[0]
-    return test.distance(found, compared_states(system, method))
-
-
-def score_model(
-    system: System,
-    expr: sympy.Expr,
-    method: str,
-    engine: str | AbstractEngine = "embedded",
-    target: str | None = None,
-) -> Losses:
-    """Give the three losses of one equation; the system is integrated once for all of them.
-
-    Raises InputError for an unknown name or target, EngineError when the true system itself has
-    no solution over its test span.
-    """
-    return _Test.of(system, find_engine(engine)).losses([expr], target or system.target, method)[0]
+    return test.trajectory_losses(exprs, target or system.target, start, states)
 
 
 def score_expressions(
@@ -168,10 +183,19 @@ def score_expressions(
     seconds: float = math.nan,
     engine: str | AbstractEngine = "embedded",
 ) -> list[Score]:
-    """Score many equations of one target at once; the three losses of each, in order.
+    """Score many equations of one target at once; the score of each, in order.
 
-    Equal expressions are integrated once. Raises InputError for an unknown name or target, and
-    EngineError when the true system itself has no solution over its test span.
+    Parameters
+    ----------
+    system : the true system; any one.
+    exprs : right-hand sides that were found; equal ones are integrated once.
+    method : name of the method that found them, kept in the scores.
+    target : the state they were found for; the system's own target by default.
+    seed, seconds : of the search, kept in the scores.
+    engine : what integrates.
+
+    Raises InputError for an unknown name or target, and EngineError when the true system itself
+    has no solution over its test span.
 
     >>> from dynsr.data.system import PENDULUM
     >>> score_expressions(PENDULUM, [parse("-10*sin(theta1)")], "sindy")[0].trajectory_loss < 1.5
@@ -181,10 +205,8 @@ def score_expressions(
     test = _Test.of(system, chosen)
     origin = {"engine": chosen.name, "versions": chosen.versions()}
     distinct = list(dict.fromkeys(exprs))
-    losses: dict[sympy.Expr, Losses] = {}
-    for first in range(0, len(distinct), _AT_ONCE):
-        some = distinct[first : first + _AT_ONCE]
-        losses.update(zip(some, test.losses(some, target, method), strict=True))
+    losses = dict(zip(distinct, test.trajectory_losses(distinct, target), strict=True))
+    rmse = {expr: test.equation_rmse(expr, target) for expr in distinct}
     return [
         Score(
             system.name,
@@ -192,22 +214,13 @@ def score_expressions(
             seed,
             target,
             expr,
-            **asdict(losses[expr]),
+            rmse[expr],
+            losses[expr],
             seconds=seconds,
             origin=origin,
         )
         for expr in exprs
     ]
-
-
-def printed_start(system: System) -> tuple[float, ...]:
-    """Start of the altered system in the paper's protocol."""
-    return PRINTED_STARTS.get(system.name, system.x0)
-
-
-def compared_states(system: System, method: str) -> tuple[str, ...]:
-    """States whose distances the paper's tables add up for ``method``."""
-    return system.states if "sindy" in method.lower() else system.states[:2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,33 +243,28 @@ class _Test:
             raise EngineError(f"{system.name} itself has no solution over {start:g} to {end:g} s")
         return cls(system, engine, t, truth.x)
 
-    def integrate(self, altered: Sequence[tuple[System, Sequence[float]]]) -> list[np.ndarray]:
-        problems = [
-            InitialValueProblem(
-                one.closed_rhs(), one.states, np.array(x0), self.t, max_steps=MAX_STEPS
-            )
-            for one, x0 in altered
-        ]
-        return [found.x for found in self.engine.integrate_all(problems)]
+    def trajectory_losses(
+        self,
+        exprs: Sequence[sympy.Expr],
+        target: str,
+        start: Sequence[float] | None = None,
+        states: Sequence[str] | None = None,
+    ) -> list[float]:
+        columns = [self.system.index(state) for state in states or self.system.states]
+        x0 = np.array(self.system.x0 if start is None else start)
+        losses = []
+        for first in range(0, len(exprs), _AT_ONCE):
+            altered = [self.system.with_rhs(target, e) for e in exprs[first : first + _AT_ONCE]]
+            problems = [
+                InitialValueProblem(one.closed_rhs(), one.states, x0, self.t, max_steps=MAX_STEPS)
+                for one in altered
+            ]
+            losses += [
+                self.distance(found.x, columns) for found in self.engine.integrate_all(problems)
+            ]
+        return losses
 
-    def losses(self, exprs: Sequence[sympy.Expr], target: str, method: str) -> list[Losses]:
-        """Three losses of each; one integration for two of them where both have the same start."""
-        altered = [self.system.with_rhs(target, expr) for expr in exprs]
-        right = self.integrate([(one, self.system.x0) for one in altered])
-        start, compared = printed_start(self.system), compared_states(self.system, method)
-        same = start == self.system.x0
-        wrong = right if same else self.integrate([(one, start) for one in altered])
-        return [
-            Losses(
-                self.equation_rmse(expr, target),
-                self.distance(as_printed, compared),
-                self.distance(corrected, self.system.states),
-            )
-            for expr, as_printed, corrected in zip(exprs, wrong, right, strict=True)
-        ]
-
-    def distance(self, found: np.ndarray, states: Sequence[str]) -> float:
-        columns = [self.system.index(state) for state in states]
+    def distance(self, found: np.ndarray, columns: Sequence[int]) -> float:
         with np.errstate(all="ignore"):
             gaps = found[:, columns] - self.x[:, columns]
             loss = float(np.sqrt(np.mean(np.sum(gaps * gaps, axis=1))))

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 import sympy
 
-from dynsr.data import Samples
+from dynsr.data import Samples, find_system
 from dynsr.engines import (
     AbstractEngine,
     Optimizer,
@@ -312,21 +312,21 @@ class SINDy(AbstractMethod):
 
     @classmethod
     def _of_paper(cls, system_name: str | None) -> SINDy:
-        from dynsr.paper import BASES, OPTIMIZERS
+        from dynsr.paper import PAPER_NAMES, find_protocol
 
-        if system_name not in BASES:
+        if system_name not in PAPER_NAMES:
             raise InputError(
                 f"SINDy has no paper settings for {system_name!r}; they exist for "
-                f"{', '.join(BASES)}; use preset best for other data"
+                f"{', '.join(PAPER_NAMES)}; use preset best for other data"
             )
-        optimizer, settings, cap = OPTIMIZERS[system_name]
+        protocol = find_protocol(find_system(system_name))
         return cls(
-            library=Library.from_strings(BASES[system_name]),
-            optimizer=optimizer,
-            settings=settings,
+            library=Library.from_strings(protocol.basis),
+            optimizer=protocol.optimizer,
+            settings=protocol.settings,
             implicit=True,
             release="2021",
-            max_iterations=cap,
+            max_iterations=protocol.iterations,
         )
 
     def search(

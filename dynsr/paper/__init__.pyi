@@ -1,24 +1,25 @@
 from .auditing import AuditRow, audit
 from .page import render_replication, write_results
-from .protocol import BASES, OPTIMIZERS
+from .protocol import PAPER_NAMES, find_protocol, printed_loss, score_as_printed
 from .records import MANIFEST, Record, RecordError, read_record
 from .reference import SparseRecord, sparse_records, trajectory_record
-from .replication import PAPER_NAMES, replicate
+from .replication import replicate
 from .results import table_1
 
 __all__ = [
     "AuditRow",
-    "BASES",
     "MANIFEST",
-    "OPTIMIZERS",
     "PAPER_NAMES",
     "Record",
     "RecordError",
     "SparseRecord",
     "audit",
+    "find_protocol",
+    "printed_loss",
     "read_record",
     "render_replication",
     "replicate",
+    "score_as_printed",
     "sparse_records",
     "table_1",
     "trajectory_record",

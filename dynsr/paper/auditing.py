@@ -12,10 +12,11 @@ import numpy as np
 import sympy
 
 from dynsr.data import find_system
-from dynsr.discovery import Score, printed_loss, score_expressions
+from dynsr.discovery import Score
 from dynsr.engines import AbstractEngine, find_engine
 from dynsr.expression import to_text
 from dynsr.paper.printed import PrintedExpression, printed_expressions
+from dynsr.paper.protocol import printed_loss, score_as_printed, sindy_samples
 
 Models = Callable[[AbstractEngine], Mapping[str, sympy.Expr]]
 
@@ -25,7 +26,7 @@ class AuditRow:
     """One printed expression and its loss, beside ours.
 
     ``printed`` is the loss as printed (``printed_digits`` with every digit), ``ours`` the loss
-    as printed for that expression (see :mod:`dynsr.discovery.scoring`), ``agrees`` whether ours
+    as printed for that expression (see :mod:`dynsr.paper.protocol`), ``agrees`` whether ours
     cut (not rounded) to the printed digits is the printed one. ``corrected`` is the corrected
     trajectory loss and ``equation_rmse`` the formula of the text. Where the printed
     coefficients are too rounded to give the printed loss, ``unrounded_expression`` is our own
@@ -89,15 +90,17 @@ def agrees_cut(printed: str, ours: float) -> bool:
 
 
 def paper_models(engine: AbstractEngine, systems: Iterable[str]) -> dict[str, sympy.Expr]:
-    """Find the paper's SINDy models anew from its own data, with all their digits."""
+    """Find the paper's SINDy models anew from its own data, with all their digits.
+
+    The embedded engine takes the recorded steps, since the digits are what is asked for here.
+    """
     # Here, because an audit with models of its own has no need of the search.
     from dynsr.methods import SINDy
-    from dynsr.paper.protocol import sindy_samples
 
     models = {}
     for name in systems:
         method = replace(SINDy.preset("paper", name), engine=engine)
-        samples = sindy_samples(find_system(name), engine)
+        samples = sindy_samples(find_system(name), engine, engine.name == "embedded")
         # The recipe holds no chance; the generator is there because every search takes one.
         models[name] = method.search(samples, np.random.default_rng(0)).best_fit.expr
     return models
@@ -113,7 +116,7 @@ def _groups() -> list[list[PrintedExpression]]:
 def _audit_group(group: list[PrintedExpression], engine: AbstractEngine) -> list[AuditRow]:
     system = find_system(group[0].system)
     exprs = [row.expr for row in group]
-    scores = score_expressions(system, exprs, group[0].method, engine=engine)
+    scores = score_as_printed(system, exprs, group[0].method, engine=engine)
     return [_row(printed, score) for printed, score in zip(group, scores, strict=True)]
 
 
@@ -125,8 +128,8 @@ def _row(printed: PrintedExpression, score: Score) -> AuditRow:
         expression=printed.expression,
         printed=printed.loss,
         printed_digits=printed.printed,
-        ours=score.printed_loss,
-        agrees=agrees_cut(printed.printed, score.printed_loss),
+        ours=score.losses["printed_loss"],
+        agrees=agrees_cut(printed.printed, score.losses["printed_loss"]),
         corrected=score.trajectory_loss,
         equation_rmse=score.equation_rmse,
         note=printed.note,

@@ -58,7 +58,8 @@ class Record:
     fit_loss : its RMSE on the training samples, state units per second.
     complexity : its description length in bits.
     equation_rmse : root mean square of f_hat - f along the true test states (the paper's formula).
-    printed_loss : the trajectory loss behind the numbers that the paper prints.
+    printed_loss : the trajectory loss behind the numbers that the paper prints; None for a system
+        that is not the paper's.
     trajectory_loss : the trajectory loss over all states from the right start.
     seconds : wall time of the search.
     engine, versions : what integrated and regressed, with the version of every part.
@@ -80,7 +81,7 @@ class Record:
     fit_loss: float = math.inf
     complexity: float = math.inf
     equation_rmse: float = math.inf
-    printed_loss: float = math.inf
+    printed_loss: float | None = None
     trajectory_loss: float = math.inf
     seconds: float = math.nan
     error: str = ""

@@ -15,7 +15,7 @@ from dynsr.data import Samples, Trajectory, find_system, make_samples
 from dynsr.engines import SparseProblem
 from dynsr.expression import compile_numpy
 from dynsr.methods import Library
-from dynsr.paper.protocol import BASES
+from dynsr.paper.protocol import find_protocol
 
 _SETTINGS = ("lambda", "threshold", "nu", "rho", "proximal")
 
@@ -63,7 +63,8 @@ def reference_samples(system_name: str) -> Samples:
 def reference_problem(system_name: str) -> tuple[np.ndarray, np.ndarray]:
     """theta (p, 1000) of the paper's basis, and dx (1000,)."""
     samples = reference_samples(system_name)
-    return Library.from_strings(BASES[system_name]).values(samples.columns), samples.y
+    library = Library.from_strings(find_protocol(find_system(system_name)).basis)
+    return library.values(samples.columns), samples.y
 
 
 def sparse_records(release: str) -> list[SparseRecord]:

@@ -31,14 +31,19 @@ from rich.progress import (
 )
 
 from dynsr import __version__
-from dynsr.data import PAPER_SYSTEMS, Samples, System, find_system, forward_difference
-from dynsr.discovery import score_expressions
+from dynsr.data import SYSTEMS, Samples, System, find_system, forward_difference
 from dynsr.engines import find_engine, training_trajectory
 from dynsr.errors import InputError
 from dynsr.expression import to_text
 from dynsr.methods import METHODS, AbstractMethod, make_method
 from dynsr.paper.page import write_results
-from dynsr.paper.protocol import STATE_STEPS, sindy_samples
+from dynsr.paper.protocol import (
+    PAPER_NAMES,
+    check_replays,
+    is_of_paper,
+    score_as_printed,
+    sindy_samples,
+)
 from dynsr.paper.records import (
     Record,
     RecordError,
@@ -60,13 +65,15 @@ MakeMethod = Callable[[str, str, str | None], AbstractMethod]
 class Plan:
     """What every cell of a replication shares.
 
-    ``make`` gives a method for its name, a preset and the name of a system.
+    ``make`` gives a method for its name, a preset and the name of a system; ``recorded_steps`` is
+    that of :func:`replicate`.
     """
 
     seed: int
     preset: str
     engine: str
     make: MakeMethod = make_method
+    recorded_steps: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,7 +114,7 @@ def cell_method(cell: Cell, plan: Plan) -> AbstractMethod:
     return method
 
 
-def cell_samples(cell: Cell, engine: str) -> Samples:
+def cell_samples(cell: Cell, engine: str, recorded_steps: bool = False) -> Samples:
     """Give the training samples of a cell.
 
     They are forward differences of the training trajectory (the paper's section 3 says backward,
@@ -116,10 +123,10 @@ def cell_samples(cell: Cell, engine: str) -> Samples:
     prints for the cart-pole holds the force, and its polynomial has the terms of four variables.
     """
     system = cell.system
-    if cell.method == "sindy" and system.name in STATE_STEPS:
-        return sindy_samples(system, engine)
+    if cell.method == "sindy" and is_of_paper(system):
+        return sindy_samples(system, engine, recorded_steps)
     samples = forward_difference(training_trajectory(system, engine), system.target)
-    if system.name not in STATE_STEPS:
+    if not is_of_paper(system):
         return samples
     count = len(system.states)
     return replace(samples, X=samples.X[:, :count], names=samples.names[:count])
@@ -189,22 +196,20 @@ def _leave_with(parent: int) -> None:
 
 
 def _search(cell: Cell, plan: Plan, method: AbstractMethod) -> dict[str, Any]:
-    samples = cell_samples(cell, plan.engine)
+    samples = cell_samples(cell, plan.engine, plan.recorded_steps)
     start = time.perf_counter()
     front = method.search(samples, cell.generator(plan.seed))
     seconds = time.perf_counter() - start
     if not len(front):
         raise ArithmeticError("no formula of the search has finite values on all samples")
     best = front.best_fit
-    score = score_expressions(cell.system, [best.expr], cell.method, engine=plan.engine)[0]
+    score = score_as_printed(cell.system, [best.expr], cell.method, engine=plan.engine)[0]
     return {
         "expression": to_text(best.expr),
         "fit_loss": best.loss,
         "complexity": best.complexity,
         "seconds": seconds,
-        "equation_rmse": score.equation_rmse,
-        "printed_loss": score.printed_loss,
-        "trajectory_loss": score.trajectory_loss,
+        **score.losses,
         "front": tuple(
             {"expression": to_text(c.expr), "loss": c.loss, "complexity": c.complexity}
             for c in front
@@ -217,7 +222,6 @@ def _one_line(error: Exception) -> str:
     return f"{type(error).__name__}: {text}"[:500]
 
 
-PAPER_NAMES = tuple(system.name for system in PAPER_SYSTEMS)
 RUNS, QUICK_RUNS = 5, 2
 # Rough cost of a cell, for the time left and for starting the long ones first.
 _COST = {"dynaifeynman": 30.0}
@@ -267,6 +271,7 @@ def replicate(
     engine: str = "embedded",
     progress: bool = False,
     report: bool = True,
+    recorded_steps: bool = False,
     make: MakeMethod = make_method,
 ) -> Replication:
     """Run the cells that have no record in ``out`` yet; give and write up the results of all.
@@ -282,19 +287,30 @@ def replicate(
     engine : "embedded" or "julia".
     progress : show a bar with the time left on the terminal.
     report : write the tables, Figure 1 and report.html into ``out`` at the end.
+    recorded_steps : make the samples of SINDy's rows with the steps that the release of 2021 took,
+        :func:`dynsr.paper.protocol.recorded_ends`, instead of our own; on the embedded engine.
     make : gives a method for its name, a preset and the name of a system.
 
     A cell that fails leaves a record that says why; the next call tries it again. Raises
     InputError when something asked for is unknown, or ``out`` cannot be used or holds results
-    with another seed, engine, quick or version of dynsr.
+    with another seed, engine, quick, recorded_steps or version of dynsr.
     """
     cells = _cells(systems, methods, _check_runs(runs, quick))
-    plan = Plan(_check_seed(seed), "quick" if quick else "paper", engine, make)
+    preset = "quick" if quick else "paper"
+    plan = Plan(_check_seed(seed), preset, engine, make, recorded_steps)
     workers = _check_jobs(jobs)
     find_engine(engine)
+    if recorded_steps:
+        check_replays(engine)
     for cell in {(c.system.name, c.method): c for c in cells}.values():
         cell_method(cell, plan)
-    settings = {"seed": plan.seed, "engine": engine, "quick": quick, "version": __version__}
+    settings = {
+        "seed": plan.seed,
+        "engine": engine,
+        "quick": quick,
+        "recorded_steps": recorded_steps,
+        "version": __version__,
+    }
     folder = open_folder(out, settings)
     records = _complete(cells, plan, folder, workers, progress)
     result = Replication(folder, settings, tuple(records[cell.name] for cell in cells))
@@ -321,6 +337,13 @@ def _cells(systems: Sequence[str | System], methods: Sequence[str], runs: int) -
     found = [s if isinstance(s, System) else find_system(s) for s in systems]
     if not found or not methods:
         raise InputError("there is nothing to replicate; name at least one system and one method")
+    for system in found:
+        # Records and tables go by name, and a name of the catalogue stands for its own system.
+        if system != SYSTEMS.get(system.name, system):
+            raise InputError(
+                f"{system.name!r} is not the system of that name in dynsr.SYSTEMS; give it another "
+                "name"
+            )
     unique = dict.fromkeys(methods)
     by_name = {s.name: s for s in found}
     return [Cell(s, m, r + 1) for s in by_name.values() for m in unique for r in range(runs)]

@@ -113,7 +113,7 @@ def _row_1(group: Group) -> tuple:
     return (
         *group.titles,
         str(all_) if done == all_ else f"{done} of {all_}",
-        Spread.of(r.printed_loss for r in group.done),
+        Spread.of(r.printed_loss for r in group.done if r.printed_loss is not None),
         " ± ".join(filter(None, (printed.mean, printed.spread))) if printed else "",
         Spread.of(r.trajectory_loss for r in group.done),
         Spread.of(row.corrected for row in paper),
