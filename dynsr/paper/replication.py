@@ -31,7 +31,7 @@ from rich.progress import (
 )
 
 from dynsr import __version__
-from dynsr.data import PAPER_SYSTEMS, Samples, System, find_system, forward_difference
+from dynsr.data import PAPER_SYSTEMS, Samples, System, find_system, make_samples
 from dynsr.discovery import score_expressions
 from dynsr.engines import find_engine, training_trajectory
 from dynsr.errors import InputError
@@ -118,7 +118,7 @@ def cell_samples(cell: Cell, engine: str) -> Samples:
     system = cell.system
     if cell.method == "sindy" and system.name in STATE_STEPS:
         return sindy_samples(system, engine)
-    samples = forward_difference(training_trajectory(system, engine), system.target)
+    samples = make_samples(training_trajectory(system, engine), system.target)
     if system.name not in STATE_STEPS:
         return samples
     count = len(system.states)
