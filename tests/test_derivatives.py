@@ -3,8 +3,9 @@ import warnings
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import savgol_filter
 
-from dynsr.data.samples import backward_difference, forward_difference
+from dynsr.data.samples import make_samples
 from dynsr.data.slopes import (
     BiasWarning,
     choose_samples,
@@ -112,17 +113,27 @@ def test_named_schemes_recover_slopes(scheme):
     assert samples.scheme == scheme
 
 
-@pytest.mark.parametrize("plain", [forward_difference, backward_difference])
-def test_one_sided_differences_leave_the_data_as_they_are(plain):
-    """Asked for by name, they give the very samples of the plain differences, noise and all."""
+@pytest.mark.parametrize("scheme", ["forward", "backward"])
+def test_one_sided_differences_leave_the_data_as_they_are(scheme):
+    """Asked for by name, they give the rise over the run beside the data, noise and all."""
     t = np.sort(np.random.default_rng(0).uniform(0, 10, 300))
     noisy = lotka_volterra(t, noise=0.05)[0]
-    expected = plain(noisy, "y")
-    found = choose_samples(noisy, "y", scheme=expected.scheme)
-    np.testing.assert_array_equal(found.X, expected.X)
-    np.testing.assert_allclose(found.y, expected.y, rtol=1e-12)
-    np.testing.assert_array_equal(found.t, expected.t)
-    assert found.scheme == expected.scheme
+    rows = slice(None, -1) if scheme == "forward" else slice(1, None)
+    for found in (choose_samples(noisy, "y", scheme=scheme), make_samples(noisy, "y", scheme)):
+        np.testing.assert_array_equal(found.X, noisy.x[rows])
+        np.testing.assert_allclose(found.y, np.diff(noisy.x[:, 1]) / np.diff(t), rtol=1e-12)
+        np.testing.assert_array_equal(found.t, t[rows])
+        assert found.scheme == scheme
+
+
+@pytest.mark.parametrize(("window", "degree"), [(5, 2), (31, 4), (41, 6)])
+def test_local_polynomials_are_those_of_savitzky_and_golay(window, degree):
+    """On even times, values and slopes are scipy's to its own rounding."""
+    x = np.random.default_rng(7).normal(size=300)
+    smooth = smooth_column(0.01 * np.arange(300), x, f"savgol({window},{degree})")
+    for order, found in ((0, smooth.x), (1, smooth.slope)):
+        expected = savgol_filter(x, window, degree, deriv=order, delta=0.01)[smooth.rows]
+        np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
 
 
 def test_own_slopes_are_used_and_checked():
@@ -142,7 +153,7 @@ def test_own_slopes_are_used_and_checked():
 def test_forward_differences_are_known_to_be_biased():
     """Forward differences at dt 0.01 are told apart from good slopes by their bias."""
     exact, _, slopes = lotka_volterra(GRID)
-    forward = forward_difference(exact, "y")
+    forward = make_samples(exact, "y")
     expected = np.sqrt(np.mean((forward.y - slopes[:-1, 1]) ** 2) / np.mean(slopes[:, 1] ** 2))
     found = slope_bias(exact, "y", forward.t, forward.y)
     assert found == pytest.approx(expected, rel=0.1)

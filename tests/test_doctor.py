@@ -1,4 +1,6 @@
+import email
 import json
+import re
 import sys
 from importlib import metadata
 
@@ -41,11 +43,28 @@ def use_engine(monkeypatch, engine: AbstractEngine | Exception) -> None:
     monkeypatch.setattr(doctor, "find_engine", find)
 
 
+def describe(monkeypatch, *lines: str) -> None:
+    """Let dynsr's metadata say these lines."""
+    message = email.message_from_string("\n".join(["Name: dynsr", *lines]))
+    monkeypatch.setattr(doctor.metadata, "metadata", lambda name: message)
+
+
 def test_what_is_installed_is_named_with_its_version():
-    """Every required package has a row with the version that pip knows."""
+    """Every package that the metadata requires without an extra has a row with its version."""
     found = by_name(doctor.examine([]))
-    for name in doctor.REQUIRED:
+    required = [line for line in metadata.requires("dynsr") if "extra ==" not in line]
+    names = {re.match(r"[\w-]+", line)[0] for line in required}
+    assert "numpy" in names
+    for name in names:
         assert found[name].state == "ok" and found[name].detail == metadata.version(name)
+        assert found[name].required
+
+
+def test_packages_of_extras_may_be_missing_and_tools_are_not_looked_for():
+    """What an extra adds has a row of its own that nothing depends on; pytest has none."""
+    found = by_name(doctor.examine([]))
+    assert not found["juliacall"].required and not found["polars"].required
+    assert "pytest" not in found and "dynsr" in found
 
 
 def test_the_embedded_engine_works():
@@ -69,14 +88,33 @@ def test_what_is_missing_comes_with_its_remedy(monkeypatch):
 
 def test_a_missing_package_is_named_with_the_line_that_installs_it(monkeypatch):
     """Required packages make dynsr ill when they are missing, optional ones do not."""
-    monkeypatch.setattr(doctor, "REQUIRED", ("no-such-package",))
-    monkeypatch.setattr(doctor, "OPTIONAL", {"no-such-extra": "extra"})
+    describe(
+        monkeypatch,
+        "Provides-Extra: all",
+        "Provides-Extra: some",
+        "Requires-Dist: no-such-package>=2",
+        "Requires-Dist: dynsr[some]; extra == 'all'",
+        "Requires-Dist: no-such-extra; extra == 'all'",
+        "Requires-Dist: another; extra == 'all'",
+        "Requires-Dist: no-such-extra; extra == 'some'",
+        "Requires-Dist: of-another-system; sys_platform == 'none'",
+    )
     checks = doctor.examine([])
     found = by_name(checks)
-    assert found["no-such-package"].remedy == "pip install no-such-package"
-    assert found["no-such-extra"].remedy == "pip install 'dynsr[extra]'"
+    assert found["no-such-package"].remedy == "pip install 'no-such-package>=2'"
+    assert found["no-such-extra"].remedy == "pip install 'dynsr[some]'"
+    assert "of-another-system" not in found and "another" in found
+    assert len(found) == len(checks)
     assert not doctor.is_healthy(checks)
     assert doctor.is_healthy([c for c in checks if c.name != "no-such-package"])
+
+
+def test_a_package_that_is_too_old_fails(monkeypatch):
+    """A version outside the required range is named beside the range."""
+    describe(monkeypatch, "Requires-Dist: numpy>=999")
+    row = by_name(doctor.examine([]))["numpy"]
+    assert row.state == "fails" and row.remedy == "pip install 'numpy>=999'"
+    assert row.detail == f"{np.__version__} where >=999 is needed"
 
 
 def test_an_engine_that_is_there_but_wrong_is_found_out(monkeypatch):

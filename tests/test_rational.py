@@ -5,7 +5,7 @@ import pytest
 import sympy
 from scipy.integrate import solve_ivp
 
-from dynsr.data.samples import Samples, finite_difference
+from dynsr.data.samples import Samples, make_samples
 from dynsr.data.system import CART_POLE, MICHAELIS_MENTEN, System
 from dynsr.data.trajectory import Trajectory
 from dynsr.expression.evaluation import compile_numpy
@@ -44,14 +44,14 @@ def _same(expr: sympy.Expr, law: sympy.Expr, tolerance: float = 1e-3) -> bool:
 
 def test_a_ratio_is_found_from_a_trajectory():
     """Michaelis-Menten kinetics are recovered as a ratio, with their constants."""
-    samples = finite_difference(_integrate(MICHAELIS_MENTEN), "x", 6)
+    samples = make_samples(_integrate(MICHAELIS_MENTEN), "x", "central6")
     found = _find(samples, costs=(2,))
     assert any(_same(c.expr, MICHAELIS_MENTEN.rhs[0], 1e-4) for c in found)
 
 
 def test_a_search_for_sums_alone_finds_no_ratio():
     """With denominators switched off every formula is a sum of features."""
-    samples = finite_difference(_integrate(MICHAELIS_MENTEN), "x", 6)
+    samples = make_samples(_integrate(MICHAELIS_MENTEN), "x", "central6")
     for candidate in _find(samples, costs=(2,), denominators=False, max_terms=3):
         assert sympy.denom(sympy.together(candidate.expr)).is_number
 
@@ -61,7 +61,7 @@ def test_the_cart_pole_law_is_found_without_a_library():
     """Both accelerations of the cart-pole come out in their exact rational form, F known."""
     trajectory = _integrate(CART_POLE)
     for target, costs in (("z", (4,)), ("y", (4, 6))):
-        samples = finite_difference(trajectory, target, 6)
+        samples = make_samples(trajectory, target, "central6")
         law = CART_POLE.rhs[CART_POLE.index(target)]
         assert any(_same(c.expr, law) for c in _find(samples, costs=costs, rounds=1))
 

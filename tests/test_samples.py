@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dynsr.data.samples import SCHEMES, finite_difference, make_samples
+from dynsr.data.samples import SCHEMES, make_samples
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
@@ -28,7 +28,7 @@ def test_central_differences_are_exact_for_polynomials_on_uneven_times():
     """Order 6 differentiates a polynomial of degree 6 exactly, whatever the spacing."""
     t = np.sort(np.random.default_rng(0).uniform(0, 1, 12))
     cubic = Trajectory(t, (t**6 - t)[:, None], ("x",))
-    samples = finite_difference(cubic, "x", 6)
+    samples = make_samples(cubic, "x", "central6")
     np.testing.assert_allclose(samples.y, 6 * samples.t**5 - 1, atol=1e-9)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import dynsr
-from dynsr.data.samples import forward_difference
+from dynsr.data.samples import make_samples
 from dynsr.data.system import CART_POLE, LOTKA_VOLTERRA, PENDULUM, SYSTEMS, System
 from dynsr.engines.simulation import add_noise, simulate, training_trajectory
 from dynsr.errors import EngineError, InputError
@@ -41,7 +41,7 @@ def test_training_data_are_the_papers(system):
     """States and forward differences at t = 0, 0.01, ..., 10 are those of the paper's release."""
     golden = np.loadtxt(GOLDEN / f"paper_row_{system.name}.csv.gz", delimiter=",", skiprows=1)
     found = training_trajectory(system)
-    samples = forward_difference(found, system.target)
+    samples = make_samples(found, system.target)
     assert len(samples) == len(golden) == 1001
     assert np.abs(samples.t - golden[:, 0]).max() < 1e-12
     assert np.abs(found.x[:-1] - golden[:, 1:3]).max() < 2e-5

@@ -3,6 +3,7 @@ import warnings
 import numpy as np
 import pandas
 import polars
+import pyarrow
 import pytest
 
 from dynsr.data.reading import read_trajectories, write_csv
@@ -36,11 +37,37 @@ def test_delimiters(tmp_path, delimiter):
     assert np.array_equal(part.t, T) and np.array_equal(part.x, X)
 
 
-def test_decimal_comma(tmp_path):
-    """A table in the European manner, 1,5;2,5, gives the same numbers."""
-    text = table_text(delimiter=";").replace(".", ",")
+@pytest.mark.parametrize("delimiter", [";", "\t", "|", " "])
+@pytest.mark.parametrize("header", ["t,x,y", ""])
+def test_decimal_comma(tmp_path, delimiter, header):
+    """A table in the European manner, 1,5;2,5, gives the same numbers, with a header or without."""
+    text = "\n".join(delimiter.join(map(str, row)) for row in np.column_stack([T, X]))
+    text = f"{header.replace(',', delimiter)}\n{text.replace('.', ',')}\n"
     (part,) = read_trajectories(put(tmp_path, text)).trajectories
-    assert np.array_equal(part.x, X)
+    assert np.array_equal(part.t, T) and np.array_equal(part.x, X)
+
+
+def test_a_comment_above_the_rows_names_the_columns(tmp_path):
+    """The last comment is the header when it has as many cells; other comments are skipped."""
+    rows = table_text(header="").strip()
+    named = put(tmp_path, f"# rig 3, May; by A\n# t,a,b\n{rows}\n")
+    assert read_trajectories(named).trajectories[0].states == ("a", "b")
+    unnamed = put(tmp_path, f"# t,a,b\n# rig 3, new\n{rows}\n")
+    assert read_trajectories(unnamed).trajectories[0].states == ("x1", "x2")
+
+
+def test_delimiters_at_the_end_of_rows(tmp_path):
+    """A nameless column without values, which such a delimiter makes, is left out."""
+    text = table_text().replace("\n", ",\n")
+    assert read_trajectories(put(tmp_path, text)).trajectories[0].states == ("x", "y")
+
+
+@pytest.mark.parametrize("row", ["2.0,1.0", "2.0,1.0,2.0,4.0"])
+def test_a_header_that_does_not_fit_is_refused(tmp_path, row):
+    """A header of more or fewer names than the rows have cells is refused with both counts."""
+    said = f"names 3 columns but row 1 has {row.count(',') + 1} cells"
+    with pytest.raises(InputError, match=said):
+        read_trajectories(put(tmp_path, "t,x,y\n" + 20 * f"{row}\n"))
 
 
 def sources(folder):
@@ -59,7 +86,12 @@ def sources(folder):
         "npy": folder / "data.npy",
         "pandas": pandas.DataFrame(columns),
         "pandas with the time as index": pandas.DataFrame(columns).set_index("t"),
+        "pandas with two levels of index": pandas.DataFrame({"run": "a", **columns}).set_index(
+            ["run", "t"]
+        ),
+        "pandas with missing values": pandas.DataFrame(columns).astype("Float64"),
         "polars": polars.DataFrame(columns),
+        "pyarrow": pyarrow.table(columns),
         "mapping": columns,
         "pair": (T, X),
         "array": np.column_stack([T, X]),

@@ -10,27 +10,15 @@ from importlib import metadata
 
 import numpy as np
 import sympy
+from packaging.requirements import Requirement
 
 from dynsr import __version__
 from dynsr.engines import ENGINES, AbstractEngine, InitialValueProblem, SparseProblem, find_engine
 from dynsr.engines import install as install_julia
 from dynsr.errors import EngineError, EngineUnavailable
 
-# What dynsr needs, by the names under which pip knows them.
-REQUIRED = (
-    "numpy",
-    "scipy",
-    "sympy",
-    "torch",
-    "pysindy",
-    "joblib",
-    "pandas",
-    "typer",
-    "rich",
-    "matplotlib",
-    "jinja2",
-)
-OPTIONAL = {"juliacall": "julia", "diffeqpy": "diffeqpy"}
+# Extras that build and test dynsr; using it needs none of their packages.
+_WORKSHOP = ("dev", "docs")
 OK, MISSING, FAILS = "ok", "missing", "fails"
 
 
@@ -54,9 +42,16 @@ class Check:
 
 
 def examine(engines: Sequence[str] = ENGINES) -> list[Check]:
-    """Look at every part and try every engine, with an integration and a regression each.
+    """Look at every package and try every engine, with an integration and a regression each.
 
-    Nothing is installed; Julia is started where it is set up.
+    Nothing is installed; Julia is started where it is set up. The packages are those that dynsr's
+    own metadata names: what it requires, and what its extras add.
+
+    Parameters
+    ----------
+    engines : names of the engines to try.
+
+    Raises InputError when an engine is unknown.
 
     >>> {check.name: check.state for check in examine(["embedded"])}["embedded: integration"]
     'ok'
@@ -64,8 +59,7 @@ def examine(engines: Sequence[str] = ENGINES) -> list[Check]:
     checks = [
         Check("dynsr", OK, __version__),
         Check("python", OK, f"{platform.python_version()} on {platform.platform(terse=True)}"),
-        *(_examine_package(name, "", True) for name in REQUIRED),
-        *(_examine_package(name, extra, False) for name, extra in OPTIONAL.items()),
+        *_examine_packages(),
     ]
     for name in engines:
         checks.extend(_examine_engine(name))
@@ -74,6 +68,10 @@ def examine(engines: Sequence[str] = ENGINES) -> list[Check]:
 
 def is_healthy(checks: Sequence[Check]) -> bool:
     """Whether all that is required is there, and nothing that is there fails.
+
+    Parameters
+    ----------
+    checks : what :func:`examine` gave.
 
     >>> is_healthy([Check("julia", "missing", "not set up", "dynsr doctor --install", False)])
     True
@@ -89,12 +87,40 @@ def install() -> str:
     return install_julia()
 
 
-def _examine_package(name: str, extra: str, required: bool) -> Check:
+def _examine_packages() -> Iterator[Check]:
+    """Look at every package that this Python needs once, under the smallest extra that has it."""
     try:
-        return Check(name, OK, metadata.version(name), required=required)
+        named = metadata.metadata("dynsr")
     except metadata.PackageNotFoundError:
-        remedy = f"pip install 'dynsr[{extra}]'" if extra else f"pip install {name}"
+        yield Check("packages", MISSING, "dynsr is not installed", "pip install .", False)
+        return
+    every = [Requirement(line) for line in named.get_all("Requires-Dist") or ()]
+    asked = {
+        extra: [r for r in every if r.marker is None or r.marker.evaluate({"extra": extra})]
+        for extra in ("", *(named.get_all("Provides-Extra") or ()))
+        if extra not in _WORKSHOP
+    }
+    seen = {"dynsr"}
+    # Every extra has the packages that are always required, so that these come first.
+    for extra, requirements in sorted(asked.items(), key=lambda pair: (len(pair[1]), pair[0])):
+        for requirement in requirements:
+            if requirement.name not in seen:
+                seen.add(requirement.name)
+                yield _examine_package(requirement, extra)
+
+
+def _examine_package(requirement: Requirement, extra: str) -> Check:
+    name, required = requirement.name, not extra
+    package = f"dynsr[{extra}]" if extra else f"{name}{requirement.specifier}"
+    remedy = f"pip install '{package}'"
+    try:
+        version = metadata.version(name)
+    except metadata.PackageNotFoundError:
         return Check(name, MISSING, "not installed", remedy, required)
+    if not requirement.specifier.contains(version, prereleases=True):
+        detail = f"{version} where {requirement.specifier} is needed"
+        return Check(name, FAILS, detail, remedy, required)
+    return Check(name, OK, version, required=required)
 
 
 def _examine_engine(name: str) -> Iterator[Check]:
@@ -131,10 +157,10 @@ def _examine_versions(engine: AbstractEngine) -> Iterator[Check]:
     try:
         versions = engine.versions()
     except EngineError:
-        # The verbs above have told why.
+        # The integration and the regression before have told why.
         return
-    for part, version in versions.items():
-        yield Check(f"{engine.name}: {part}", OK, version, required=False)
+    for package, version in versions.items():
+        yield Check(f"{engine.name}: {package}", OK, version, required=False)
 
 
 def _try_integration(engine: AbstractEngine) -> float:
@@ -153,6 +179,6 @@ def _try_regression(engine: AbstractEngine) -> float:
 
 
 def _split_remedy(message: str) -> tuple[str, str]:
-    """Part what is wrong from the remedy, which is what follows the last semicolon."""
+    """Separate what is wrong from the remedy, which follows the last semicolon."""
     what, _, remedy = message.rpartition("; ")
     return what, remedy.removeprefix("run ")

@@ -1,6 +1,6 @@
 from .catalogue import DEFINITIONS, find_definition
 from .reading import read_trajectories, split_held_back, take_trajectories, write_csv
-from .samples import SCHEMES, Samples, forward_difference, make_samples
+from .samples import SCHEMES, Samples, make_samples
 from .slopes import choose_samples, estimate_noise
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .trajectory import Trajectory
@@ -17,7 +17,6 @@ __all__ = [
     "estimate_noise",
     "find_definition",
     "find_system",
-    "forward_difference",
     "make_samples",
     "read_trajectories",
     "split_held_back",

@@ -1,19 +1,46 @@
-"""Columns: a table as it stood in its source, before anyone decides what a column means."""
+"""Columns: what a file, a frame or arrays hold, before anyone decides what a column means."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import codecs
+import gzip
+import io
+import os
+import warnings
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from dynsr.data.trajectory import Trajectory
+from dynsr.errors import InputError
+
+_HEAD_BYTES = 1 << 16
+_HEAD_ROWS = 200
+# In order of preference where several read the sample equally well.
+_DELIMITERS = ("\t", ";", "|", ",", r"\s+")
+_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_MAGIC = {b"PK\x03\x04": "a zip or Excel file", b"\x89PNG": "a picture", b"%PDF": "a PDF"}
+# Array of names in an archive -> the matrix whose columns they name.
+_LABELS = {"states": "x", "input_names": "inputs", "columns": "data"}
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
     """Named columns as they stood in the source.
 
-    ``values`` are one-dimensional arrays of equal length: float64, or objects where a cell is no
-    number. ``label`` is what a message calls the source, ``notes`` what was noticed on reading,
-    ``named`` whether the names are the source's own. ``inputs`` are those the source declares.
+    Parameters
+    ----------
+    names : the names, in the order of the source.
+    values : one array (n,) a column: float64, dates, or objects where a cell is no number.
+    label : what a message calls the source.
+    notes : what was noticed on reading, a sentence each.
+    named : whether the names are the source's own.
+    inputs : names of the columns that the source declares to be inputs.
     """
 
     names: tuple[str, ...]
@@ -23,6 +50,195 @@ class Columns:
     named: bool = True
     inputs: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Check that there are columns of one length, each with a name of its own."""
+        if not self.names:
+            raise InputError(f"{self.label} holds no columns; it needs times and states")
+        for name, value in zip(self.names, self.values, strict=True):
+            if name and self.names.count(name) > 1:
+                raise InputError(f"column name {name!r} is used twice in {self.label}; rename one")
+            if len(value) != len(self.values[0]):
+                raise InputError(
+                    f"column {name!r} of {self.label} has {len(value)} rows but "
+                    f"{self.names[0]!r} has {len(self.values[0])}; "
+                    "give all columns the same length"
+                )
+
+
+def load_columns(source: Any) -> Columns:
+    """Load the columns of a file, a frame, a mapping of arrays, a Trajectory or a 2-D array.
+
+    Files are told by their suffix: ``.npz``, ``.npy``, ``.parquet`` or ``.pq``; anything else is
+    delimited text. Frames are those that narwhals knows, such as pandas, polars and pyarrow. An
+    array has the time as its first column; a pair ``(t, x)`` is taken apart.
+
+    Raises InputError when the source is none of these or cannot be read.
+
+    >>> load_columns({"t": [0, 1], "x": [2.0, 3.0]}).names
+    ('t', 'x')
+    """
+    import narwhals
+
+    if isinstance(source, (str, os.PathLike)):
+        return _load_file(Path(source))
+    if isinstance(source, Trajectory):
+        values = (source.t, *source.columns.T)
+        return Columns(
+            ("t", *source.names), values, "the trajectory", inputs=tuple(source.input_names)
+        )
+    if isinstance(source, Mapping):
+        return _load_mapping(source, "the mapping")
+    if narwhals.dependencies.is_into_dataframe(source):
+        return _load_frame(source, "the data frame")
+    if isinstance(source, tuple) and len(source) == 2:
+        return _load_array(_beside(*source), "the arrays")
+    if isinstance(source, np.ndarray):
+        return _load_array(source, "the array")
+    raise InputError(
+        f"cannot read data from a {type(source).__name__}; "
+        "give a file, a data frame, a (t, x) pair of arrays, a mapping of columns or a Trajectory"
+    )
+
+
+def _load_file(path: Path) -> Columns:
+    _check_file(path)
+    suffix = path.suffix.lower()
+    if suffix in (".parquet", ".pq"):
+        return _load_parquet(path)
+    if suffix not in (".npz", ".npy"):
+        return _load_delimited(path)
+    try:
+        if suffix == ".npy":
+            return _load_array(np.load(path, allow_pickle=False), path.name)
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, TypeError, AttributeError) as error:
+        kind = "array file" if suffix == ".npy" else "npz archive"
+        raise _unreadable(path, kind, error) from None
+    return _load_mapping(arrays, path.name)
+
+
+def _check_file(path: Path) -> None:
+    if path.is_dir():
+        raise InputError(f"{str(path)!r} is a directory; give a file with the trajectory in it")
+    if not path.exists():
+        raise InputError(f"there is no file {str(path)!r}; check the name")
+    if not path.is_file():
+        raise InputError(f"{str(path)!r} is not a regular file; give a file of data")
+    if not os.access(path, os.R_OK):
+        raise InputError(f"file {str(path)!r} may not be read; change its permissions")
+    if path.stat().st_size == 0:
+        raise InputError(f"file {str(path)!r} is empty; it needs rows of times and states")
+
+
+def _unreadable(path: Path, kind: str, error: Exception) -> InputError:
+    if "pickle" in str(error).lower() or "object array" in str(error).lower():
+        return InputError(
+            f"{path.name!r} holds Python objects, which could run code when read; "
+            "save plain numbers (dtype float64) instead"
+        )
+    return InputError(f"{path.name!r} is damaged or not a {kind}; write it again and retry")
+
+
+def _load_parquet(path: Path) -> Columns:
+    import pandas
+
+    try:
+        frame = pandas.read_parquet(path)
+    except ImportError:
+        raise InputError(
+            f"reading {path.name!r} needs pyarrow; run: pip install pyarrow, or save it as CSV"
+        ) from None
+    except Exception as error:  # pyarrow raises a family of its own for damaged files
+        raise _unreadable(path, "Parquet file", error) from None
+    return _load_frame(frame, path.name)
+
+
+def _load_frame(source: Any, label: str) -> Columns:
+    import narwhals
+
+    index = getattr(source, "index", None)
+    if any(name is not None for name in getattr(index, "names", ())):
+        source = source.reset_index()  # pandas: a named index is a column too
+    try:
+        frame = narwhals.from_native(source, eager_only=True)
+    except narwhals.exceptions.DuplicateError:
+        names = [str(name) for name in source.columns]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"column name {twice!r} is used twice in {label}; rename one") from None
+    values = tuple(_plain(column.to_numpy()) for column in frame.iter_columns())
+    return Columns(tuple(map(str, frame.columns)), values, label)
+
+
+def _load_mapping(arrays: Mapping[str, Any], label: str) -> Columns:
+    """Spread matrices over columns; an array of strings names the columns of the one before."""
+    labels = {k: tuple(map(str, v)) for k, v in arrays.items() if _is_text(v) and k in _LABELS}
+    names: list[str] = []
+    values: list[np.ndarray] = []
+    for key, value in arrays.items():
+        if key in labels:
+            continue
+        array = np.asarray(value)
+        if array.ndim == 1:
+            names.append(str(key))
+            values.append(_plain(array))
+        elif array.ndim == 2:
+            names += _matrix_names(str(key), array, labels)
+            values += [_plain(column) for column in array.T]
+        elif array.ndim > 2:
+            raise InputError(
+                f"array {key!r} of {label} has {array.ndim} dimensions; "
+                "give one column (n,) or a table (n, k), one row a time"
+            )
+    inputs = labels.get("input_names", ())
+    return Columns(tuple(names), tuple(values), label, inputs=tuple(n for n in inputs if n))
+
+
+def _matrix_names(
+    key: str, matrix: np.ndarray, labels: Mapping[str, tuple[str, ...]]
+) -> Sequence[str]:
+    for label, named in _LABELS.items():
+        if key == named and len(labels.get(label, ())) == matrix.shape[1]:
+            return labels[label]
+    return [f"{key}{j + 1}" for j in range(matrix.shape[1])]
+
+
+def _is_text(value: Any) -> bool:
+    array = np.asarray(value)
+    return array.ndim == 1 and array.dtype.kind in "US"
+
+
+def _plain(array: np.ndarray) -> np.ndarray:
+    """Give numbers as float64 and everything else as objects."""
+    if array.dtype.kind == "M":
+        return array
+    if array.dtype.kind == "c":
+        raise InputError("the data holds complex numbers; give the real and imaginary parts apart")
+    return array.astype(float) if array.dtype.kind in "fiub" else array.astype(object)
+
+
+def _beside(t: Any, x: Any) -> np.ndarray:
+    """Put times and states beside each other."""
+    try:
+        t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("t and x must be arrays of numbers") from None
+    if t.ndim != 1 or x.ndim not in (1, 2) or len(x) != len(t):
+        raise InputError(f"t {t.shape} and x {x.shape} do not fit; give t (n,) and x (n, k)")
+    return np.column_stack([t, x])
+
+
+def _load_array(array: np.ndarray, label: str) -> Columns:
+    if array.dtype.names:
+        return _load_mapping({name: array[name] for name in array.dtype.names}, label)
+    if array.ndim != 2:
+        raise InputError(
+            f"{label} has shape {array.shape}; give (n, 1 + k) with the time as first column, "
+            "or pass the times as time="
+        )
+    names = generated_names(array.shape[1])
+    return Columns(names, tuple(_plain(c) for c in array.T), label, named=False)
+
 
 def generated_names(count: int) -> tuple[str, ...]:
     """Name the columns of a table without a header: t, then x or x1, x2, ...
@@ -31,3 +247,138 @@ def generated_names(count: int) -> tuple[str, ...]:
     ('t', 'x1', 'x2')
     """
     return ("t", "x") if count == 2 else ("t", *(f"x{j}" for j in range(1, count)))
+
+
+def _load_delimited(path: Path) -> Columns:
+    """Read a table of delimited text; every cell that is no number stays as text."""
+    head = _read_head(path)
+    try:
+        return _load_text(path, head, "utf-16" if head.startswith(_UTF16) else "utf-8-sig")
+    except UnicodeDecodeError:
+        # A few letters of a header are all that tells the encoding of a table of numbers, too few
+        # for charset-normalizer: it reads a Latin-1 "é" as Arabic and "µm" as Big5.
+        note = f"{path.name!r} is not UTF-8; it was read as Latin-1, so check the names"
+        return replace(_load_text(path, head, "latin-1"), notes=(note,))
+
+
+def _read_head(path: Path) -> bytes:
+    opener: Any = gzip.open if path.suffix.lower() == ".gz" else open
+    try:
+        with opener(path, "rb") as file:
+            head: bytes = file.read(_HEAD_BYTES)
+    except (OSError, EOFError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"cannot read {str(path)!r}: {reason}") from None
+    for magic, kind in _MAGIC.items():
+        if head.startswith(magic):
+            raise InputError(f"{path.name!r} is {kind}, not a table; save the data as CSV")
+    controls = sum(byte < 9 for byte in head)
+    if not head.startswith(_UTF16) and (b"\0" in head or controls > len(head) / 100):
+        raise InputError(
+            f"{path.name!r} is binary, not text; give CSV, TSV, Parquet (.parquet) or .npz"
+        )
+    return head
+
+
+def _load_text(path: Path, head: bytes, encoding: str) -> Columns:
+    lines = head.decode(encoding, errors="replace").splitlines()
+    if len(head) == _HEAD_BYTES:
+        lines.pop()  # it may be cut
+    rows = [j for j, line in enumerate(lines) if line.strip() and line.lstrip()[0] != "#"]
+    if not rows:
+        raise InputError(f"{path.name!r} holds no rows; it needs rows of times and states")
+    # A first row may be the header, so that the next ones show how cells are written.
+    sample = [lines[j] for j in rows[1 : 1 + _HEAD_ROWS]] or [lines[rows[0]]]
+    delimiter, decimal = _guess_dialect(sample)
+    names, skip = _find_names(lines[rows[0]], delimiter, decimal), rows[0] + 1
+    if names and len(rows) == 1:
+        raise InputError(f"{path.name!r} has a header but no rows; it needs times and states")
+    if not names:
+        skip = rows[0]
+        above = [line.lstrip("# ") for line in lines[:skip] if line.strip(" #")]
+        names = _find_names(above[-1], delimiter, decimal) if above else []
+    frame = _parse_rows(path, delimiter, decimal, skiprows=skip, encoding=encoding)
+    if skip == rows[0] and len(names) != frame.shape[1]:
+        names = []  # a comment that is no header
+    _check_width(names, frame, path.name, lines[rows[0]])
+    # A delimiter at the end of each row makes a nameless column without a value.
+    kept = [
+        (name, _plain(frame[j].to_numpy()))
+        for j, name in enumerate(names or generated_names(frame.shape[1]))
+        if name or frame[j].notna().any()
+    ]
+    found, values = zip(*kept, strict=True)
+    return Columns(found, values, path.name, named=bool(names))
+
+
+def _guess_dialect(sample: Sequence[str]) -> tuple[str, str]:
+    """Find the delimiter and the decimal mark by which most columns of a sample are numbers.
+
+    csv.Sniffer, pandas' own sniffing and clevercsv count signs and know nothing of numbers: they
+    take the decimal comma of "0,5 1,5" for a delimiter.
+
+    >>> _guess_dialect(["0,5;1", "1,5;2"])
+    (';', ',')
+    """
+
+    def share_of_numbers(dialect: tuple[str, str]) -> tuple[float, int]:
+        frame = _parse_rows(sample, *dialect, on_bad_lines="skip")
+        numbers = len(frame.select_dtypes("number").columns)
+        return numbers / max(frame.shape[1], 1), frame.shape[1]
+
+    dialects = [pair for pair in product(_DELIMITERS, ".,") if pair[0] != pair[1]]
+    return max(dialects, key=share_of_numbers)
+
+
+def _find_names(line: str, delimiter: str, decimal: str) -> list[str]:
+    """Give the cells of a header; nothing where more than half of the cells are numbers."""
+    cells = _parse_rows([line], delimiter, decimal)
+    texts = sum(dtype.kind not in "fiub" for dtype in cells.dtypes)
+    if not texts or 2 * texts < int(cells.notna().sum().sum()):
+        return []
+    names = _parse_rows([line], delimiter, decimal, dtype=str, keep_default_na=False)
+    return [str(name).strip() for name in names.iloc[0]]
+
+
+def _check_width(names: Sequence[str], frame: Any, label: str, first: str) -> None:
+    if names and len(names) != frame.shape[1]:
+        raise InputError(
+            f"the header of {label!r} names {len(names)} columns but row 1 has "
+            f"{frame.shape[1]} cells; use one delimiter throughout and one name a column"
+        )
+    if frame.shape[1] == 1 and frame[0].dtype.kind not in "fiub":
+        raise InputError(
+            f"cannot tell the columns of {label!r} apart (first line {first[:40]!r}); "
+            "separate cells by comma, tab, semicolon, | or spaces"
+        )
+
+
+def _parse_rows(source: Path | Sequence[str], delimiter: str, decimal: str, **options: Any) -> Any:
+    """Parse a file, or lines, as a pandas frame whose columns are numbered from 0."""
+    import pandas
+
+    label = repr(source.name) if isinstance(source, Path) else "the first rows"
+    if tuple(map(int, pandas.__version__.split(".")[:2])) < (3, 1):
+        # From pandas 3.1 on numbers are rounded correctly, and asking for it is deprecated.
+        options["float_precision"] = "round_trip"
+    try:
+        with warnings.catch_warnings():
+            # A column of numbers and text is refused later, with the cell.
+            warnings.simplefilter("ignore", pandas.errors.DtypeWarning)
+            return pandas.read_csv(
+                source if isinstance(source, Path) else io.StringIO("\n".join(source)),
+                sep=delimiter,
+                decimal=decimal,
+                header=None,
+                comment="#",
+                skipinitialspace=delimiter != r"\s+",
+                **options,
+            )
+    except pandas.errors.EmptyDataError:
+        raise InputError(f"{label} holds no rows; it needs rows of times and states") from None
+    except pandas.errors.ParserError as error:
+        reason = str(error).strip().splitlines()[-1].removeprefix("Error tokenizing data. ")
+        raise InputError(
+            f"cannot read the rows of {label}: {reason.removeprefix('C error: ')}; "
+            "give every row one cell a column"
+        ) from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,126 +49,119 @@ class Samples:
         return replace(self, X=self.X[rows], y=self.y[rows], t=self.t[rows])
 
 
-def _samples(
-    trajectory: Trajectory, target: str, scheme: str, rows: slice | np.ndarray, slopes: np.ndarray
-) -> Samples:
-    return Samples(
-        trajectory.columns[rows], slopes, trajectory.names, target, scheme, trajectory.t[rows]
-    )
+# The difference schemes; the number of a central one is its order in the step.
+CENTRAL = ("central2", "central4", "central6", "central8")
+SCHEMES = ("forward", "backward", *CENTRAL)
 
 
-def _need_rows(trajectory: Trajectory, rows: int, scheme: str) -> None:
-    if len(trajectory) < rows:
-        raise InputError(
-            f"{len(trajectory)} rows are too few for {scheme} differences; give at least {rows}"
-        )
+def difference(t: np.ndarray, x: np.ndarray, scheme: str) -> tuple[slice, np.ndarray]:
+    """Differentiate one column by finite differences; nothing is smoothed.
 
+    "forward" pairs ``x(t[i])`` with ``(x(t[i+1]) - x(t[i])) / (t[i+1] - t[i])``, so that the last
+    time is dropped (the paper's fitness function, section 4); "backward" pairs that slope with
+    ``x(t[i+1])`` (the paper's section 3); "central4" takes the polynomial through the 4 + 1 times
+    around each, evenly spaced or not (Fornberg 1988), and drops two times at either end.
 
-def forward_difference(trajectory: Trajectory, target: str) -> Samples:
-    """Pair each state with the slope that leads away from it.
+    Parameters
+    ----------
+    t : (n,) times in seconds, strictly increasing.
+    x : (n,) values of one state.
+    scheme : a name of SCHEMES.
 
-    Row i is ``x(t[i])`` with ``(x(t[i+1]) - x(t[i])) / (t[i+1] - t[i])``; the last time has no
-    future and is dropped. First order in the step (the paper's fitness function, section 4).
+    Returns
+    -------
+    The rows that have a slope, and the slopes there in state units per second.
 
-    >>> line = Trajectory([0.0, 0.5, 1.0], [[0.0], [1.0], [3.0]], ("x",))
-    >>> forward_difference(line, "x").y.tolist()
-    [2.0, 4.0]
-    """
-    _need_rows(trajectory, 2, "forward")
-    column = trajectory.x[:, trajectory.index(target)]
-    slopes = np.diff(column) / np.diff(trajectory.t)
-    return _samples(trajectory, target, "forward", slice(None, -1), slopes)
+    Raises InputError when the scheme is unknown or there are too few rows for it.
 
-
-def backward_difference(trajectory: Trajectory, target: str) -> Samples:
-    """Pair each state with the slope that leads to it (the paper's section 3).
-
-    >>> line = Trajectory([0.0, 0.5, 1.0], [[0.0], [1.0], [3.0]], ("x",))
-    >>> backward_difference(line, "x").y.tolist()
-    [2.0, 4.0]
-    """
-    _need_rows(trajectory, 2, "backward")
-    column = trajectory.x[:, trajectory.index(target)]
-    slopes = np.diff(column) / np.diff(trajectory.t)
-    return _samples(trajectory, target, "backward", slice(1, None), slopes)
-
-
-def finite_difference(trajectory: Trajectory, target: str, order: int) -> Samples:
-    """Pair each state with a central difference of even ``order`` on any grid of times.
-
-    Weights of the ``order + 1`` times around each are those of the interpolating polynomial
-    (Fornberg 1988); the first and last ``order / 2`` times are dropped.
-
+    >>> difference(np.array([0.0, 0.5, 1.0]), np.array([0.0, 1.0, 3.0]), "forward")
+    (slice(0, 2, None), array([2., 4.]))
     >>> t = np.array([0.0, 0.1, 0.3, 0.4, 0.6])
-    >>> square = Trajectory(t, (t**2)[:, None], ("x",))
-    >>> bool(np.allclose(finite_difference(square, "x", 2).y, 2 * t[1:-1]))
+    >>> bool(np.allclose(difference(t, t**2, "central2")[1], 2 * t[1:-1]))
     True
     """
-    half = order // 2
-    if order < 2 or order % 2:
-        raise InputError(f"difference order {order} must be an even number from 2 up")
-    _need_rows(trajectory, order + 1, f"central order-{order}")
-    column = trajectory.x[:, trajectory.index(target)]
-    windows = np.lib.stride_tricks.sliding_window_view(trajectory.t, order + 1)
-    values = np.lib.stride_tricks.sliding_window_view(column, order + 1)
-    weights = derivative_weights(windows - windows[:, [half]], half)
-    slopes = np.einsum("ij,ij->i", weights, values)
-    return _samples(trajectory, target, f"central{order}", slice(half, -half), slopes)
+    if scheme not in SCHEMES:
+        raise InputError(f"unknown scheme {scheme!r}; the schemes are: {', '.join(SCHEMES)}")
+    order = int(scheme[-1]) if scheme in CENTRAL else 1
+    if len(t) < order + 1:
+        raise InputError(
+            f"{len(t)} rows are too few for {scheme} differences; give at least {order + 1}"
+        )
+    if scheme in CENTRAL:
+        half, windows = order // 2, np.lib.stride_tricks.sliding_window_view(x, order + 1)
+        slopes = np.einsum("ij,ij->i", central_weights(t, order), windows)
+        return slice(half, len(t) - half), slopes
+    rows = slice(0, len(t) - 1) if scheme == "forward" else slice(1, len(t))
+    return rows, np.diff(x) / np.diff(t)
 
 
-def derivative_weights(nodes: np.ndarray, at: int) -> np.ndarray:
-    """Weights of the first derivative at node ``at`` (barycentric form), for each row of nodes."""
-    gaps = nodes[:, :, None] - nodes[:, None, :]
-    diagonal = np.arange(nodes.shape[1])
-    gaps[:, diagonal, diagonal] = 1.0
-    # Scale so that products of many small gaps neither under- nor overflow.
-    scale = np.abs(gaps).max(axis=(1, 2), keepdims=True)
-    barycentric = 1.0 / np.prod(gaps / scale, axis=2)
-    weights = barycentric / barycentric[:, [at]] / gaps[:, at, :]
-    weights[:, at] = 0.0
-    weights[:, at] = -weights.sum(axis=1)
+def central_weights(t: np.ndarray, order: int) -> np.ndarray:
+    """Weights (n - order, order + 1) of the central difference at every inner one of n times.
+
+    They are those of the interpolating polynomial in its barycentric form (Berrut and Trefethen
+    2004).
+
+    >>> central_weights(np.array([0.0, 1.0, 2.0]), 2)
+    array([[-0.5, -0. ,  0.5]])
+    """
+    middle = order // 2
+    nodes = np.lib.stride_tricks.sliding_window_view(t, order + 1)
+    gaps, barycentric = barycentric_weights(nodes - nodes[:, [middle]])
+    weights = barycentric / barycentric[:, [middle]] / gaps[:, middle, :]
+    weights[:, middle] = 0.0
+    weights[:, middle] = -weights.sum(axis=1)
     return weights
 
 
-SCHEMES: dict[str, Callable[[Trajectory, str], Samples]] = {
-    "forward": forward_difference,
-    "backward": backward_difference,
-    "central2": lambda trajectory, target: finite_difference(trajectory, target, 2),
-    "central4": lambda trajectory, target: finite_difference(trajectory, target, 4),
-    "central6": lambda trajectory, target: finite_difference(trajectory, target, 6),
-    "central8": lambda trajectory, target: finite_difference(trajectory, target, 8),
-}
+def barycentric_weights(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gaps between the nodes of each row of (rows, m), and their barycentric weights.
+
+    The gaps (rows, m, m) are 1 on the diagonal; the weights (rows, m) hold up to a factor for
+    each row.
+    """
+    gaps = nodes[:, :, None] - nodes[:, None, :]
+    diagonal = np.arange(nodes.shape[1])
+    gaps[:, diagonal, diagonal] = 1.0
+    # Scaled so that products of many small gaps neither under- nor overflow.
+    scale = np.abs(gaps).max(axis=(1, 2), keepdims=True)
+    return gaps, 1.0 / np.prod(gaps / scale, axis=2)
 
 
 def make_samples(
     trajectories: Trajectory | Sequence[Trajectory], target: str, scheme: str = "forward"
 ) -> Samples:
-    """Make the samples of one target from one or many trajectories by a scheme of SCHEMES.
+    """Make the samples of one target by a difference scheme, without smoothing.
 
-    Raises InputError when the scheme is unknown or the trajectories have different columns.
+    Parameters
+    ----------
+    trajectories : one or many, of the same columns; no difference reaches from one to the next.
+    target : the state whose slope is wanted.
+    scheme : a name of SCHEMES; see :func:`dynsr.data.samples.difference`.
+
+    Raises InputError when the scheme or the target is unknown, there are too few rows, or the
+    trajectories have different columns.
 
     >>> line = Trajectory([0.0, 0.5, 1.0], [[0.0], [1.0], [3.0]], ("x",))
     >>> len(make_samples([line, line], "x"))
     4
     """
-    if scheme not in SCHEMES:
-        raise InputError(f"unknown scheme {scheme!r}; the schemes are: {', '.join(SCHEMES)}")
-    if isinstance(trajectories, Trajectory):
-        return SCHEMES[scheme](trajectories, target)
-    if not trajectories:
+    runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
+    if not runs:
         raise InputError("no trajectory was given; give at least one")
-    parts = [SCHEMES[scheme](trajectory, target) for trajectory in trajectories]
-    if any(part.names != parts[0].names for part in parts):
+    if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
-    return join(parts)
+    pieces = []
+    for run in runs:
+        rows, slopes = difference(run.t, run.x[:, run.index(target)], scheme)
+        pieces.append(Samples(run.columns[rows], slopes, run.names, target, scheme, run.t[rows]))
+    return join(pieces)
 
 
-def join(parts: Sequence[Samples]) -> Samples:
+def join(pieces: Sequence[Samples]) -> Samples:
     """Put samples of the same columns and target below each other."""
-    first = parts[0]
     return replace(
-        first,
-        X=np.concatenate([p.X for p in parts]),
-        y=np.concatenate([p.y for p in parts]),
-        t=np.concatenate([p.t for p in parts]),
+        pieces[0],
+        X=np.concatenate([piece.X for piece in pieces]),
+        y=np.concatenate([piece.y for piece in pieces]),
+        t=np.concatenate([piece.t for piece in pieces]),
     )

@@ -11,13 +11,17 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 
-from dynsr.data.samples import Samples, derivative_weights, join
+from dynsr.data.samples import (
+    SCHEMES,
+    Samples,
+    barycentric_weights,
+    central_weights,
+    difference,
+    join,
+)
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
-CENTRAL = ("central2", "central4", "central6", "central8")
-# Schemes that leave the values as they are.
-DIFFERENCES = ("forward", "backward", *CENTRAL)
 _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
 _MAD = 1.4826
 
@@ -33,21 +37,21 @@ class Smooth:
 
 def interpolation_residuals(t: np.ndarray, x: np.ndarray, order: int) -> np.ndarray:
     """Miss of each point from the polynomial through its ``order`` neighbours, per unit noise."""
-    half = order // 2
-    nodes = np.lib.stride_tricks.sliding_window_view(t, order + 1)
-    values = np.lib.stride_tricks.sliding_window_view(x, (order + 1), axis=0)
-    gaps = nodes[:, :, None] - nodes[:, None, :]
-    diagonal = np.arange(order + 1)
-    gaps[:, diagonal, diagonal] = 1.0
-    weights = 1.0 / np.prod(gaps / np.abs(gaps).max(axis=(1, 2), keepdims=True), axis=2)
-    weights /= weights[:, [half]]
+    _, weights = barycentric_weights(np.lib.stride_tricks.sliding_window_view(t, order + 1))
+    weights /= weights[:, [order // 2]]
+    values = np.lib.stride_tricks.sliding_window_view(x, order + 1, axis=0)
     misses = np.einsum("ij,i...j->i...", weights, values)
     norm = np.linalg.norm(weights, axis=1)
     return misses / norm.reshape(-1, *[1] * (x.ndim - 1))
 
 
 def local_polynomial(t: np.ndarray, window: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (rows, window) for value and slope at the middle of every window of times."""
+    """Weights (rows, window) for value and slope at the middle of every window of times.
+
+    Even times have one row of weights. They are scipy.signal.savgol_coeffs', which knows even
+    times only and works with monomials: at 129 times and degree 6 its weights err by 2e-6, these
+    by 1e-15.
+    """
     nodes = np.lib.stride_tricks.sliding_window_view(t, window)
     steps = np.diff(t)
     if np.ptp(steps) <= 1e-6 * steps.mean():
@@ -115,24 +119,6 @@ def _total_variation(t: np.ndarray, x: np.ndarray) -> Smooth:
     return Smooth(rows, values[rows], slope[rows])
 
 
-def central_weights(t: np.ndarray, order: int) -> np.ndarray:
-    """Weights (rows, order + 1) of the central difference of that order at every inner time."""
-    nodes = np.lib.stride_tricks.sliding_window_view(t, order + 1)
-    return derivative_weights(nodes - nodes[:, [order // 2]], order // 2)
-
-
-def _central(t: np.ndarray, x: np.ndarray, order: int) -> Smooth:
-    windows = np.lib.stride_tricks.sliding_window_view(x, order + 1)
-    slope = np.einsum("ij,ij->i", central_weights(t, order), windows)
-    rows = slice(order // 2, len(t) - order // 2)
-    return Smooth(rows, x[rows], slope)
-
-
-def _one_sided(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
-    rows = slice(0, len(t) - 1) if scheme == "forward" else slice(1, len(t))
-    return Smooth(rows, x[rows], np.diff(x) / np.diff(t))
-
-
 def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     """Differentiate one column by a named scheme.
 
@@ -147,13 +133,12 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
         return _spline(t, x)
     if scheme == "total-variation":
         return _total_variation(t, x)
-    if scheme in ("forward", "backward"):
-        return _one_sided(t, x, scheme)
-    if scheme in CENTRAL:
-        return _central(t, x, int(scheme.removeprefix("central")))
+    if scheme in SCHEMES:
+        rows, slope = difference(t, x, scheme)
+        return Smooth(rows, x[rows], slope)
     if match := _SAVGOL.fullmatch(scheme):
         return _savgol(t, x, int(match[1]), int(match[2]))
-    known = ", ".join([*DIFFERENCES, "savgol(WINDOW,DEGREE)", "spline", "total-variation"])
+    known = ", ".join([*SCHEMES, "savgol(WINDOW,DEGREE)", "spline", "total-variation"])
     raise InputError(f"unknown scheme {scheme!r}; the schemes are: {known}")
 
 
@@ -355,7 +340,7 @@ def _combine(
     smooth: dict[str, Smooth] = {}
     for state, choice in choices.items():
         x = trajectory.x[:, trajectory.index(state)]
-        if choice.scheme in DIFFERENCES and state != target:
+        if choice.scheme in SCHEMES and state != target:
             continue
         smooth[state] = smooth_column(trajectory.t, x, choice.scheme)
     start = max([s.rows.start for s in smooth.values()], default=0)

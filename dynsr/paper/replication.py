@@ -31,7 +31,7 @@ from rich.progress import (
 )
 
 from dynsr import __version__
-from dynsr.data import SYSTEMS, Samples, System, find_system, forward_difference
+from dynsr.data import SYSTEMS, Samples, System, find_system, make_samples
 from dynsr.engines import find_engine, training_trajectory
 from dynsr.errors import InputError
 from dynsr.expression import to_text
@@ -125,7 +125,7 @@ def cell_samples(cell: Cell, engine: str, recorded_steps: bool = False) -> Sampl
     system = cell.system
     if cell.method == "sindy" and is_of_paper(system):
         return sindy_samples(system, engine, recorded_steps)
-    samples = forward_difference(training_trajectory(system, engine), system.target)
+    samples = make_samples(training_trajectory(system, engine), system.target)
     if not is_of_paper(system):
         return samples
     count = len(system.states)
