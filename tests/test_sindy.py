@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from dynsr.data.samples import Samples, make_samples
-from dynsr.data.system import LORENZ, MICHAELIS_MENTEN, PAPER_SYSTEMS, PENDULUM, find_system
+from dynsr.data.system import (
+    CART_POLE,
+    LORENZ,
+    LOTKA_VOLTERRA,
+    MICHAELIS_MENTEN,
+    PAPER_SYSTEMS,
+    PENDULUM,
+    find_system,
+)
 from dynsr.engines.base import InitialValueProblem
 from dynsr.engines.simulation import simulate
 from dynsr.engines.tsit5.single import replay_steps, solve_steps
@@ -21,7 +29,7 @@ from dynsr.expression.writing import to_text
 from dynsr.fit.candidates import rmse, score_candidate
 from dynsr.methods.library import GrownLibrary, Library, polynomials
 from dynsr.methods.sindy import SINDy, eliminate
-from dynsr.paper.protocol import recorded_steps, sindy_samples
+from dynsr.paper.protocol import paper_method, recorded_steps, sindy_samples
 from dynsr.paper.reference import reference_samples
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -62,7 +70,7 @@ def _cut(value: float, printed: str) -> str:
 
 
 def _parts(name: str, samples: Samples) -> tuple[dict[int, float], dict[int, float]]:
-    found = SINDy.preset("paper", name).regress(samples).coefficients
+    found = paper_method("sindy", find_system(name)).regress(samples).coefficients
     p = len(found) // 2
     below, above = found[:p], found[p:]
     return (
@@ -131,12 +139,12 @@ def test_steps_that_do_not_go_forward_are_refused():
 def test_the_formula_of_2021_shows_its_coefficients_and_reads_back():
     """The relation is written as found; parsed again it predicts the same slopes."""
     samples = _paper_samples("lotka-volterra")
-    (found,) = SINDy.preset("paper", "lotka-volterra").search(samples, RNG)
+    (found,) = paper_method("sindy", LOTKA_VOLTERRA).search(samples, RNG)
     text = to_text(found.expr)
     assert "0.66677653" in text and "(-x*y + 1.5*x)" in text
     again = score_candidate(parse(text, samples.names), samples)
     assert again.loss == pytest.approx(found.loss, rel=1e-9)
-    cart = SINDy.preset("paper", "cart-pole").search(_paper_samples("cart-pole"), RNG)
+    cart = paper_method("sindy", CART_POLE).search(_paper_samples("cart-pole"), RNG)
     assert "1642.3124" in to_text(cart[0].expr)
 
 
@@ -200,10 +208,12 @@ def test_elimination_drops_the_term_whose_loss_costs_least():
 
 def test_unknown_presets_and_systems_are_refused():
     """The message lists what there is."""
-    with pytest.raises(InputError, match="paper, best, quick"):
+    with pytest.raises(InputError, match="unknown preset 'fast' of SINDy; its presets are: best, "):
         SINDy.preset("fast")
-    with pytest.raises(InputError, match="use preset best"):
-        SINDy.preset("paper", "lorenz")
+    with pytest.raises(InputError, match="SINDy has no setting 'speed'; it has: library, "):
+        SINDy.preset("best", speed=1)
+    with pytest.raises(InputError, match="no paper settings for 'lorenz'.*; use preset best"):
+        paper_method("sindy", LORENZ)
     with pytest.raises(InputError, match="cart-pole"):
         sindy_samples(LORENZ)
 
@@ -250,5 +260,5 @@ def test_one_implicit_regression_gives_a_ratio():
 def test_an_empty_implicit_search_gives_an_empty_front():
     """Where no relation was found there is no formula, rather than a made-up one."""
     asked = {"optimizer": "SR3", "settings": {"lambda": 0.1}, "normalize": False}
-    method = replace(SINDy.preset("paper", "lotka-volterra"), **asked)
+    method = replace(paper_method("sindy", LOTKA_VOLTERRA), **asked)
     assert len(method.search(reference_samples("lotka-volterra"), RNG)) == 0

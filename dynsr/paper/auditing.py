@@ -91,13 +91,13 @@ def agrees_cut(printed: str, ours: float) -> bool:
 def paper_models(engine: AbstractEngine, systems: Iterable[str]) -> dict[str, sympy.Expr]:
     """Find the paper's SINDy models anew from its own data, with all their digits."""
     # Here, because an audit with models of its own has no need of the search.
-    from dynsr.methods import SINDy
-    from dynsr.paper.protocol import sindy_samples
+    from dynsr.paper.protocol import paper_method, sindy_samples
 
     models = {}
     for name in systems:
-        method = replace(SINDy.preset("paper", name), engine=engine)
-        samples = sindy_samples(find_system(name), engine)
+        system = find_system(name)
+        method = paper_method("sindy", system).with_engine(engine)
+        samples = sindy_samples(system, engine)
         # The recipe holds no chance; the generator is there because every search takes one.
         models[name] = method.search(samples, np.random.default_rng(0)).best_fit.expr
     return models

@@ -1,13 +1,17 @@
-"""The paper's SINDy settings as data (section A.3), and how the data of its rows were made."""
+"""The paper's protocol: its methods' settings for its own systems, and how its data were made.
+
+Keyed by the catalogue's systems themselves, never by a name that a user could choose.
+"""
 
 from __future__ import annotations
 
 import json
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
-from dynsr.data import Samples, System, Trajectory
+from dynsr.data import PAPER_SYSTEMS, Samples, System, Trajectory
 from dynsr.engines import (
     AbstractEngine,
     InitialValueProblem,
@@ -19,6 +23,7 @@ from dynsr.engines import (
 )
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy
+from dynsr.methods import AbstractMethod, Library, make_method
 
 BASES: dict[str, tuple[str, ...]] = {
     "pendulum": (
@@ -79,6 +84,38 @@ OPTIMIZERS: dict[str, tuple[Optimizer, dict[str, float], int]] = {
     "lotka-volterra": ("ADMM", {"lambda": 0.1, "rho": 2.0}, 10_000),
     "cart-pole": ("SR3", {"lambda": 0.01, "nu": 1.0}, 5000),
 }
+
+# Table 2 of the paper, and per system the terminals of its printed words, which hold the true
+# coefficients ("an optimistic estimate", section 4). Twenty bits hold those words only with eight
+# symbols and four functions (see the grammar's own text); sixty hold the whole grammar.
+GENETIC: dict[str, dict[str, Any]] = {
+    "lotka-volterra": {
+        "bits": 20,
+        "population": 70,
+        "iterations": 100,
+        "constants": (1.0, -3.0),
+        "operators": ("+", "*", "^"),
+        "functions": ("sin", "cos", "exp", "identity"),
+    },
+    "pendulum": {
+        "bits": 20,
+        "population": 70,
+        "iterations": 40,
+        "constants": (-9.81, -0.1, -1.0),
+        "operators": ("+", "*"),
+        "functions": ("sin", "cos", "exp", "identity"),
+    },
+    "cart-pole": {
+        "bits": 60,
+        "population": 100,
+        "iterations": 100,
+        "constants": (-1.0, 2.0, 9.81, 0.5, 6.0, -0.2),
+        "variables": ("w", "x", "y", "z"),
+    },
+}
+
+# The methods that the paper compares, as its tables call them.
+PAPER_METHODS: tuple[str, ...] = ("dynaifeynman", "ga", "sindy")
 
 # Seconds between saved states. The slope's own step is 0.01 s for all three.
 STATE_STEPS = {"pendulum": 0.01, "lotka-volterra": 0.01, "cart-pole": 0.001}
@@ -149,3 +186,57 @@ def _replay(system: System, times: np.ndarray) -> Trajectory:
     states = interpolate(replay_steps(problem, recorded_steps(system.name)), times)
     inputs = compile_numpy(list(system.inputs.values()), ["t"])(times[None]).T
     return Trajectory(times, states, system.states, inputs, tuple(system.inputs))
+
+
+def is_of_paper(system: System) -> bool:
+    """Say whether a system is one of the paper's three, equal in all that the catalogue says.
+
+    >>> is_of_paper(System.from_strings({"x": "-x"}, name="pendulum"))
+    False
+    """
+    return system in PAPER_SYSTEMS
+
+
+def paper_method(name: str, system: System, quick: bool = False) -> AbstractMethod:
+    """Give a method with the settings that the paper has for a system.
+
+    Parameters
+    ----------
+    name : one of PAPER_METHODS.
+    system : the system; on one that is not the paper's, its general choices stand.
+    quick : a tenth of the genetic algorithm's iterations and a short DynAIFeynman, for a first
+        look; SINDy is done in a second as it is.
+
+    Raises InputError for another name, and for SINDy on a system that is not the paper's, since
+    its library is chosen by hand for each.
+
+    >>> from dynsr.data import find_system
+    >>> paper_method("ga", find_system("pendulum")).iterations
+    40
+    """
+    if name not in PAPER_METHODS:
+        raise InputError(
+            f"unknown method {name!r} of the paper; the methods are: {', '.join(PAPER_METHODS)}"
+        )
+    ours = is_of_paper(system)
+    if name == "sindy":
+        if not ours:
+            raise InputError(
+                f"SINDy has no paper settings for {system.name!r}; they exist for "
+                f"{', '.join(BASES)}; use preset best for other data"
+            )
+        optimizer, settings, cap = OPTIMIZERS[system.name]
+        return make_method(
+            name,
+            "paper",
+            library=Library.from_strings(BASES[system.name]),
+            optimizer=optimizer,
+            settings=settings,
+            max_iterations=cap,
+        )
+    if name == "ga":
+        changes: dict[str, Any] = dict(GENETIC[system.name]) if ours else {}
+        if quick:
+            changes["iterations"] = max(4, changes.get("iterations", 100) // 10)
+        return make_method(name, "paper", **changes)
+    return make_method(name, "quick" if quick else "paper")

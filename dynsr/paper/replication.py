@@ -13,7 +13,7 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +36,9 @@ from dynsr.discovery import score_expressions
 from dynsr.engines import find_engine, training_trajectory
 from dynsr.errors import InputError
 from dynsr.expression import to_text
-from dynsr.methods import METHODS, AbstractMethod, make_method
+from dynsr.methods import AbstractMethod
 from dynsr.paper.page import write_results
-from dynsr.paper.protocol import STATE_STEPS, sindy_samples
+from dynsr.paper.protocol import PAPER_METHODS, is_of_paper, paper_method, sindy_samples
 from dynsr.paper.records import (
     Record,
     RecordError,
@@ -53,20 +53,20 @@ from dynsr.paper.results import all_tables
 from dynsr.report import Table
 
 _WATCH_SECONDS = 1.0
-MakeMethod = Callable[[str, str, str | None], AbstractMethod]
+MakeMethod = Callable[[str, System, bool], AbstractMethod]
 
 
 @dataclass(frozen=True)
 class Plan:
     """What every cell of a replication shares.
 
-    ``make`` gives a method for its name, a preset and the name of a system.
+    ``make`` gives a method for its name, a system, and whether its search is to be short.
     """
 
     seed: int
     preset: str
     engine: str
-    make: MakeMethod = make_method
+    make: MakeMethod = paper_method
 
 
 @dataclass(frozen=True)
@@ -100,11 +100,8 @@ class Cell:
 
 def cell_method(cell: Cell, plan: Plan) -> AbstractMethod:
     """Give the method of a cell with all its settings; its engine is the plan's."""
-    method = plan.make(cell.method, plan.preset, cell.system.name)
-    if is_dataclass(method) and any(f.name == "engine" and f.init for f in fields(method)):
-        changed: AbstractMethod = replace(method, engine=plan.engine)
-        return changed
-    return method
+    quick = plan.preset == "quick"
+    return plan.make(cell.method, cell.system, quick).with_engine(plan.engine)
 
 
 def cell_samples(cell: Cell, engine: str) -> Samples:
@@ -116,10 +113,10 @@ def cell_samples(cell: Cell, engine: str) -> Samples:
     prints for the cart-pole holds the force, and its polynomial has the terms of four variables.
     """
     system = cell.system
-    if cell.method == "sindy" and system.name in STATE_STEPS:
+    if cell.method == "sindy" and is_of_paper(system):
         return sindy_samples(system, engine)
     samples = forward_difference(training_trajectory(system, engine), system.target)
-    if system.name not in STATE_STEPS:
+    if not is_of_paper(system):
         return samples
     count = len(system.states)
     return replace(samples, X=samples.X[:, :count], names=samples.names[:count])
@@ -258,7 +255,7 @@ class Replication:
 
 def replicate(
     systems: Sequence[str | System] = PAPER_NAMES,
-    methods: Sequence[str] = METHODS,
+    methods: Sequence[str] = PAPER_METHODS,
     runs: int | None = None,
     seed: int = 0,
     jobs: int | None = None,
@@ -267,7 +264,7 @@ def replicate(
     engine: str = "embedded",
     progress: bool = False,
     report: bool = True,
-    make: MakeMethod = make_method,
+    make: MakeMethod = paper_method,
 ) -> Replication:
     """Run the cells that have no record in ``out`` yet; give and write up the results of all.
 
@@ -282,7 +279,7 @@ def replicate(
     engine : "embedded" or "julia".
     progress : show a bar with the time left on the terminal.
     report : write the tables, Figure 1 and report.html into ``out`` at the end.
-    make : gives a method for its name, a preset and the name of a system.
+    make : gives a method for its name, a system, and whether its search is to be short.
 
     A cell that fails leaves a record that says why; the next call tries it again. Raises
     InputError when something asked for is unknown, or ``out`` cannot be used or holds results
