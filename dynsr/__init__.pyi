@@ -13,20 +13,32 @@ from .engines import add_noise, find_engine, simulate
 from .errors import DynsrError, EngineError, EngineUnavailable, InputError
 from .expression import parse
 from .fit import Candidate, ParetoFront
-from .methods import make_method
+from .methods import (
+    AbstractMethod,
+    DynAIFeynman,
+    GeneticAlgorithm,
+    RationalSearch,
+    SINDy,
+    make_method,
+)
 from .paper import audit, printed_loss, replicate
 
 __version__: str
 
 __all__ = [
+    "AbstractMethod",
     "Candidate",
     "Discovery",
+    "DynAIFeynman",
     "DynsrError",
     "DynsrRegressor",
     "EngineError",
     "EngineUnavailable",
+    "GeneticAlgorithm",
     "InputError",
     "ParetoFront",
+    "RationalSearch",
+    "SINDy",
     "SYSTEMS",
     "Samples",
     "Score",

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
 from dynsr.errors import DynsrError
-from dynsr.methods.registry import METHODS
+from dynsr.paper.protocol import PAPER_METHODS
 from dynsr.paper.replication import PAPER_NAMES, Replication, replicate
 
 
@@ -23,7 +23,7 @@ def read_options(description: str | None) -> Namespace:
 
 def run(
     options: Namespace,
-    methods: Sequence[str] = METHODS,
+    methods: Sequence[str] = PAPER_METHODS,
     systems: Sequence[str] = PAPER_NAMES,
 ) -> Replication:
     """Compute the cells of some methods that the folder does not hold yet, and give all of them."""

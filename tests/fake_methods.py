@@ -41,7 +41,7 @@ class Broken(AbstractMethod):
         return ParetoFront()
 
 
-def make(name, preset, system_name):
+def make(name, system, quick):
     """Make a fake by its name."""
     if name.startswith("broken-"):
         return Broken(name.removeprefix("broken-"))

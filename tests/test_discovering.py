@@ -12,8 +12,8 @@ import pytest
 import sympy
 
 from dynsr.cli.results import flatten
-from dynsr.methods.genetic import GeneticAlgorithm
-from dynsr.methods.sindy import SINDy
+from dynsr.data.system import LOTKA_VOLTERRA
+from dynsr.paper.protocol import paper_method
 
 sys.path.insert(0, str(Path(__file__).parent))
 from command_line import run  # noqa: E402 (found beside this file)
@@ -261,9 +261,9 @@ def test_the_paper_preset_of_a_system(seen):
     """A system of the paper gets the paper's own settings and forward differences."""
     run("discover", "--system", "lotka-volterra", "--preset", "paper", "--json", "-q")
     found = {method.name: method for method in seen["method"]}
-    assert set(found) == {"dynaifeynman", "ga", "sindy"} and seen["scheme"] == "forward"
-    assert found["sindy"] == SINDy.preset("paper", "lotka-volterra")
-    assert found["ga"] == GeneticAlgorithm.preset("paper", "lotka-volterra")
+    assert set(found) == {"dynaifeynman", "genetic", "sindy"} and seen["scheme"] == "forward"
+    assert found["sindy"] == paper_method("sindy", LOTKA_VOLTERRA)
+    assert found["genetic"] == paper_method("ga", LOTKA_VOLTERRA)
     run(
         "discover",
         "--system",
@@ -275,7 +275,7 @@ def test_the_paper_preset_of_a_system(seen):
         "--json",
         "-q",
     )
-    assert [method.name for method in seen["method"]] == ["ga"]
+    assert [method.name for method in seen["method"]] == ["genetic"]
     run("discover", "--system", "lorenz", "--preset", "paper", "--method", "ga", "--json", "-q")
     assert seen["method"] == "ga" and seen["scheme"] == "forward"
 

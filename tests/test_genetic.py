@@ -5,9 +5,11 @@ import pytest
 import sympy
 
 from dynsr.data.samples import Samples
+from dynsr.data.system import find_system
 from dynsr.errors import InputError
 from dynsr.expression.evaluation import evaluate
 from dynsr.methods.genetic import GeneticAlgorithm
+from dynsr.paper.protocol import paper_method
 
 
 def planted(formula, seed=0, n=120):
@@ -36,7 +38,7 @@ def test_the_sizes_are_those_of_table_2():
     sizes = {
         name: (m.bits, m.population, m.iterations, m.mutation)
         for name in ("lotka-volterra", "pendulum", "cart-pole")
-        for m in [GeneticAlgorithm.preset("paper", name)]
+        for m in [paper_method("ga", find_system(name))]
     }
     assert sizes == {
         "lotka-volterra": (20, 70, 100, 0.1),
@@ -111,9 +113,9 @@ def test_settings_that_cannot_be_are_refused(change, message):
 
 def test_unknown_presets_and_columns_are_named():
     """The message lists the presets, or the columns there are."""
-    with pytest.raises(InputError, match="the presets are: paper, best, quick"):
+    with pytest.raises(InputError, match="its presets are: best, quick, paper"):
         GeneticAlgorithm.preset("papre")
     with pytest.raises(InputError, match="no column 'w'; their columns are: x, y"):
-        GeneticAlgorithm.preset("paper", "cart-pole").search(planted(np.add), rng())
+        paper_method("ga", find_system("cart-pole")).search(planted(np.add), rng())
     with pytest.raises(InputError, match="3 bits hold no symbol"):
         GeneticAlgorithm(bits=3).search(planted(np.add), rng())

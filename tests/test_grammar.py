@@ -3,9 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dynsr.data.system import find_system
 from dynsr.errors import InputError
-from dynsr.methods.genetic import GeneticAlgorithm
 from dynsr.methods.grammar import CLOSE, PAD, Grammar
+from dynsr.paper.protocol import paper_method
 
 FULL = Grammar(("x", "y"), (1.0, -3.0, 0.5))
 
@@ -41,7 +42,7 @@ NAMES = {
 @pytest.mark.parametrize("system", PRINTED)
 def test_every_printed_word_is_reachable_in_the_printed_length(system):
     """Each word of the paper's GA tables has a bitstring of Table 2's length that decodes to it."""
-    method = GeneticAlgorithm.preset("paper", system)
+    method = paper_method("ga", find_system(system))
     grammar = method.grammar(NAMES[system])
     assert method.bits == {"lotka-volterra": 20, "pendulum": 20, "cart-pole": 60}[system]
     for text in PRINTED[system]:
@@ -52,7 +53,7 @@ def test_every_printed_word_is_reachable_in_the_printed_length(system):
 
 def test_the_lotka_volterra_equation_itself_is_a_word_of_twenty_bits():
     """The true right-hand side is in the space that the paper searched: 20 bits suffice exactly."""
-    grammar = GeneticAlgorithm.preset("paper", "lotka-volterra").grammar(("x", "y"))
+    grammar = paper_method("ga", find_system("lotka-volterra")).grammar(("x", "y"))
     grammar.encode("y*identity(x+(-3.0))", 20)
     with pytest.raises(InputError, match="needs 20 bits, more than the length 19"):
         grammar.encode("y*identity(x+(-3.0))", 19)

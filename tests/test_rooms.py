@@ -38,7 +38,6 @@ ROOMS = (
 # (file, room it takes from against the order) -> why. A line that nothing needs fails.
 EXCEPTIONS = {
     ("discovery/result.py", "report"): "Discovery.plot and .report are the result's own verbs",
-    ("methods/sindy.py", "paper"): "the preset of the paper",
 }
 
 # Foreign module -> the only files that may import it, by name.

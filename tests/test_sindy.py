@@ -12,6 +12,7 @@ from dynsr.data.samples import Samples, make_samples
 from dynsr.data.system import (
     CART_POLE,
     LORENZ,
+    LOTKA_VOLTERRA,
     MICHAELIS_MENTEN,
     PAPER_SYSTEMS,
     PENDULUM,
@@ -29,7 +30,7 @@ from dynsr.fit.candidates import rmse, score_candidate
 from dynsr.methods.library import GrownLibrary, Library, polynomials
 from dynsr.methods.sindy import SINDy, eliminate
 from dynsr.paper.auditing import agrees_cut
-from dynsr.paper.protocol import recorded_ends, sindy_samples
+from dynsr.paper.protocol import paper_method, recorded_ends, sindy_samples
 from dynsr.paper.reference import reference_samples
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -67,7 +68,7 @@ def _paper_samples(name: str) -> Samples:
 
 
 def _coefficients(name: str, samples: Samples) -> tuple[dict[int, float], dict[int, float]]:
-    found = SINDy.preset("paper", name).regress(samples).coefficients
+    found = paper_method("sindy", find_system(name)).regress(samples).coefficients
     p = len(found) // 2
     below, above = found[:p], found[p:]
     return (
@@ -155,12 +156,12 @@ def test_steps_that_do_not_go_forward_are_refused():
 def test_the_formula_of_2021_shows_its_coefficients_and_reads_back():
     """The relation is written as found; parsed again it predicts the same slopes."""
     samples = _paper_samples("lotka-volterra")
-    (found,) = SINDy.preset("paper", "lotka-volterra").search(samples, RNG)
+    (found,) = paper_method("sindy", LOTKA_VOLTERRA).search(samples, RNG)
     text = to_text(found.expr)
     assert "0.66677653" in text and "(-x*y + 1.5*x)" in text
     again = score_candidate(parse(text, samples.names), samples)
     assert again.loss == pytest.approx(found.loss, rel=1e-9)
-    cart = SINDy.preset("paper", "cart-pole").search(_paper_samples("cart-pole"), RNG)
+    cart = paper_method("sindy", CART_POLE).search(_paper_samples("cart-pole"), RNG)
     assert "1642.3124" in to_text(cart[0].expr)
 
 
@@ -224,10 +225,12 @@ def test_elimination_drops_the_term_whose_loss_costs_least():
 
 def test_unknown_presets_and_systems_are_refused():
     """The message lists what there is."""
-    with pytest.raises(InputError, match="paper, best, quick"):
+    with pytest.raises(InputError, match="unknown preset 'fast' of SINDy; its presets are: best, "):
         SINDy.preset("fast")
-    with pytest.raises(InputError, match="use preset best"):
-        SINDy.preset("paper", "lorenz")
+    with pytest.raises(InputError, match="SINDy has no setting 'speed'; it has: library, "):
+        SINDy.preset("best", speed=1)
+    with pytest.raises(InputError, match="no paper settings for 'lorenz'.*; use preset best"):
+        paper_method("sindy", LORENZ)
     with pytest.raises(InputError, match="cart-pole"):
         sindy_samples(LORENZ)
     with pytest.raises(InputError, match="'julia' takes no recorded steps; give engine embedded"):
@@ -276,5 +279,5 @@ def test_one_implicit_regression_gives_a_ratio():
 def test_an_empty_implicit_search_gives_an_empty_front():
     """Where no relation was found there is no formula, rather than a made-up one."""
     asked = {"optimizer": "SR3", "settings": {"lambda": 0.1}, "normalize": False}
-    method = replace(SINDy.preset("paper", "lotka-volterra"), **asked)
+    method = replace(paper_method("sindy", LOTKA_VOLTERRA), **asked)
     assert len(method.search(reference_samples("lotka-volterra"), RNG)) == 0

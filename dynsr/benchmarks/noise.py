@@ -20,7 +20,7 @@ from dynsr.engines import add_noise, training_trajectory
 from dynsr.errors import DynsrError, InputError
 from dynsr.expression import parse, to_text
 from dynsr.jobs import Part, Record, RunFolder, Step, fingerprint, run_parts
-from dynsr.methods import AbstractMethod
+from dynsr.methods import DEFAULT_PRESET, AbstractMethod
 from dynsr.report import Formula, Table
 
 NOISE_LEVELS = (0.0, 0.001, 0.01, 0.05)
@@ -192,7 +192,7 @@ def run_noise(
     seeds: Sequence[int] = (0, 1, 2, 3, 4),
     *,
     method: Method = "auto",
-    preset: str = "best",
+    preset: str = DEFAULT_PRESET,
     out: str | Path | None = None,
     jobs: int = 1,
     finished: Callable[[Sequence[NoiseRow]], None] = lambda rows: None,
@@ -228,7 +228,7 @@ class Cell:
     level: float
     seed: int
     method: Method = "auto"
-    preset: str = "best"
+    preset: str = DEFAULT_PRESET
 
     @property
     def name(self) -> str:

@@ -11,6 +11,7 @@ from dynsr.cli import options, output
 from dynsr.cli.discovery import check_engine, search
 from dynsr.cli.progress import SearchProgress
 from dynsr.errors import InputError
+from dynsr.methods import AUTO, DEFAULT_PRESET
 
 if TYPE_CHECKING:
     import sympy
@@ -39,8 +40,8 @@ def benchmark(
         ),
     ] = "0,0.01",
     seeds: Annotated[int, typer.Option(min=1, help="Draws of the noise at each level.")] = 1,
-    method: options.MethodName = "auto",
-    preset: options.Preset = "best",
+    method: options.MethodName = AUTO,
+    preset: options.Preset = DEFAULT_PRESET,
     jobs: options.Jobs = -1,
     engine: options.Engine = "embedded",
     json: options.Json = False,

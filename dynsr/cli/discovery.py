@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +18,7 @@ from dynsr.cli.output import Notes
 from dynsr.cli.progress import SearchProgress
 from dynsr.cli.results import keep, score_discovery, summarise
 from dynsr.errors import InputError
+from dynsr.methods import AUTO, DEFAULT_PRESET
 
 if TYPE_CHECKING:
     from dynsr.discovery import Discovery
@@ -139,8 +139,8 @@ def discover(
     states: options.StateColumns = None,
     inputs: options.Inputs = None,
     trajectory: options.TrajectoryColumn = None,
-    method: options.MethodName = "auto",
-    preset: options.Preset = "best",
+    method: options.MethodName = AUTO,
+    preset: options.Preset = DEFAULT_PRESET,
     targets: Annotated[
         options.Names,
         typer.Option(
@@ -200,7 +200,7 @@ def discover(
                 _folders(out, files[0].stem if files else str(system), json),
                 data,
                 progress,
-                method=_choose_method(method, preset, system, engine),
+                method=_choose_method(method, preset, system),
                 preset=preset,
                 scheme=scheme or ("forward" if preset == "paper" else "auto"),
                 targets=options.read_names(targets) or "all",
@@ -285,20 +285,16 @@ def _search_in(
     raise taken
 
 
-def _choose_method(
-    method: str, preset: str, system: str | None, engine: str
-) -> str | list[AbstractMethod]:
+def _choose_method(method: str, preset: str, system: str | None) -> str | list[AbstractMethod]:
     """Give the paper's own settings for a system of the paper; else the name is enough."""
-    from dynsr.data import PAPER_SYSTEMS
-    from dynsr.methods import METHODS, make_method
+    from dynsr.data import find_system
+    from dynsr.methods import find_method
+    from dynsr.paper import PAPER_METHODS, is_of_paper, paper_method
 
-    ours = preset == "paper" and system in [known.name for known in PAPER_SYSTEMS]
-    if not ours or (method != "auto" and method not in METHODS):
+    if preset != "paper" or system is None or not is_of_paper(find_system(system)):
         return method
-    names = METHODS if method == "auto" else (method,)
-    made = [make_method(name, preset, system) for name in names]
-    # Methods are frozen dataclasses of settings, which their interface does not say.
-    return [replace(m, engine=engine) if hasattr(m, "engine") else m for m in made]  # type: ignore[type-var]
+    names = [n for n in PAPER_METHODS if method == AUTO or find_method(n) == find_method(method)]
+    return [paper_method(name, find_system(system)) for name in names] or method
 
 
 def search(

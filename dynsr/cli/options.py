@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from dynsr.methods import AUTO, METHODS, PRESETS, describe_methods, describe_presets
+
 OUTPUT, SEARCH, DATA, NUMERICS = "Output", "Search", "Data", "Numerics"
 
 
@@ -18,6 +20,18 @@ def complete_system(incomplete: str) -> Iterator[tuple[str, str]]:
     for name, system in DEFINITIONS.items():
         if name.startswith(incomplete):
             yield name, system.description
+
+
+def complete_method(incomplete: str) -> list[str]:
+    """Offer the names of the methods to the shell."""
+    return [name for name in (AUTO, *METHODS) if name.startswith(incomplete)]
+
+
+def complete_preset(incomplete: str) -> Iterator[tuple[str, str]]:
+    """Offer the presets to the shell, with what they mean."""
+    for name, meaning in PRESETS.items():
+        if name.startswith(incomplete):
+            yield name, meaning
 
 
 def complete_engine(incomplete: str) -> list[str]:
@@ -86,10 +100,18 @@ TrajectoryColumn = Annotated[
 ]
 MethodName = Annotated[
     str,
-    typer.Option("--method", help="auto, dynaifeynman, sindy or ga.", rich_help_panel=SEARCH),
+    typer.Option(
+        "--method",
+        help=f"{describe_methods()}.",
+        autocompletion=complete_method,
+        rich_help_panel=SEARCH,
+    ),
 ]
 Preset = Annotated[
-    str, typer.Option(help="best, paper (as published) or quick.", rich_help_panel=SEARCH)
+    str,
+    typer.Option(
+        help=f"{describe_presets()}.", autocompletion=complete_preset, rich_help_panel=SEARCH
+    ),
 ]
 
 

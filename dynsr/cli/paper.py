@@ -47,14 +47,13 @@ def replicate(
 
     Whatever ends it, the next call with the same folder goes on where it stopped.
     """
-    from dynsr.methods import METHODS
-    from dynsr.paper import PAPER_NAMES
+    from dynsr.paper import PAPER_METHODS, PAPER_NAMES
     from dynsr.paper import replicate as run
 
     try:
         found = run(
             systems=options.read_names(systems) or PAPER_NAMES,
-            methods=options.read_names(methods) or METHODS,
+            methods=options.read_names(methods) or PAPER_METHODS,
             runs=runs,
             seed=seed,
             jobs=jobs,

@@ -23,7 +23,7 @@ from dynsr.fit import (
     score_snapped,
     tidy,
 )
-from dynsr.methods import AbstractMethod, choose_methods
+from dynsr.methods import DEFAULT_PRESET, AbstractMethod, choose_methods
 
 _MOST_SNAPPED = 6
 
@@ -35,7 +35,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
     ----------
     method : the name of a method, a method with its settings, or several; "auto" runs those of
         the preset.
-    preset : "quick" or "best".
+    preset : "best", "quick" or "paper", see :data:`dynsr.methods.registry.PRESETS`.
     select : "description length" or "lowest error": which formula of the front is used.
     snap : replace constants by simple numbers where the description length says so.
     random_state : seed of all chance.
@@ -53,7 +53,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
     def __init__(
         self,
         method: str | AbstractMethod = "rational",
-        preset: str = "quick",
+        preset: str = DEFAULT_PRESET,
         select: str = "description length",
         snap: bool = True,
         random_state: int | np.random.RandomState | None = 0,

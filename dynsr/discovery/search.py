@@ -23,7 +23,7 @@ from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, to_text
 from dynsr.fit import Candidate, ParetoFront, is_noisy, polish, read_inputs, tidy
 from dynsr.jobs import Part, RunFolder, Step, Watch, fingerprint, run_parts
-from dynsr.methods import AbstractMethod, choose_methods
+from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, choose_methods
 from dynsr.selection import Pick, read_candidates, settle, write_candidates
 
 _MOST_ROWS = 4000
@@ -32,8 +32,8 @@ _MOST_ROWS = 4000
 def discover(
     data: Any,
     *,
-    method: str | AbstractMethod | Sequence[str | AbstractMethod] = "auto",
-    preset: str = "best",
+    method: str | AbstractMethod | Sequence[str | AbstractMethod] = AUTO,
+    preset: str = DEFAULT_PRESET,
     targets: str | Sequence[str] = "all",
     inputs: Mapping[str, str | sympy.Expr] | Sequence[str] | None = None,
     known: Mapping[str, str | sympy.Expr] | None = None,

@@ -1,18 +1,38 @@
 from .base import AbstractMethod, Progress, Report, silent
+from .feynman.search import DynAIFeynman
 from .genetic import GeneticAlgorithm
 from .library import Library
-from .registry import METHODS, choose_methods, make_method
+from .rational import RationalSearch
+from .registry import (
+    AUTO,
+    DEFAULT_PRESET,
+    METHODS,
+    PRESETS,
+    choose_methods,
+    describe_methods,
+    describe_presets,
+    find_method,
+    make_method,
+)
 from .sindy import SINDy
 
 __all__ = [
+    "AUTO",
     "AbstractMethod",
+    "DEFAULT_PRESET",
+    "DynAIFeynman",
     "GeneticAlgorithm",
     "Library",
     "METHODS",
+    "PRESETS",
     "Progress",
+    "RationalSearch",
     "Report",
     "SINDy",
     "choose_methods",
+    "describe_methods",
+    "describe_presets",
+    "find_method",
     "make_method",
     "silent",
 ]

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from dynsr.data import Samples
+from dynsr.engines import AbstractEngine
+from dynsr.errors import InputError
 from dynsr.fit import ParetoFront
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True)
@@ -33,9 +39,50 @@ def silent(progress: Progress) -> None:
 
 
 class AbstractMethod(ABC):
-    """A search for the equation of one target. Subclasses are frozen dataclasses of settings."""
+    """A search for the equation of one target. Subclasses are frozen dataclasses of settings.
+
+    ``name`` is what records call the method. ``presets`` maps the names of its presets to the
+    settings that differ from the class's own; a method of one's own needs none.
+    """
 
     name: str
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+
+    @classmethod
+    def preset(cls, name: str, **changes: Any) -> Self:
+        """Give the method with the settings called ``name``.
+
+        Parameters
+        ----------
+        name : one of ``presets``; what each means stands in the registry of methods.
+        changes : single settings that replace those of the preset.
+
+        Raises InputError that lists the presets when there is none of that name, or the settings
+        when a change is none of them.
+
+        >>> from dynsr.methods import RationalSearch
+        >>> RationalSearch.preset("quick", width=50).costs
+        (3, 4)
+        """
+        if name not in cls.presets:
+            known = ", ".join(cls.presets) or "none"
+            raise InputError(f"unknown preset {name!r} of {cls.__name__}; its presets are: {known}")
+        settings = [f.name for f in fields(cls) if f.init]  # type: ignore[arg-type]
+        for setting in changes:
+            if setting not in settings:
+                raise InputError(
+                    f"{cls.__name__} has no setting {setting!r}; it has: {', '.join(settings)}"
+                )
+        return cls(**{**cls.presets[name], **changes})
+
+    def with_engine(self, engine: str | AbstractEngine) -> Self:
+        """Give the method with that engine where it uses one and was given none of its own.
+
+        Parameters
+        ----------
+        engine : the name of an engine, or an engine.
+        """
+        return self
 
     @abstractmethod
     def search(
@@ -46,4 +93,10 @@ class AbstractMethod(ABC):
         All chance comes from ``rng``: the same samples, settings and generator state give the
         same front. ``report`` is called as the search goes on. KeyboardInterrupt ends the search
         early with the best front so far.
+
+        Parameters
+        ----------
+        samples : the rows of X (n, p) and the slopes y (n,) in state units per second.
+        rng : the generator that all chance comes from.
+        report : is called with the stage and the front so far.
         """

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import sympy
@@ -24,35 +25,6 @@ from dynsr.methods.grammar import (
     word_bits,
 )
 
-# Table 2 of the paper, and per system the terminals of its printed words, which hold the true
-# coefficients ("an optimistic estimate", section 4). Twenty bits hold those words only with eight
-# symbols and four functions (see the grammar's own text); sixty hold the whole grammar.
-_PAPER: dict[str, dict] = {
-    "lotka-volterra": {
-        "bits": 20,
-        "population": 70,
-        "iterations": 100,
-        "constants": (1.0, -3.0),
-        "operators": ("+", "*", "^"),
-        "functions": ("sin", "cos", "exp", "identity"),
-    },
-    "pendulum": {
-        "bits": 20,
-        "population": 70,
-        "iterations": 40,
-        "constants": (-9.81, -0.1, -1.0),
-        "operators": ("+", "*"),
-        "functions": ("sin", "cos", "exp", "identity"),
-    },
-    "cart-pole": {
-        "bits": 60,
-        "population": 100,
-        "iterations": 100,
-        "constants": (-1.0, 2.0, 9.81, 0.5, 6.0, -0.2),
-        "variables": ("w", "x", "y", "z"),
-    },
-}
-
 
 @dataclass(frozen=True)
 class GeneticAlgorithm(AbstractMethod):
@@ -70,7 +42,7 @@ class GeneticAlgorithm(AbstractMethod):
     mutation : probability that a mutation flips a bit.
     constants, operators, functions : terminals and operations of the grammar.
     variables : names of the samples' columns that may occur; all of them when None.
-    scaled : judge each word f by a f + b with a, b fitted by least squares; the paper does not.
+    scaled : score each word f as a f + b with a, b fitted by least squares; the paper does not.
 
     >>> x = np.linspace(0.0, 6.0, 50)
     >>> samples = Samples(x[:, None], np.sin(x) + 2.0, ("x",), "x", "given", x)
@@ -87,7 +59,20 @@ class GeneticAlgorithm(AbstractMethod):
     functions: tuple[str, ...] = DEFAULT_FUNCTIONS
     variables: tuple[str, ...] | None = None
     scaled: bool = False
-    name: str = field(default="ga", init=False)
+
+    name = "genetic"
+    # The class's own sizes are those of the cart-pole, the paper's largest.
+    presets: ClassVar = {
+        "best": {
+            "bits": 120,
+            "population": 1000,
+            "iterations": 200,
+            "mutation": 0.05,
+            "scaled": True,
+        },
+        "quick": {"iterations": 10},
+        "paper": {},
+    }
 
     def __post_init__(self) -> None:
         """Check the numbers; raises InputError."""
@@ -99,25 +84,6 @@ class GeneticAlgorithm(AbstractMethod):
                 )
         if not 0 < self.mutation < 1:
             raise InputError(f"mutation rate {self.mutation} of the GA must lie between 0 and 1")
-
-    @classmethod
-    def preset(cls, name: str = "paper", system_name: str | None = None) -> GeneticAlgorithm:
-        """Give the settings called ``name``: "paper" (Table 2), "best" or "quick".
-
-        A system that the paper does not have gets the cart-pole's sizes and general constants.
-        "best" scales every word and searches far more of them; "quick" is a tenth of the paper's.
-
-        >>> GeneticAlgorithm.preset("paper", "pendulum").iterations
-        40
-        """
-        paper = cls(**_PAPER.get(system_name or "", {}))
-        if name == "paper":
-            return paper
-        if name == "quick":
-            return replace(paper, iterations=max(4, paper.iterations // 10))
-        if name == "best":
-            return cls(bits=120, population=1000, iterations=200, mutation=0.05, scaled=True)
-        raise InputError(f"unknown preset {name!r} of the GA; the presets are: paper, best, quick")
 
     def grammar(self, names: Sequence[str]) -> Grammar:
         """Give the grammar over the columns ``names`` of some samples."""
@@ -228,7 +194,9 @@ class _Seen:
         key = self.words.tobytes()
         if key != self.made[0]:
             found = [e for e in map(self._expression, self.words) if e is not None]
-            front = ParetoFront(score_candidate(e, self.samples, "ga") for e in found)
+            front = ParetoFront(
+                score_candidate(e, self.samples, GeneticAlgorithm.name) for e in found
+            )
             self.made = (key, front)
         return self.made[1]
 

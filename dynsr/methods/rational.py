@@ -10,6 +10,7 @@ import time
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import sympy
@@ -278,6 +279,7 @@ class RationalSearch(AbstractMethod):
     seconds: float = math.inf
 
     name = "rational"
+    presets: ClassVar = {"best": {}, "quick": {"costs": (3, 4)}, "paper": {}}
 
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent

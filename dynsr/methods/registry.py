@@ -1,125 +1,226 @@
-"""The registry of methods: which there are, by name and preset; foreign code loads on use."""
+"""The registry of methods: which there are, by name and preset.
+
+Everything that names a method or a preset reads it here: the command line and its help, the
+Python interface, the replication. Nothing foreign loads before a method is asked for.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from dynsr.errors import InputError
-from dynsr.methods.base import AbstractMethod
 
-METHODS = ("dynaifeynman", "ga", "sindy")
-PRESETS = ("paper", "best", "quick")
-# The paper's settings of DynAIFeynman but for these.
-_QUICK = {"epochs": 100, "candidates": 50_000.0, "branches": 1, "max_depth": 1}
+if TYPE_CHECKING:
+    from dynsr.methods.base import AbstractMethod
+
+# Preset -> what it means, whatever the method.
+PRESETS: dict[str, str] = {
+    "best": "the settings that find most",
+    "quick": "short searches, for a first look",
+    "paper": "as published; general choices where the paper chose by hand for a system",
+}
+DEFAULT_PRESET = "best"
+AUTO = "auto"
 
 
-def make_method(name: str, preset: str = "paper", system_name: str | None = None) -> AbstractMethod:
+@dataclass(frozen=True)
+class MethodEntry:
+    """What is known of a method before its code is loaded.
+
+    Parameters
+    ----------
+    name : its one name, in records and on the command line.
+    class_name : its class, as ``dynsr.methods`` exports it.
+    description : one line for the help.
+    presets : preset -> what it means for this method.
+    aliases : other names that it answers to.
+    extra : the optional extra of the package without which a part of it does not run; "" if none.
+    """
+
+    name: str
+    class_name: str
+    description: str
+    presets: Mapping[str, str]
+    aliases: tuple[str, ...] = ()
+    extra: str = ""
+
+    def load(self) -> type[AbstractMethod]:
+        """Give the class, with the code that it needs."""
+        found: type[AbstractMethod] = getattr(import_module("dynsr.methods"), self.class_name)
+        return found
+
+
+METHODS: dict[str, MethodEntry] = {
+    entry.name: entry
+    for entry in (
+        MethodEntry(
+            "rational",
+            "RationalSearch",
+            "sparse sums and ratios of features grown from the variables",
+            {
+                "best": "features of cost up to 6",
+                "quick": "features of cost up to 4",
+                "paper": "as best; the paper does not have it",
+            },
+        ),
+        MethodEntry(
+            "sindy",
+            "SINDy",
+            "sparse regression on a library of functions",
+            {
+                "best": "a path of thresholds, sums and ratios, on a grown library",
+                "quick": "as best, which takes about a second",
+                "paper": "one implicit regression by SR3 of the release of 2021; a grown library "
+                "stands for the one that the paper chose by hand for each system",
+            },
+        ),
+        MethodEntry(
+            "dynaifeynman",
+            "DynAIFeynman",
+            "AI Feynman 2.0 on slopes, with polynomials, enumeration and networks",
+            {
+                "best": "all stages, sums and ratios first; chosen by description length",
+                "quick": "as paper with a fifth of the epochs and a quarter of the formulas",
+                "paper": "500 epochs, degree 4; chosen by lowest error",
+            },
+            extra="torch",
+        ),
+        MethodEntry(
+            "genetic",
+            "GeneticAlgorithm",
+            "evolution of bitstrings that stand for words of a grammar",
+            {
+                "best": "a large population of longer words, each fitted as a f + b",
+                "quick": "a tenth of the paper's iterations",
+                "paper": "the sizes of the cart-pole in Table 2; general constants stand for those "
+                "that the paper chose by hand for each system",
+            },
+            aliases=("ga",),
+        ),
+    )
+}
+# What "auto" runs by preset: (method, its preset, changes of single settings). Beside the other
+# methods DynAIFeynman needs only the stages that look at the samples as they are: reductions take
+# a minute a state, and sums and ratios are searched by a method of their own, so that its formulas
+# meet the others before any is snapped. A genetic search of full size would take longest of all.
+_BESIDE = {
+    "stages": ("polynomial", "brute force", "refinement", "snapping"),
+    "candidates": 50_000,
+    "max_depth": 1,
+}
+_AUTO: dict[str, tuple[tuple[str, str, Mapping[str, Any]], ...]] = {
+    "best": (
+        ("rational", "best", {}),
+        ("sindy", "best", {}),
+        ("dynaifeynman", "best", _BESIDE),
+        ("genetic", "quick", {}),
+    ),
+    "quick": (("rational", "quick", {}), ("sindy", "quick", {})),
+    "paper": (("sindy", "paper", {}), ("dynaifeynman", "paper", {}), ("genetic", "paper", {})),
+}
+
+
+def find_method(name: str) -> MethodEntry:
+    """Give what is known of the method of that name or alias.
+
+    Raises InputError that lists the names when there is none.
+
+    >>> find_method("ga").name
+    'genetic'
+    """
+    for entry in METHODS.values():
+        if name == entry.name or name in entry.aliases:
+            return entry
+    raise InputError(f"unknown method {name!r}; the methods are: {name_methods()}")
+
+
+def make_method(name: str, preset: str = DEFAULT_PRESET, **changes: Any) -> AbstractMethod:
     """Give the method ``name`` with the settings called ``preset``.
 
     Parameters
     ----------
-    name : one of METHODS.
-    preset : "paper" for the settings that the paper prints, "best" for the ones that find most,
-        "quick" for the paper's with a small budget, meant for a first look.
-    system_name : the system, where the paper's settings differ between systems.
+    name : one of METHODS, or an alias of one.
+    preset : one of PRESETS; what it means for each method its entry in METHODS says.
+    changes : settings of the method that replace those of the preset.
 
     Raises InputError that lists the names when there is no such method or preset.
 
-    >>> make_method("ga", "paper", "pendulum").iterations
-    40
+    >>> make_method("rational", "quick").costs
+    (3, 4)
     """
-    if preset not in PRESETS:
-        raise InputError(f"unknown preset {preset!r}; the presets are: {', '.join(PRESETS)}")
-    if name == "ga":
-        from dynsr.methods.genetic import GeneticAlgorithm
-
-        return GeneticAlgorithm.preset(preset, system_name)
-    if name == "sindy":
-        from dynsr.methods.sindy import SINDy
-
-        # It is done in a second at its full settings.
-        return SINDy.preset("paper" if preset == "quick" else preset, system_name)
-    if name == "dynaifeynman":
-        from dynsr.methods.feynman.search import DynAIFeynman
-
-        if preset == "quick":
-            return DynAIFeynman.preset("paper", **_QUICK)
-        return DynAIFeynman.preset(preset)
-    raise InputError(f"unknown method {name!r}; the methods are: {', '.join(METHODS)}")
+    return find_method(name).load().preset(check_preset(preset), **changes)
 
 
-def _rational(preset: str) -> AbstractMethod:
-    from dynsr.methods.rational import RationalSearch
+def check_preset(name: str) -> str:
+    """Give the name of a preset back; raises InputError that lists them when it is none.
 
-    return RationalSearch(costs=(3, 4)) if preset == "quick" else RationalSearch()
-
-
-def _genetic(preset: str) -> AbstractMethod:
-    # Beside the other methods the paper's budget is enough; the best preset's takes hours.
-    return make_method("ga", "quick" if preset == "best" else preset)
-
-
-def _feynman(preset: str) -> AbstractMethod:
-    return make_method("dynaifeynman", preset)
-
-
-def _feynman_beside() -> AbstractMethod:
-    """Give the stages that look at the samples as they are; reductions take a minute a state.
-
-    The search for sums and ratios runs beside it as a method of its own, so that its formulas
-    meet the others before any is snapped.
+    >>> check_preset("best")
+    'best'
     """
-    from dynsr.methods.feynman.search import DynAIFeynman
-
-    return DynAIFeynman.preset("best", stages=_DIRECT, candidates=50_000, max_depth=1)
-
-
-DISCOVERY_METHODS: dict[str, Callable[[str], AbstractMethod]] = {
-    "rational": _rational,
-    "sindy": lambda preset: make_method("sindy", "best" if preset == "quick" else preset),
-    "dynaifeynman": _feynman,
-    "genetic": _genetic,
-}
-# Stages of DynAIFeynman that need no network.
-_DIRECT = ("polynomial", "brute force", "refinement", "snapping")
-_ALIASES = {"ga": "genetic"}
-# What "auto" runs, by preset.
-_AUTO = {
-    "best": ("rational", "sindy", "dynaifeynman", "genetic"),
-    "quick": ("rational", "sindy"),
-    "paper": ("sindy", "dynaifeynman", "genetic"),
-}
+    if name not in PRESETS:
+        raise InputError(f"unknown preset {name!r}; the presets are: {', '.join(PRESETS)}")
+    return name
 
 
 def choose_methods(
-    method: str | AbstractMethod | Sequence[str | AbstractMethod], preset: str
+    method: str | AbstractMethod | Sequence[str | AbstractMethod], preset: str = DEFAULT_PRESET
 ) -> dict[str, AbstractMethod]:
-    """Give the methods to run by name; "auto" stands for those of the preset.
+    """Give the methods to run by name.
 
-    Raises InputError that lists the names when a method or preset is unknown.
+    Parameters
+    ----------
+    method : "auto" for those of the preset, a name, a method with its settings, or several.
+    preset : the settings of those that are named.
 
-    >>> list(choose_methods("rational", "best"))
-    ['rational']
+    Raises InputError that lists the names when a method or preset is unknown, when none is given,
+    and when two of the same name differ in their settings.
+
+    >>> list(choose_methods("auto", "quick"))
+    ['rational', 'sindy']
     """
-    if preset not in PRESETS:
-        raise InputError(f"unknown preset {preset!r}; the presets are: {', '.join(PRESETS)}")
-    if isinstance(method, (str, AbstractMethod)):
-        wanted: list[str | AbstractMethod] = list(_AUTO[preset]) if method == "auto" else [method]
-    else:
-        wanted = list(method)
+    from dynsr.methods.base import AbstractMethod
+
+    check_preset(preset)
     chosen: dict[str, AbstractMethod] = {}
-    for item in wanted:
-        item = _ALIASES.get(item, item) if isinstance(item, str) else item
+    for item in [method] if isinstance(method, (str, AbstractMethod)) else method:
         if isinstance(item, AbstractMethod):
-            chosen[item.name] = item
-        elif item in DISCOVERY_METHODS:
-            quick = method == "auto" and preset == "best" and item == "dynaifeynman"
-            chosen[item] = _feynman_beside() if quick else DISCOVERY_METHODS[item](preset)
+            made = [item]
+        elif item == AUTO:
+            made = [make_method(name, own, **changes) for name, own, changes in _AUTO[preset]]
         else:
-            raise InputError(
-                f"unknown method {str(item)!r}; the methods are: "
-                f"auto, {', '.join(DISCOVERY_METHODS)}"
-            )
+            made = [make_method(str(item), preset)]
+        for one in made:
+            if chosen.setdefault(one.name, one) != one:
+                raise InputError(
+                    f"two methods are called {one.name!r} and differ in their settings; give one"
+                )
     if not chosen:
-        raise InputError("no method was given; use 'auto'")
+        raise InputError(f"no method was given; use {AUTO!r}")
     return chosen
+
+
+def name_methods() -> str:
+    """List "auto" and all names with their aliases, for messages.
+
+    >>> name_methods()
+    'auto, rational, sindy, dynaifeynman, genetic (ga)'
+    """
+    return ", ".join([AUTO, *map(_title, METHODS.values())])
+
+
+def describe_methods() -> str:
+    """Say what each method is, for the help."""
+    several = f"{AUTO}: several, as the preset says"
+    return "; ".join([several, *(f"{_title(e)}: {e.description}" for e in METHODS.values())])
+
+
+def describe_presets() -> str:
+    """Say what each preset means, for the help."""
+    return "; ".join(f"{name}: {meaning}" for name, meaning in PRESETS.items())
+
+
+def _title(entry: MethodEntry) -> str:
+    return f"{entry.name} ({', '.join(entry.aliases)})" if entry.aliases else entry.name

@@ -6,14 +6,14 @@ A path of sparse models is made of many thresholds, then one term less at a time
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import scipy.linalg
 import sympy
 
-from dynsr.data import Samples, find_system
+from dynsr.data import Samples
 from dynsr.engines import (
     AbstractEngine,
     Optimizer,
@@ -28,9 +28,13 @@ from dynsr.fit import Candidate, ParetoFront, rmse, score_candidate
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.library import AbstractLibrary, GrownLibrary, Library
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 _DEPENDENT = 1e-6
 _REWEIGHTINGS = 8
 _ITERATIONS = 100
+_BEST = {"thresholds": tuple(np.geomspace(1e-3, 1.0, 13).tolist())}
 
 Terms = tuple[int, ...]
 
@@ -243,9 +247,6 @@ def _unit_rows(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return theta / scale[:, None], scale
 
 
-PRESETS = ("paper", "best", "quick")
-
-
 @dataclass(frozen=True)
 class SINDy(AbstractMethod):
     """Sparse identification (Brunton et al. 2016), explicit or implicit (Kaheman et al. 2020).
@@ -265,7 +266,7 @@ class SINDy(AbstractMethod):
     max_implicit : of a path, ratios are searched among the first 2, 4, 8, ... functions of the
         library, up to so many; 0 searches none.
     max_rows : of a path, evenly spaced samples used at most.
-    engine : "embedded", "julia", or an engine.
+    engine : "embedded", "julia", or an engine; None takes the caller's, or the embedded one.
 
     >>> x = np.linspace(0.5, 2.0, 100)
     >>> samples = Samples(x[:, None], 3 * x - x**2, ("x",), "x", "given", x)
@@ -284,50 +285,23 @@ class SINDy(AbstractMethod):
     max_terms: int = 12
     max_implicit: int = 25
     max_rows: int = 2000
-    engine: str | AbstractEngine = "embedded"
+    engine: str | AbstractEngine | None = None
 
     name = "sindy"
+    presets: ClassVar = {
+        "best": _BEST,
+        "quick": _BEST,
+        "paper": {
+            "optimizer": "SR3",
+            "settings": {"lambda": 0.01, "nu": 1.0},
+            "implicit": True,
+            "release": "2021",
+        },
+    }
 
-    @classmethod
-    def preset(cls, name: str = "best", system_name: str | None = None) -> SINDy:
-        """Give the settings called "paper" (of one of its systems), "best" or "quick".
-
-        Raises InputError on other names.
-
-        >>> SINDy.preset("paper", "lotka-volterra").optimizer
-        'ADMM'
-        """
-        if name == "paper":
-            return cls._of_paper(system_name)
-        if name == "best":
-            return cls(thresholds=tuple(np.geomspace(1e-3, 1.0, 13).tolist()))
-        if name == "quick":
-            return cls(
-                library=GrownLibrary(degree=3, limit=40),
-                thresholds=tuple(np.geomspace(1e-2, 1.0, 5).tolist()),
-                max_implicit=15,
-                max_rows=500,
-            )
-        raise InputError(f"unknown preset {name!r} of SINDy; the presets are: {', '.join(PRESETS)}")
-
-    @classmethod
-    def _of_paper(cls, system_name: str | None) -> SINDy:
-        from dynsr.paper import PAPER_NAMES, find_protocol
-
-        if system_name not in PAPER_NAMES:
-            raise InputError(
-                f"SINDy has no paper settings for {system_name!r}; they exist for "
-                f"{', '.join(PAPER_NAMES)}; use preset best for other data"
-            )
-        protocol = find_protocol(find_system(system_name))
-        return cls(
-            library=Library.from_strings(protocol.basis),
-            optimizer=protocol.optimizer,
-            settings=protocol.settings,
-            implicit=True,
-            release="2021",
-            max_iterations=protocol.iterations,
-        )
+    def with_engine(self, engine: str | AbstractEngine) -> Self:
+        """Give the same search on an engine, unless it was given one of its own."""
+        return self if self.engine is not None else replace(self, engine=engine)
 
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent
@@ -366,7 +340,7 @@ class SINDy(AbstractMethod):
             self.implicit,
             self.release,
         )
-        return find_engine(self.engine).regress(problem)
+        return find_engine(self.engine or "embedded").regress(problem)
 
     def _formula(self, library: Library, coefficients: np.ndarray) -> sympy.Expr | None:
         """Write a solution as a formula; None when an implicit search came back empty."""
@@ -384,7 +358,7 @@ class SINDy(AbstractMethod):
         if len(y) > self.max_rows:
             rows = np.linspace(0, len(y) - 1, self.max_rows).astype(int)
             theta, y = theta[:, rows], y[rows]
-        engine = find_engine(self.engine)
+        engine = find_engine(self.engine or "embedded")
         yield from explicit_models(theta, y, engine, self.optimizer, self.thresholds)
         size, largest = 2, min(self.max_implicit, len(theta))
         while size <= largest:

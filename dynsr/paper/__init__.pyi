@@ -1,6 +1,13 @@
 from .auditing import AuditRow, audit
 from .page import render_replication, write_results
-from .protocol import PAPER_NAMES, find_protocol, printed_loss, score_as_printed
+from .protocol import (
+    PAPER_METHODS,
+    PAPER_NAMES,
+    is_of_paper,
+    paper_method,
+    printed_loss,
+    score_as_printed,
+)
 from .records import MANIFEST, Record, RecordError, read_record
 from .reference import SparseRecord, sparse_records, trajectory_record
 from .replication import replicate
@@ -9,12 +16,14 @@ from .results import table_1
 __all__ = [
     "AuditRow",
     "MANIFEST",
+    "PAPER_METHODS",
     "PAPER_NAMES",
     "Record",
     "RecordError",
     "SparseRecord",
     "audit",
-    "find_protocol",
+    "is_of_paper",
+    "paper_method",
     "printed_loss",
     "read_record",
     "render_replication",

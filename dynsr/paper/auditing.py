@@ -95,12 +95,13 @@ def paper_models(engine: AbstractEngine, systems: Iterable[str]) -> dict[str, sy
     The embedded engine takes the recorded steps, since the digits are what is asked for here.
     """
     # Here, because an audit with models of its own has no need of the search.
-    from dynsr.methods import SINDy
+    from dynsr.paper.protocol import paper_method
 
     models = {}
     for name in systems:
-        method = replace(SINDy.preset("paper", name), engine=engine)
-        samples = sindy_samples(find_system(name), engine, engine.name == "embedded")
+        system = find_system(name)
+        method = paper_method("sindy", system).with_engine(engine)
+        samples = sindy_samples(system, engine, engine.name == "embedded")
         # The recipe holds no chance; the generator is there because every search takes one.
         models[name] = method.search(samples, np.random.default_rng(0)).best_fit.expr
     return models

@@ -31,7 +31,10 @@ from dynsr.engines import (
 )
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy
+from dynsr.methods import AbstractMethod, Library, make_method
 
+# The methods that the paper compares, as its tables call them.
+PAPER_METHODS: tuple[str, ...] = ("dynaifeynman", "ga", "sindy")
 PAPER_NAMES: tuple[str, ...] = tuple(system.name for system in PAPER_SYSTEMS)
 
 # The slope's own step and the last saved time, in seconds, of every row of SINDy.
@@ -52,6 +55,10 @@ class Protocol:
     basis : functions of SINDy's library (section A.3).
     optimizer, settings, iterations : SINDy's sparse regression (section A.3): optimizer, its
         settings, cap on its iterations.
+    genetic : settings of the GA (table 2), and as its terminals those of the printed words, which
+        hold the true coefficients ("an optimistic estimate", section 4). Twenty bits hold those
+        words only with eight symbols and four functions (see the grammar's own text); sixty hold
+        the whole grammar.
     state_step : seconds between the saved states that SINDy's row was made from.
     printed_start : (k,) where the altered system started when the printed losses were made; the
         system's x0 by default.
@@ -62,6 +69,7 @@ class Protocol:
     optimizer: Optimizer
     settings: dict[str, float]
     iterations: int
+    genetic: dict[str, Any]
     state_step: float
     printed_start: tuple[float, ...] | None = None
 
@@ -83,6 +91,14 @@ PROTOCOLS = (
         optimizer="ADMM",
         settings={"lambda": 0.1, "rho": 2.0},
         iterations=10_000,
+        genetic={
+            "bits": 20,
+            "population": 70,
+            "iterations": 100,
+            "constants": (1.0, -3.0),
+            "operators": ("+", "*", "^"),
+            "functions": ("sin", "cos", "exp", "identity"),
+        },
         state_step=0.01,
     ),
     Protocol(
@@ -100,6 +116,14 @@ PROTOCOLS = (
         optimizer="SR3",
         settings={"lambda": 0.01, "nu": 1.0},
         iterations=5000,
+        genetic={
+            "bits": 20,
+            "population": 70,
+            "iterations": 40,
+            "constants": (-9.81, -0.1, -1.0),
+            "operators": ("+", "*"),
+            "functions": ("sin", "cos", "exp", "identity"),
+        },
         state_step=0.01,
         # Evidently the first two of the cart-pole's own start, copied.
         printed_start=(0.3, 0.0),
@@ -138,6 +162,13 @@ PROTOCOLS = (
         optimizer="SR3",
         settings={"lambda": 0.01, "nu": 1.0},
         iterations=5000,
+        genetic={
+            "bits": 60,
+            "population": 100,
+            "iterations": 100,
+            "constants": (-1.0, 2.0, 9.81, 0.5, 6.0, -0.2),
+            "variables": ("w", "x", "y", "z"),
+        },
         state_step=0.001,
     ),
 )
@@ -167,6 +198,53 @@ def find_protocol(system: System) -> Protocol:
         f"{system.name!r} is not one of the paper's own systems, so the paper has no protocol for "
         f"it; give one of {', '.join(PAPER_NAMES)} from dynsr.SYSTEMS"
     )
+
+
+# The methods as the paper set them.
+
+
+def paper_method(name: str, system: System, quick: bool = False) -> AbstractMethod:
+    """Give a method with the settings that the paper has for a system.
+
+    Parameters
+    ----------
+    name : one of PAPER_METHODS.
+    system : the system; on one that is not the paper's, its general choices stand.
+    quick : a tenth of the genetic algorithm's iterations and a short DynAIFeynman, for a first
+        look; SINDy is done in a second as it is.
+
+    Raises InputError for another name, and for SINDy on a system that is not the paper's, since
+    its library is chosen by hand for each.
+
+    >>> from dynsr.data.system import PENDULUM
+    >>> paper_method("ga", PENDULUM).iterations
+    40
+    """
+    if name not in PAPER_METHODS:
+        raise InputError(
+            f"unknown method {name!r} of the paper; the methods are: {', '.join(PAPER_METHODS)}"
+        )
+    if name == "sindy":
+        if not is_of_paper(system):
+            raise InputError(
+                f"SINDy has no paper settings for {system.name!r}; they exist for "
+                f"{', '.join(PAPER_NAMES)}; use preset best for other data"
+            )
+        protocol = find_protocol(system)
+        return make_method(
+            name,
+            "paper",
+            library=Library.from_strings(protocol.basis),
+            optimizer=protocol.optimizer,
+            settings=protocol.settings,
+            max_iterations=protocol.iterations,
+        )
+    if name == "ga":
+        changes = dict(find_protocol(system).genetic) if is_of_paper(system) else {}
+        if quick:
+            changes["iterations"] = max(4, changes.get("iterations", 100) // 10)
+        return make_method(name, "paper", **changes)
+    return make_method(name, "quick" if quick else "paper")
 
 
 # The printed loss.

@@ -150,8 +150,8 @@ def open_folder(out: str | Path, settings: Mapping[str, Any]) -> Path:
 def describe_settings(method: Any) -> dict[str, Any]:
     """Give the settings of a method (its fields) as values that JSON holds.
 
-    >>> from dynsr.methods.genetic import GeneticAlgorithm
-    >>> describe_settings(GeneticAlgorithm.preset("paper", "pendulum"))["bits"]
+    >>> from dynsr.methods import GeneticAlgorithm
+    >>> describe_settings(GeneticAlgorithm(bits=20))["bits"]
     20
     """
     if not is_dataclass(method):

@@ -13,7 +13,7 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +35,14 @@ from dynsr.data import SYSTEMS, Samples, System, find_system, make_samples
 from dynsr.engines import find_engine, training_trajectory
 from dynsr.errors import InputError
 from dynsr.expression import to_text
-from dynsr.methods import METHODS, AbstractMethod, make_method
+from dynsr.methods import AbstractMethod
 from dynsr.paper.page import write_results
 from dynsr.paper.protocol import (
+    PAPER_METHODS,
     PAPER_NAMES,
     check_replays,
     is_of_paper,
+    paper_method,
     score_as_printed,
     sindy_samples,
 )
@@ -58,21 +60,21 @@ from dynsr.paper.results import all_tables
 from dynsr.report import Table
 
 _WATCH_SECONDS = 1.0
-MakeMethod = Callable[[str, str, str | None], AbstractMethod]
+MakeMethod = Callable[[str, System, bool], AbstractMethod]
 
 
 @dataclass(frozen=True)
 class Plan:
     """What every cell of a replication shares.
 
-    ``make`` gives a method for its name, a preset and the name of a system; ``recorded_steps`` is
-    that of :func:`replicate`.
+    ``make`` gives a method for its name, a system, and whether its search is to be short;
+    ``recorded_steps`` is that of :func:`replicate`.
     """
 
     seed: int
     preset: str
     engine: str
-    make: MakeMethod = make_method
+    make: MakeMethod = paper_method
     recorded_steps: bool = False
 
 
@@ -107,11 +109,8 @@ class Cell:
 
 def cell_method(cell: Cell, plan: Plan) -> AbstractMethod:
     """Give the method of a cell with all its settings; its engine is the plan's."""
-    method = plan.make(cell.method, plan.preset, cell.system.name)
-    if is_dataclass(method) and any(f.name == "engine" and f.init for f in fields(method)):
-        changed: AbstractMethod = replace(method, engine=plan.engine)
-        return changed
-    return method
+    quick = plan.preset == "quick"
+    return plan.make(cell.method, cell.system, quick).with_engine(plan.engine)
 
 
 def cell_samples(cell: Cell, engine: str, recorded_steps: bool = False) -> Samples:
@@ -262,7 +261,7 @@ class Replication:
 
 def replicate(
     systems: Sequence[str | System] = PAPER_NAMES,
-    methods: Sequence[str] = METHODS,
+    methods: Sequence[str] = PAPER_METHODS,
     runs: int | None = None,
     seed: int = 0,
     jobs: int | None = None,
@@ -272,7 +271,7 @@ def replicate(
     progress: bool = False,
     report: bool = True,
     recorded_steps: bool = False,
-    make: MakeMethod = make_method,
+    make: MakeMethod = paper_method,
 ) -> Replication:
     """Run the cells that have no record in ``out`` yet; give and write up the results of all.
 
@@ -289,7 +288,7 @@ def replicate(
     report : write the tables, Figure 1 and report.html into ``out`` at the end.
     recorded_steps : make the samples of SINDy's rows with the steps that the release of 2021 took,
         :func:`dynsr.paper.protocol.recorded_ends`, instead of our own; on the embedded engine.
-    make : gives a method for its name, a preset and the name of a system.
+    make : gives a method for its name, a system, and whether its search is to be short.
 
     A cell that fails leaves a record that says why; the next call tries it again. Raises
     InputError when something asked for is unknown, or ``out`` cannot be used or holds results

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -12,9 +12,9 @@ import numpy as np
 
 from dynsr.data import SYSTEMS, System, find_system
 from dynsr.engines import InitialValueProblem, find_engine
-from dynsr.methods import GeneticAlgorithm
 from dynsr.paper.auditing import AuditRow, audit
 from dynsr.paper.printed import TABLE_1
+from dynsr.paper.protocol import paper_method
 from dynsr.paper.records import Record
 from dynsr.report import Formula, Spread, Table
 
@@ -152,13 +152,13 @@ def all_tables(records: Sequence[Record]) -> list[Table]:
 
 def table_2() -> Table:
     """Give the paper's Table 2 from the genetic algorithm's own settings."""
-    methods = [GeneticAlgorithm.preset("paper", name) for name in SYSTEM_TITLES]
-    settings: tuple[tuple[str, Callable[[GeneticAlgorithm], int]], ...] = (
-        ("bitstring length", lambda m: m.bits),
-        ("# of candidates", lambda m: m.population),
-        ("iterations", lambda m: m.iterations),
-    )
-    rows = tuple((label, *(read(m) for m in methods)) for label, read in settings)
+    methods = [paper_method("ga", find_system(name)) for name in SYSTEM_TITLES]
+    settings = {
+        "bitstring length": "bits",
+        "# of candidates": "population",
+        "iterations": "iterations",
+    }
+    rows = tuple((label, *(getattr(m, s) for m in methods)) for label, s in settings.items())
     return Table("table2", "Settings of the GA", ("Setting", *SYSTEM_TITLES.values()), rows)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 import sympy
@@ -44,6 +45,14 @@ STAGES = (
 SELECTIONS = ("lowest error", "description length")
 _DIRECT = ("rational", "polynomial", "brute force")
 _EXACT = 1e-9
+_PAPER: dict[str, Any] = {
+    "stages": tuple(name for name in STAGES if name != "rational"),
+    "sparse": False,
+    "candidates": 200_000,
+    "branches": 1,
+    "selection": "lowest error",
+    "agreement": 0,
+}
 _SIMPLE = BruteForce(max_size=3, sums=(), beam=0, combinations=True)
 
 
@@ -110,6 +119,13 @@ class DynAIFeynman(AbstractMethod):
     time_budget: float | None = None
 
     name = "dynaifeynman"
+    # The paper's is its experiment's: 500 epochs, degree 4, the member of lowest error reported;
+    # the caller gives it forward differences.
+    presets: ClassVar = {
+        "best": {},
+        "quick": {**_PAPER, "epochs": 100, "candidates": 50_000, "max_depth": 1},
+        "paper": _PAPER,
+    }
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -130,18 +146,6 @@ class DynAIFeynman(AbstractMethod):
             raise InputError(
                 f"time_budget {self.time_budget!r} must be a positive number of seconds"
             )
-
-    @classmethod
-    def preset(cls, name: str, **changes: object) -> DynAIFeynman:
-        """Give the settings of the paper ("paper") or those of most power ("best").
-
-        "paper" is the experiment's: 500 epochs, degree 4, the member of lowest error reported; the
-        caller gives it forward differences. "best" looks for sums and ratios first and goes by
-        description length; give it differences of higher order. ``changes`` replace single fields.
-        """
-        if name not in PRESETS:
-            raise InputError(f"unknown preset {name!r}; the presets are: {', '.join(PRESETS)}")
-        return replace(PRESETS[name], **changes)  # type: ignore[arg-type]
 
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent
@@ -251,16 +255,3 @@ class DynAIFeynman(AbstractMethod):
         from dynsr.methods.feynman.network import fit_network
 
         return fit_network(samples, context.rng, max(1, self.epochs >> min(context.depth, 1)))
-
-
-PRESETS = {
-    "paper": DynAIFeynman(
-        stages=tuple(name for name in STAGES if name != "rational"),
-        sparse=False,
-        candidates=200_000,
-        branches=1,
-        selection="lowest error",
-        agreement=0,
-    ),
-    "best": DynAIFeynman(),
-}
