@@ -31,7 +31,7 @@ class CrosscheckRow:
     verdict: str = field(init=False)
 
     def __post_init__(self) -> None:
-        """Judge the difference."""
+        """Compare the difference with its limit."""
         if self.difference is None:
             verdict = "absent"
         else:

@@ -28,7 +28,7 @@ _MAD = 1.4826
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """One column made smooth: which rows are left, and the values and slopes there."""
+    """One column made smooth: the rows that have a slope, and the values and slopes there."""
 
     rows: slice
     x: np.ndarray
@@ -91,7 +91,7 @@ def _spline(t: np.ndarray, x: np.ndarray) -> Smooth:
     # The search for the strength is on a log scale around 1 for unit steps and unit values.
     step, scale = float(np.mean(np.diff(t))), float(np.std(x)) or 1.0
     spline = make_smoothing_spline((t - t[0]) / step, x / scale)
-    # The ends of a smoothing spline are its worst part.
+    # The ends of a smoothing spline are its least accurate.
     cut = max(1, min(len(t) // 50, 20))
     rows = slice(cut, len(t) - cut)
     at = (t[rows] - t[0]) / step
@@ -302,14 +302,14 @@ def choose_samples(
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
     given = _own_slopes(runs, target, slopes)
-    # The longest trajectory speaks for all: noise and step belong to the instrument.
+    # The longest trajectory decides for all: noise and step belong to the instrument.
     longest = max(runs, key=len)
     choices = {state: _choose(longest, state, scheme) for state in runs[0].states}
-    parts = []
+    pieces = []
     for run, own in zip(runs, given, strict=True):
         fitting = choices if run is longest else _fitting(run, choices)
-        parts.append(_combine(run, target, fitting, own))
-    return replace(join(parts), scheme=parts[runs.index(longest)].scheme)
+        pieces.append(_combine(run, target, fitting, own))
+    return replace(join(pieces), scheme=pieces[runs.index(longest)].scheme)
 
 
 def _choose(trajectory: Trajectory, state: str, scheme: str) -> Choice:
@@ -366,24 +366,24 @@ def _own_slopes(
 ) -> list[np.ndarray | None]:
     if slopes is None:
         return [None] * len(runs)
-    parts = [slopes] if isinstance(slopes, np.ndarray) and slopes.ndim == 1 else list(slopes)
-    given = [np.asarray(part, dtype=float) for part in parts]
-    if [len(part) for part in given] != [len(run) for run in runs]:
+    single = isinstance(slopes, np.ndarray) and slopes.ndim == 1
+    given = [np.asarray(own, dtype=float) for own in ([slopes] if single else slopes)]
+    if [len(own) for own in given] != [len(run) for run in runs]:
         raise InputError(
-            f"own slopes of {target} have {[len(p) for p in given]} rows but the trajectories "
+            f"own slopes of {target} have {[len(own) for own in given]} rows but the trajectories "
             f"{[len(r) for r in runs]}; give one slope a row"
         )
-    if not all(np.all(np.isfinite(part)) for part in given):
+    if not all(np.all(np.isfinite(own)) for own in given):
         raise InputError(f"own slopes of {target} hold NaN or infinity; fill or drop such rows")
-    for run, part in zip(runs, given, strict=True):
-        warn_if_biased(run, target, run.t, part, "the slopes given")
+    for run, own in zip(runs, given, strict=True):
+        warn_if_biased(run, target, run.t, own, "the slopes given")
     return list(given)
 
 
 def slope_bias(trajectory: Trajectory, target: str, t: np.ndarray, slopes: np.ndarray) -> float:
     """Share of the slopes (RMS) that is bias: what remains against the chosen scheme's slopes.
 
-    The part that noise explains is taken off, so good but noisy slopes have a share near 0.
+    The share that noise explains is subtracted, so good but noisy slopes have a share near 0.
     """
     choice = _choose(trajectory, target, "auto")
     x = trajectory.x[:, trajectory.index(target)]

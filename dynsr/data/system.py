@@ -48,7 +48,7 @@ class System:
     description: str = ""
 
     def __post_init__(self) -> None:
-        """Check the parts against each other."""
+        """Check the fields against each other."""
         names = [*self.states, *self.inputs]
         for name in self.states:
             check_name(name, "state")

@@ -174,7 +174,7 @@ def _warn_scales(states: Mapping[str, np.ndarray], label: str) -> None:
     if scales[high] > _SCALE_RATIO * scales[low]:
         warnings.warn(
             f"states {low!r} and {high!r} of {label} vary by {scales[low]:.1g} and "
-            f"{scales[high]:.1g}; units that bring them closer make the search surer",
+            f"{scales[high]:.1g}; choose units that bring them closer",
             DynsrWarning,
             stacklevel=4,
         )
