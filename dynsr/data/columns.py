@@ -147,7 +147,8 @@ def _load_parquet(path: Path) -> Columns:
         frame = pandas.read_parquet(path)
     except ImportError:
         raise InputError(
-            f"reading {path.name!r} needs pyarrow; run: pip install pyarrow, or save it as CSV"
+            f"reading {path.name!r} needs pyarrow; run: pip install 'dynsr[tables]', "
+            "or save it as CSV"
         ) from None
     except Exception as error:  # pyarrow raises a family of its own for damaged files
         raise _unreadable(path, "Parquet file", error) from None

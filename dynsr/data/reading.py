@@ -248,8 +248,6 @@ def write_csv(
 
 
 _FEWEST_ROWS = 8
-_HELD_BACK = 0.2
-_FEWEST_HELD_BACK = 12
 
 
 def take_trajectories(
@@ -332,22 +330,26 @@ def _with_drives(run: Trajectory, drives: Mapping[str, sympy.Expr]) -> Trajector
 
 
 def split_held_back(
-    runs: Sequence[Trajectory],
+    runs: Sequence[Trajectory], share: float = 0.2, fewest: int = 12
 ) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Hold a fifth back: whole trajectories when there are five or more, else each one's tail.
+    """Hold rows back: whole trajectories when there are enough of them, else each one's tail.
 
-    Nothing is held back where that would leave too few rows to learn from.
+    Parameters
+    ----------
+    runs : the trajectories.
+    share : the share of the trajectories, or of each one's rows, that is held back.
+    fewest : a tail of fewer rows shows nothing, so that nothing is held back.
 
     >>> t = np.arange(100.0)
     >>> training, held_back = split_held_back([Trajectory(t, t[:, None], ("x",))])
     >>> len(training[0]), len(held_back[0])
     (80, 20)
     """
-    if len(runs) >= 5:
-        last = max(1, round(_HELD_BACK * len(runs)))
+    if len(runs) * share >= 1:
+        last = round(share * len(runs))
         return list(runs[:-last]), list(runs[-last:])
-    cuts = [round((1 - _HELD_BACK) * len(run)) for run in runs]
-    if min(len(run) - cut for run, cut in zip(runs, cuts, strict=True)) < _FEWEST_HELD_BACK:
+    cuts = [round((1 - share) * len(run)) for run in runs]
+    if min(len(run) - cut for run, cut in zip(runs, cuts, strict=True)) < fewest:
         return list(runs), []
     return (
         [run.select(slice(None, cut)) for run, cut in zip(runs, cuts, strict=True)],
