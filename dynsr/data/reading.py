@@ -189,7 +189,7 @@ def _groups(labels: np.ndarray | None, t: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def describe(runs: Sequence[Trajectory], roles: Roles, formulas: Mapping[str, str]) -> str:
-    """Say how the columns were understood."""
+    """Say how the columns were understood: times, states, inputs, and what is not used."""
     total = sum(len(run) for run in runs)
     many = f"{len(runs)} trajectories" + (
         f" named by {roles.trajectory!r}" if roles.trajectory else ", each starting the time again"
@@ -219,10 +219,14 @@ def _spacing(runs: Sequence[Trajectory]) -> str:
 def write_csv(
     trajectories: Trajectory | Sequence[Trajectory], path: str | os.PathLike[str]
 ) -> None:
-    """Write t, the states and the inputs as CSV (TSV when the name ends so), to full precision.
+    """Write t, the states and the inputs as text, to full precision.
 
-    Many trajectories get a first column ``trajectory`` that counts from 1. Raises InputError when
-    the file cannot be written or the trajectories have different columns.
+    Parameters
+    ----------
+    trajectories : one or many; many get a first column ``trajectory`` that counts from 1.
+    path : the file, delimited by tabs when its name ends in .tsv, else by commas.
+
+    Raises InputError when the file cannot be written or the trajectories have different columns.
     """
     import pandas
 
@@ -255,9 +259,13 @@ def take_trajectories(
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
-    ``data`` is a Trajectory, a list of them, ``(t, x)`` arrays or a source of
-    :func:`dynsr.data.reading.read_trajectories`. ``inputs`` names columns that are inputs, or maps
-    names to expressions in ``t``. Raises InputError when nothing usable is there.
+    Parameters
+    ----------
+    data : a Trajectory, a list of them, ``(t, x)`` arrays or a list of such pairs, or a source of
+        :func:`dynsr.data.reading.read_trajectories`.
+    inputs : names of columns that are inputs, or input name -> expression in ``t``.
+
+    Raises InputError when nothing usable is there.
 
     >>> runs, inputs = take_trajectories(([0.0, *range(1, 9)], np.ones((9, 1))), {"F": "sin(t)"})
     >>> runs[0].names, inputs
