@@ -9,6 +9,7 @@ import pytest
 
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.result import Discovery
+from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.report.discovery import render_discovery
@@ -129,3 +130,13 @@ def test_a_notebook_shows_equations_and_reasons(found):
     assert shown.count("<math>") == 2 and "y' = -1*x" in html.unescape(shown)
     assert "because &lt;it&gt; is shorter" in shown
     assert found._repr_latex_().startswith("$$\n\\begin{aligned}\n\\dot{x} &= y")
+
+
+def test_a_report_that_cannot_be_written_is_an_error_of_one_line(found, tmp_path):
+    """A name that is a folder's, or lies below a file, is refused with the reason."""
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
+    for path in (tmp_path / "folder", tmp_path / "file" / "page.html"):
+        with pytest.raises(InputError, match="cannot write .*; choose another file"):
+            found.report(path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]

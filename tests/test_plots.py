@@ -49,8 +49,8 @@ def test_a_run_that_runs_away_does_not_flatten_the_truth():
 def test_states_are_drawn_with_intervals():
     """One panel a state, the found curve over the data, the interval as a band."""
     band = {"a": (FOUND.x[:, 0] - 0.1, FOUND.x[:, 0] + 0.1)}
-    figure = plots.draw_states(TRUE, FOUND, band, {"a": "m"})
-    assert [axis.get_ylabel() for axis in figure.axes] == ["a (m)", "b"]
+    figure = plots.draw_states(TRUE, FOUND, band)
+    assert [axis.get_ylabel() for axis in figure.axes] == ["a", "b"]
     assert [len(axis.collections) for axis in figure.axes] == [1, 0]
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["data", "found", "interval"]
     assert len(plots.draw_states(TRUE).axes) == 2

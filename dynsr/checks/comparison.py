@@ -11,9 +11,17 @@ from typing import Any
 class CrosscheckRow:
     """One comparison.
 
-    ``difference`` is the largest over all that was compared, relative for coefficients and in
-    the states' own units for trajectories; None where one side is absent. ``worst`` says where it
-    occurred, or why a side is absent. ``verdict`` is one of agrees, differs, absent.
+    Parameters
+    ----------
+    section, system, subject : what was compared.
+    ours, theirs : the two programs.
+    compared : how many numbers were compared.
+    difference : the largest, relative for coefficients and in the states' own units for
+        trajectories; None where one side is absent.
+    limit : up to which difference the two agree.
+    worst : where the largest difference occurred, or why a side is absent.
+
+    ``verdict`` is one of agrees, differs, absent.
 
     >>> CrosscheckRow("records", "pendulum", "states", "embedded", "scipy", 9, 1e-9, 1e-8).verdict
     'agrees'
@@ -31,7 +39,7 @@ class CrosscheckRow:
     verdict: str = field(init=False)
 
     def __post_init__(self) -> None:
-        """Judge the difference."""
+        """Compare the difference with its limit."""
         if self.difference is None:
             verdict = "absent"
         else:

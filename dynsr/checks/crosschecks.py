@@ -34,7 +34,12 @@ def crosscheck(
 ) -> list[CrosscheckRow]:
     """Compare engines with recorded answers and other programs, on the paper's systems.
 
-    ``extra`` names further programs whose trajectories are compared: "diffeqpy".
+    Parameters
+    ----------
+    systems : names of the paper's systems.
+    engines : names of the engines to check.
+    sections : names of SECTIONS; all by default.
+    extra : further programs whose trajectories are compared: "diffeqpy".
 
     Raises InputError on an unknown system, engine, section or program.
 
@@ -84,7 +89,11 @@ def _start_program(name: str) -> AbstractEngine:
 def coefficient_difference(found: np.ndarray, expected: np.ndarray, implicit: bool) -> float:
     """Largest difference relative to the largest coefficient.
 
-    An implicit relation holds up to a factor, so both are first brought to largest magnitude 1.
+    Parameters
+    ----------
+    found, expected : (m,) coefficients of the same library.
+    implicit : an implicit relation holds up to a factor, so both are first brought to largest
+        magnitude 1.
 
     >>> coefficient_difference(np.array([1.0, 2.0]), np.array([-0.5, -1.0]), True)
     0.0

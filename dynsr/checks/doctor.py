@@ -157,7 +157,7 @@ def _examine_versions(engine: AbstractEngine) -> Iterator[Check]:
     try:
         versions = engine.versions()
     except EngineError:
-        # The integration and the regression before have told why.
+        # The rows of the integration and the regression say why.
         return
     for package, version in versions.items():
         yield Check(f"{engine.name}: {package}", OK, version, required=False)

@@ -31,6 +31,13 @@ def trajectory_rows(system_name: str, engine: AbstractEngine) -> Iterator[Crossc
     The recorded states at the accepted steps of default tolerances, and the number of those
     steps; the recorded states at tolerances of 1e-10; scipy's DOP853 at 1e-12; and, for another
     engine than it, the embedded engine's states.
+
+    Parameters
+    ----------
+    system_name : one of the paper's systems.
+    engine : the engine to check.
+
+    Raises EngineError when the engine fails.
     """
     system = find_system(system_name)
     t, x = trajectory_record(system_name, "steps")

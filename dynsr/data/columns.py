@@ -91,7 +91,7 @@ def load_columns(source: Any) -> Columns:
     if narwhals.dependencies.is_into_dataframe(source):
         return _load_frame(source, "the data frame")
     if isinstance(source, tuple) and len(source) == 2:
-        return _load_array(_beside(*source), "the arrays")
+        return _load_array(beside(*source), "the arrays")
     if isinstance(source, np.ndarray):
         return _load_array(source, "the array")
     raise InputError(
@@ -147,7 +147,8 @@ def _load_parquet(path: Path) -> Columns:
         frame = pandas.read_parquet(path)
     except ImportError:
         raise InputError(
-            f"reading {path.name!r} needs pyarrow; run: pip install pyarrow, or save it as CSV"
+            f"reading {path.name!r} needs pyarrow; run: pip install 'dynsr[tables]', "
+            "or save it as CSV"
         ) from None
     except Exception as error:  # pyarrow raises a family of its own for damaged files
         raise _unreadable(path, "Parquet file", error) from None
@@ -213,16 +214,24 @@ def _plain(array: np.ndarray) -> np.ndarray:
     if array.dtype.kind == "M":
         return array
     if array.dtype.kind == "c":
-        raise InputError("the data holds complex numbers; give the real and imaginary parts apart")
+        raise InputError(
+            "the data holds complex numbers; give real and imaginary values as two columns"
+        )
     return array.astype(float) if array.dtype.kind in "fiub" else array.astype(object)
 
 
-def _beside(t: Any, x: Any) -> np.ndarray:
-    """Put times and states beside each other."""
+def beside(t: Any, x: Any) -> np.ndarray:
+    """Put times (n,) and states (n,) or (n, k) beside each other as one array (n, 1 + k).
+
+    Raises InputError when they are no numbers or their shapes do not fit.
+
+    >>> beside([0.0, 1.0], [2.0, 3.0]).tolist()
+    [[0.0, 2.0], [1.0, 3.0]]
+    """
     try:
         t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
     except (TypeError, ValueError):
-        raise InputError("t and x must be arrays of numbers") from None
+        raise InputError("t and x must be arrays of numbers; give (t, x) or a file") from None
     if t.ndim != 1 or x.ndim not in (1, 2) or len(x) != len(t):
         raise InputError(f"t {t.shape} and x {x.shape} do not fit; give t (n,) and x (n, k)")
     return np.column_stack([t, x])

@@ -1,7 +1,7 @@
 """Reading: whatever the user has becomes trajectories of the same columns.
 
 Files, frames, mappings and arrays become named columns; roles say which is the time, a state, an
-input; checks say in plain words what is wrong.
+input; checks name what is wrong and the remedy.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from dynsr.data.columns import Columns, load_columns
+from dynsr.data.columns import Columns, beside, load_columns
 from dynsr.data.roles import Roles, clean_name, guess_roles
 from dynsr.data.table_checks import check_rows, check_values, thin, to_numbers
 from dynsr.data.trajectory import Trajectory
@@ -28,7 +28,7 @@ MAX_ROWS = 200_000
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Trajectories that were read, and in words how their columns were understood."""
+    """Trajectories that were read, and a sentence on how their columns were understood."""
 
     trajectories: list[Trajectory]
     guess: str
@@ -51,7 +51,7 @@ def read_trajectories(
         columns; a pair of arrays (t (n,), x (n, k)); an array whose first column is the time; a
         Trajectory; or a list of any of these, one or more trajectories each.
     time : name of the time column, or the (n,) times themselves; guessed by default.
-    states : names of the state columns; every column left over by default. A source without
+    states : names of the state columns; every other column by default. A source without
         names, such as an array, takes these names.
     inputs : columns that are known inputs, or expressions in t, such as ``"F=0.5*sin(6*t)"`` or
         ``{"F": "0.5*sin(6*t)"}``.
@@ -75,8 +75,8 @@ def read_trajectories(
         warnings.warn(note, DynsrWarning, stacklevel=2)
     named, formulas = _split_inputs(inputs)
     roles = guess_roles(columns, time, _listed(states), named, formulas, trajectory)
-    parts = _cut(columns, roles, formulas, max_rows)
-    return Table(parts, f"{columns.label}: {describe(parts, roles, formulas)}")
+    runs = _cut(columns, roles, formulas, max_rows)
+    return Table(runs, f"{columns.label}: {describe(runs, roles, formulas)}")
 
 
 def _read_list(sources: list[Any], *arguments: Any) -> Table:
@@ -85,21 +85,21 @@ def _read_list(sources: list[Any], *arguments: Any) -> Table:
     *options, max_rows = arguments
     share = max(max_rows // len(sources), 1)
     tables = [read_trajectories(source, *options, max_rows=share) for source in sources]
-    parts = [part for table in tables for part in table.trajectories]
-    for part in parts[1:]:
-        if part.states != parts[0].states or part.input_names != parts[0].input_names:
+    runs = [run for table in tables for run in table.trajectories]
+    for run in runs[1:]:
+        if run.states != runs[0].states or run.input_names != runs[0].input_names:
             raise InputError(
-                f"the trajectories have different columns ({', '.join(parts[0].names)} and "
-                f"{', '.join(part.names)}); give all the same columns"
+                f"the trajectories have different columns ({', '.join(runs[0].names)} and "
+                f"{', '.join(run.names)}); give all the same columns"
             )
-    return Table(parts, "; ".join(dict.fromkeys(table.guess for table in tables)))
+    return Table(runs, "; ".join(dict.fromkeys(table.guess for table in tables)))
 
 
 def _listed(names: Sequence[str] | str | None) -> list[str] | None:
     if names is None:
         return None
-    parts = names.split(",") if isinstance(names, str) else names
-    return [str(part).strip() for part in parts if str(part).strip()]
+    given = names.split(",") if isinstance(names, str) else names
+    return [str(name).strip() for name in given if str(name).strip()]
 
 
 def _with_names(columns: Columns, states: Sequence[str] | str | None) -> Columns:
@@ -118,7 +118,7 @@ def _with_names(columns: Columns, states: Sequence[str] | str | None) -> Columns
 def _split_inputs(
     inputs: Sequence[str] | Mapping[str, str] | str | None,
 ) -> tuple[list[str] | None, dict[str, str]]:
-    """Tell input columns from ``name=expression in t``; None means that inputs are guessed."""
+    """Separate input columns from ``name=expression in t``; None means that inputs are guessed."""
     if inputs is None:
         return None, {}
     if isinstance(inputs, Mapping):
@@ -148,12 +148,12 @@ def _cut(
     functions = compile_numpy([parse(text, ["t"]) for text in formulas.values()], ["t"])
     count, origin = len(roles.states), {"source": columns.label}
     names = [roles.renamed[name] for name in wanted]
-    parts = []
+    runs = []
     for rows in thin(groups, len(t), max_rows, columns.label):
         extra = functions(t[rows][None]).T
         inputs = np.column_stack([table[rows, count:], extra])
         _check_formulas(extra, t[rows], formulas)
-        parts.append(
+        runs.append(
             Trajectory(
                 t[rows],
                 table[rows, :count],
@@ -163,7 +163,7 @@ def _cut(
                 origin,
             )
         )
-    return parts
+    return runs
 
 
 def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, str]) -> None:
@@ -188,27 +188,27 @@ def _groups(labels: np.ndarray | None, t: np.ndarray) -> dict[str, np.ndarray]:
     return {str(i + 1): piece for i, piece in enumerate(pieces)}
 
 
-def describe(parts: Sequence[Trajectory], roles: Roles, formulas: Mapping[str, str]) -> str:
-    """Say in words how the columns were understood."""
-    total = sum(len(part) for part in parts)
-    many = f"{len(parts)} trajectories" + (
+def describe(runs: Sequence[Trajectory], roles: Roles, formulas: Mapping[str, str]) -> str:
+    """Say how the columns were understood: times, states, inputs, and what is not used."""
+    total = sum(len(run) for run in runs)
+    many = f"{len(runs)} trajectories" + (
         f" named by {roles.trajectory!r}" if roles.trajectory else ", each starting the time again"
     )
-    head = f"time {roles.time!r}, " + (f"{many}, " if len(parts) > 1 else "")
-    first, last = min(part.t[0] for part in parts), max(part.t[-1] for part in parts)
-    words = [f"{head}{total} rows from {first:g} to {last:g} {_spacing(parts)}"]
-    words.append(f"states {', '.join(roles.renamed[name] for name in roles.states)}")
+    head = f"time {roles.time!r}, " + (f"{many}, " if len(runs) > 1 else "")
+    first, last = min(run.t[0] for run in runs), max(run.t[-1] for run in runs)
+    clauses = [f"{head}{total} rows from {first:g} to {last:g} {_spacing(runs)}"]
+    clauses.append(f"states {', '.join(roles.renamed[name] for name in roles.states)}")
     inputs = [roles.renamed[name] for name in roles.inputs]
     inputs += [f"{name} = {text}" for name, text in formulas.items()]
     if inputs:
-        words.append(f"inputs {', '.join(inputs)}")
+        clauses.append(f"inputs {', '.join(inputs)}")
     if roles.ignored:
-        words.append(f"not used: {', '.join(map(repr, roles.ignored))}")
-    return "; ".join(words)
+        clauses.append(f"not used: {', '.join(map(repr, roles.ignored))}")
+    return "; ".join(clauses)
 
 
-def _spacing(parts: Sequence[Trajectory]) -> str:
-    steps = np.concatenate([np.diff(part.t) for part in parts])
+def _spacing(runs: Sequence[Trajectory]) -> str:
+    steps = np.concatenate([np.diff(run.t) for run in runs])
     low, high = float(steps.min()), float(steps.max())
     # Times written with few digits differ in their last one.
     if high - low <= 1e-3 * high:
@@ -219,24 +219,26 @@ def _spacing(parts: Sequence[Trajectory]) -> str:
 def write_csv(
     trajectories: Trajectory | Sequence[Trajectory], path: str | os.PathLike[str]
 ) -> None:
-    """Write t, the states and the inputs as CSV (TSV when the name ends so), to full precision.
+    """Write t, the states and the inputs as text, to full precision.
 
-    Many trajectories get a first column ``trajectory`` that counts from 1. Raises InputError when
-    the file cannot be written or the trajectories have different columns.
+    Parameters
+    ----------
+    trajectories : one or many; many get a first column ``trajectory`` that counts from 1.
+    path : the file, delimited by tabs when its name ends in .tsv, else by commas.
+
+    Raises InputError when the file cannot be written or the trajectories have different columns.
     """
     import pandas
 
-    parts = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
-    if not parts:
+    runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
+    if not runs:
         raise InputError("there is no trajectory to write; give at least one")
     frames = []
-    for number, part in enumerate(parts, start=1):
-        if part.names != parts[0].names:
+    for number, run in enumerate(runs, start=1):
+        if run.names != runs[0].names:
             raise InputError("the trajectories have different columns; write them to several files")
-        frame = pandas.DataFrame(
-            np.column_stack([part.t, part.columns]), columns=["t", *part.names]
-        )
-        if len(parts) > 1:
+        frame = pandas.DataFrame(np.column_stack([run.t, run.columns]), columns=["t", *run.names])
+        if len(runs) > 1:
             frame.insert(0, "trajectory", number)
         frames.append(frame)
     target = Path(path)
@@ -250,8 +252,6 @@ def write_csv(
 
 
 _FEWEST_ROWS = 8
-_HELD_BACK = 0.2
-_FEWEST_HELD_BACK = 12
 
 
 def take_trajectories(
@@ -259,9 +259,13 @@ def take_trajectories(
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
-    ``data`` is a Trajectory, a list of them, ``(t, x)`` arrays or a source of
-    :func:`dynsr.data.reading.read_trajectories`. ``inputs`` names columns that are inputs, or maps
-    names to expressions in ``t``. Raises InputError when nothing usable is there.
+    Parameters
+    ----------
+    data : a Trajectory, a list of them, ``(t, x)`` arrays or a list of such pairs, or a source of
+        :func:`dynsr.data.reading.read_trajectories`.
+    inputs : names of columns that are inputs, or input name -> expression in ``t``.
+
+    Raises InputError when nothing usable is there.
 
     >>> runs, inputs = take_trajectories(([0.0, *range(1, 9)], np.ones((9, 1))), {"F": "sin(t)"})
     >>> runs[0].names, inputs
@@ -298,17 +302,10 @@ def _read(data: Any) -> list[Trajectory]:
 
 
 def _from_arrays(t: Any, x: Any) -> Trajectory:
-    try:
-        times, states = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("t and x must be arrays of numbers; give (t, x) or a file") from None
-    if states.ndim == 1:
-        states = states[:, None]
-    if states.ndim != 2:
-        raise InputError(f"x has shape {states.shape}; rows are times, columns are states")
-    names = ("x", "y", "z") if states.shape[1] <= 3 else ()
-    chosen = names[: states.shape[1]] or tuple(f"x{i + 1}" for i in range(states.shape[1]))
-    return Trajectory(times, states, chosen)
+    table = beside(t, x)
+    count = table.shape[1] - 1
+    names = ("x", "y", "z")[:count] if count <= 3 else tuple(f"x{i + 1}" for i in range(count))
+    return Trajectory(table[:, 0], table[:, 1:], names)
 
 
 def _as_inputs(run: Trajectory, columns: Sequence[str]) -> Trajectory:
@@ -341,22 +338,26 @@ def _with_drives(run: Trajectory, drives: Mapping[str, sympy.Expr]) -> Trajector
 
 
 def split_held_back(
-    runs: Sequence[Trajectory],
+    runs: Sequence[Trajectory], share: float = 0.2, fewest: int = 12
 ) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Hold a fifth back: whole trajectories when there are five or more, else each one's tail.
+    """Hold rows back: whole trajectories when there are enough of them, else each one's tail.
 
-    Nothing is held back where that would leave too few rows to learn from.
+    Parameters
+    ----------
+    runs : the trajectories.
+    share : the share of the trajectories, or of each one's rows, that is held back.
+    fewest : a tail of fewer rows shows nothing, so that nothing is held back.
 
     >>> t = np.arange(100.0)
     >>> training, held_back = split_held_back([Trajectory(t, t[:, None], ("x",))])
     >>> len(training[0]), len(held_back[0])
     (80, 20)
     """
-    if len(runs) >= 5:
-        last = max(1, round(_HELD_BACK * len(runs)))
+    if len(runs) * share >= 1:
+        last = round(share * len(runs))
         return list(runs[:-last]), list(runs[-last:])
-    cuts = [round((1 - _HELD_BACK) * len(run)) for run in runs]
-    if min(len(run) - cut for run, cut in zip(runs, cuts, strict=True)) < _FEWEST_HELD_BACK:
+    cuts = [round((1 - share) * len(run)) for run in runs]
+    if min(len(run) - cut for run, cut in zip(runs, cuts, strict=True)) < fewest:
         return list(runs), []
     return (
         [run.select(slice(None, cut)) for run, cut in zip(runs, cuts, strict=True)],

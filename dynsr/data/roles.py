@@ -51,23 +51,29 @@ def guess_roles(
 ) -> Roles:
     """Give each column its role: as the caller said, or else by its name and its values.
 
+    Parameters
+    ----------
+    columns : the columns of the source.
+    time, states, inputs, trajectory : names in the source or in formulas; None where guessed.
+    formulas : inputs that are expressions in ``t``, by name.
+
     Raises InputError that lists the columns when one that was named is not there, when no column
-    can be the time, or when no state is left.
+    can be the time, or when no column is left for a state.
     """
     time = _find(time, columns, "time") if time else _guess_time(columns)
     if trajectory:
         trajectory = _find(trajectory, columns, "trajectory")
     elif states is None or not any(_TRAJECTORY.fullmatch(name) for name in states):
         trajectory = _guess_trajectory(columns, time)
-    left = [name for name in columns.names if name not in (time, trajectory)]
+    others = [name for name in columns.names if name not in (time, trajectory)]
     known = None if inputs is None else [_find(name, columns, "input") for name in inputs]
     chosen = None if states is None else [_find(name, columns, "state") for name in states]
     if known is None:
-        free = [n for n in left if n not in (chosen or []) and clean_name(n) not in formulas]
+        free = [n for n in others if n not in (chosen or []) and clean_name(n) not in formulas]
         known = _guess_inputs(free, columns, chosen)
     if chosen is None:
-        given = [n for n in left if clean_name(n) in formulas or _is_row_number(n, columns)]
-        chosen = [n for n in left if n not in known and n not in given]
+        given = [n for n in others if clean_name(n) in formulas or _is_row_number(n, columns)]
+        chosen = [n for n in others if n not in known and n not in given]
     _check_roles(time, chosen, known, columns)
     used = [*chosen, *known]
     return Roles(
@@ -76,7 +82,7 @@ def guess_roles(
         tuple(known),
         trajectory,
         _rename(used, formulas),
-        tuple(name for name in left if name not in used),
+        tuple(name for name in others if name not in used),
         states is not None,
     )
 

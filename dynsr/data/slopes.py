@@ -28,7 +28,7 @@ _MAD = 1.4826
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """One column made smooth: which rows are left, and the values and slopes there."""
+    """One column made smooth: the rows that have a slope, and the values and slopes there."""
 
     rows: slice
     x: np.ndarray
@@ -91,7 +91,7 @@ def _spline(t: np.ndarray, x: np.ndarray) -> Smooth:
     # The search for the strength is on a log scale around 1 for unit steps and unit values.
     step, scale = float(np.mean(np.diff(t))), float(np.std(x)) or 1.0
     spline = make_smoothing_spline((t - t[0]) / step, x / scale)
-    # The ends of a smoothing spline are its worst part.
+    # The ends of a smoothing spline are its least accurate.
     cut = max(1, min(len(t) // 50, 20))
     rows = slice(cut, len(t) - cut)
     at = (t[rows] - t[0]) / step
@@ -122,8 +122,14 @@ def _total_variation(t: np.ndarray, x: np.ndarray) -> Smooth:
 def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     """Differentiate one column by a named scheme.
 
-    ``scheme`` is "forward", "backward", "central2" to "central8", "savgol(WINDOW,DEGREE)", "spline"
-    or "total-variation". Raises InputError on any other name.
+    Parameters
+    ----------
+    t : (n,) times in seconds, strictly increasing.
+    x : (n,) values of one state.
+    scheme : "forward", "backward", "central2" to "central8", "savgol(WINDOW,DEGREE)", "spline" or
+        "total-variation".
+
+    Raises InputError on any other name, and when there are too few rows for a difference.
 
     >>> t = np.linspace(0.0, 1.0, 21)
     >>> bool(np.allclose(smooth_column(t, t**2, "savgol(5,2)").slope, 2 * t[2:-2]))
@@ -142,12 +148,36 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     raise InputError(f"unknown scheme {scheme!r}; the schemes are: {known}")
 
 
-# Slopes worse than this share of their own size are worth smoothing.
-_CLEAN = 1e-5
-# A bias below this share is not worth reaching further across kinks.
-_FINEST = 1e-7
-_WINDOWS = (5, 7, 9, 13, 17, 23, 31, 41, 55, 73, 97, 129)
-_DEGREES = (2, 4, 6)
+@dataclass(frozen=True)
+class SlopeSettings:
+    """How the data choose the scheme of their slopes.
+
+    Parameters
+    ----------
+    clean : noise that makes slopes of neighbouring rows err by less than this share of their
+        size (RMS) is not worth smoothing.
+    finest : a central difference that errs by less than this share is not made wider, since a
+        wider one reaches further across kinks.
+    quantile : which quantile of the rows' errors a central difference is chosen by. The bias is
+        large where the motion is fast, which a median would not see; the few rows beside the
+        kinks of an adaptive solver, which higher orders spread, must not decide.
+    windows : odd numbers of rows of the local polynomials tried.
+    degrees : even degrees of the local polynomials tried; an odd one has the slopes of the even
+        one above it.
+    reference : a window of little bias is at most this share of the one best for the values.
+    biased : a share of bias in given slopes from which on they are warned about.
+    """
+
+    clean: float = 1e-5
+    finest: float = 1e-7
+    quantile: float = 0.8
+    windows: tuple[int, ...] = (5, 7, 9, 13, 17, 23, 31, 41, 55, 73, 97, 129)
+    degrees: tuple[int, ...] = (2, 4, 6)
+    reference: float = 0.7
+    biased: float = 0.01
+
+
+_SETTINGS = SlopeSettings()
 
 
 class BiasWarning(UserWarning):
@@ -184,21 +214,36 @@ def estimate_noise(trajectory: Trajectory) -> np.ndarray:
     return np.min(found, axis=0)
 
 
-def choose_scheme(t: np.ndarray, x: np.ndarray, sigma: float) -> Choice:
-    """Choose how to differentiate one column whose noise is ``sigma`` (see the module).
+def choose_scheme(
+    t: np.ndarray, x: np.ndarray, sigma: float, settings: SlopeSettings = _SETTINGS
+) -> Choice:
+    """Choose how to differentiate one column: by a central difference, or smoothed.
 
-    The random numbers of the bootstrap are fixed: the same column gives the same choice.
+    Parameters
+    ----------
+    t : (n,) times in seconds, strictly increasing.
+    x : (n,) values of one state.
+    sigma : standard deviation of their noise, in state units.
+    settings : what the choice rests on.
+
+    Raises InputError when there are too few rows.
+
+    >>> t = np.linspace(0, 10, 1001)
+    >>> choose_scheme(t, np.sin(t), 0.0).scheme
+    'central4'
     """
     step = float(np.median(np.diff(t)))
     slopes = np.diff(x) / np.diff(t)
     size = float(np.sqrt(np.mean(slopes**2))) or 1.0
-    central = _choose_central(t, x, sigma, size)
-    if sigma / step <= _CLEAN * size or len(t) < 2 * _WINDOWS[0]:
+    central = _choose_central(t, x, sigma, size, settings)
+    if sigma / step <= settings.clean * size or len(t) < 2 * settings.windows[0]:
         return central
-    return _choose_smoother(t, x, sigma)
+    return _choose_smoother(t, x, sigma, settings)
 
 
-def _choose_central(t: np.ndarray, x: np.ndarray, sigma: float, size: float) -> Choice:
+def _choose_central(
+    t: np.ndarray, x: np.ndarray, sigma: float, size: float, settings: SlopeSettings
+) -> Choice:
     orders = [order for order in (2, 4, 6, 8) if len(t) > order + 1]
     if len(orders) < 2:
         if not orders:
@@ -208,25 +253,22 @@ def _choose_central(t: np.ndarray, x: np.ndarray, sigma: float, size: float) -> 
     best = Choice("central2", np.inf)
     for order, low, high in zip(orders, slopes, slopes[1:], strict=False):
         random = sigma * float(np.median(np.linalg.norm(central_weights(t, order), axis=1)))
-        # The bias is large where the motion is fast, which a median would not see; the few rows
-        # beside the kinks of an adaptive solver, which higher orders spread, must not decide.
-        error = float(np.quantile(np.abs(high - low[1:-1]), 0.8)) + random
-        if error < best.noise and best.noise > _FINEST * size:
+        error = float(np.quantile(np.abs(high - low[1:-1]), settings.quantile)) + random
+        if error < best.noise and best.noise > settings.finest * size:
             best = Choice(f"central{order}", error)
     return best
 
 
-def _choose_smoother(t: np.ndarray, x: np.ndarray, sigma: float) -> Choice:
+def _choose_smoother(t: np.ndarray, x: np.ndarray, sigma: float, settings: SlopeSettings) -> Choice:
     """Choose the local polynomial whose slopes have the least expected squared error.
 
     With slopes D y of one window and R y of a reference of little bias, both linear in the data,
     mean((D y - R y)^2) - sigma^2 |D - R|^2 + sigma^2 |D|^2 is an unbiased estimate of bias^2 +
     variance of D y (Mallows' Cp, carried over from values to slopes).
     """
-    reference = _reference(t, x, sigma)
-    base, other = _slopes_and_weights(t, x, *reference)
-    best = Choice("savgol(5,2)", np.inf)
-    for window, degree in _windows(len(t)):
+    base, other = _slopes_and_weights(t, x, *_reference(t, x, sigma, settings))
+    best = Choice(f"savgol({settings.windows[0]},{settings.degrees[0]})", np.inf)
+    for window, degree in _windows(len(t), settings):
         smooth, middle = _slopes_and_weights(t, x, window, degree)
         start, stop = max(smooth.rows.start, base.rows.start), min(smooth.rows.stop, base.rows.stop)
         mine = smooth.slope[start - smooth.rows.start : stop - smooth.rows.start]
@@ -250,15 +292,21 @@ def _slopes_and_weights(
     return smooth_column(t, x, f"savgol({window},{degree})"), weights[len(weights) // 2]
 
 
-def _windows(rows: int) -> list[tuple[int, int]]:
-    return [(w, d) for w in _WINDOWS for d in _DEGREES if d + 1 < w <= max(rows // 3, 5)]
+def _windows(rows: int, settings: SlopeSettings) -> list[tuple[int, int]]:
+    """Give the windows of at most a third of the rows, each with the degrees that it can smooth."""
+    widest = max(rows // 3, settings.windows[0])
+    return [(w, d) for w in settings.windows for d in settings.degrees if d + 1 < w <= widest]
 
 
-def _reference(t: np.ndarray, x: np.ndarray, sigma: float) -> tuple[int, int]:
+def _reference(
+    t: np.ndarray, x: np.ndarray, sigma: float, settings: SlopeSettings
+) -> tuple[int, int]:
     """Give a window of little bias: narrower than the one best for the *values* (Mallows' Cp)."""
-    degree = max((d for _, d in _windows(len(t))), default=2)
-    best, least = 5, np.inf
-    for window in (w for w, d in _windows(len(t)) if d == degree):
+    pairs = _windows(len(t), settings)
+    degree = max((d for _, d in pairs), default=settings.degrees[0])
+    windows = [w for w, d in pairs if d == degree]
+    best, least = settings.windows[0], np.inf
+    for window in windows:
         value, _ = local_polynomial(t, window, degree)
         smooth = smooth_column(t, x, f"savgol({window},{degree})")
         # Mallows' Cp: squared residuals plus twice the weight of a point in its own fit.
@@ -266,9 +314,7 @@ def _reference(t: np.ndarray, x: np.ndarray, sigma: float) -> tuple[int, int]:
         risk += 2 * sigma**2 * float(np.mean(value[:, window // 2]))
         if risk < least:
             best, least = window, risk
-    return max(
-        (w for w, d in _windows(len(t)) if d == degree and w <= 0.7 * best), default=best
-    ), degree
+    return max((w for w in windows if w <= settings.reference * best), default=best), degree
 
 
 def choose_samples(
@@ -277,6 +323,7 @@ def choose_samples(
     *,
     scheme: str = "auto",
     slopes: Sequence[np.ndarray] | np.ndarray | None = None,
+    settings: SlopeSettings = _SETTINGS,
 ) -> Samples:
     """Make the samples of one target with slopes that the data themselves choose.
 
@@ -285,7 +332,9 @@ def choose_samples(
     trajectories : one or many, of the same columns; times may be uneven and differ.
     target : the state whose slope is wanted.
     scheme : "auto", or a scheme of :func:`dynsr.data.slopes.smooth_column` to use instead.
-    slopes : the user's own slopes of the target at every time, one array a trajectory.
+    slopes : the user's own slopes of the target at every time, one array (n,) a trajectory, in
+        state units per second.
+    settings : what the choice of scheme rests on.
 
     ``Samples.scheme`` names the choice and ``Samples.noise`` the slope error to expect. When a
     column is noisy its smoothed values replace it in ``X``. Warns with BiasWarning when own
@@ -301,26 +350,28 @@ def choose_samples(
         raise InputError("no trajectory was given; give at least one")
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
-    given = _own_slopes(runs, target, slopes)
-    # The longest trajectory speaks for all: noise and step belong to the instrument.
+    given = _own_slopes(runs, target, slopes, settings)
+    # The longest trajectory decides for all: noise and step belong to the instrument.
     longest = max(runs, key=len)
-    choices = {state: _choose(longest, state, scheme) for state in runs[0].states}
-    parts = []
+    choices = {state: _choose(longest, state, scheme, settings) for state in runs[0].states}
+    pieces = []
     for run, own in zip(runs, given, strict=True):
-        fitting = choices if run is longest else _fitting(run, choices)
-        parts.append(_combine(run, target, fitting, own))
-    return replace(join(parts), scheme=parts[runs.index(longest)].scheme)
+        fitting = choices if run is longest else _fitting(run, choices, settings)
+        pieces.append(_combine(run, target, fitting, own))
+    return replace(join(pieces), scheme=pieces[runs.index(longest)].scheme)
 
 
-def _choose(trajectory: Trajectory, state: str, scheme: str) -> Choice:
+def _choose(trajectory: Trajectory, state: str, scheme: str, settings: SlopeSettings) -> Choice:
     sigma = float(estimate_noise(trajectory)[trajectory.index(state)])
     x = trajectory.x[:, trajectory.index(state)]
     if scheme == "auto":
-        return choose_scheme(trajectory.t, x, sigma)
+        return choose_scheme(trajectory.t, x, sigma, settings)
     return Choice(scheme, sigma / float(np.median(np.diff(trajectory.t))))
 
 
-def _fitting(trajectory: Trajectory, choices: Mapping[str, Choice]) -> dict[str, Choice]:
+def _fitting(
+    trajectory: Trajectory, choices: Mapping[str, Choice], settings: SlopeSettings
+) -> dict[str, Choice]:
     """Choose anew for a trajectory that is too short for the windows of the longest."""
     fitting = {}
     for state, choice in choices.items():
@@ -329,7 +380,7 @@ def _fitting(trajectory: Trajectory, choices: Mapping[str, Choice]) -> dict[str,
             enough = len(smooth_column(trajectory.t, x, choice.scheme).x) >= len(trajectory) // 2
         except ValueError:
             enough = False
-        fitting[state] = choice if enough else _choose(trajectory, state, "auto")
+        fitting[state] = choice if enough else _choose(trajectory, state, "auto", settings)
     return fitting
 
 
@@ -362,30 +413,49 @@ def _spread(values: np.ndarray) -> float:
 
 
 def _own_slopes(
-    runs: Sequence[Trajectory], target: str, slopes: Sequence[np.ndarray] | np.ndarray | None
+    runs: Sequence[Trajectory],
+    target: str,
+    slopes: Sequence[np.ndarray] | np.ndarray | None,
+    settings: SlopeSettings,
 ) -> list[np.ndarray | None]:
     if slopes is None:
         return [None] * len(runs)
-    parts = [slopes] if isinstance(slopes, np.ndarray) and slopes.ndim == 1 else list(slopes)
-    given = [np.asarray(part, dtype=float) for part in parts]
-    if [len(part) for part in given] != [len(run) for run in runs]:
+    single = isinstance(slopes, np.ndarray) and slopes.ndim == 1
+    given = [np.asarray(own, dtype=float) for own in ([slopes] if single else slopes)]
+    if [len(own) for own in given] != [len(run) for run in runs]:
         raise InputError(
-            f"own slopes of {target} have {[len(p) for p in given]} rows but the trajectories "
+            f"own slopes of {target} have {[len(own) for own in given]} rows but the trajectories "
             f"{[len(r) for r in runs]}; give one slope a row"
         )
-    if not all(np.all(np.isfinite(part)) for part in given):
+    if not all(np.all(np.isfinite(own)) for own in given):
         raise InputError(f"own slopes of {target} hold NaN or infinity; fill or drop such rows")
-    for run, part in zip(runs, given, strict=True):
-        warn_if_biased(run, target, run.t, part, "the slopes given")
+    for run, own in zip(runs, given, strict=True):
+        warn_if_biased(run, target, run.t, own, "the slopes given", settings)
     return list(given)
 
 
-def slope_bias(trajectory: Trajectory, target: str, t: np.ndarray, slopes: np.ndarray) -> float:
-    """Share of the slopes (RMS) that is bias: what remains against the chosen scheme's slopes.
+def slope_bias(
+    trajectory: Trajectory,
+    target: str,
+    t: np.ndarray,
+    slopes: np.ndarray,
+    settings: SlopeSettings = _SETTINGS,
+) -> float:
+    """Share of the slopes (RMS) that is bias, against the slopes of the scheme that data choose.
 
-    The part that noise explains is taken off, so good but noisy slopes have a share near 0.
+    The mean product of neighbouring differences is bias^2, since white noise is uncorrelated from
+    one row to the next; the error of the chosen scheme is subtracted. Good but noisy slopes have
+    a share near 0.
+
+    Parameters
+    ----------
+    trajectory : the data that the slopes belong to.
+    target : the state whose slopes they are.
+    t : (n,) times of the slopes, in seconds.
+    slopes : (n,) slopes in state units per second.
+    settings : what the choice of scheme rests on.
     """
-    choice = _choose(trajectory, target, "auto")
+    choice = _choose(trajectory, target, "auto", settings)
     x = trajectory.x[:, trajectory.index(target)]
     best = smooth_column(trajectory.t, x, choice.scheme)
     inside = (t >= trajectory.t[best.rows][0]) & (t <= trajectory.t[best.rows][-1])
@@ -393,18 +463,25 @@ def slope_bias(trajectory: Trajectory, target: str, t: np.ndarray, slopes: np.nd
         return 0.0
     reference = CubicSpline(trajectory.t[best.rows], best.slope)(t[inside])
     miss = slopes[inside] - reference
-    # White noise is uncorrelated from one row to the next; bias is not.
     common = float(np.mean(miss[1:] * miss[:-1]))
     size = float(np.mean(reference**2)) or 1.0
     return float(np.sqrt(max(common - choice.noise**2, 0.0) / size))
 
 
 def warn_if_biased(
-    trajectory: Trajectory, target: str, t: np.ndarray, slopes: np.ndarray, what: str
+    trajectory: Trajectory,
+    target: str,
+    t: np.ndarray,
+    slopes: np.ndarray,
+    what: str,
+    settings: SlopeSettings = _SETTINGS,
 ) -> float:
-    """Warn with BiasWarning when more than 1 % of the slopes is bias; gives the share."""
-    share = slope_bias(trajectory, target, t, slopes)
-    if share > 0.01:
+    """Warn with BiasWarning when too much of the slopes is bias; gives the share of slope_bias.
+
+    ``what`` is what the message calls the slopes; the others are those of slope_bias.
+    """
+    share = slope_bias(trajectory, target, t, slopes, settings)
+    if share > settings.biased:
         warnings.warn(
             f"{what} of {target} look biased by {100 * share:.1f} % at this step; "
             "use scheme 'auto' or a smaller step",

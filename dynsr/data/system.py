@@ -48,7 +48,7 @@ class System:
     description: str = ""
 
     def __post_init__(self) -> None:
-        """Check the parts against each other."""
+        """Check the fields against each other."""
         names = [*self.states, *self.inputs]
         for name in self.states:
             check_name(name, "state")
@@ -96,9 +96,18 @@ class System:
         target: str = "",
         description: str = "",
     ) -> System:
-        """Build a system from ``{state: right-hand side}``.
+        """Build a system from equations written as text.
 
-        ``parameters`` are names that stand for numbers in the equations. ``x0`` defaults to ones.
+        Parameters
+        ----------
+        equations : state -> right-hand side in states, inputs, parameters and ``t``, in state
+            units per second.
+        x0 : (k,) start state; ones by default.
+        inputs : input name -> expression in ``t`` and parameters.
+        parameters : name -> the number that it stands for in the equations.
+        name, train, test, step, target, description : as the fields of System.
+
+        Raises InputError when an expression cannot be read or the fields do not fit each other.
 
         >>> System.from_strings({"x": "s*(y-x)", "y": "-y"}, parameters={"s": 10.0}).states
         ('x', 'y')
@@ -135,7 +144,10 @@ class System:
         return self.states.index(state)
 
     def with_rhs(self, state: str, expr: sympy.Expr) -> System:
-        """Give the same system with one right-hand side replaced."""
+        """Give the same system with the right-hand side of one state replaced.
+
+        Raises InputError when there is no such state or the expression has an unknown name.
+        """
         rhs = list(self.rhs)
         rhs[self.index(state)] = expr
         return System(**{**self.__dict__, "rhs": tuple(rhs)})
@@ -146,7 +158,13 @@ class System:
         return tuple(expr.xreplace(values) for expr in self.rhs)
 
     def times(self, span: tuple[float, float], step: float | None = None) -> np.ndarray:
-        """Sample times over ``span``, end included, every ``step`` seconds."""
+        """Sample times (n,) over ``span`` in seconds, end included.
+
+        Parameters
+        ----------
+        span : (start, end) in seconds.
+        step : seconds between samples; the system's own by default.
+        """
         step = self.step if step is None else step
         count = int(math.floor((span[1] - span[0]) / step + 1e-9)) + 1
         return span[0] + step * np.arange(count)

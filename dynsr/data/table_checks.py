@@ -17,7 +17,13 @@ _SCALE_RATIO = 1e6
 
 
 def to_numbers(values: np.ndarray, name: str, label: str, time: bool = False) -> np.ndarray:
-    """Give a column as float64; dates become seconds from the first one.
+    """Give a column as float64.
+
+    Parameters
+    ----------
+    values : (n,) cells.
+    name, label : what a message calls the column and its source.
+    time : whether it is the time, whose dates become seconds from the first one.
 
     Raises InputError that names the first cell which is no number.
     """
@@ -63,7 +69,16 @@ def _as_dates(values: np.ndarray) -> np.ndarray | None:
 
 
 def check_rows(t: np.ndarray, time: str, groups: Mapping[str, np.ndarray], label: str) -> None:
-    """Check that each trajectory has rows enough and times that increase."""
+    """Check that each trajectory has rows enough and times that increase.
+
+    Parameters
+    ----------
+    t : (n,) times in seconds.
+    time, label : what a message calls the column and its source.
+    groups : trajectory -> its rows.
+
+    Raises InputError that names the first row which is wrong.
+    """
     if len(t) < MIN_ROWS:
         raise InputError(
             f"{label} has {len(t)} row{'s' * (len(t) != 1)}, which cannot show an equation; "
@@ -109,7 +124,18 @@ def _more(bad: np.ndarray) -> str:
 def check_values(
     data: Sequence[np.ndarray], names: Sequence[str], roles: Roles, label: str
 ) -> None:
-    """Check that values are finite, and states neither constant nor copies of each other."""
+    """Check that values are finite, and states neither constant nor copies of each other.
+
+    Parameters
+    ----------
+    data : one array (n,) a column, states before inputs.
+    names : the names of these columns.
+    roles : which of them are states.
+    label : what a message calls the source.
+
+    Raises InputError on values that are not finite and on a constant state that nobody asked for;
+    warns with DynsrWarning on copies and on states of very different scale.
+    """
     for name, values in zip(names, data, strict=True):
         _check_finite(values, name, label)
     states = dict(zip(roles.states, data, strict=False))
@@ -174,7 +200,7 @@ def _warn_scales(states: Mapping[str, np.ndarray], label: str) -> None:
     if scales[high] > _SCALE_RATIO * scales[low]:
         warnings.warn(
             f"states {low!r} and {high!r} of {label} vary by {scales[low]:.1g} and "
-            f"{scales[high]:.1g}; units that bring them closer make the search surer",
+            f"{scales[high]:.1g}; choose units that bring them closer",
             DynsrWarning,
             stacklevel=4,
         )

@@ -39,7 +39,7 @@ class Trajectory:
     origin: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Bring the parts to float64 and check them."""
+        """Bring the fields to float64 and check them."""
         t = np.asarray(self.t, dtype=float)
         x = np.asarray(self.x, dtype=float)
         u = np.asarray(self.inputs, dtype=float)

@@ -18,6 +18,7 @@ from dynsr.discovery import Discovery, predict
 from dynsr.errors import DynsrError, InputError
 from dynsr.expression import complexity, evaluate, shown, to_mathml
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, rmse
+from dynsr.jobs import write_text
 from dynsr.report.page import Picture, render_page
 from dynsr.report.plots import draw_phase_portrait, draw_residuals, draw_slopes, draw_states
 from dynsr.report.tables import Table
@@ -57,8 +58,11 @@ class Chart:
 def place_front(front: ParetoFront, chosen: Candidate | str) -> Chart:
     """Place a front over description length (across) and the logarithm of the loss (down).
 
-    ``chosen`` is the text of the equation that was chosen, or a candidate, which is drawn even
-    where the front does not hold it.
+    Parameters
+    ----------
+    front : its losses in state units per second, its complexities in bits.
+    chosen : the text of the equation that was chosen, or a candidate, which is drawn even where
+        the front does not hold it.
 
     >>> import sympy
     >>> x = sympy.Symbol("x")
@@ -118,9 +122,22 @@ _DRAWS = 20
 
 
 def write_report(found: Discovery, path: Path) -> Path:
-    """Write the page; gives its path. Raises InputError when it cannot be written."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(render_discovery(found), "utf-8")
+    """Write the page of a discovery and give its path.
+
+    Parameters
+    ----------
+    found : the discovery; one that was loaded has no data, and its page no pictures.
+    path : the file to write; folders above it are made.
+
+    Raises InputError when it cannot be written.
+    """
+    page = render_discovery(found)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, page)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"cannot write {str(path)!r}: {reason}; choose another file") from None
     return path
 
 
@@ -226,7 +243,7 @@ def _slopes(found: Discovery, pair: tuple[Samples, np.ndarray]) -> Iterator[Pict
     )
     yield Picture.of(
         draw_residuals(samples, predicted),
-        f"What the equation leaves of the slopes of {samples.target}, over time and counted.",
+        f"The residuals of the slopes of {samples.target}, over time and counted.",
     )
 
 

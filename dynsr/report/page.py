@@ -30,14 +30,19 @@ class Picture:
 
     @classmethod
     def of(cls, figure: Any, caption: str) -> Picture:
-        """Draw a matplotlib figure for a page."""
+        """Draw a matplotlib figure for a page, with the sentence that says what it shows."""
         from dynsr.report.plots import to_svg
 
         return cls(to_svg(figure, caption), caption)
 
 
 def render_page(template: str, **content: Any) -> str:
-    """Fill a template of ``dynsr/report/templates``; every text in ``content`` is escaped.
+    """Fill a template and give the page; every text in ``content`` is escaped.
+
+    Parameters
+    ----------
+    template : name of a file in ``dynsr/report/templates``.
+    content : the values that it shows, by name.
 
     Tables are shown by ``show_table`` of ``parts.html.j2``, a Picture by ``show_picture``, pairs
     of names and values by ``show_facts``.
@@ -56,7 +61,11 @@ def render_page(template: str, **content: Any) -> str:
 
 
 def typeset(formula: str) -> str:
-    """Give a formula's text as MathML, constants to six digits; nothing where it is no formula.
+    """Give a formula as MathML, constants to six digits.
+
+    Parameters
+    ----------
+    formula : its text; what cannot be read as a formula gives nothing.
 
     >>> typeset("2*x")
     '<math><mrow><mn>2</mn>...<mi>x</mi></mrow></math>'
@@ -68,7 +77,13 @@ def typeset(formula: str) -> str:
 
 
 def write_table(table: Table, folder: Path) -> list[Path]:
-    """Write one table in every format; gives the paths."""
+    """Write one table in every format of FORMATS and give the paths.
+
+    Parameters
+    ----------
+    table : its name is the stem of the files.
+    folder : where they go; it is made when it is not there.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{table.name}.{kind}" for kind in FORMATS]
     texts = (table.to_csv(), table.to_markdown(), table.to_latex())

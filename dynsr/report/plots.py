@@ -47,10 +47,12 @@ class Panel:
 
     Parameters
     ----------
-    title, state, unit : what is shown; the state's name labels the axis.
+    title : what is shown.
+    state : name of the state, which labels the axis.
     t : (n,) times in seconds.
     truth : (n,) true values, in the state's unit.
     found : label -> (r, n) values of r runs; NaN from where a run diverged.
+    unit : the state's unit, which stands behind its name.
     """
 
     title: str
@@ -65,8 +67,13 @@ def draw_panels(panels: Sequence[Panel], labels: Sequence[str] = ()) -> Figure:
     """Draw true and inferred curves, one panel beside the other (the paper's Figure 1).
 
     Every run is a thin line and the first run of each label a thick one. The axis follows the
-    truth, so that a run that leaves it does not flatten the rest. A label has the same colour in
-    every panel; ``labels`` sets their order, for pictures that are to agree with others.
+    truth, so that a run that leaves it does not flatten the others. A label has the same colour
+    in every panel.
+
+    Parameters
+    ----------
+    panels : what to draw, one or more.
+    labels : the order of the labels, for pictures whose colours are to agree with others.
     """
     order = list(dict.fromkeys([*labels, *(label for p in panels for label in p.found)]))
     figure, axes = _canvas(1, len(panels), (5.2 * len(panels), 3.6))
@@ -85,7 +92,8 @@ def draw_panels(panels: Sequence[Panel], labels: Sequence[str] = ()) -> Figure:
                     label=label if r == 0 else None,
                 )
         _follow(axis, panel.truth, [np.asarray(runs) for runs in panel.found.values()])
-        axis.set(title=panel.title, xlabel="time t (s)", ylabel=_label(panel.state, panel.unit))
+        axis.set(title=panel.title, xlabel="time t (s)")
+        axis.set_ylabel(f"{panel.state} ({panel.unit})" if panel.unit else panel.state)
     _legend_below(figure, max(axes.flat, key=lambda axis: len(axis.lines)))
     return figure
 
@@ -94,11 +102,14 @@ def draw_states(
     true: Trajectory,
     found: Trajectory | None = None,
     intervals: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
-    units: Mapping[str, str] | None = None,
 ) -> Figure:
     """Draw every state of a trajectory over time, with the one found and its intervals.
 
-    ``intervals`` gives (lower, upper) arrays at the times of ``found`` for some states.
+    Parameters
+    ----------
+    true : the trajectory of the data, with k states.
+    found : a trajectory of the same states, at any times.
+    intervals : state -> (lower, upper), each (n,) at the times of ``found``, in state units.
     """
     figure, axes = _canvas(len(true.states), 1, (_WIDTH, 1.6 * len(true.states) + 0.8), sharex=True)
     for axis, state in zip(axes.flat, true.states, strict=True):
@@ -112,14 +123,20 @@ def draw_states(
                     found.t, *intervals[state], color=COLOURS[1], alpha=0.25, label="interval"
                 )
             _follow(axis, column, [curve])
-        axis.set_ylabel(_label(state, (units or {}).get(state, "")))
+        axis.set_ylabel(state)
     axes.flat[-1].set_xlabel("time t (s)")
     _legend_below(figure, axes.flat[0])
     return figure
 
 
 def draw_residuals(samples: Samples, predicted: np.ndarray) -> Figure:
-    """Draw what a formula leaves over: residuals over time, and how they are distributed."""
+    """Draw the residuals of a formula over time, and how they are distributed.
+
+    Parameters
+    ----------
+    samples : the n slopes that it was fitted to.
+    predicted : (n,) slopes that it gives there, in state units per second.
+    """
     residuals = samples.y - np.asarray(predicted, dtype=float)
     figure, axes = _canvas(1, 2, (_WIDTH, 3.2), width_ratios=(4, 1), sharey=True)
     over_time, histogram = axes.flat
@@ -133,7 +150,13 @@ def draw_residuals(samples: Samples, predicted: np.ndarray) -> Figure:
 
 
 def draw_slopes(samples: Samples, predicted: np.ndarray) -> Figure:
-    """Draw the slopes of the data over time, as dots, and what a formula gives there."""
+    """Draw the slopes of the data over time, as dots, and what a formula gives there.
+
+    Parameters
+    ----------
+    samples : the n slopes of the data.
+    predicted : (n,) slopes of the formula, in state units per second.
+    """
     figure, axes = _canvas(1, 1, (_WIDTH, 3.2))
     axis = axes.flat[0]
     axis.plot(samples.t, samples.y, ".", ms=5, color="0.6", label="data", rasterized=True)
@@ -148,7 +171,14 @@ def draw_slopes(samples: Samples, predicted: np.ndarray) -> Figure:
 
 
 def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str, up: str) -> Figure:
-    """Draw one state against another: the true path and the one found."""
+    """Draw one state against another: the true path and the one found.
+
+    Parameters
+    ----------
+    true : the trajectory of the data.
+    found : one of the same states; None draws the data alone.
+    across, up : names of the states on the two axes.
+    """
     figure, axes = _canvas(1, 1, (_WIDTH, 4.6))
     axis = axes.flat[0]
     i, j = true.index(across), true.index(up)
@@ -172,7 +202,11 @@ def draw_recovery(
 ) -> Figure:
     """Draw how often each method recovers the equation (0 to 1) as the noise grows.
 
-    ``levels`` are relative noise levels, 0 included if wanted; ``intervals`` (lower, upper).
+    Parameters
+    ----------
+    levels : noise as a share of each state's deviation, 0 included if wanted.
+    rates : method -> its rate at every level, from 0 to 1.
+    intervals : method -> its (lower, upper) rates at every level.
     """
     figure, axes = _canvas(1, 1, (5.6, 3.6))
     axis = axes.flat[0]
@@ -191,7 +225,14 @@ def draw_recovery(
 
 
 def to_bytes(figure: Figure, kind: str = "png", dpi: int = 150) -> bytes:
-    """Give the picture as a file's content; the same figure gives the same bytes."""
+    """Give the picture as a file's content; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figure : the picture.
+    kind : "png", "svg" or "pdf".
+    dpi : dots per inch of a PNG.
+    """
     out = io.BytesIO()
     # Without a date and a version, so that equal pictures are equal files.
     metadata: dict[str, None] = {"Software": None} if kind == "png" else {"Date": None}
@@ -203,7 +244,7 @@ def to_bytes(figure: Figure, kind: str = "png", dpi: int = 150) -> bytes:
 
 
 def to_svg(figure: Figure, label: str) -> str:
-    """Give the picture as an ``svg`` element for a page, as wide as the page lets it be.
+    """Give the picture as an ``svg`` element for a page, as wide as the page allows.
 
     Black becomes the colour of the page's letters, and there is no background, so that a dark
     page and a printed one both show it well. ``label`` is what a screen reader says.
@@ -246,7 +287,7 @@ def _canvas(
 
 
 def _limits(truth: np.ndarray, found: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Limits that hold the truth, and as much of the rest as is near it."""
+    """Limits that hold the truth, and as much of the curves found as is near it."""
     low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
     room = _ROOM * ((high - low) or 1.0)
     for values in found:
@@ -260,10 +301,6 @@ def _limits(truth: np.ndarray, found: Sequence[np.ndarray]) -> tuple[float, floa
 
 def _follow(axis: Axes, truth: np.ndarray, found: Sequence[np.ndarray]) -> None:
     axis.set_ylim(*_limits(truth, found))
-
-
-def _label(state: str, unit: str) -> str:
-    return f"{state} ({unit})" if unit else state
 
 
 def _legend_below(figure: Figure, axis: Axes) -> None:

@@ -1,7 +1,9 @@
 """Tables: values with a title, as CSV, Markdown, LaTeX or on a terminal.
 
 A table holds raw values. CSV writes them with all their digits; the other forms round numbers to
-four significant digits and set formulas as such.
+four significant digits and set formulas as such. They are written here because each cell is set by
+its kind, which is most of the work: pandas would add the rules and the caption, not the note below
+or the size of the letters, and needs tabulate for Markdown.
 """
 
 from __future__ import annotations
@@ -85,7 +87,11 @@ class Spread:
 
 
 def format_value(value: Any) -> str:
-    """Write one value for reading.
+    """Write one value for a reader: floats to four significant digits, infinity as "diverges".
+
+    Parameters
+    ----------
+    value : anything; None and NaN become nothing, what is no float its own text.
 
     >>> [format_value(v) for v in (0.123456, 5, math.inf, None)]
     ['0.1235', '5', 'diverges', '']
@@ -129,7 +135,7 @@ class Table:
         return any(isinstance(t, Formula) or (t and not t[0].isdigit()) for t in texts)
 
     def to_records(self) -> list[dict[str, Any]]:
-        """Give each row as a dictionary of raw values; a spread is spread over columns."""
+        """Give each row as a dictionary of raw values; a spread becomes three columns."""
         split = [
             any(isinstance(row[j], Spread) for row in self.rows) for j in range(len(self.columns))
         ]

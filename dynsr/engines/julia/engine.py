@@ -46,7 +46,7 @@ class JuliaEngine(AbstractEngine):
 
     Parameters
     ----------
-    regress_seconds : a regression that takes longer is stopped.
+    regress_seconds : a regression that takes more seconds is stopped.
     start_seconds : so is a start of Julia, which may install and compile packages.
     announce : is given a line when a stage of the start takes more than two seconds.
 
@@ -82,7 +82,11 @@ class JuliaEngine(AbstractEngine):
         return (type(self), (self.regress_seconds, self.start_seconds, self.announce))
 
     def integrate(self, problem: InitialValueProblem) -> Integration:
-        """Solve an initial value problem by OrdinaryDiffEqTsit5."""
+        """Solve an initial value problem by OrdinaryDiffEqTsit5.
+
+        Raises EngineError when Julia fails, dies or is late, EngineUnavailable when it does not
+        start.
+        """
         header = {
             "call": self.integration,
             "slopes": write_slopes(problem.rhs, problem.states),
@@ -104,7 +108,11 @@ class JuliaEngine(AbstractEngine):
         )
 
     def regress(self, problem: SparseProblem) -> SparseSolution:
-        """Solve a sparse regression: by DataDrivenSparse today, by DynSR's own code as in 2021."""
+        """Solve a sparse regression: by DataDrivenSparse today, by DynSR's own code as in 2021.
+
+        Raises InputError when the settings are wrong, EngineError when Julia fails, dies, is late
+        or answers coefficients that are not finite, EngineUnavailable when it does not start.
+        """
         settings = read_settings(problem)
         header = {
             "call": "regress",

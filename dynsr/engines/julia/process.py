@@ -1,4 +1,8 @@
-"""A process of its own that answers requests, so that its crash is an error and never the end."""
+"""A process of its own that answers requests, so that its crash is an error and never the end.
+
+loky with one worker is not enough: it ends a worker that grows by 300 MB after its first call, as
+Julia does on compiling, keeps no last lines of a crash, and has no way to tell of progress.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +29,22 @@ Announce = Callable[[str], None]
 # A stage that is over sooner is not worth a line.
 QUIET_SECONDS = 2.0
 _TICK = 0.25
-_LAST_WORDS = 30
+_LAST_LINES = 30
 _SIGNS_OF_PROGRESS = ("Precompiling", "Installing", "Installed", "Downloading", "Resolving")
 
 
 class WorkerProcess:
-    """One running worker: ``module.main()`` in a fresh Python, spoken to by frames over pipes.
+    """One running worker: ``module.main()`` in a fresh Python, which frames over pipes reach.
 
     The worker answers each request with frames whose ``event`` is "progress" (a stage of its
-    start, in words), "working" (the start is over, the time limit of the request counts),
-    "answer", "error" or "unavailable". ``name`` is what messages call it.
+    start, as text), "working" (the start is over, the time limit of the request counts),
+    "answer", "error" or "unavailable".
+
+    Parameters
+    ----------
+    module : the module whose ``main`` answers.
+    name : what messages call the worker.
+    environment : the environment variables of its process.
     """
 
     def __init__(self, module: str, name: str, environment: Mapping[str, str]) -> None:
@@ -56,10 +66,10 @@ class WorkerProcess:
             start_new_session=True,
         )
         self._frames: queue.SimpleQueue[Frame | None] = queue.SimpleQueue()
-        self._told = _Told()
+        self._reports = _Reports()
         self._threads = [
             threading.Thread(target=_pass_frames, args=(self._process, self._frames), daemon=True),
-            threading.Thread(target=_listen, args=(self._process, self._told), daemon=True),
+            threading.Thread(target=_listen, args=(self._process, self._reports), daemon=True),
         ]
         for thread in self._threads:
             thread.start()
@@ -78,15 +88,24 @@ class WorkerProcess:
         start_seconds: float,
         announce: Announce,
     ) -> Frame:
-        """Ask and wait for the answer, ``seconds`` for the work and ``start_seconds`` before it.
+        """Send a request, wait for its answer and give it.
 
-        Raises EngineError when the worker reports a failure, dies or is late; in the last two
-        cases, and when the wait is interrupted, the worker is ended.
+        Parameters
+        ----------
+        header : plain values that JSON can hold.
+        arrays : float64 arrays of any shape, by name.
+        seconds : how long the work may take.
+        start_seconds : how long the worker may take before it, to start and to compile.
+        announce : is given a line when a stage of the start takes more than QUIET_SECONDS.
+
+        Raises EngineUnavailable when the worker reports that it cannot start, EngineError when it
+        reports a failure, dies or is late; in the last two cases, and when the wait is
+        interrupted, the worker is ended.
         """
         try:
             self._send(header, arrays)
             return self._wait(seconds, start_seconds, announce)
-        except _Reported as reported:
+        except _WorkerError as reported:
             raise reported.error from None
         except BaseException:
             # An answer that came later would be taken for that of the next request.
@@ -103,11 +122,11 @@ class WorkerProcess:
         try:
             write_frame(self._process.stdin, header, arrays)
         except OSError:
-            raise EngineError(self._obituary()) from None
+            raise EngineError(self._describe_end()) from None
 
     def _wait(self, seconds: float, start_seconds: float, announce: Announce) -> Frame:
         deadline, limit, doing = time.monotonic() + start_seconds, start_seconds, "start"
-        self._told.begin(self._told.stage)
+        self._reports.begin(self._reports.stage)
         while True:
             left = deadline - time.monotonic()
             if left <= 0:
@@ -118,41 +137,41 @@ class WorkerProcess:
             try:
                 frame = self._frames.get(timeout=min(left, _TICK))
             except queue.Empty:
-                self._told.announce(self.name, announce)
+                self._reports.announce(self.name, announce)
                 continue
             if frame is None:
-                raise EngineError(self._obituary())
+                raise EngineError(self._describe_end())
             header, _ = frame
             if header["event"] == "progress":
-                self._told.begin(str(header["text"]))
+                self._reports.begin(str(header["text"]))
             elif header["event"] == "working":
-                self._told.begin("")
+                self._reports.begin("")
                 deadline, limit, doing = time.monotonic() + seconds, seconds, "answer"
             elif header["event"] == "answer":
                 return frame
             else:
                 kind = EngineUnavailable if header["event"] == "unavailable" else EngineError
-                raise _Reported(kind(str(header["message"])))
+                raise _WorkerError(kind(str(header["message"])))
 
-    def _obituary(self) -> str:
+    def _describe_end(self) -> str:
         code: int | None
         try:
             code = self._process.wait(timeout=5)
         except subprocess.TimeoutExpired:
             code = None
         self._threads[1].join(timeout=1)
-        words = " | ".join(list(self._told.words)[-3:]) or "it said nothing"
+        lines = " | ".join(list(self._reports.lines)[-3:]) or "none"
         return (
             f"{self.name} ended unexpectedly ({_manner(code)}) and starts again on its next use; "
-            f"its last words: {words[:500]}"
+            f"its last lines: {lines[:500]}"
         )
 
 
-class _Told:
-    """What a worker lets be known: the stage of its start and the last lines it wrote."""
+class _Reports:
+    """What a worker reports: the stage of its start and the last lines it wrote."""
 
     def __init__(self) -> None:
-        self.words: deque[str] = deque(maxlen=_LAST_WORDS)
+        self.lines: deque[str] = deque(maxlen=_LAST_LINES)
         self.begin("starting")
 
     def begin(self, stage: str) -> None:
@@ -166,7 +185,7 @@ class _Told:
             self.stage = ""
 
 
-class _Reported(Exception):
+class _WorkerError(Exception):
     """Carries an error that the worker reported and survived."""
 
     def __init__(self, error: EngineError) -> None:
@@ -195,16 +214,16 @@ def _pass_frames(process: subprocess.Popen[bytes], frames: queue.SimpleQueue[Fra
     frames.put(None)
 
 
-def _listen(process: subprocess.Popen[bytes], told: _Told) -> None:
-    """Keep what the worker writes to its standard error; some lines tell of progress."""
+def _listen(process: subprocess.Popen[bytes], reports: _Reports) -> None:
+    """Keep what the worker writes to its standard error; some lines name a stage."""
     assert process.stderr is not None
     try:
         for raw in process.stderr:
             line = raw.decode(errors="replace").strip()
             if line:
-                told.words.append(line)
+                reports.lines.append(line)
             if any(sign in line[:40] for sign in _SIGNS_OF_PROGRESS):
-                told.begin(line[:100])
+                reports.begin(line[:100])
     except (OSError, ValueError):
         pass
 

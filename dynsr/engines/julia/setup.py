@@ -1,6 +1,6 @@
 """What the Julia engine needs on this machine: what is missing, and setting it up by juliapkg.
 
-Knows neither numbers nor equations, so that what is missing is told at once.
+Knows neither numbers nor equations, so that what is missing is known at once.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ def locate() -> tuple[str, str]:
     )
     answer = done.stdout.splitlines()
     if done.returncode:
-        words = " ".join(answer) or f"it ended with exit code {done.returncode}"
-        raise EngineError(f"juliapkg cannot set up Julia: {words[:500]}; see its output above")
+        reason = " ".join(answer) or f"it ended with exit code {done.returncode}"
+        raise EngineError(f"juliapkg cannot set up Julia: {reason[:500]}; see its output above")
     return answer[0], answer[1]
 
 

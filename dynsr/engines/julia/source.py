@@ -22,8 +22,13 @@ def write_slopes(rhs: Sequence[sympy.Expr], states: Sequence[str]) -> str:
     """Write k expressions in ``states`` and ``t`` as a Julia function ``(du, u, p, t) -> ...``.
 
     States become ``u[1]``, ``u[2]``, ..., so that no name of theirs can clash with Julia's.
-    Common parts are computed once. ``sqrt``, ``power`` and the like are those of DynSR's module
-    ``Formulas``, which give NaN outside their domain.
+    Common subexpressions are computed once. ``sqrt``, ``power`` and the like are those of DynSR's
+    module ``Formulas``, which give NaN outside their domain.
+
+    Parameters
+    ----------
+    rhs : k SymPy expressions, in state units per second.
+    states : the k names of the states, in order.
 
     Raises InputError when an expression holds something that is not in the operator table.
 
@@ -38,9 +43,9 @@ def write_slopes(rhs: Sequence[sympy.Expr], states: Sequence[str]) -> str:
     names: dict[sympy.Symbol, str] = {sympy.Symbol("t"): "t"}
     names.update({sympy.Symbol(s): f"u[{i}]" for i, s in enumerate(states, 1)})
     fresh = sympy.numbered_symbols("common", cls=sympy.Dummy)
-    parts, reduced = sympy.cse(list(rhs), symbols=fresh, order="none")
+    common, reduced = sympy.cse(list(rhs), symbols=fresh, order="none")
     lines = []
-    for i, (symbol, part) in enumerate(parts, 1):
+    for i, (symbol, part) in enumerate(common, 1):
         lines.append(f"s{i} = {write_julia(part, names)}")
         names[symbol] = f"s{i}"
     lines += [f"du[{i}] = {write_julia(e, names)}" for i, e in enumerate(reduced, 1)]

@@ -21,7 +21,7 @@ _TINY_SLOPES = "(du, u, p, t) -> begin\n    du[1] = -1.0 * u[1]\n    nothing\nen
 
 
 class Session:
-    """Julia with dynsr's module in it; ``tell`` is given the stages of its start in words."""
+    """Julia with dynsr's module in it; ``tell`` is given the stages of its start as text."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         """Start nothing yet: the first request does."""
@@ -59,9 +59,9 @@ class Session:
             self._tell(f"compiling {call}, once a session")
             tiny = _tiny_regression if call == "regress" else _tiny_integration
             if call == "diffeqpy":
-                # It may install and compile packages, and why that fails is to be told.
+                # It may install and compile packages, and why that fails is reported.
                 _load_diffeqpy()
-            # Whether the tiny problem can be solved is nobody's question.
+            # Whether the tiny problem can be solved does not matter.
             with contextlib.suppress(Exception):
                 self._calls[call](*tiny(header))
             self._warm.add(call)
@@ -69,7 +69,7 @@ class Session:
     def answer(
         self, header: dict[str, Any], arrays: dict[str, np.ndarray]
     ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Do what is asked: "integrate", "regress" or "versions"."""
+        """Do what is asked: "integrate", "regress", "diffeqpy" or "versions"."""
         if header["call"] == "versions":
             return {"versions": self._versions}, {}
         return self._calls[header["call"]](header, arrays)
@@ -163,7 +163,7 @@ def main() -> None:
     session = Session(lambda text: write_frame(answers, {"event": "progress", "text": text}))
     while (frame := read_frame(requests)) is not None:
         header, arrays = frame
-        # Whatever a foreign library raises, the engine is told and the worker lives on.
+        # Whatever a foreign library raises, the engine gets a message and the worker lives on.
         try:
             session.load(header["source"])
         except Exception as problem:
@@ -192,11 +192,11 @@ def _take_pipes() -> tuple[IO[bytes], IO[bytes]]:
 
 
 def _one_line(problem: Exception) -> str:
-    """Say what went wrong in the words of who said it, without the stack."""
+    """Give the message of an exception in one line, without the stack."""
     text = str(problem).split("Stacktrace:")[0]
-    # A program that juliacall ran said why it failed on its own standard error.
-    told = str(getattr(problem, "stderr", None) or "").strip()
-    if told:
-        text += f" It said: {told.splitlines()[-1]}"
+    # A program that juliacall ran says on its own standard error why it failed.
+    output = str(getattr(problem, "stderr", None) or "").strip()
+    if output:
+        text += f" It said: {output.splitlines()[-1]}"
     line = " ".join(text.split()) or type(problem).__name__
     return line if len(line) <= LONGEST_MESSAGE else line[: LONGEST_MESSAGE - 3] + "..."
