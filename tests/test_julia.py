@@ -136,11 +136,26 @@ def test_an_error_of_julia_is_told_in_its_words(engine):
 
 
 def test_what_julia_prints_does_not_harm_the_protocol(engine):
-    """Output of Julia or a library, even straight to the descriptor, reaches no frame."""
+    """Output of Julia or a library, even straight to the descriptor, reaches no message."""
     assert engine.integrate(decay(CHATTER)).success
 
 
-def test_success_is_judged_by_the_states(engine):
+def test_an_answer_that_breaks_off_is_an_error_and_never_half_an_answer(fake_julia, monkeypatch):
+    """Wherever the stream of a worker ends inside an answer, the call is an EngineError."""
+    answer = pickle.dumps(({"event": "answer"}, {"x": np.arange(3.0)}))
+    for length in (1, 11, len(answer) // 2, len(answer) - 1, len(answer)):
+        code = f"import os; os.read(0, 1); os.write(1, {answer[:length]!r})"
+        monkeypatch.setattr(worker_process, "_start_code", lambda module, code=code: code)
+        worker = worker_process.WorkerProcess("none", "julia", dict(os.environ))
+        if length == len(answer):
+            assert worker.request({}, {}, 9.0, 9.0, print)[1]["x"].tolist() == [0.0, 1.0, 2.0]
+        else:
+            with pytest.raises(EngineError, match="ended unexpectedly .exit code 0."):
+                worker.request({}, {}, 9.0, 9.0, print)
+        worker.close()
+
+
+def test_success_is_decided_by_the_states(engine):
     """A solution that Julia calls fine is none when a state is not finite."""
     solved = engine.integrate(decay(NOT_FINITE))
     assert not solved.success and solved.message == "the solution is not finite"
@@ -200,7 +215,7 @@ def test_an_engine_travels_as_settings(engine):
 
 
 def test_time_without_end_is_a_limit_too(engine):
-    """No limit in seconds travels as a number, which a header of JSON can hold."""
+    """No limit in seconds reaches Julia as a finite number."""
     assert engine.integrate(decay(max_seconds=float("inf"))).success
 
 

@@ -21,8 +21,7 @@ from dynsr.engines.base import (
     SparseProblem,
     SparseSolution,
 )
-from dynsr.engines.julia.frames import Frame
-from dynsr.engines.julia.process import Announce, WorkerProcess
+from dynsr.engines.julia.process import Announce, Message, WorkerProcess
 from dynsr.engines.julia.setup import ENVIRONMENT, find_sources, name_remedy, require_julia
 from dynsr.engines.julia.source import write_slopes
 from dynsr.engines.sparse.settings import read_settings
@@ -93,7 +92,7 @@ class JuliaEngine(AbstractEngine):
             "reltol": float(problem.reltol),
             "abstol": float(problem.abstol),
             "max_steps": int(problem.max_steps),
-            # A header holds finite numbers only.
+            # Julia is given a number that it can add to its clock.
             "max_seconds": min(float(problem.max_seconds), LONGEST_SECONDS),
         }
         seconds = problem.max_seconds + GRACE_SECONDS
@@ -155,7 +154,7 @@ class JuliaEngine(AbstractEngine):
 
     def _ask(
         self, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray], seconds: float
-    ) -> Frame:
+    ) -> Message:
         with self._lock:
             if self._process is None or not self._process.alive:
                 if self._process is not None:

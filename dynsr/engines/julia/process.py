@@ -1,7 +1,10 @@
 """A process of its own that answers requests, so that its crash is an error and never the end.
 
 loky with one worker is not enough: it ends a worker that grows by 300 MB after its first call, as
-Julia does on compiling, keeps no last lines of a crash, and has no way to tell of progress.
+Julia does on compiling, keeps no last lines of a crash, and has no way to report progress.
+
+Messages are pickled pairs of a header and arrays. Both ends are dynsr's own, on pipes that nobody
+else writes to: the worker takes them for itself before it loads anything foreign.
 """
 
 from __future__ import annotations
@@ -9,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pickle
 import queue
 import signal
 import subprocess
@@ -22,10 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.engines.julia.frames import Frame, read_frame, write_frame
 from dynsr.errors import EngineError, EngineUnavailable
 
 Announce = Callable[[str], None]
+# Plain values by name, and float64 arrays by name.
+Message = tuple[dict[str, Any], dict[str, np.ndarray]]
 # A stage that is over sooner is not worth a line.
 QUIET_SECONDS = 2.0
 _TICK = 0.25
@@ -34,9 +39,9 @@ _SIGNS_OF_PROGRESS = ("Precompiling", "Installing", "Installed", "Downloading", 
 
 
 class WorkerProcess:
-    """One running worker: ``module.main()`` in a fresh Python, which frames over pipes reach.
+    """One running worker: ``module.main()`` in a fresh Python, reached by messages over pipes.
 
-    The worker answers each request with frames whose ``event`` is "progress" (a stage of its
+    The worker answers each request with messages whose ``event`` is "progress" (a stage of its
     start, as text), "working" (the start is over, the time limit of the request counts),
     "answer", "error" or "unavailable".
 
@@ -49,15 +54,10 @@ class WorkerProcess:
 
     def __init__(self, module: str, name: str, environment: Mapping[str, str]) -> None:
         """Start the process; it answers as soon as it is up."""
-        # The path is set before anything is imported: no file of the working directory or of
-        # the package's own folders can stand in for a module of Python's.
-        code = (
-            f"import sys; sys.path[:] = {json.dumps(sys.path)}; from {module} import main; main()"
-        )
         self.name = name
         self._owner = os.getpid()
         self._process = subprocess.Popen(
-            [sys.executable, "-c", code],
+            [sys.executable, "-c", _start_code(module)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -65,10 +65,10 @@ class WorkerProcess:
             # Ctrl-C is for the user's session; it decides what becomes of the worker.
             start_new_session=True,
         )
-        self._frames: queue.SimpleQueue[Frame | None] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
         self._reports = _Reports()
         self._threads = [
-            threading.Thread(target=_pass_frames, args=(self._process, self._frames), daemon=True),
+            threading.Thread(target=_receive, args=(self._process, self._messages), daemon=True),
             threading.Thread(target=_listen, args=(self._process, self._reports), daemon=True),
         ]
         for thread in self._threads:
@@ -87,12 +87,12 @@ class WorkerProcess:
         seconds: float,
         start_seconds: float,
         announce: Announce,
-    ) -> Frame:
+    ) -> Message:
         """Send a request, wait for its answer and give it.
 
         Parameters
         ----------
-        header : plain values that JSON can hold.
+        header : plain values by name.
         arrays : float64 arrays of any shape, by name.
         seconds : how long the work may take.
         start_seconds : how long the worker may take before it, to start and to compile.
@@ -120,11 +120,13 @@ class WorkerProcess:
     def _send(self, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         assert self._process.stdin is not None
         try:
-            write_frame(self._process.stdin, header, arrays)
+            values = {name: np.ascontiguousarray(v, dtype=float) for name, v in arrays.items()}
+            pickle.dump((dict(header), values), self._process.stdin)
+            self._process.stdin.flush()
         except OSError:
             raise EngineError(self._describe_end()) from None
 
-    def _wait(self, seconds: float, start_seconds: float, announce: Announce) -> Frame:
+    def _wait(self, seconds: float, start_seconds: float, announce: Announce) -> Message:
         deadline, limit, doing = time.monotonic() + start_seconds, start_seconds, "start"
         self._reports.begin(self._reports.stage)
         while True:
@@ -135,20 +137,20 @@ class WorkerProcess:
                     "it starts again on its next use"
                 )
             try:
-                frame = self._frames.get(timeout=min(left, _TICK))
+                message = self._messages.get(timeout=min(left, _TICK))
             except queue.Empty:
                 self._reports.announce(self.name, announce)
                 continue
-            if frame is None:
+            if message is None:
                 raise EngineError(self._describe_end())
-            header, _ = frame
+            header, _ = message
             if header["event"] == "progress":
                 self._reports.begin(str(header["text"]))
             elif header["event"] == "working":
                 self._reports.begin("")
                 deadline, limit, doing = time.monotonic() + seconds, seconds, "answer"
             elif header["event"] == "answer":
-                return frame
+                return message
             else:
                 kind = EngineUnavailable if header["event"] == "unavailable" else EngineError
                 raise _WorkerError(kind(str(header["message"])))
@@ -165,6 +167,12 @@ class WorkerProcess:
             f"{self.name} ended unexpectedly ({_manner(code)}) and starts again on its next use; "
             f"its last lines: {lines[:500]}"
         )
+
+
+def _start_code(module: str) -> str:
+    # The path is set before anything is imported: no file of the working directory or of the
+    # package's own folders can stand in for a module of Python's.
+    return f"import sys; sys.path[:] = {json.dumps(sys.path)}; from {module} import main; main()"
 
 
 class _Reports:
@@ -204,14 +212,13 @@ def _manner(code: int | None) -> str:
         return f"signal {-code}"
 
 
-def _pass_frames(process: subprocess.Popen[bytes], frames: queue.SimpleQueue[Frame | None]) -> None:
+def _receive(process: subprocess.Popen[bytes], messages: queue.SimpleQueue[Message | None]) -> None:
     assert process.stdout is not None
-    try:
-        while (frame := read_frame(process.stdout)) is not None:
-            frames.put(frame)
-    except (EngineError, OSError, ValueError):
-        pass
-    frames.put(None)
+    # The stream ends, breaks off inside a message, or is closed.
+    with contextlib.suppress(EOFError, pickle.UnpicklingError, OSError, ValueError):
+        while True:
+            messages.put(pickle.load(process.stdout))
+    messages.put(None)
 
 
 def _listen(process: subprocess.Popen[bytes], reports: _Reports) -> None:

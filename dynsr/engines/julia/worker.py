@@ -1,20 +1,19 @@
 """The process in which Julia runs: reads requests from standard input and answers on the output.
 
 Torch is never imported here: loading it before Julia can crash both. What Julia or a library
-prints goes to standard error, so that nothing but frames reaches the engine.
+prints goes to standard error, so that nothing but messages reaches the engine.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import pickle
 import sys
 from collections.abc import Callable
 from typing import IO, Any
 
 import numpy as np
-
-from dynsr.engines.julia.frames import read_frame, write_frame
 
 LONGEST_MESSAGE = 600
 _TINY_SLOPES = "(du, u, p, t) -> begin\n    du[1] = -1.0 * u[1]\n    nothing\nend"
@@ -160,27 +159,35 @@ def _tiny_regression(header: dict[str, Any]) -> tuple[dict[str, Any], dict[str, 
 def main() -> None:
     """Answer requests until the engine closes the pipe."""
     requests, answers = _take_pipes()
-    session = Session(lambda text: write_frame(answers, {"event": "progress", "text": text}))
-    while (frame := read_frame(requests)) is not None:
-        header, arrays = frame
+
+    def send(event: str, arrays: dict[str, np.ndarray] | None = None, **facts: Any) -> None:
+        pickle.dump(({"event": event, **facts}, arrays or {}), answers)
+        answers.flush()
+
+    session = Session(lambda text: send("progress", text=text))
+    while True:
+        try:
+            header, arrays = pickle.load(requests)
+        except EOFError:
+            return
         # Whatever a foreign library raises, the engine gets a message and the worker lives on.
         try:
             session.load(header["source"])
         except Exception as problem:
-            write_frame(answers, {"event": "unavailable", "message": _one_line(problem)})
+            send("unavailable", message=_one_line(problem))
             continue
         try:
             session.warm_up(header)
-            write_frame(answers, {"event": "working"})
+            send("working")
             facts, results = session.answer(header, arrays)
         except Exception as problem:
-            write_frame(answers, {"event": "error", "message": _one_line(problem)})
+            send("error", message=_one_line(problem))
             continue
-        write_frame(answers, {"event": "answer", **facts}, results)
+        send("answer", results, **facts)
 
 
 def _take_pipes() -> tuple[IO[bytes], IO[bytes]]:
-    """Keep the pipes for frames and turn the standard output of everyone else to the error's."""
+    """Keep the pipes for messages and turn everyone else's standard output to the error's."""
     requests = os.fdopen(os.dup(0), "rb")
     answers = os.fdopen(os.dup(1), "wb")
     nowhere = os.open(os.devnull, os.O_RDONLY)
