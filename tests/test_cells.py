@@ -1,3 +1,4 @@
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -141,3 +142,20 @@ def test_a_namesake_of_a_catalogue_system_is_refused(tmp_path):
     with pytest.raises(InputError, match="'pendulum' is not the system of that name"):
         replicate([own], ["ga"], out=tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+def test_the_steps_stand_in_the_manifest_and_in_the_samples(tmp_path):
+    """Own steps are the default; a folder of theirs is not continued with the recorded ones."""
+    result = replicate(["cart-pole"], ["sindy"], 1, jobs=1, out=tmp_path, report=False)
+    assert result.settings["recorded_steps"] is False
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert manifest["settings"]["recorded_steps"] is False
+    assert "1642.359" in result.records[0].expression
+    with pytest.raises(InputError, match="results with recorded_steps False, not True"):
+        replicate(["cart-pole"], ["sindy"], 1, jobs=1, out=tmp_path, recorded_steps=True)
+    plan = Plan(0, "paper", "embedded", recorded_steps=True)
+    record = compute_cell(Cell(CART_POLE, "sindy", 1), plan)
+    assert "1642.3124" in record.expression and record.source == "sindy"
+    assert (
+        f"{record.printed_loss:.4f}"[:5] == f"{result.records[0].printed_loss:.4f}"[:5] == "1.920"
+    )

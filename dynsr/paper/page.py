@@ -22,7 +22,14 @@ from dynsr.report import Picture, Table, render_page, write_table
 def render_replication(
     records: Sequence[Record], settings: Mapping[str, Any], tables: Sequence[Table] | None = None
 ) -> str:
-    """Give the report of a replication as one page: tables, pictures, and how it was made."""
+    """Give the report of a replication as one page: tables, pictures, and how it was made.
+
+    Parameters
+    ----------
+    records : one for each cell.
+    settings : what the cells share, as the manifest of their folder holds it.
+    tables : those of :func:`dynsr.paper.results.all_tables`, if they are made already.
+    """
     engine = str(settings["engine"])
     pictures = [
         Picture.of(figure_1(records, [system], engine), caption)
