@@ -14,7 +14,7 @@ PRINTED = {
 }
 
 
-def record(system, expression, run=1, method="ga", **losses):
+def record(system, expression, run=1, method="ga", **fields):
     """Give a record of a formula, with its losses as they are scored."""
     found = find_system(system)
     score = score_as_printed(found, [parse(expression)], method)[0]
@@ -25,5 +25,5 @@ def record(system, expression, run=1, method="ga", **losses):
         printed_loss=score.printed_loss,
         trajectory_loss=score.trajectory_loss,
         seconds=0.5 * run,
-        **losses,
+        **{"source": method, **fields},
     )

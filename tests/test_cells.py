@@ -1,12 +1,19 @@
+import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy
 
-from dynsr.data.system import CART_POLE, DUFFING, LOTKA_VOLTERRA, PENDULUM
+from dynsr.data.system import CART_POLE, DUFFING, LOTKA_VOLTERRA, PENDULUM, System
+from dynsr.errors import InputError
 from dynsr.expression.evaluation import evaluate
-from dynsr.paper.replication import Cell, Plan, cell_method, cell_samples, compute_cell
+from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.methods.registry import make_method
+from dynsr.paper.replication import Cell, Plan, cell_method, cell_samples, compute_cell, replicate
+from dynsr.paper.stages import describe_stages
 
 sys.path.insert(0, str(Path(__file__).parent))
 from fake_methods import make  # noqa: E402 (found beside this file)
@@ -56,8 +63,6 @@ def test_a_degree_four_polynomial_scores_as_the_paper_says():
     """
     from itertools import product
 
-    import sympy
-
     from dynsr.paper.protocol import printed_loss
 
     for system, expected in ((CART_POLE, 0.5197), (PENDULUM, 2.167), (LOTKA_VOLTERRA, 0.03288)):
@@ -95,3 +100,62 @@ def test_an_unknown_engine_is_a_failed_record():
     """Even what happens before the search is in the record."""
     record = compute_cell(Cell(PENDULUM, "ga", 1), Plan(0, "paper", "matlab"))
     assert record.status == "failed" and "unknown engine 'matlab'" in record.error
+
+
+def _small(name, preset, system):
+    """Give a method with the paper's settings and a small budget."""
+    return replace(make_method(name, preset, system), epochs=40, candidates=50, max_depth=1)
+
+
+def test_the_network_stages_run_in_the_papers_settings():
+    """Each stage that ran is in the record, the network's too, with its best fit if it had one."""
+    record = compute_cell(Cell(CART_POLE, "dynaifeynman", 1), Plan(0, "paper", "embedded", _small))
+    assert record.done, record.error
+    stages = {row["stage"]: row for row in record.stages}
+    assert {"polynomial", "brute force", "network", "symmetry", "separability"} <= set(stages)
+    assert "refinement" not in stages and stages["network"]["best_loss"] is None
+    counts = [row["formulas"] for row in record.stages]
+    assert sum(counts) == len(record.front) and min(counts) >= 0
+    assert record.source == record.front[-1]["source"] != ""
+    best = min(row["best_loss"] for row in record.stages if row["best_loss"] is not None)
+    assert best == record.fit_loss
+
+
+def test_a_stage_that_others_beat_keeps_its_best_fit():
+    """A stage without a formula on the front still has its best loss; after a colon stands how."""
+    x = sympy.Symbol("x")
+    front = ParetoFront([Candidate(x, 0.5, 3.0, "brute force")]).add(
+        Candidate(x, 0.75, 5.0, "symmetry: scaling in a/b"),
+        Candidate(x, 0.625, 5.0, "symmetry: translational in a - b"),
+    )
+    rows = describe_stages(front, ["network", "snapping", "level"], make("guess", "paper", None))
+    assert rows == (
+        {"stage": "network", "formulas": 0, "best_loss": None},
+        {"stage": "brute force", "formulas": 1, "best_loss": 0.5},
+        {"stage": "symmetry", "formulas": 0, "best_loss": 0.625},
+    )
+
+
+def test_a_namesake_of_a_catalogue_system_is_refused(tmp_path):
+    """Records go by name, so that a system that only has a name of the catalogue's is refused."""
+    own = System.from_strings({"x": "-x"}, name="pendulum")
+    with pytest.raises(InputError, match="'pendulum' is not the system of that name"):
+        replicate([own], ["ga"], out=tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_steps_stand_in_the_manifest_and_in_the_samples(tmp_path):
+    """Own steps are the default; a folder of theirs is not continued with the recorded ones."""
+    result = replicate(["cart-pole"], ["sindy"], 1, jobs=1, out=tmp_path, report=False)
+    assert result.settings["recorded_steps"] is False
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert manifest["settings"]["recorded_steps"] is False
+    assert "1642.359" in result.records[0].expression
+    with pytest.raises(InputError, match="results with recorded_steps False, not True"):
+        replicate(["cart-pole"], ["sindy"], 1, jobs=1, out=tmp_path, recorded_steps=True)
+    plan = Plan(0, "paper", "embedded", recorded_steps=True)
+    record = compute_cell(Cell(CART_POLE, "sindy", 1), plan)
+    assert "1642.3124" in record.expression and record.source == "sindy"
+    assert (
+        f"{record.printed_loss:.4f}"[:5] == f"{result.records[0].printed_loss:.4f}"[:5] == "1.920"
+    )

@@ -257,6 +257,16 @@ def test_json_keeps_nothing_unasked(tmp_path, monkeypatch, seen):
     assert seen["data"][0].input_names == ("F",) and set(seen["inputs"]) == {"F"}
 
 
+def test_the_papers_loss_is_its_own_systems_alone(seen):
+    """A known system that the paper lacks has the general losses, in JSON and in the table."""
+    found = json.loads(run("discover", "--system", "lorenz", "-q", "--json").stdout)
+    for scores in found["scores"]["truth"].values():
+        assert set(scores) == {"equation_rmse", "trajectory_loss"}
+    shown = run("discover", "--system", "lorenz").stdout
+    assert "test run off by" in shown and "paper's loss" not in shown
+    assert "paper's loss" in run("discover", "--system", "cart-pole").stdout
+
+
 def test_the_paper_preset_of_a_system(seen):
     """A system of the paper gets the paper's own settings and forward differences."""
     run("discover", "--system", "lotka-volterra", "--preset", "paper", "--json", "-q")

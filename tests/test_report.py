@@ -7,13 +7,25 @@ from pathlib import Path
 import pytest
 
 from dynsr.paper.page import render_replication, write_results
+from dynsr.paper.results import all_tables
 from dynsr.report.page import Picture, render_page
 from dynsr.report.tables import Formula, Table
 
 sys.path.insert(0, str(Path(__file__).parent))
 from fake_records import PRINTED, record  # noqa: E402 (found beside this file)
 
-SETTINGS = {"seed": 5, "engine": "embedded", "quick": False, "version": "0.1.0"}
+SETTINGS = {
+    "seed": 5,
+    "engine": "embedded",
+    "quick": False,
+    "recorded_steps": False,
+    "version": "0.1.0",
+}
+STAGES = (
+    {"stage": "polynomial", "formulas": 1, "best_loss": 0.25},
+    {"stage": "network", "formulas": 0, "best_loss": None},
+    {"stage": "symmetry", "formulas": 0, "best_loss": 0.5},
+)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +110,10 @@ def test_what_users_name_is_escaped():
         summary=evil,
         quick=False,
         failures=[evil],
-        tables=[table, table],
+        losses=table,
+        formulas=[table],
+        stages=[table],
+        recorded_steps=False,
         pictures=[Picture("<svg></svg>", '"' + evil)],
         facts=[(evil, evil)],
     )
@@ -123,3 +138,32 @@ def test_nothing_to_draw_is_still_a_report(tmp_path):
     paths = write_results(tmp_path, [failed], SETTINGS)
     assert not any("figure1" in path.name for path in paths)
     assert "no luck" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("recorded_steps", [False, True])
+def test_the_report_says_what_the_replication_is(records, recorded_steps):
+    """Coinciding runs, the reconstructed GA, the withheld force and the steps stand in words."""
+    settings = {**SETTINGS, "recorded_steps": recorded_steps}
+    text = " ".join(Page(render_replication(records, settings)).text)
+    for words in ("one result", "our reconstruction", "withheld", "1642.3124"):
+        assert words in text
+    assert ("our own solver's steps" in text) is not recorded_steps
+    command = text.partition("dynsr replicate --systems")[2].partition("--engine")[0]
+    assert ("--recorded-steps" in command) is recorded_steps
+
+
+def test_the_report_names_the_stage_of_each_run_and_what_the_others_came_to(records):
+    """The stage stands beside its formula; a stage that did not win has its best fit."""
+    found = record("pendulum", "theta1", method="dynaifeynman", source="polynomial", stages=STAGES)
+    runs = [*records, found, replace(found, run=2)]
+    page = Page(render_replication(runs, SETTINGS))
+    assert page.tables[-1] == "stages_dynaifeynman_pendulum"
+    table = next(t for t in all_tables(runs) if t.name == page.tables[-1])
+    assert [row[:3] for row in table.rows] == [
+        ("polynomial", 2, "1, 1"),
+        ("network", 2, "0, 0"),
+        ("symmetry", 2, "0, 0"),
+    ]
+    assert [str(row[3]) for row in table.rows] == ["0.25 ± 0", "", "0.5 ± 0"]
+    assert [row[4] for row in table.rows] == [2, 0, 0]
+    assert "± 0 (deterministic)" in " ".join(page.text)

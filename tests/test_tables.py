@@ -28,7 +28,10 @@ def test_a_spread_is_mean_and_sample_deviation():
     assert spread.deviation == statistics.stdev(values)
     assert str(spread) == "0.1958 ± 0.04845 (1 of 6 diverges)"
     assert str(Spread.of([math.inf, math.inf])) == "diverges"
-    assert str(Spread.of([0.1] * 3)) == "0.1"
+    assert str(Spread.of([0.1] * 3)) == "0.1 ± 0" and str(Spread.of([0.1])) == "0.1"
+    assert str(Spread.of([0.1] * 3, deterministic=True)) == "0.1 ± 0 (deterministic)"
+    assert str(Spread.of([0.1], deterministic=True)) == "0.1"
+    assert str(Spread.of([1.0, 2.0], deterministic=True)) == "1.5 ± 0.7071"
     assert str(Spread.of([])) == ""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -19,7 +19,8 @@ class Candidate:
     """One formula found for a target.
 
     ``loss`` is its RMSE on the samples (state units per second); ``complexity`` its description
-    length in bits, :func:`dynsr.expression.complexity`; ``source`` the stage that found it.
+    length in bits, :func:`dynsr.expression.complexity`; ``source`` the stage that found it, with
+    how after a colon.
     """
 
     expr: sympy.Expr
@@ -57,6 +58,9 @@ def _text(expr: sympy.Expr) -> str:
 class ParetoFront:
     """Candidates of which none is both simpler and better than another, simplest first.
 
+    ``leaders`` holds the most accurate candidate of every source, those that others beat too, so
+    that it can be seen what each stage of a search came to.
+
     >>> a = Candidate(sympy.Symbol("x"), 1.0, 1.0)
     >>> b = Candidate(sympy.Symbol("y"), 2.0, 2.0)
     >>> len(ParetoFront([a]).add(b))
@@ -64,10 +68,12 @@ class ParetoFront:
     """
 
     candidates: tuple[Candidate, ...] = ()
+    leaders: tuple[Candidate, ...] = field(default=(), compare=False, repr=False)
 
     def __init__(self, candidates: Iterable[Candidate] = ()) -> None:
         """Keep the undominated ones of the candidates; those with loss inf or NaN are dropped."""
         kept: list[Candidate] = []
+        leaders: dict[str, Candidate] = {}
         ordered = sorted(
             (c for c in candidates if math.isfinite(c.loss) and math.isfinite(c.complexity)),
             key=lambda c: (c.complexity, c.loss, _text(c.expr)),
@@ -75,7 +81,11 @@ class ParetoFront:
         for candidate in ordered:
             if not kept or candidate.loss < kept[-1].loss:
                 kept.append(candidate)
+            leader = leaders.setdefault(candidate.source, candidate)
+            if candidate.loss < leader.loss:
+                leaders[candidate.source] = candidate
         object.__setattr__(self, "candidates", tuple(kept))
+        object.__setattr__(self, "leaders", tuple(leaders.values()))
 
     def __iter__(self) -> Iterator[Candidate]:
         """Go through the candidates, simplest first."""
@@ -91,11 +101,11 @@ class ParetoFront:
 
     def add(self, *candidates: Candidate) -> ParetoFront:
         """Give the front of these candidates and mine."""
-        return ParetoFront((*self.candidates, *candidates))
+        return ParetoFront((*self.candidates, *self.leaders, *candidates))
 
     def merge(self, other: ParetoFront) -> ParetoFront:
         """Give the front of both fronts' candidates."""
-        return ParetoFront((*self.candidates, *other.candidates))
+        return self.add(*other.candidates, *other.leaders)
 
     @property
     def best_fit(self) -> Candidate:

@@ -62,8 +62,13 @@ def audit(
 ) -> list[AuditRow]:
     """Score the 33 printed expressions again and compare with what is printed.
 
-    ``unrounded`` gives the models of SINDy with all their digits, by system; by default they are
-    found anew from the paper's data by its own recipe.
+    Parameters
+    ----------
+    engine : what integrates and regresses.
+    unrounded : gives the models of SINDy with all their digits, by system, for an engine; by
+        default :func:`paper_models`, which finds them anew.
+
+    Raises InputError for an unknown engine, EngineUnavailable for one that is absent.
 
     >>> sum(row.agrees for row in audit(unrounded=lambda engine: {})) >= 31
     True
@@ -92,7 +97,11 @@ def agrees_cut(printed: str, ours: float) -> bool:
 def paper_models(engine: AbstractEngine, systems: Iterable[str]) -> dict[str, sympy.Expr]:
     """Find the paper's SINDy models anew from its own data, with all their digits.
 
-    The embedded engine takes the recorded steps, since the digits are what is asked for here.
+    Parameters
+    ----------
+    engine : what integrates and regresses; the embedded one takes the recorded steps, since the
+        printed digits are what is asked for here.
+    systems : names of systems of the paper.
     """
     # Here, because an audit with models of its own has no need of the search.
     from dynsr.paper.protocol import paper_method

@@ -8,26 +8,44 @@ from typing import Any
 
 from dynsr.jobs import write_bytes, write_text
 from dynsr.paper.records import Record
-from dynsr.paper.results import FIGURE_1, SYSTEM_TITLES, all_tables, drawable, figure_1
+from dynsr.paper.results import (
+    FIGURE_1,
+    STAGES,
+    SYSTEM_TITLES,
+    all_tables,
+    drawable,
+    figure_1,
+)
 from dynsr.report import Picture, Table, render_page, write_table
 
 
 def render_replication(
     records: Sequence[Record], settings: Mapping[str, Any], tables: Sequence[Table] | None = None
 ) -> str:
-    """Give the report of a replication as one page: tables, pictures, and how it was made."""
+    """Give the report of a replication as one page: tables, pictures, and how it was made.
+
+    Parameters
+    ----------
+    records : one for each cell.
+    settings : what the cells share, as the manifest of their folder holds it.
+    tables : those of :func:`dynsr.paper.results.all_tables`, if they are made already.
+    """
     engine = str(settings["engine"])
     pictures = [
         Picture.of(figure_1(records, [system], engine), caption)
         for system, caption in _pictures(records)
     ]
     failed = [r for r in records if not r.done]
+    losses, *others = tables or all_tables(records)
     return render_page(
         "replication.html.j2",
         summary=_summary(records),
         quick=settings["quick"],
         failures=[f"{r.system}, {r.method}, run {r.run}: {r.error}" for r in failed],
-        tables=tables or all_tables(records),
+        losses=losses,
+        formulas=[table for table in others if not table.name.startswith(STAGES)],
+        stages=[table for table in others if table.name.startswith(STAGES)],
+        recorded_steps=settings["recorded_steps"],
         pictures=pictures,
         facts=_facts(records, settings),
     )
@@ -94,6 +112,7 @@ def _facts(records: Sequence[Record], settings: Mapping[str, Any]) -> list[tuple
         ("seed", str(settings["seed"])),
         ("engine", str(settings["engine"])),
         ("settings", "quick" if settings["quick"] else "the paper's"),
+        ("steps of SINDy's samples", "recorded" if settings["recorded_steps"] else "our own"),
         ("time of the searches", f"{total:.0f} s, all cells together"),
         *sorted(versions.items()),
     ]
@@ -104,8 +123,9 @@ def _command(records: Sequence[Record], settings: Mapping[str, Any]) -> str:
     systems = ",".join(dict.fromkeys(r.system for r in records))
     methods = ",".join(dict.fromkeys(r.method for r in records))
     runs = max((r.run for r in records), default=0)
-    quick = " --quick" if settings["quick"] else ""
+    flags = " --quick" if settings["quick"] else ""
+    flags += " --recorded-steps" if settings["recorded_steps"] else ""
     return (
-        f"dynsr replicate --systems {systems} --methods {methods} --runs {runs}{quick} "
+        f"dynsr replicate --systems {systems} --methods {methods} --runs {runs}{flags} "
         f"--seed {settings['seed']} --engine {settings['engine']}"
     )

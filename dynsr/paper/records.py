@@ -64,7 +64,10 @@ class Record:
     seconds : wall time of the search.
     engine, versions : what integrated and regressed, with the version of every part.
     preset, settings : the method's own settings, all of them.
-    front : every formula of the Pareto front: expression, loss, complexity.
+    front : every formula of the Pareto front: expression, loss, complexity, source.
+    source : the stage of the search that the formula comes from.
+    stages : every stage that ran, in order: its name, how many formulas of the front are its own,
+        and the RMSE of its best formula, on the front or not (None where it gave none).
     """
 
     system: str
@@ -86,6 +89,8 @@ class Record:
     seconds: float = math.nan
     error: str = ""
     front: tuple[Mapping[str, Any], ...] = field(default=())
+    source: str = ""
+    stages: tuple[Mapping[str, Any], ...] = field(default=())
 
     @property
     def done(self) -> bool:
@@ -115,6 +120,7 @@ def read_record(path: Path) -> Record:
     if body.pop("checksum") != _checksum(body):
         raise RecordError(f"{path} was changed or damaged: its checksum differs")
     body["seed"], body["front"] = tuple(body["seed"]), tuple(map(_numbers, body["front"]))
+    body["stages"] = tuple(body["stages"])
     return Record(**_numbers(body))
 
 

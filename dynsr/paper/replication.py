@@ -57,6 +57,7 @@ from dynsr.paper.records import (
     write_record,
 )
 from dynsr.paper.results import all_tables
+from dynsr.paper.stages import describe_stages
 from dynsr.report import Table
 
 _WATCH_SECONDS = 1.0
@@ -197,7 +198,10 @@ def _leave_with(parent: int) -> None:
 def _search(cell: Cell, plan: Plan, method: AbstractMethod) -> dict[str, Any]:
     samples = cell_samples(cell, plan.engine, plan.recorded_steps)
     start = time.perf_counter()
-    front = method.search(samples, cell.generator(plan.seed))
+    ran: dict[str, None] = {}
+    front = method.search(
+        samples, cell.generator(plan.seed), lambda progress: ran.setdefault(progress.stage)
+    )
     seconds = time.perf_counter() - start
     if not len(front):
         raise ArithmeticError("no formula of the search has finite values on all samples")
@@ -210,9 +214,16 @@ def _search(cell: Cell, plan: Plan, method: AbstractMethod) -> dict[str, Any]:
         "seconds": seconds,
         **score.losses,
         "front": tuple(
-            {"expression": to_text(c.expr), "loss": c.loss, "complexity": c.complexity}
+            {
+                "expression": to_text(c.expr),
+                "loss": c.loss,
+                "complexity": c.complexity,
+                "source": c.source,
+            }
             for c in front
         ),
+        "source": best.source,
+        "stages": describe_stages(front, ran, method),
     }
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from dynsr.paper.auditing import AuditRow, audit
 from dynsr.paper.printed import TABLE_1
 from dynsr.paper.protocol import paper_method
 from dynsr.paper.records import Record
+from dynsr.paper.stages import is_deterministic, stage_of
 from dynsr.report import Formula, Spread, Table
 
 if TYPE_CHECKING:
@@ -33,11 +34,20 @@ SYSTEM_TITLES = {
 UNITS = {"theta1": "rad", "theta2": "rad/s", "w": "rad", "x": "m", "y": "rad/s", "z": "m/s"}
 FIGURE_1 = ("lotka-volterra", "cart-pole")
 _FIGURE_POINTS = 1001
+# Beginning of the names of the tables of stages.
+STAGES = "stages_"
 _NOTE_1 = (
     "Mean ± standard deviation (n - 1) over the runs. As printed: the loss that the numbers of the "
     "paper really hold, with its mixed states and its wrong start of the pendulum. Corrected: "
     "all states, right start; the paper's side is computed from the expressions that it prints, "
-    "whose digits are cut. Equation RMSE: the formula of the paper's text."
+    "whose digits are cut. Equation RMSE: the formula of the paper's text. Deterministic: the "
+    "stage that found the formula holds no chance, so that runs from other seeds had to coincide."
+)
+_NOTE_STAGES = (
+    "Formulas on the front: how many members of each run's Pareto front the stage found. Best fit: "
+    "RMSE on the training samples of the stage's best formula, also where others beat it. Won: "
+    "runs whose reported formula is the stage's. The network gives no formula itself; the stages "
+    "below it ask it, unless a short formula already fits better than the network does."
 )
 
 
@@ -54,6 +64,11 @@ class Group:
         """System and method as they are written for reading."""
         system, method = self.system, self.method
         return SYSTEM_TITLES.get(system, system), METHOD_TITLES.get(method, method)
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether every formula comes from a stage that no seed changes."""
+        return is_deterministic(record.source for record in self.done)
 
     @property
     def done(self) -> list[Record]:
@@ -110,26 +125,31 @@ def _row_1(group: Group) -> tuple:
     paper = _paper_rows().get(key, ())
     printed = TABLE_1.get(key)
     done, all_ = len(group.done), len(group.records)
+
+    def spread(values: Iterable[float | None]) -> Spread:
+        return Spread.of((v for v in values if v is not None), group.deterministic)
+
     return (
         *group.titles,
         str(all_) if done == all_ else f"{done} of {all_}",
-        Spread.of(r.printed_loss for r in group.done if r.printed_loss is not None),
+        spread(r.printed_loss for r in group.done),
         " ± ".join(filter(None, (printed.mean, printed.spread))) if printed else "",
-        Spread.of(r.trajectory_loss for r in group.done),
+        spread(r.trajectory_loss for r in group.done),
         Spread.of(row.corrected for row in paper),
-        Spread.of(r.equation_rmse for r in group.done),
+        spread(r.equation_rmse for r in group.done),
         Spread.of(row.equation_rmse for row in paper),
         Spread.of(r.seconds for r in group.done),
     )
 
 
 def appendix_table(group: Group) -> Table:
-    """Give one table of the paper's appendix: each run's formula, its losses and its seconds."""
-    columns = ("Run", "Formula", "As printed", "Corrected", "Equation RMSE", "Seconds")
+    """Give one table of the paper's appendix: each run's formula, its stage, losses and seconds."""
+    columns = ("Run", "Formula", "Stage", "As printed", "Corrected", "Equation RMSE", "Seconds")
     rows = tuple(
         (
             r.run,
             Formula(r.expression) if r.done else f"failed: {r.error}",
+            r.source,
             *((r.printed_loss, r.trajectory_loss, r.equation_rmse) if r.done else (math.nan,) * 3),
             r.seconds,
         )
@@ -145,9 +165,35 @@ def appendix_table(group: Group) -> Table:
     )
 
 
+def stage_table(group: Group) -> Table:
+    """Give what each stage of a method's search came to on a system, over its runs."""
+    columns = ("Stage", "Runs", "Formulas on the front", "Best fit", "Won")
+    found: dict[str, list[tuple[Record, Mapping[str, Any]]]] = {}
+    for record in group.records:
+        for stage in record.stages:
+            found.setdefault(stage["stage"], []).append((record, stage))
+    rows = tuple(
+        (
+            name,
+            len(runs),
+            ", ".join(str(stage["formulas"]) for _, stage in runs),
+            Spread.of(s["best_loss"] for _, s in runs if s["best_loss"] is not None),
+            sum(stage_of(record.source) == name for record, _ in runs),
+        )
+        for name, runs in found.items()
+    )
+    system, method = group.titles
+    name = f"{STAGES}{group.method}_{group.system}"
+    return Table(
+        name, f"{method} on {system}: where its formulas come from", columns, rows, _NOTE_STAGES
+    )
+
+
 def all_tables(records: Sequence[Record]) -> list[Table]:
-    """Give Table 1 and every table of the appendix."""
-    return [table_1(records), *map(appendix_table, groups(records))]
+    """Give Table 1, every table of the appendix, and the stages of what has more than one."""
+    found = groups(records)
+    staged = [group for group in found if any(len(r.stages) > 1 for r in group.records)]
+    return [table_1(records), *map(appendix_table, found), *map(stage_table, staged)]
 
 
 def table_2() -> Table:

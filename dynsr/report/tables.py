@@ -51,18 +51,22 @@ class Spread:
     """Mean and standard deviation (with n - 1) of a value over runs.
 
     ``diverged`` counts the runs whose value is infinite; the others make mean and deviation.
+    ``deterministic`` says that no chance was in the runs, so that they had to coincide.
 
     >>> str(Spread.of([0.25, 0.75, math.inf]))
     '0.5 ± 0.3536 (1 of 3 diverges)'
+    >>> str(Spread.of([0.25, 0.25], deterministic=True))
+    '0.25 ± 0 (deterministic)'
     """
 
     mean: float
     deviation: float
     count: int
     diverged: int = 0
+    deterministic: bool = False
 
     @classmethod
-    def of(cls, values: Iterable[float]) -> Spread:
+    def of(cls, values: Iterable[float], deterministic: bool = False) -> Spread:
         """Make the spread of some values."""
         values = list(values)
         finite = [v for v in values if math.isfinite(v)]
@@ -70,17 +74,19 @@ class Spread:
         same = len(set(finite)) == 1
         centre = finite[0] if same else mean(finite) if finite else math.nan
         spread = 0.0 if same else stdev(finite) if finite else math.nan
-        return cls(centre, spread, len(values), len(values) - len(finite))
+        return cls(centre, spread, len(values), len(values) - len(finite), deterministic)
 
     def __str__(self) -> str:
-        """Write it as the paper does; without a deviation where all runs agree."""
+        """Write it as the paper does; one run has no deviation."""
         if not self.count:
             return ""
         if self.diverged == self.count:
             return "diverges"
         text = format_value(self.mean)
-        if self.deviation:
+        if self.count - self.diverged > 1:
             text += f" ± {format_value(self.deviation)}"
+        if self.count > 1 and not self.deviation and self.deterministic:
+            text += " (deterministic)"
         if self.diverged:
             text += f" ({self.diverged} of {self.count} diverges)"
         return text
