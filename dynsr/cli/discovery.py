@@ -17,6 +17,7 @@ from dynsr.cli.data import load_table, read_equations, split_inputs
 from dynsr.cli.output import Notes
 from dynsr.cli.progress import SearchProgress
 from dynsr.cli.results import keep, score_discovery, summarise
+from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
 from dynsr.methods import AUTO, DEFAULT_PRESET
 
@@ -166,7 +167,7 @@ def discover(
     ] = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = -1,
-    engine: options.Engine = "embedded",
+    engine: options.Engine = DEFAULT_ENGINE,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -184,7 +185,10 @@ def discover(
     Columns are guessed and the guess is shown; --time, --states, --inputs and --trajectory say
     otherwise. Ctrl-C ends the search with the best equations so far.
     """
-    check_engine(engine)
+    from dynsr.engines import find_engine
+
+    # An engine that is unknown or absent is told before anything is read.
+    find_engine(engine)
     if bool(files) == bool(system):
         raise InputError("give a file of data or --system, one of the two")
     columns, formulas = split_inputs(inputs)
@@ -218,13 +222,6 @@ def discover(
         show_discovery(found, scores, notes.told, quiet)
     if not quiet:
         show_files(found, saved, folder)
-
-
-def check_engine(engine: str) -> None:
-    """Fail at once, before any search, when the engine is unknown or absent."""
-    from dynsr.engines import find_engine
-
-    find_engine(engine)
 
 
 def _refuse_columns(
