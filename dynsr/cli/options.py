@@ -110,7 +110,7 @@ MethodName = Annotated[
     str,
     typer.Option(
         "--method",
-        help=f"{describe_methods()}.",
+        help=f"{describe_methods()}. Several by commas.",
         autocompletion=complete_method,
         rich_help_panel=SEARCH,
     ),

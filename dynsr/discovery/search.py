@@ -42,7 +42,7 @@ def discover(
     seed: int = 0,
     jobs: int = -1,
     engine: str | AbstractEngine = DEFAULT_ENGINE,
-    scheme: str = "auto",
+    scheme: str | None = None,
     slopes: Mapping[str, Any] | None = None,
     out: str | Path | None = None,
     progress: Callable[[Step], None] | None = None,
@@ -63,7 +63,8 @@ def discover(
     engine : "embedded", "julia" or an engine: what regresses and integrates. The searches for
         constants on the states stay in the embedded one; the record says which did what
         (``settings["engines"]``).
-    scheme : how slopes are made; "auto" lets the data choose.
+    scheme : how slopes are made; by default forward differences with preset "paper", as there,
+        and with the others "auto", which lets the data choose.
     slopes : state -> the user's own slopes, one array (or one a trajectory).
     out : folder that keeps every finished part; the same call on it goes on where it was killed.
     progress : called with a :class:`Step` as parts end, and every half second while they run.
@@ -89,6 +90,7 @@ def discover(
     parts_known = read_inputs(known or {}, (*runs[0].names, "t"))
     for state in parts_known:
         runs[0].index(state)
+    scheme = scheme or ("forward" if preset == "paper" else "auto")
     methods = {n: m.with_engine(shared) for n, m in choose_methods(method, preset).items()}
     for own in (m.engine for m in methods.values() if m.engine is not None):
         share_engine(find_engine(own), workers)
