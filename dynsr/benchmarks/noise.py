@@ -16,7 +16,7 @@ import sympy
 from dynsr import __version__
 from dynsr.data import System, Trajectory
 from dynsr.discovery import discover, equation_rmse
-from dynsr.engines import add_noise, training_trajectory
+from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, add_noise, training_trajectory
 from dynsr.errors import DynsrError, InputError
 from dynsr.expression import parse, to_text
 from dynsr.jobs import Part, Record, RunFolder, Step, fingerprint, run_parts
@@ -60,17 +60,19 @@ def measure_recovery(
     search: Search,
     noise: Sequence[float] = NOISE_LEVELS,
     seeds: Sequence[int] = (0,),
+    engine: str | AbstractEngine = DEFAULT_ENGINE,
 ) -> Iterator[Recovery]:
     """Search each system's equations in its training data and compare them with the true ones.
 
     ``search`` gives {state: formula} for a trajectory and a seed. Noise is a fraction of each
-    state's standard deviation. Gives one Recovery a state as soon as it is known.
+    state's standard deviation; ``engine`` makes the data. Gives one Recovery a state as soon as it
+    is known.
     """
     for level in noise:
         if not (np.isfinite(level) and level >= 0):
             raise InputError(f"noise {level} must be a number from 0 up, such as 0.01 for 1 %")
     for system in systems:
-        clean = training_trajectory(system)
+        clean = training_trajectory(system, engine)
         for level in noise:
             # Without noise the data are the same whatever the seed.
             for seed in seeds if level else seeds[:1]:

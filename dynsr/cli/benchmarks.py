@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dynsr.cli import options, output
-from dynsr.cli.discovery import check_engine, search
+from dynsr.cli.discovery import search
 from dynsr.cli.progress import SearchProgress
+from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
 from dynsr.methods import AUTO, DEFAULT_PRESET
 
@@ -43,7 +44,7 @@ def benchmark(
     method: options.MethodName = AUTO,
     preset: options.Preset = DEFAULT_PRESET,
     jobs: options.Jobs = -1,
-    engine: options.Engine = "embedded",
+    engine: options.Engine = DEFAULT_ENGINE,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -55,14 +56,15 @@ def benchmark(
         raise InputError(f"unknown benchmark {name!r}; the benchmarks are: {', '.join(BENCHMARKS)}")
     from dynsr.benchmarks import measure_recovery
     from dynsr.data import find_system
+    from dynsr.engines import find_engine
 
-    check_engine(engine)
+    find_engine(engine)
     chosen = [find_system(s) for s in options.read_names(systems) or _DEFAULT_SYSTEMS]
     levels = options.read_numbers(noise, "--noise") or []
     rows: list[Recovery] = []
     with SearchProgress(quiet) as progress:
         find = _make_search(progress, method, preset, jobs, engine)
-        for row in measure_recovery(chosen, find, levels, range(seeds)):
+        for row in measure_recovery(chosen, find, levels, range(seeds), engine):
             rows.append(row)
             if not quiet:
                 progress.say(_line(row))

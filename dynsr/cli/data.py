@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynsr.cli import options, output
+from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ def generate(
     dt: options.Step = None,
     span: options.Span = None,
     x0: options.Start = None,
-    engine: options.Engine = "embedded",
+    engine: options.Engine = DEFAULT_ENGINE,
     reltol: options.Reltol = 1e-9,
     abstol: options.Abstol = 1e-12,
     json: options.Json = False,
@@ -279,7 +280,7 @@ def simulate(
     span: options.Span = None,
     dt: options.Step = None,
     out: options.OutFile = None,
-    engine: options.Engine = "embedded",
+    engine: options.OwnEngine = None,
     reltol: options.Reltol = 1e-6,
     abstol: options.Abstol = 1e-9,
     json: options.Json = False,
@@ -291,25 +292,28 @@ def simulate(
     from dynsr.engines import simulate as integrate
 
     if model and (model.endswith(".json") or Path(model).exists()):
-        system = _discovered_system(Path(model), inputs, x0)
+        found = load_discovery(Path(model))
+        system = _discovered_system(found, Path(model).stem, inputs, x0)
+        engine = engine or str(found.engine)
     else:
         system = choose_system(model, equations, inputs, x0)
     times = choose_times(system, span, dt)
     start = options.read_numbers(x0, "--x0", len(system.states))
-    made = integrate(system, start, times, reltol, abstol, engine)
+    made = integrate(system, start, times, reltol, abstol, engine or DEFAULT_ENGINE)
     deliver(made, out, json, {"system": system.name})
 
 
-def _discovered_system(path: Path, inputs: Sequence[str] | None, x0: str | None) -> System:
+def _discovered_system(
+    found: Discovery, name: str, inputs: Sequence[str] | None, x0: str | None
+) -> System:
     from dynsr.data import System
     from dynsr.expression import to_text
 
-    found = load_discovery(path)
     equations = {state: to_text(expr) for state, expr in found.equations.items()}
     formulas = {name: to_text(expr) for name, expr in found.inputs.items()}
     start = options.read_numbers(x0, "--x0", len(equations))
     if start is None:
         raise InputError("a discovery needs a start state: --x0, one number a state")
     return System.from_strings(
-        equations, x0=start, inputs={**formulas, **read_equations(inputs or [])}, name=path.stem
+        equations, x0=start, inputs={**formulas, **read_equations(inputs or [])}, name=name
     )

@@ -17,6 +17,7 @@ from dynsr.cli.data import load_table, read_equations, split_inputs
 from dynsr.cli.output import Notes
 from dynsr.cli.progress import SearchProgress
 from dynsr.cli.results import keep, score_discovery, summarise
+from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
 from dynsr.methods import AUTO, DEFAULT_PRESET
 
@@ -160,13 +161,14 @@ def discover(
     scheme: Annotated[
         str | None,
         typer.Option(
-            help="How slopes are made: auto, forward, central4, ... The data choose by default.",
+            help="How slopes are made: auto (the data choose), forward, central4, ...; forward by "
+            "default with preset paper, else auto.",
             rich_help_panel=options.SEARCH,
         ),
     ] = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = -1,
-    engine: options.Engine = "embedded",
+    engine: options.Engine = DEFAULT_ENGINE,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -184,7 +186,10 @@ def discover(
     Columns are guessed and the guess is shown; --time, --states, --inputs and --trajectory say
     otherwise. Ctrl-C ends the search with the best equations so far.
     """
-    check_engine(engine)
+    from dynsr.engines import find_engine
+
+    # An engine that is unknown or absent is told before anything is read.
+    find_engine(engine)
     if bool(files) == bool(system):
         raise InputError("give a file of data or --system, one of the two")
     columns, formulas = split_inputs(inputs)
@@ -200,9 +205,9 @@ def discover(
                 _folders(out, files[0].stem if files else str(system), json),
                 data,
                 progress,
-                method=_choose_method(method, preset, system),
+                method=_choose_methods(method, preset, system),
                 preset=preset,
-                scheme=scheme or ("forward" if preset == "paper" else "auto"),
+                scheme=scheme,
                 targets=options.read_names(targets) or "all",
                 inputs=formulas or None,
                 known=read_equations(known) if known else None,
@@ -218,13 +223,6 @@ def discover(
         show_discovery(found, scores, notes.told, quiet)
     if not quiet:
         show_files(found, saved, folder)
-
-
-def check_engine(engine: str) -> None:
-    """Fail at once, before any search, when the engine is unknown or absent."""
-    from dynsr.engines import find_engine
-
-    find_engine(engine)
 
 
 def _refuse_columns(
@@ -285,23 +283,26 @@ def _search_in(
     raise taken
 
 
-def _choose_method(method: str, preset: str, system: str | None) -> str | list[AbstractMethod]:
-    """Give the paper's own settings for a system of the paper; else the name is enough."""
+def _choose_methods(names: str, preset: str, system: str | None) -> Sequence[str | AbstractMethod]:
+    """Give the paper's own settings for a system of the paper; else the names are enough."""
     from dynsr.data import find_system
-    from dynsr.methods import find_method
+    from dynsr.methods import find_method, make_method
     from dynsr.paper import PAPER_METHODS, is_of_paper, paper_method
 
+    asked = options.read_names([names]) or []
     if preset != "paper" or system is None or not is_of_paper(find_system(system)):
-        return method
-    names = [n for n in PAPER_METHODS if method == AUTO or find_method(n) == find_method(method)]
-    return [paper_method(name, find_system(system)) for name in names] or method
+        return asked[0] if len(asked) == 1 else asked
+    ours = {find_method(name).name: name for name in PAPER_METHODS}
+    chosen = ours if AUTO in asked else [find_method(name).name for name in asked]
+    known = find_system(system)
+    return [paper_method(ours[n], known) if n in ours else make_method(n, preset) for n in chosen]
 
 
 def search(
     data: Sequence[Trajectory],
     progress: SearchProgress,
     *,
-    method: str | list[AbstractMethod],
+    method: str | Sequence[str | AbstractMethod],
     out: Path | None = None,
     **settings: Any,
 ) -> Discovery:

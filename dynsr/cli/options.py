@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from dynsr.engines import ENGINES
 from dynsr.methods import AUTO, METHODS, PRESETS, describe_methods, describe_presets
 
 OUTPUT, SEARCH, DATA, NUMERICS = "Output", "Search", "Data", "Numerics"
@@ -36,8 +37,6 @@ def complete_preset(incomplete: str) -> Iterator[tuple[str, str]]:
 
 def complete_engine(incomplete: str) -> list[str]:
     """Offer the names of the engines to the shell."""
-    from dynsr.engines import ENGINES
-
     return [name for name in ENGINES if name.startswith(incomplete)]
 
 
@@ -51,6 +50,15 @@ Engine = Annotated[
     str,
     typer.Option(
         help="embedded, or julia (DifferentialEquations.jl and DataDrivenDiffEq.jl).",
+        autocompletion=complete_engine,
+        rich_help_panel=NUMERICS,
+    ),
+]
+OwnEngine = Annotated[
+    str | None,
+    typer.Option(
+        "--engine",
+        help="embedded or julia; that of the discovery by default.",
         autocompletion=complete_engine,
         rich_help_panel=NUMERICS,
     ),
@@ -102,7 +110,7 @@ MethodName = Annotated[
     str,
     typer.Option(
         "--method",
-        help=f"{describe_methods()}.",
+        help=f"{describe_methods()}. Several by commas.",
         autocompletion=complete_method,
         rich_help_panel=SEARCH,
     ),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynsr.cli import options, output
+from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def replicate(
         bool,
         typer.Option(help="Take the steps that the solver of 2021 took, for SINDy's samples."),
     ] = False,
-    engine: options.Engine = "embedded",
+    engine: options.Engine = DEFAULT_ENGINE,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -117,7 +118,7 @@ def load_results(folder: Path) -> tuple[list[Record], dict[str, Any]]:
 
 
 def audit(
-    engine: options.Engine = "embedded",
+    engine: options.Engine = DEFAULT_ENGINE,
     json: options.Json = False,
 ) -> None:
     """Score the 33 printed expressions of the paper again and compare digit by digit."""

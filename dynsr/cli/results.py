@@ -99,12 +99,13 @@ def score(
     states: options.StateColumns = None,
     inputs: options.Inputs = None,
     trajectory: options.TrajectoryColumn = None,
+    engine: options.OwnEngine = None,
     json: options.Json = False,
 ) -> None:
     """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
     found = load_discovery(model)
     data = load_table(files, time_column, states, inputs, trajectory, _say_to(json))
-    scores = found.score(data)
+    scores = found.score(data, engine)
     if json:
         output.print_json(scores)
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from dynsr.data import Samples
+from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine
 from dynsr.errors import InputError
 from dynsr.expression import check_name, evaluate
 from dynsr.fit import (
@@ -39,6 +41,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
     select : "description length" or "lowest error": which formula of the front is used.
     snap : replace constants by simple numbers where the description length says so.
     random_state : seed of all chance.
+    engine : "embedded", "julia" or an engine: what regresses for SINDy.
 
     Attributes
     ----------
@@ -52,11 +55,12 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
 
     def __init__(
         self,
-        method: str | AbstractMethod = "rational",
+        method: str | AbstractMethod | Sequence[str | AbstractMethod] = "rational",
         preset: str = DEFAULT_PRESET,
         select: str = "description length",
         snap: bool = True,
         random_state: int | np.random.RandomState | None = 0,
+        engine: str | AbstractEngine = DEFAULT_ENGINE,
     ) -> None:
         """Keep the settings; they are checked in :meth:`fit`."""
         self.method = method
@@ -64,19 +68,31 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         self.select = select
         self.snap = snap
         self.random_state = random_state
+        self.engine = engine
 
     def fit(self, X: Any, y: Any) -> DynsrRegressor:
-        """Search for a formula. Raises InputError (a ValueError) when a setting is unknown."""
+        """Search for a formula.
+
+        Parameters
+        ----------
+        X : (n, p) columns, an array or a frame.
+        y : (n,) values of the target.
+
+        Raises InputError (a ValueError) when a setting is unknown, EngineUnavailable when the
+        engine is absent.
+        """
         X, y = validate_data(self, X, y, y_numeric=True, dtype=np.float64, ensure_min_samples=2)
         if self.select not in ("description length", "lowest error"):
             raise InputError(
                 f"unknown select {self.select!r}; use 'description length' or 'lowest error'"
             )
+        engine = find_engine(self.engine)
         samples = self._samples(X, np.asarray(y, dtype=np.float64))
         front = ParetoFront([score_candidate(sympy.Float(float(np.mean(y))), samples, "the mean")])
         seed = check_random_state(self.random_state).randint(2**31)
         for method in choose_methods(self.method, self.preset).values():
-            front = front.merge(method.search(samples, np.random.default_rng(seed)))
+            rng = np.random.default_rng(seed)
+            front = front.merge(method.with_engine(engine).search(samples, rng))
         self.expr_, self.front_ = self._choose(front, samples)
         return self
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy
@@ -13,7 +13,8 @@ import torch
 from dynsr.data import Samples, Trajectory, choose_samples
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, compile_numpy, evaluate, to_text
-from dynsr.fit import free_constants
+from dynsr.fit import ParetoFront, free_constants
+from dynsr.methods import AbstractMethod, make_method
 
 
 class EquationModule(torch.nn.Module):
@@ -173,11 +174,18 @@ class HybridModel:
             samples.X, learned, samples.names, state, "network", samples.t, samples.noise
         )
 
-    def explain(self, state: str, method: Any = None, seed: int = 0) -> Any:
-        """Search a formula for what the network carries; gives a Pareto front."""
-        from dynsr.methods import choose_methods
+    def explain(
+        self, state: str, method: AbstractMethod | None = None, seed: int = 0
+    ) -> ParetoFront:
+        """Search a formula for what the network of a state carries.
 
-        chosen = method or next(iter(choose_methods("rational", "quick").values()))
+        Parameters
+        ----------
+        state : whose equation the network completes.
+        method : what searches; sums and ratios of short features by default.
+        seed : all chance comes from it.
+        """
+        chosen = method or make_method("rational", "quick")
         return chosen.search(self.residual_samples(state), np.random.default_rng(seed))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,12 +10,15 @@ import sympy
 from scipy.interpolate import make_interp_spline
 
 from dynsr.data import System, Trajectory
-from dynsr.engines import simulate
+from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, simulate
 from dynsr.errors import InputError
 from dynsr.expression import as_float_tree, parse
 from dynsr.fit import Flow, Windows
+from dynsr.methods import AbstractMethod
 
 _RELTOL, _ABSTOL = 1e-8, 1e-10
+# What integrates where inputs, or states without an equation, are read from measurements.
+MEASURED = "embedded (Runge-Kutta 4 on measured inputs)"
 
 
 def predict(
@@ -23,18 +26,28 @@ def predict(
     x0: Sequence[float] | np.ndarray,
     t: Sequence[float] | np.ndarray,
     inputs: Mapping[str, Any] | None = None,
-    engine: str = "embedded",
+    engine: str | AbstractEngine = DEFAULT_ENGINE,
 ) -> Trajectory:
     """Integrate equations from ``x0`` at ``t[0]`` and give the states at every ``t``.
 
-    ``inputs`` maps names to expressions in ``t`` or to (n,) values at the times. Raises InputError
-    when a state or input is missing, EngineError when the solution diverges.
+    Parameters
+    ----------
+    equations : state -> right-hand side in the states, the inputs and ``t``; state units a second.
+    x0 : (k,) start states in the order of the equations.
+    t : (n,) increasing times in seconds.
+    inputs : name -> expression in ``t``, or (n,) values at the times. With such values the embedded
+        Runge-Kutta 4 integrates, whatever the engine, since no array of inputs crosses the seam;
+        the origin of the trajectory says so.
+    engine : "embedded", "julia" or an engine.
+
+    Raises InputError when a state or input is missing or the engine is unknown, EngineUnavailable
+    when it is absent, EngineError when the solution diverges.
 
     >>> decay = {"x": -2 * sympy.Symbol("x")}
     >>> bool(np.isclose(predict(decay, [1.0], [0.0, 1.0]).x[-1, 0], np.exp(-2)))
     True
     """
-    times = np.asarray(t, dtype=float)
+    chosen, times = find_engine(engine), np.asarray(t, dtype=float)
     given = dict(inputs or {})
     used = {str(s) for e in equations.values() for s in e.free_symbols} - {"t"}
     missing = sorted(used - set(equations) - set(given))
@@ -57,7 +70,7 @@ def predict(
         tuple(start),
         exact,
     )
-    return simulate(system, start, times, _RELTOL, _ABSTOL, engine)
+    return simulate(system, start, times, _RELTOL, _ABSTOL, chosen)
 
 
 def _take_measured(given: Mapping[str, Any], times: np.ndarray) -> dict[str, np.ndarray]:
@@ -99,4 +112,31 @@ def _march(
     if not np.all(np.isfinite(found)):
         lost = times[np.flatnonzero(~np.isfinite(found).all(axis=1))[0]]
         raise InputError(f"the equations have no solution at t = {lost:g}; shorten the time span")
-    return Trajectory(times, found, tuple(equations), values, tuple(measured))
+    origin = {"engine": MEASURED}
+    return Trajectory(times, found, tuple(equations), values, tuple(measured), origin)
+
+
+def name_engines(
+    methods: Iterable[AbstractMethod], engine: AbstractEngine, measured: bool
+) -> dict[str, str]:
+    """Say which engine does what in a discovery, for its record.
+
+    Parameters
+    ----------
+    methods : those that search, each with the engine that it uses, if any.
+    engine : the one that was asked for.
+    measured : whether the equations read inputs or other states from measurements.
+
+    >>> name_engines([], find_engine("embedded"), False)["simulate"]
+    'embedded'
+    """
+    own = [method.engine for method in methods]
+    regress = dict.fromkeys(find_engine(one).name for one in own if one is not None)
+    return {
+        **({"search": "none (NumPy on the slopes)"} if None in own else {}),
+        **({"regress": ", ".join(regress)} if regress else {}),
+        "fit": "embedded (multiple shooting)",
+        "forecast": "embedded (multiple shooting)",
+        "simulate": MEASURED if measured else engine.name,
+        "bands": "embedded (a curve for each draw of the constants)",
+    }

@@ -7,13 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import sympy
 
 from dynsr.data import Trajectory, choose_samples, take_trajectories
 from dynsr.discovery.prediction import predict
+from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine
 from dynsr.errors import DynsrError, InputError
 from dynsr.expression import (
     arguments_of,
@@ -32,6 +33,12 @@ from dynsr.fit import Candidate, ParetoFront, rmse
 from dynsr.jobs import write_json
 from dynsr.selection import forecast_miss
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.table import Table as RichTable
+
+    from dynsr.discovery.hybrid import EquationModule, HybridModel
+
 _FORMAT = "dynsr discovery 1"
 
 
@@ -42,7 +49,7 @@ class Discovery:
     ``equations`` state -> right-hand side (SymPy); ``front`` state -> all formulas found, from
     simple to accurate; ``errors`` state -> (value, standard error) of its constants in order;
     ``explanation`` state -> why this equation was chosen, in words; ``complete`` is False when
-    Ctrl-C ended the searches and these are the best formulas so far.
+    Ctrl-C ended the searches and these are the best formulas so far. ``engine`` integrates them.
     """
 
     equations: dict[str, sympy.Expr]
@@ -54,17 +61,27 @@ class Discovery:
     settings: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
     complete: bool = True
+    engine: str | AbstractEngine = DEFAULT_ENGINE
 
     def simulate(
         self,
         x0: Sequence[float] | np.ndarray | None = None,
         t: Sequence[float] | np.ndarray | None = None,
         inputs: Mapping[str, Any] | None = None,
+        engine: str | AbstractEngine | None = None,
     ) -> Trajectory:
         """Integrate the equations; by default from the start and at the times of the data.
 
-        ``inputs`` maps names to expressions in ``t`` or values at the times; by default those of
-        the data. Raises InputError when something is missing.
+        Parameters
+        ----------
+        x0 : (k,) start states in the order of the equations.
+        t : (n,) increasing times in seconds.
+        inputs : name -> expression in ``t``, or (n,) values at the times; by default those of the
+            data.
+        engine : "embedded", "julia" or an engine; the discovery's own by default.
+
+        Raises InputError when something is missing, EngineUnavailable when the engine is absent,
+        EngineError when the solution diverges.
         """
         if (x0 is None or t is None) and not self.trajectories:
             raise InputError("the data are not here; give x0 and t")
@@ -72,7 +89,7 @@ class Discovery:
         if x0 is None:
             x0 = self.trajectories[0].select(slice(0, 1)).x[0][self._positions()]
         given = {**self.inputs_at(times), **(inputs or {})}
-        return predict(self.equations, x0, times, given, self.settings.get("engine", "embedded"))
+        return predict(self.equations, x0, times, given, engine or self.engine)
 
     def _positions(self) -> list[int]:
         return [self.trajectories[0].index(state) for state in self.equations]
@@ -87,18 +104,29 @@ class Discovery:
                 given[name] = np.interp(times, source.t, column)
         return given
 
-    def score(self, data: Any = None) -> dict[str, dict[str, float]]:
+    def score(
+        self, data: Any = None, engine: str | AbstractEngine | None = None
+    ) -> dict[str, dict[str, float]]:
         """Score on data (the data of the discovery by default), state by state.
 
         ``slope_rmse`` is the error of the right-hand side against the chosen slopes,
         ``forecast`` the median miss of forecasts over 50 rows in units of the state's spread,
         ``trajectory_rmse`` the error of one integration from the first row to the last (inf when
         it diverges).
+
+        Parameters
+        ----------
+        data : what :func:`dynsr.discover` takes.
+        engine : what integrates the whole trajectories; the discovery's own by default. The many
+            short forecasts are integrated by the embedded one.
+
+        Raises InputError when there are no data, EngineUnavailable when the engine is absent.
         """
+        chosen = find_engine(engine or self.engine)
         runs = list(self.trajectories) if data is None else take_trajectories(data, self.inputs)[0]
         if not runs:
             raise InputError("the data are not here; give some to score on")
-        whole = [self._whole(run) for run in runs]
+        whole = [self._whole(run, chosen) for run in runs]
         scores = {}
         for state, expr in self.equations.items():
             samples = choose_samples(runs, state)
@@ -111,10 +139,10 @@ class Discovery:
             }
         return scores
 
-    def _whole(self, run: Trajectory) -> np.ndarray:
+    def _whole(self, run: Trajectory, engine: AbstractEngine) -> np.ndarray:
         start = [run.x[0, run.index(state)] for state in self.equations]
         try:
-            return predict(self.equations, start, run.t, self.inputs_at(run.t, run)).x
+            return predict(self.equations, start, run.t, self.inputs_at(run.t, run), engine).x
         except DynsrError:
             return np.full((len(run), len(self.equations)), np.nan)
 
@@ -134,19 +162,28 @@ class Discovery:
         """Write the equations as a Julia function for DifferentialEquations.jl."""
         return to_julia(self.equations)
 
-    def to_torch(self) -> Any:
+    def to_torch(self) -> EquationModule:
         """Give the right-hand side as a torch module whose constants can be trained."""
         from dynsr.discovery.hybrid import EquationModule
 
         return EquationModule(self.equations)
 
-    def hybrid(self, **settings: Any) -> Any:
-        """Train networks on what is left; see :func:`dynsr.discovery.hybrid.fit_hybrid`."""
+    def hybrid(self, *, width: int = 32, epochs: int = 400, seed: int = 0) -> HybridModel:
+        """Train networks on the residuals of the slopes; see :func:`fit_hybrid`.
+
+        Parameters
+        ----------
+        width : neurons in the hidden layer of each network.
+        epochs : passes over the samples.
+        seed : all chance comes from it.
+
+        Raises InputError when the data are not there.
+        """
         from dynsr.discovery.hybrid import fit_hybrid
 
-        return fit_hybrid(self, **settings)
+        return fit_hybrid(self, width=width, epochs=epochs, seed=seed)
 
-    def plot(self) -> Any:
+    def plot(self) -> Figure:
         """Draw the data and the equations integrated from their start; gives the figure."""
         from dynsr.report import draw_states
 
@@ -155,7 +192,7 @@ class Discovery:
         return draw_states(self.trajectories[0], self.simulate())
 
     def report(self, path: str | Path) -> Path:
-        """Write one self-contained HTML page; gives its path."""
+        """Write one self-contained HTML page to ``path``; gives the path."""
         from dynsr.report import write_report
 
         return write_report(self, Path(path))
@@ -206,6 +243,7 @@ class Discovery:
                 settings=dict(record["settings"]),
                 seconds=float(record["seconds"]),
                 complete=bool(record.get("complete", True)),
+                engine=str(record["settings"].get("engine", DEFAULT_ENGINE)),
             )
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             if isinstance(error, InputError):
@@ -228,7 +266,7 @@ class Discovery:
         )
         return f"<table><tr><th>equation</th><th>why this one</th></tr>{rows}</table>"
 
-    def __rich__(self) -> Any:
+    def __rich__(self) -> RichTable:
         """Give a table for rich terminals."""
         from rich.table import Table
         from rich.text import Text

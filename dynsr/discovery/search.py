@@ -17,10 +17,12 @@ from joblib import effective_n_jobs
 from dynsr import __version__
 from dynsr.data import Samples, Trajectory, choose_samples, split_held_back, take_trajectories
 from dynsr.discovery.interruption import collect_best, stopping_at_interrupt
+from dynsr.discovery.prediction import name_engines
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import pick_one, search_one
+from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, share_engine
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy, to_text
+from dynsr.expression import arguments_of, compile_numpy, to_text
 from dynsr.fit import Candidate, ParetoFront, is_noisy, polish, read_inputs, tidy
 from dynsr.jobs import Part, RunFolder, Step, Watch, fingerprint, run_parts
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, choose_methods
@@ -39,8 +41,8 @@ def discover(
     known: Mapping[str, str | sympy.Expr] | None = None,
     seed: int = 0,
     jobs: int = -1,
-    engine: str = "embedded",
-    scheme: str = "auto",
+    engine: str | AbstractEngine = DEFAULT_ENGINE,
+    scheme: str | None = None,
     slopes: Mapping[str, Any] | None = None,
     out: str | Path | None = None,
     progress: Callable[[Step], None] | None = None,
@@ -58,8 +60,11 @@ def discover(
     known : state -> the part of its equation that is given; the rest is searched.
     seed : all chance comes from it; the result does not depend on ``jobs``.
     jobs : searches at a time; -1 uses every core.
-    engine : what integrates the result ("embedded" or "julia").
-    scheme : how slopes are made; "auto" lets the data choose.
+    engine : "embedded", "julia" or an engine: what regresses and integrates. The searches for
+        constants on the states stay in the embedded one; the record says which did what
+        (``settings["engines"]``).
+    scheme : how slopes are made; by default forward differences with preset "paper", as there,
+        and with the others "auto", which lets the data choose.
     slopes : state -> the user's own slopes, one array (or one a trajectory).
     out : folder that keeps every finished part; the same call on it goes on where it was killed.
     progress : called with a :class:`Step` as parts end, and every half second while they run.
@@ -69,8 +74,8 @@ def discover(
     raises KeyboardInterrupt.
 
     Part of the data is held back from the searches to choose among their formulas; then the
-    constants are fitted to all of it. Raises InputError when the data cannot be used or ``out``
-    holds another discovery.
+    constants are fitted to all of it. Raises InputError when the data cannot be used, ``out``
+    holds another discovery or the engine is unknown, EngineUnavailable when it is absent.
 
     >>> t = np.linspace(0, 3, 301)
     >>> found = discover((t, np.exp(-0.5 * t)[:, None]), preset="quick", jobs=1)
@@ -78,12 +83,17 @@ def discover(
     {'x': -0.5*x}
     """
     began = time.monotonic()
+    chosen, workers = find_engine(engine), effective_n_jobs(jobs)
+    shared = share_engine(chosen, workers)
     runs, drives = take_trajectories(data, inputs)
     states = _choose_targets(targets, runs[0])
     parts_known = read_inputs(known or {}, (*runs[0].names, "t"))
     for state in parts_known:
         runs[0].index(state)
-    methods = choose_methods(method, preset)
+    scheme = scheme or ("forward" if preset == "paper" else "auto")
+    methods = {n: m.with_engine(shared) for n, m in choose_methods(method, preset).items()}
+    for own in (m.engine for m in methods.values() if m.engine is not None):
+        share_engine(find_engine(own), workers)
     problem = _Problem(runs, scheme, slopes or {}, parts_known, seed, RunFolder(_path(out)))
     settings: dict[str, Any] = {
         "method": method if isinstance(method, str) else ",".join(methods),
@@ -92,12 +102,12 @@ def discover(
         "preset": preset,
         "seed": seed,
         "scheme": scheme,
-        "engine": engine if isinstance(engine, str) else engine.name,
+        "engine": chosen.name,
         "version": __version__,
     }
     problem.claim(states, methods, drives, settings)
     with problem.folder.live() as live, stopping_at_interrupt(live):
-        watch = Watch(progress, live, _plan(states, methods), effective_n_jobs(jobs))
+        watch = Watch(progress, live, _plan(states, methods), workers)
         try:
             with watch:
                 found = problem.solve(states, methods, drives, jobs, watch)
@@ -107,10 +117,13 @@ def discover(
                 raise
             found = best
     settings["scheme"] = {s: problem.samples(s, runs).scheme for s in states}
+    measured = bool(set(arguments_of(found.equations)) - set(drives))
+    settings["engines"] = name_engines(methods.values(), chosen, measured)
     return replace(
         found,
         trajectories=tuple(runs),
         inputs=drives,
+        engine=chosen,
         settings=settings,
         seconds=time.monotonic() - began,
     )

@@ -12,13 +12,15 @@ from .base import (
 from .embedded import EmbeddedEngine
 from .julia.diffeqpy import DiffeqpyEngine
 from .julia.setup import install
-from .registry import ENGINES, find_engine
+from .registry import DEFAULT_ENGINE, ENGINES, find_engine, share_engine
 from .simulation import add_noise, simulate, training_trajectory
+from .testing import RecordingEngine
 from .tsit5.single import interpolate, replay_steps
 
 __all__ = [
     "AbstractEngine",
     "DEFAULT_ABSTOL",
+    "DEFAULT_ENGINE",
     "DEFAULT_RELTOL",
     "DiffeqpyEngine",
     "ENGINES",
@@ -26,6 +28,7 @@ __all__ = [
     "InitialValueProblem",
     "Integration",
     "Optimizer",
+    "RecordingEngine",
     "Release",
     "SparseProblem",
     "SparseSolution",
@@ -34,6 +37,7 @@ __all__ = [
     "install",
     "interpolate",
     "replay_steps",
+    "share_engine",
     "simulate",
     "training_trajectory",
 ]

@@ -161,9 +161,16 @@ class SparseSolution:
 
 
 class AbstractEngine(ABC):
-    """Integrates and regresses. The same claims hold for every engine."""
+    """Integrates and regresses. The same claims hold for every engine.
+
+    ``name`` is what records call it.
+    """
 
     name: str
+
+    def __repr__(self) -> str:
+        """Name the engine; the same in every process, as the keys of records need."""
+        return f"{type(self).__name__}({self.name!r})"
 
     @abstractmethod
     def integrate(self, problem: InitialValueProblem) -> Integration:

@@ -14,7 +14,7 @@ from dynsr.engines.base import (
     InitialValueProblem,
     Integration,
 )
-from dynsr.engines.registry import find_engine
+from dynsr.engines.registry import DEFAULT_ENGINE, find_engine
 from dynsr.errors import EngineError, InputError
 from dynsr.expression import compile_numpy
 
@@ -25,18 +25,20 @@ def simulate(
     t: Sequence[float] | np.ndarray | None = None,
     reltol: float = DEFAULT_RELTOL,
     abstol: float = DEFAULT_ABSTOL,
-    engine: str | AbstractEngine = "embedded",
+    engine: str | AbstractEngine = DEFAULT_ENGINE,
 ) -> Trajectory:
     """Integrate a system from ``x0`` at ``t[0]`` and give its states and inputs at every ``t``.
 
     Parameters
     ----------
+    system : the system, its inputs as expressions in ``t``.
     x0 : (k,) start state; the system's own by default.
     t : (n,) increasing times in seconds; the system's training span by default.
     reltol, abstol : tolerances of Tsit5.
     engine : "embedded", "julia" or an engine.
 
-    Raises InputError for a start or times that do not fit, EngineError for a divergence.
+    Raises InputError for a start or times that do not fit and for an unknown engine,
+    EngineUnavailable for an absent one, EngineError for a divergence.
 
     >>> from dynsr.data.system import PENDULUM
     >>> simulate(PENDULUM).x.shape
@@ -62,13 +64,21 @@ def simulate(
 
 
 def training_trajectory(
-    system: System, engine: str | AbstractEngine = "embedded", step: float | None = None
+    system: System, engine: str | AbstractEngine = DEFAULT_ENGINE, step: float | None = None
 ) -> Trajectory:
     """Give the training data of the paper, with the rows that forward differences need.
 
     The system is solved at default tolerances over its training span and one sampling step more,
     (0, 10.01), and saved every ``step`` seconds (the system's own by default): 1002 rows for the
     paper's systems, so that forward differences have the 1001 rows t = 0, 0.01, ..., 10.
+
+    Parameters
+    ----------
+    system : the system.
+    engine : "embedded", "julia" or an engine.
+    step : seconds between rows.
+
+    Raises as :func:`simulate` does.
 
     >>> from dynsr.data.system import LOTKA_VOLTERRA
     >>> len(training_trajectory(LOTKA_VOLTERRA))
@@ -81,7 +91,15 @@ def training_trajectory(
 def add_noise(trajectory: Trajectory, relative: float, rng: np.random.Generator) -> Trajectory:
     """Add Gaussian noise with ``relative`` times each state's own standard deviation.
 
-    Inputs stay exact. Raises InputError when ``relative`` is not a number from 0 up.
+    Inputs stay exact.
+
+    Parameters
+    ----------
+    trajectory : the states (n, k) without noise.
+    relative : standard deviation of the noise as a share of each state's; 0.01 is 1 %.
+    rng : the generator that the noise comes from.
+
+    Raises InputError when ``relative`` is not a number from 0 up.
 
     >>> line = Trajectory([0.0, 1.0], [[0.0], [2.0]], ("x",))
     >>> add_noise(line, 0.0, np.random.default_rng(0)).x.tolist()

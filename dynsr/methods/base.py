@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -42,10 +42,12 @@ class AbstractMethod(ABC):
     """A search for the equation of one target. Subclasses are frozen dataclasses of settings.
 
     ``name`` is what records call the method. ``presets`` maps the names of its presets to the
-    settings that differ from the class's own; a method of one's own needs none.
+    settings that differ from the class's own; a method of one's own needs none. A method that
+    integrates or regresses has a field ``engine``, None for the caller's engine.
     """
 
     name: str
+    engine: str | AbstractEngine | None = None
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
 
     @classmethod
@@ -82,7 +84,11 @@ class AbstractMethod(ABC):
         ----------
         engine : the name of an engine, or an engine.
         """
-        return self
+        if self.engine is not None or not is_dataclass(self):
+            return self
+        if "engine" not in [f.name for f in fields(self)]:
+            return self
+        return replace(self, engine=engine)
 
     @abstractmethod
     def search(

@@ -6,8 +6,8 @@ A path of sparse models is made of many thresholds, then one term less at a time
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg
@@ -15,6 +15,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.engines import (
+    DEFAULT_ENGINE,
     AbstractEngine,
     Optimizer,
     Release,
@@ -27,9 +28,6 @@ from dynsr.expression import complexity, to_text
 from dynsr.fit import Candidate, ParetoFront, rmse, score_candidate
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.library import AbstractLibrary, GrownLibrary, Library
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 _DEPENDENT = 1e-6
 _REWEIGHTINGS = 8
@@ -299,10 +297,6 @@ class SINDy(AbstractMethod):
         },
     }
 
-    def with_engine(self, engine: str | AbstractEngine) -> Self:
-        """Give the same search on an engine, unless it was given one of its own."""
-        return self if self.engine is not None else replace(self, engine=engine)
-
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent
     ) -> ParetoFront:
@@ -340,7 +334,7 @@ class SINDy(AbstractMethod):
             self.implicit,
             self.release,
         )
-        return find_engine(self.engine or "embedded").regress(problem)
+        return find_engine(self.engine or DEFAULT_ENGINE).regress(problem)
 
     def _formula(self, library: Library, coefficients: np.ndarray) -> sympy.Expr | None:
         """Write a solution as a formula; None when an implicit search came back empty."""
@@ -358,7 +352,7 @@ class SINDy(AbstractMethod):
         if len(y) > self.max_rows:
             rows = np.linspace(0, len(y) - 1, self.max_rows).astype(int)
             theta, y = theta[:, rows], y[rows]
-        engine = find_engine(self.engine or "embedded")
+        engine = find_engine(self.engine or DEFAULT_ENGINE)
         yield from explicit_models(theta, y, engine, self.optimizer, self.thresholds)
         size, largest = 2, min(self.max_implicit, len(theta))
         while size <= largest:

@@ -253,7 +253,7 @@ def _simulate(found: Discovery, run: Trajectory) -> Trajectory | None:
         return None
     start = [run.x[0, run.index(state)] for state in found.equations]
     try:
-        return predict(found.equations, start, run.t, found.inputs_at(run.t, run))
+        return predict(found.equations, start, run.t, found.inputs_at(run.t, run), found.engine)
     except DynsrError:
         return None
 
