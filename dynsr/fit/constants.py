@@ -12,6 +12,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.expression import compile_numpy
+from dynsr.fit.linear import cauchy_weights
 
 # A residual that is not a finite number counts as this many times the size of the target.
 _PENALTY = 1e3
@@ -194,7 +195,7 @@ class Template:
 
 
 def _root_weights(residual: np.ndarray, unit: float | None) -> np.ndarray:
-    return np.ones(len(residual)) if unit is None else 1 / np.sqrt(1 + (residual / unit) ** 2)
+    return np.ones(len(residual)) if unit is None else np.sqrt(cauchy_weights(residual, unit))
 
 
 def _level(residual: np.ndarray, unit: float | None) -> float:

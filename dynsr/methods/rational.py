@@ -16,8 +16,17 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import complexity
-from dynsr.fit import Candidate, ParetoFront, rmse, score_candidate
+from dynsr.expression import complexity, number_bits
+from dynsr.fit import (
+    Candidate,
+    ParetoFront,
+    RatioFit,
+    cauchy_weights,
+    fit_ratio,
+    mean_error_bits,
+    rmse,
+    score_candidate,
+)
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.features import Features, build_features
 from dynsr.methods.feynman.problem import Target, make_targets
@@ -148,6 +157,13 @@ class SubsetSearch:
                 break
         return found
 
+    def fit(self, support: Support) -> tuple[Support, RatioFit]:
+        """Fit a subset so that the error of N / D itself is least; gives it with its support."""
+        m, chosen = len(self.numerators), sorted(support)
+        above = self.numerators[[c for c in chosen if c < m]]
+        below = self.denominators[[c - m for c in chosen if c >= m]]
+        return support, fit_ratio(above, below, self.y, weights=self.weights)
+
     def _grow(self, supports: Sequence[Support], most: int, pool: dict[Support, float]) -> None:
         for start in range(0, len(supports), _CHUNK):
             if time.monotonic() > self.deadline:
@@ -191,47 +207,6 @@ def _solve(systems: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.linalg.solve(systems, right)
     except np.linalg.LinAlgError:
         return np.linalg.solve(systems + 1e-12 * np.eye(systems.shape[1]), right)
-
-
-@dataclass(frozen=True, eq=False)
-class RatioFit:
-    """Coefficients of one subset: ``numerator`` and ``denominator`` map feature -> coefficient.
-
-    D holds the constant 1 besides; ``residual`` (n,) is y - N / D.
-    """
-
-    numerator: dict[int, float]
-    denominator: dict[int, float]
-    residual: np.ndarray
-
-
-def fit_ratio(
-    search: SubsetSearch, support: Support, rounds: int = 6, weights: np.ndarray | None = None
-) -> RatioFit:
-    """Fit a subset so that the error of N / D itself is least.
-
-    Repeats the linear fit with rows weighted by 1 / |D| of the round before (Sanathanan and
-    Koerner 1963), by orthogonal factorisation, so that an exact relation is fitted exactly.
-    """
-    m = len(search.numerators)
-    chosen = sorted(support)
-    top = [c for c in chosen if c < m]
-    bottom = [c - m for c in chosen if c >= m]
-    columns = np.vstack([search.numerators[top], search.denominators[bottom] * search.y]).T
-    root = np.sqrt(search.weights if weights is None else weights)
-    denominator = np.ones_like(search.y)
-    solution = np.zeros(len(chosen))
-    for _ in range(rounds if bottom else 1):
-        scale = root / np.maximum(np.abs(denominator), 1e-12)
-        solution = np.linalg.lstsq(columns * scale[:, None], search.y * scale, rcond=None)[0]
-        denominator = 1 - solution[len(top) :] @ search.denominators[bottom]
-    with np.errstate(all="ignore"):
-        predicted = (solution[: len(top)] @ search.numerators[top]) / denominator
-    return RatioFit(
-        dict(zip(top, solution.tolist(), strict=False)),
-        {j: -c for j, c in zip(bottom, solution[len(top) :].tolist(), strict=True)},
-        search.y - predicted,
-    )
 
 
 _EXACT = 1e-9
@@ -340,7 +315,7 @@ class RationalSearch(AbstractMethod):
                 plain = _plainest(ranked)
                 if float(np.abs(plain.residual).max()) < _EXACT * float(np.ptp(rows.y)):
                     return True
-                weights = 1 / (1 + (plain.residual / max(plain.median, 1e-300)) ** 2)
+                weights = cauchy_weights(plain.residual, max(plain.median, 1e-300))
                 if time.monotonic() > deadline:
                     return False
             if plain.shape == reached:
@@ -370,22 +345,23 @@ class RationalSearch(AbstractMethod):
         below = denominators.values[1:] if self.denominators else np.empty((0, len(rows)))
         subsets = SubsetSearch(numerators.values, below, rows.y, weights, self.width, deadline)
         fits = [
-            [fit_ratio(subsets, support) for support in supports[: 5 * self.keep]]
+            [subsets.fit(support) for support in supports[: 5 * self.keep]]
             for supports in subsets.search(self.max_terms)
         ]
         if not fits:
             return []
-        medians = [float(np.median(np.abs(fit.residual))) for group in fits for fit in group]
+        medians = [float(np.median(np.abs(fit.residual))) for group in fits for _, fit in group]
         floor = max(np.nanmin(medians), 1e-12 * float(np.abs(rows.y).max()))
         ranked = []
         for group in fits:
-            formulas = [_Formula(fit, numerators, denominators, floor) for fit in group]
+            formulas = [_Formula(*fit, numerators, denominators, floor) for fit in group]
             ranked.append(sorted(formulas, key=lambda formula: formula.bits))
         return ranked
 
 
 @dataclass(frozen=True, eq=False)
 class _Formula:
+    support: Support
     fit: RatioFit
     numerators: Features
     denominators: Features
@@ -394,7 +370,15 @@ class _Formula:
     @cached_property
     def expr(self) -> sympy.Expr:
         """The formula itself; only those that are handed on need it."""
-        return _expression(self.fit, self.numerators, self.denominators)
+        m = len(self.numerators.exprs)
+        chosen = sorted(self.support)
+        above = [self.numerators.exprs[c] for c in chosen if c < m]
+        # The first feature of a denominator is the constant, which has the coefficient 1.
+        below = [self.denominators.exprs[c - m + 1] for c in chosen if c >= m]
+        return _expression(
+            list(zip(above, self.fit.numerator.tolist(), strict=True)),
+            [(sympy.S.One, 1.0), *zip(below, self.fit.denominator.tolist(), strict=True)],
+        )
 
     @property
     def residual(self) -> np.ndarray:
@@ -420,8 +404,7 @@ class _Formula:
     @property
     def bits(self) -> float:
         """Bits a sample of the residual above the floor."""
-        with np.errstate(all="ignore"):
-            data = float(np.mean(np.log2(1 + np.abs(self.residual) / self.floor)))
+        data = float(mean_error_bits(self.residual, self.floor))
         return data if math.isfinite(data) else math.inf
 
 
@@ -438,13 +421,13 @@ def _plainest(ranked: list[list[_Formula]]) -> _Formula:
     return _close_to_least(ranked)[0]
 
 
-def _expression(fit: RatioFit, numerators: Features, denominators: Features) -> sympy.Expr:
+Terms = list[tuple[sympy.Expr, float]]
+
+
+def _expression(top: Terms, bottom: Terms) -> sympy.Expr:
     """Write N / D with the common factor that makes most coefficients simple."""
-    top = [(numerators.exprs[i], c) for i, c in fit.numerator.items()]
-    if not fit.denominator:
+    if len(bottom) == 1:
         return sympy.Add(*(sympy.Float(c) * e for e, c in top))
-    bottom = [(sympy.S.One, 1.0)]
-    bottom += [(denominators.exprs[j + 1], c) for j, c in fit.denominator.items()]
     scale, pinned = _common_factor([c for _, c in (*bottom, *top)])
     terms = [(e, c * scale) for e, c in (*bottom, *top)]
     numbers = [sympy.Float(c) for _, c in terms]
@@ -462,14 +445,14 @@ def _common_factor(coefficients: list[float]) -> tuple[float, int]:
             continue
         for whole in (1, 2, 3, 4):
             factor = whole / abs(coefficient)
-            price = sum(_price(c * factor) for c in coefficients)
-            if price < best[0] - 1e-9:
-                best = (price, factor, index)
+            bits = sum(_bits_of_coefficient(c * factor) for c in coefficients)
+            if bits < best[0] - 1e-9:
+                best = (bits, factor, index)
     return best[1], best[2]
 
 
-def _price(value: float) -> float:
-    nearest = round(value)
-    if nearest and abs(value - nearest) < 0.01 * abs(value) and abs(nearest) < 10:
-        return math.log2(1 + abs(nearest))
-    return 10 + abs(math.log2(max(abs(value), 1e-12)))
+def _bits_of_coefficient(value: float) -> float:
+    """Bits of a fitted number, which counts as the integer that it is within 1 %."""
+    near = round(value)
+    simple = 0 < abs(near) < 10 and abs(value - near) < 0.01 * abs(value)
+    return number_bits(sympy.Integer(near) if simple else sympy.Float(value))
