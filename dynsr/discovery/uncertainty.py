@@ -32,7 +32,8 @@ from dynsr.fit import (
     structure_bits,
 )
 
-_WINDOWS = 20
+# The bump (1 - s^2)^4 and three of its derivatives vanish at the ends of its window, so that the
+# trapezoidal rule integrates it to the fourth order of an even step.
 _POWER = 4
 
 
@@ -52,6 +53,7 @@ def bootstrap(
     members: int = 100,
     level: float = 0.95,
     alternatives: int = 3,
+    pieces: int = 20,
     seed: int = 0,
     jobs: int = 1,
 ) -> dict[str, list[Term]]:
@@ -63,10 +65,12 @@ def bootstrap(
     members : ensembles drawn.
     level : share of members that the interval holds.
     alternatives : formulas of the front whose terms compete with those of the equation.
+    pieces : pieces of equal length that each trajectory is drawn in, where there are fewer than
+        five trajectories; otherwise these are drawn whole.
     seed, jobs : the result depends on the seed, not on the jobs.
 
-    Twentieths of a trajectory are drawn, and whole trajectories where there are five
-    or more. Raises InputError when the data are not there.
+    A term costs :func:`term_bits`, and a member keeps the terms of least description length.
+    Raises InputError when the data are not there.
 
     >>> from dynsr.discovery.search import discover
     >>> t = np.linspace(0, 3, 301)
@@ -82,9 +86,8 @@ def bootstrap(
     sequences = np.random.SeedSequence(seed).spawn(len(found.equations))
     for (state, expr), sequence in zip(found.equations.items(), sequences, strict=True):
         exprs, bottom = _terms(expr, [c.expr for c in list(found.front[state])[-alternatives:]])
-        blocks = [b for run in found.trajectories for b in _weaken(run, state, exprs, bottom)]
-        if len(found.trajectories) >= 5:
-            blocks = [_join(_weaken(r, state, exprs, bottom)) for r in found.trajectories]
+        runs = [_weaken(run, state, exprs, bottom, pieces) for run in found.trajectories]
+        blocks = [_join(run) for run in runs] if len(runs) >= 5 else [b for r in runs for b in r]
         whole = _join(blocks)
         coefficients = np.linalg.lstsq(whole.values.T, whole.y, rcond=None)[0]
         noise = residual_noise([whole.y - coefficients @ whole.values], whole.y)
@@ -111,13 +114,13 @@ def _join(blocks: Sequence[_Weak]) -> _Weak:
 
 
 def _weaken(
-    run: Trajectory, state: str, exprs: Sequence[sympy.Expr], bottom: sympy.Expr
+    run: Trajectory, state: str, exprs: Sequence[sympy.Expr], bottom: sympy.Expr, pieces: int
 ) -> list[_Weak]:
-    """Give one block for each twentieth of a trajectory, of the bumps whose middle lies there."""
+    """Give one block for each piece of a trajectory, of the bumps whose middle lies there."""
     evaluated = compile_numpy([*exprs, bottom], [*run.names, "t"])
     *rows, below = evaluated(np.concatenate([run.columns.T, run.t[None]]))
     values, x = np.array(rows) / below, run.x[:, run.index(state)]
-    width = max(8, len(run) // _WINDOWS)
+    width = max(8, len(run) // pieces)
     starts = np.arange(0, len(run) - width, max(1, width // 4))
     if len(starts) < 4:
         raise InputError(f"{len(run)} rows are too few for an ensemble; give at least 24")
@@ -131,7 +134,7 @@ def _weaken(
     steps /= np.sum(steps * bump, axis=1, keepdims=True)
     y = -np.einsum("wi,wi,wi->w", steps, slope, x[index])
     integrals = np.einsum("wi,wi,mwi->mw", steps, bump, values[:, index])
-    owner = np.arange(len(starts)) * _WINDOWS // len(starts)
+    owner = np.arange(len(starts)) * pieces // len(starts)
     return [_Weak(integrals[:, owner == b], y[owner == b]) for b in np.unique(owner)]
 
 

@@ -150,7 +150,12 @@ class Template:
         return self._descend(values, chosen, unit)
 
     def _descend(self, values: np.ndarray, free: np.ndarray, unit: float | None) -> np.ndarray:
-        """Take reweighted Gauss-Newton steps, shortened until they gain."""
+        """Take reweighted Gauss-Newton steps, shortened until they gain.
+
+        ``scipy.optimize.least_squares`` (trf with its Cauchy loss, lm without) was measured on a
+        ratio of six constants and 1000 rows: one and a half to five times the time, and where the
+        unit is near rounding it ended at a higher loss.
+        """
         residual = self._tame(values)
         level = _level(residual, unit)
         for _ in range(_MOST_PLAIN_STEPS if unit is None else _MOST_STEPS):

@@ -32,10 +32,6 @@ from dynsr.methods.features import Features, build_features
 from dynsr.methods.feynman.problem import Target, make_targets
 
 Support = frozenset[int]
-_COLLINEAR = 1e-7
-_CANCELLATION = 50.0
-# Squared errors fall to less than this share, or a further term was not worth it.
-_IDLE = 0.9**2
 # Subsets extended in one stack: enough to be quick, few enough to stay in the cache.
 _CHUNK = 32
 
@@ -56,6 +52,9 @@ class SubsetSearch:
     weights : (n,) weight of each sample.
     width : how many subsets of each size are kept.
     deadline : ``time.monotonic()`` value after which no further subset is extended.
+    collinear : a column adds nothing when the share of it that a subset does not explain is below.
+    cancellation : no coefficient, of columns of norm 1, may exceed this many times the size of y.
+    idle : the search ends when two more terms leave more than this share of the squared error.
     """
 
     numerators: np.ndarray
@@ -64,6 +63,9 @@ class SubsetSearch:
     weights: np.ndarray
     width: int = 200
     deadline: float = math.inf
+    collinear: float = 1e-7
+    cancellation: float = 50.0
+    idle: float = 0.81
 
     @cached_property
     def _columns(self) -> tuple[np.ndarray, np.ndarray]:
@@ -100,12 +102,12 @@ class SubsetSearch:
         pivots = 1 - np.einsum("bij,bij->bj", rows, solved)
         moments = projections - np.einsum("bij,bi->bj", rows, fitted)
         rest = total - np.einsum("bi,bi->b", projections[chosen], fitted)
-        usable = pivots > _COLLINEAR
+        usable = pivots > self.collinear
         np.put_along_axis(usable, chosen, False, axis=1)
         added = np.where(usable, moments / np.where(usable, pivots, 1.0), 0.0)
         coefficients = fitted[..., None] - solved * added[:, None, :]
         size = np.maximum(np.abs(added), np.abs(coefficients).max(axis=1, initial=0.0))
-        usable &= size < _CANCELLATION * np.sqrt(total)
+        usable &= size < self.cancellation * np.sqrt(total)
         # The difference below is exact only to rounding of the total.
         error = np.maximum(rest[:, None] - added * moments, 1e-15 * total)
         square = self._mean_square_denominators(chosen, coefficients, added)
@@ -152,7 +154,7 @@ class SubsetSearch:
             found.append(list(kept))
             scores.append(min(kept.values()))
             parents = found[-1]
-            idle = len(scores) > 2 and scores[-1] > _IDLE * scores[-3]
+            idle = len(scores) > 2 and scores[-1] > self.idle * scores[-3]
             if idle or time.monotonic() > self.deadline:
                 break
         return found
@@ -209,9 +211,6 @@ def _solve(systems: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.linalg.solve(systems + 1e-12 * np.eye(systems.shape[1]), right)
 
 
-_EXACT = 1e-9
-
-
 @dataclass(frozen=True)
 class RationalSearch(AbstractMethod):
     """Search for a short sum of features, or a ratio of two.
@@ -233,6 +232,10 @@ class RationalSearch(AbstractMethod):
         else, up to the fourth degree above and below; for laws without a constant term.
     changes : domain changes of the target, names of ``domain.CHANGES``, that are searched after it.
     seconds : time after which nothing further is begun.
+    collinear, cancellation, idle : bounds of the subset search, see :class:`SubsetSearch`.
+    exact : largest residual, as a share of the target's range, at which a formula is exact.
+    close : bits a row within which a formula of fewer terms is as good as the best; more terms
+        always explain slopes a little better, because their errors are not independent.
 
     >>> x = np.linspace(0.5, 2.0, 200)
     >>> samples = Samples(x[:, None], 3 * x / (2 + x**2), ("x",), "x", "given", x)
@@ -252,6 +255,11 @@ class RationalSearch(AbstractMethod):
     inverses: bool = False
     changes: tuple[str, ...] = ()
     seconds: float = math.inf
+    collinear: float = 1e-7
+    cancellation: float = 50.0
+    idle: float = 0.81
+    exact: float = 1e-9
+    close: float = 0.25
 
     name = "rational"
     presets: ClassVar = {"best": {}, "quick": {"costs": (3, 4)}, "paper": {}}
@@ -312,8 +320,8 @@ class RationalSearch(AbstractMethod):
                 if not ranked:
                     return False
                 yield [formula.score(samples) for group in ranked for formula in group[: self.keep]]
-                plain = _plainest(ranked)
-                if float(np.abs(plain.residual).max()) < _EXACT * float(np.ptp(rows.y)):
+                plain = self._close_to_least(ranked)[0]
+                if float(np.abs(plain.residual).max()) < self.exact * float(np.ptp(rows.y)):
                     return True
                 weights = cauchy_weights(plain.residual, max(plain.median, 1e-300))
                 if time.monotonic() > deadline:
@@ -321,7 +329,7 @@ class RationalSearch(AbstractMethod):
             if plain.shape == reached:
                 return False
             reached = plain.shape
-            used = {str(v) for f in _close_to_least(ranked)[:2] for v in f.expr.free_symbols}
+            used = {str(v) for f in self._close_to_least(ranked)[:2] for v in f.expr.free_symbols}
         return False
 
     def _numerators(self, columns: dict[str, np.ndarray], cost: int, used: set[str]) -> Features:
@@ -343,7 +351,17 @@ class RationalSearch(AbstractMethod):
         degree = 4 if self.inverses else 2
         denominators = build_features(rows.columns, min(cost, 4), degree, inverses=self.inverses)
         below = denominators.values[1:] if self.denominators else np.empty((0, len(rows)))
-        subsets = SubsetSearch(numerators.values, below, rows.y, weights, self.width, deadline)
+        subsets = SubsetSearch(
+            numerators.values,
+            below,
+            rows.y,
+            weights,
+            self.width,
+            deadline,
+            self.collinear,
+            self.cancellation,
+            self.idle,
+        )
         fits = [
             [subsets.fit(support) for support in supports[: 5 * self.keep]]
             for supports in subsets.search(self.max_terms)
@@ -357,6 +375,11 @@ class RationalSearch(AbstractMethod):
             formulas = [_Formula(*fit, numerators, denominators, floor) for fit in group]
             ranked.append(sorted(formulas, key=lambda formula: formula.bits))
         return ranked
+
+    def _close_to_least(self, ranked: list[list[_Formula]]) -> list[_Formula]:
+        """The best of every size that are close to the best of all, fewest terms first."""
+        least = min(group[0].bits for group in ranked)
+        return [group[0] for group in ranked if group[0].bits <= least + self.close]
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,19 +429,6 @@ class _Formula:
         """Bits a sample of the residual above the floor."""
         data = float(mean_error_bits(self.residual, self.floor))
         return data if math.isfinite(data) else math.inf
-
-
-def _close_to_least(ranked: list[list[_Formula]]) -> list[_Formula]:
-    least = min(group[0].bits for group in ranked)
-    return [group[0] for group in ranked if group[0].bits <= least + 0.25]
-
-
-def _plainest(ranked: list[list[_Formula]]) -> _Formula:
-    """The formula of fewest terms whose data bits are close to the least of all.
-
-    More terms always explain slopes a little better, because their errors are not independent.
-    """
-    return _close_to_least(ranked)[0]
 
 
 Terms = list[tuple[sympy.Expr, float]]
