@@ -167,20 +167,14 @@ def _fit_and_gain(
 class RatioFit:
     """Coefficients of a fitted ratio N / D.
 
-    ``numerator`` (a,) and ``denominator`` (b,) stand before the columns given; ``bottom`` (n,) is
-    D and ``residual`` (n,) y - N / D.
+    ``numerator`` (a,) and ``denominator`` (b,) stand before the columns given; ``residual`` (n,) is
+    y - N / D, and ``weight`` (n,) the 1 / |D| that the repeated fit has come to.
     """
 
     numerator: np.ndarray
     denominator: np.ndarray
-    bottom: np.ndarray
     residual: np.ndarray
-
-    @property
-    def weight(self) -> np.ndarray:
-        """(n,) 1 / |D|, D taken to be at least a thousandth of its size."""
-        size = np.abs(self.bottom)
-        return np.asarray(1 / np.maximum(size, max(1e-3 * np.sqrt(np.mean(size**2)), 1e-300)))
+    weight: np.ndarray
 
 
 def fit_ratio(
@@ -213,20 +207,23 @@ def fit_ratio(
     first = np.ones(len(y)) if lead is None else lead
     root = np.ones(len(y)) if weights is None else np.sqrt(weights)
     columns, target = np.vstack([above, -y * below]).T, y * first
-    scale, best, least = root, None, np.inf
+    weight, best, least = np.ones(len(y)), None, np.inf
     for _ in range(rounds if len(below) else 1):
-        solution = np.linalg.lstsq(columns * scale[:, None], target * scale, rcond=None)[0]
+        scale = (root * weight)[:, None]
+        solution = np.linalg.lstsq(columns * scale, target * scale[:, 0], rcond=None)[0]
         a, b = solution[: len(above)], solution[len(above) :]
         bottom = first + b @ below
         with np.errstate(all="ignore"):
-            fit = RatioFit(a, b, bottom, y - a @ above / bottom)
-            error = float(np.sum(np.square(root * fit.residual)))
+            residual = y - a @ above / bottom
+            error = float(np.sum(np.square(root * residual)))
         if best is None or error < least:
-            best, least = fit, error
-        scale = root * fit.weight
+            best, least = (a, b, residual), error
+        # A row where D nearly vanishes counts no more than where D is a thousandth of its size.
+        floor = max(1e-3 * float(np.sqrt(np.mean(bottom**2))), 1e-300)
+        weight = 1 / np.maximum(np.abs(bottom), floor)
     if best is None:
         raise ValueError(f"{rounds} rounds fit no ratio")
-    return best
+    return RatioFit(*best, weight)
 
 
 def linearly_independent(rows: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
