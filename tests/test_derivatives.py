@@ -10,7 +10,7 @@ from dynsr.data.slopes import (
     BiasWarning,
     choose_samples,
     choose_scheme,
-    estimate_noise,
+    measurement_noise,
     slope_bias,
     smooth_column,
     warn_if_biased,
@@ -39,13 +39,13 @@ def test_noise_is_estimated_within_a_tenth(share, order):
     """The noise of each state is found within 10 %, on even and on uneven times."""
     t = GRID if order == 0 else np.sort(np.random.default_rng(3).uniform(0, 10, 1001))
     noisy, clean, _ = lotka_volterra(t, share)
-    assert estimate_noise(noisy) == pytest.approx(share * clean.std(axis=0), rel=0.1)
+    assert measurement_noise(noisy) == pytest.approx(share * clean.std(axis=0), rel=0.1)
 
 
 def test_clean_data_show_no_noise():
     """Exact data have a noise estimate far below a millionth of their size."""
     exact, clean, _ = lotka_volterra(GRID)
-    assert np.all(estimate_noise(exact) < 1e-8 * clean.std(axis=0))
+    assert np.all(measurement_noise(exact) < 1e-8 * clean.std(axis=0))
 
 
 def test_clean_data_take_high_order_differences():
@@ -83,7 +83,7 @@ def test_the_choice_is_near_the_best_scheme():
         smooth = smooth_column(GRID, x, scheme)
         return np.sqrt(np.mean((smooth.slope - slopes[smooth.rows, 0]) ** 2))
 
-    chosen = choose_scheme(GRID, x, estimate_noise(noisy)[0]).scheme
+    chosen = choose_scheme(GRID, x, measurement_noise(noisy)[0]).scheme
     names = [f"savgol({w},{d})" for w in (9, 17, 31, 41, 55, 73) for d in (2, 4, 6)] + ["spline"]
     assert error(chosen) < 1.3 * min(error(name) for name in names)
 

@@ -13,7 +13,7 @@ from dynsr.fit.description import Noise
 from dynsr.fit.polishing import polish
 from dynsr.fit.shooting import match_trajectories, measure_errors
 from dynsr.fit.variation import loosen
-from dynsr.selection.pick import Rival, order_rivals
+from dynsr.selection.pick import RankedCandidate, rank_candidates
 
 TRUE = {"x": "1.5*x - x*y", "y": "x*y - 3*y"}
 
@@ -85,6 +85,6 @@ def test_simple_constants_that_the_data_reject_are_given_up(exact):
 
 def test_the_more_forecasts_the_finer_the_choice():
     """A third more error is nothing among 8 forecasts but is enough among 800 to lose."""
-    near, short = (Rival(None, bits, miss) for bits, miss in ((90.0, 0.03), (60.0, 0.04)))
-    assert order_rivals([near, short], 8)[0] is short
-    assert order_rivals([near, short], 800)[0] is near
+    near, short = (RankedCandidate(None, bits, miss) for bits, miss in ((90.0, 0.03), (60.0, 0.04)))
+    assert rank_candidates([near, short], 8)[0] is short
+    assert rank_candidates([near, short], 800)[0] is near

@@ -4,7 +4,7 @@ import sympy
 from scipy.integrate import solve_ivp
 
 from dynsr.expression.parsing import parse
-from dynsr.fit.flow import Flow, KeptWindows, ProbedFlow, StridingFlow, Windows
+from dynsr.fit.flow import Flow, Windows
 
 T = np.linspace(0, 2, 201)
 RHS = {"a": parse("b"), "b": parse("-9.81*sin(a) - 0.1*b + F")}
@@ -22,7 +22,7 @@ WINDOWS = Windows(T[:, None], np.zeros((len(T), 2, 1)), drive)
 @pytest.mark.parametrize("stride", [2, 3, 8])
 def test_strides_follow_the_solution(stride):
     """States at every row are those of DOP853, whether or not the rows divide by the stride."""
-    found = StridingFlow(RHS, ("F",), (), stride).run(WINDOWS, START, np.empty(0), 1)
+    found = Flow(RHS, ("F",), (), stride).run(WINDOWS, START, np.empty(0), 1)
     truth = solve_ivp(
         lambda t, s: [s[1], -9.81 * np.sin(s[0]) - 0.1 * s[1] + np.sin(6 * t)],
         *((0, 2), START[:, 0], "DOP853"),
@@ -36,27 +36,29 @@ def test_strides_follow_the_solution(stride):
 
 def test_probes_have_the_sensitivity_of_their_term():
     """The slope by a probe is what a small multiple of its term changes, the states as before."""
-    flow = ProbedFlow(RHS, ("F",), (sympy.Symbol("p"),), 2, ((1, parse("a*b")),))
+    flow = Flow(RHS, ("F",), (sympy.Symbol("p"),), 2, ((1, parse("a*b")),))
     states, slopes = flow.run_sensitive(WINDOWS, START, np.zeros(1), 1)
-    plain = StridingFlow(RHS, ("F",), (), 2).run(WINDOWS, START, np.empty(0), 1)
+    plain = Flow(RHS, ("F",), (), 2).run(WINDOWS, START, np.empty(0), 1)
     assert np.array_equal(states, plain)
     moved = {**RHS, "b": RHS["b"] + 1e-5 * parse("a*b")}
-    more = StridingFlow(moved, ("F",), (), 2).run(WINDOWS, START, np.empty(0), 1)
+    more = Flow(moved, ("F",), (), 2).run(WINDOWS, START, np.empty(0), 1)
     assert np.allclose(slopes[:, :, 0], (more - plain) / 1e-5, atol=2e-4)
 
 
 def test_driven_columns_are_read_once():
-    """Kept windows give what plain ones do, and ask for each time once."""
+    """Windows ask for the driven columns at each time once, whatever flows run over them."""
     asked = []
 
     def counted(times):
         asked.append(len(times))
         return drive(times)
 
-    kept = KeptWindows(WINDOWS.t, WINDOWS.x, counted)
-    assert np.array_equal(kept.driven_at(1), WINDOWS.driven_at(1))
+    windows = Windows(WINDOWS.t, WINDOWS.x, counted)
+    expected = [drive(row) for row in np.linspace(0, 2, 401)[:, None]]
+    np.testing.assert_allclose(windows.driven_at(1), expected, atol=1e-13)
     before = len(asked)
-    kept.driven_at(1)
-    assert len(asked) == before
-    one = Flow(RHS, ("F",), ()).run(kept, START, np.empty(0), 1)
-    assert len(asked) == before and np.isfinite(one).all()
+    assert before == 401
+    windows.driven_at(1)
+    for stride in (1, 4):
+        one = Flow(RHS, ("F",), (), stride).run(windows, START, np.empty(0), 1)
+        assert len(asked) == before and np.isfinite(one).all()

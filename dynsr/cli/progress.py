@@ -162,7 +162,7 @@ def _ended(step: Step) -> str:
     """Say which part has ended, and with which equation."""
     record: Mapping[str, Any] = step.record
     what = step.what
-    if "rivals" in record:
+    if "ranked" in record:
         what = f"{record['target']}' chosen"
     elif "method" in record:
         what = title(record["target"], record["method"])
@@ -174,8 +174,8 @@ def best_of(record: Mapping[str, Any]) -> str:
     from dynsr.fit import ParetoFront
     from dynsr.selection import read_candidates
 
-    rivals = [rival["candidate"] for rival in record.get("rivals", [])[:1]]
-    return best_equation(ParetoFront(read_candidates(rivals or record.get("front", []))))
+    chosen = [ranked["candidate"] for ranked in record.get("ranked", [])[:1]]
+    return best_equation(ParetoFront(read_candidates(chosen or record.get("front", []))))
 
 
 def best_equation(front: ParetoFront) -> str:

@@ -35,6 +35,15 @@ class Smooth:
     slope: np.ndarray
 
 
+def robust_scale(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
+    """Give 1.4826 times the median of |values|: the standard deviation of normal values.
+
+    >>> float(robust_scale(np.array([-1.0, 1.0, 100.0])))
+    1.4826
+    """
+    return np.asarray(_MAD * np.median(np.abs(values), axis=axis))
+
+
 def interpolation_residuals(t: np.ndarray, x: np.ndarray, order: int) -> np.ndarray:
     """Miss of each point from the polynomial through its ``order`` neighbours, per unit noise."""
     _, weights = barycentric_weights(np.lib.stride_tricks.sliding_window_view(t, order + 1))
@@ -108,7 +117,7 @@ def _total_variation(t: np.ndarray, x: np.ndarray) -> Smooth:
         ) from None
     scale = float(np.std(x)) or 1.0
     misses = interpolation_residuals(t, x[:, None] / scale, 2)
-    alpha = max(float(_MAD * np.median(np.abs(misses))) ** 2, 1e-10)
+    alpha = max(float(robust_scale(misses)) ** 2, 1e-10)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         slope = scale * derivative.dxdt(x / scale, t, kind="trend_filtered", order=1, alpha=alpha)
@@ -192,7 +201,7 @@ class Choice:
     noise: float
 
 
-def estimate_noise(trajectory: Trajectory) -> np.ndarray:
+def measurement_noise(trajectory: Trajectory) -> np.ndarray:
     """Estimate the standard deviation of measurement noise of every state, (k,), state units.
 
     Each point is compared with the polynomial through its neighbours (a high-order difference);
@@ -201,15 +210,14 @@ def estimate_noise(trajectory: Trajectory) -> np.ndarray:
 
     >>> t = np.linspace(0, 10, 500)
     >>> noisy = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, 500)
-    >>> bool(0.008 < estimate_noise(Trajectory(t, noisy[:, None], ("x",)))[0] < 0.012)
+    >>> bool(0.008 < measurement_noise(Trajectory(t, noisy[:, None], ("x",)))[0] < 0.012)
     True
     """
     orders = [order for order in (2, 4, 6, 8) if len(trajectory) > order + 2]
     if not orders:
         raise InputError(f"{len(trajectory)} rows are too few to estimate noise; give at least 5")
     found = [
-        _MAD * np.median(np.abs(interpolation_residuals(trajectory.t, trajectory.x, o)), axis=0)
-        for o in orders
+        robust_scale(interpolation_residuals(trajectory.t, trajectory.x, o), axis=0) for o in orders
     ]
     return np.min(found, axis=0)
 
@@ -362,7 +370,7 @@ def choose_samples(
 
 
 def _choose(trajectory: Trajectory, state: str, scheme: str, settings: SlopeSettings) -> Choice:
-    sigma = float(estimate_noise(trajectory)[trajectory.index(state)])
+    sigma = float(measurement_noise(trajectory)[trajectory.index(state)])
     x = trajectory.x[:, trajectory.index(state)]
     if scheme == "auto":
         return choose_scheme(trajectory.t, x, sigma, settings)
@@ -409,7 +417,7 @@ def _combine(
 
 
 def _spread(values: np.ndarray) -> float:
-    return float(_MAD * np.median(np.abs(values - np.median(values))))
+    return float(robust_scale(values - np.median(values)))
 
 
 def _own_slopes(

@@ -10,10 +10,10 @@ import numpy as np
 import sympy
 import torch
 
-from dynsr.data import Samples, Trajectory, choose_samples
+from dynsr.data import Samples, Trajectory, choose_samples, robust_scale
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, compile_numpy, evaluate, to_text
-from dynsr.fit import ParetoFront, free_constants
+from dynsr.fit import ParetoFront, free_constants, runge_kutta_step
 from dynsr.methods import AbstractMethod, make_method
 
 
@@ -195,11 +195,7 @@ def _step(
     h = (b - a) / _SUBSTEPS
     for i in range(_SUBSTEPS):
         t = a + i * h
-        k1 = rhs(t, x)
-        k2 = rhs(t + h / 2, x + h / 2 * k1)
-        k3 = rhs(t + h / 2, x + h / 2 * k2)
-        k4 = rhs(t + h, x + h * k3)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x = runge_kutta_step(lambda x, t: rhs(t, x), x, h, (t, t + h / 2, t + h))
     return x
 
 
@@ -225,7 +221,7 @@ def fit_hybrid(
 def _train(samples: Samples, left: np.ndarray, width: int, epochs: int, seed: int) -> Residual:
     centre, scale = samples.X.mean(axis=0), samples.X.std(axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    unit = float(np.median(np.abs(left))) * 1.4826 or 1.0
+    unit = float(robust_scale(left)) or 1.0
     kept_out = (np.arange(len(left)) * 25 // len(left)) % 5 == 2
     X = torch.from_numpy((samples.X - centre) / scale)
     y = torch.from_numpy(left / unit)
@@ -282,7 +278,7 @@ def _student(misses: torch.Tensor, shape: torch.Tensor) -> torch.Tensor:
 def _share(y: np.ndarray, left: np.ndarray, predicted: np.ndarray) -> float:
     """Part of the slopes' variance that the network explains on rows kept out."""
     size = float(np.mean((y - y.mean()) ** 2)) or 1.0
-    bound = 5 * 1.4826 * float(np.median(np.abs(left))) or np.inf
+    bound = 5 * float(robust_scale(left)) or np.inf
     before = np.mean(np.minimum(left**2, bound**2))
     after = np.mean(np.minimum((left - predicted) ** 2, bound**2))
     return float(np.clip((before - after) / size, 0.0, 1.0))

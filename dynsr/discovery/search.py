@@ -26,7 +26,7 @@ from dynsr.expression import arguments_of, compile_numpy, to_text
 from dynsr.fit import Candidate, ParetoFront, is_noisy, polish, read_inputs, tidy
 from dynsr.jobs import Part, RunFolder, Step, Watch, fingerprint, run_parts
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, choose_methods
-from dynsr.selection import Pick, read_candidates, settle, write_candidates
+from dynsr.selection import Pick, compare_systems, read_candidates, write_candidates
 
 _MOST_ROWS = 4000
 
@@ -137,8 +137,7 @@ def _plan(states: Sequence[str], methods: Mapping[str, AbstractMethod]) -> dict[
 
 def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
     """Merge what the methods found with what fitting and snapping made of it."""
-    rivals = [rival.candidate for rival in pick.rivals]
-    written = [replace(c, expr=tidy(c.expr)) for c in rivals]
+    written = [replace(r.candidate, expr=tidy(r.candidate.expr)) for r in pick.ranked]
     return ParetoFront([*pool, *written])
 
 
@@ -253,8 +252,8 @@ class _Problem:
         """Let whole systems compete on the states where noise makes slopes unsure."""
         if self.known or not is_noisy(self.runs):
             return exprs
-        rivals = {s: [r.candidate.expr for r in p.rivals[1:]] for s, p in picks.items()}
-        return settle(exprs, rivals, self.runs, inputs)
+        alternatives = {s: [r.candidate.expr for r in p.ranked[1:]] for s, p in picks.items()}
+        return compare_systems(exprs, alternatives, self.runs, inputs)
 
     def search(
         self,

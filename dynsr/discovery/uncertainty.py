@@ -23,12 +23,18 @@ from dynsr.data import Trajectory
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy
-from dynsr.fit import Noise, data_bits, estimate_noise
+from dynsr.fit import (
+    Noise,
+    constant_bits,
+    data_bits,
+    eliminate,
+    residual_noise,
+    structure_bits,
+)
 
-_WINDOWS = 20
+# The bump (1 - s^2)^4 and three of its derivatives vanish at the ends of its window, so that the
+# trapezoidal rule integrates it to the fourth order of an even step.
 _POWER = 4
-# Bits of a coefficient and of the term it stands before.
-_TERM_BITS = 20.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,8 @@ def bootstrap(
     *,
     members: int = 100,
     level: float = 0.95,
-    rivals: int = 3,
+    alternatives: int = 3,
+    pieces: int = 20,
     seed: int = 0,
     jobs: int = 1,
 ) -> dict[str, list[Term]]:
@@ -57,11 +64,13 @@ def bootstrap(
     found : a discovery that still has its data.
     members : ensembles drawn.
     level : share of members that the interval holds.
-    rivals : formulas of the front whose terms compete with those of the equation.
+    alternatives : formulas of the front whose terms compete with those of the equation.
+    pieces : pieces of equal length that each trajectory is drawn in, where there are fewer than
+        five trajectories; otherwise these are drawn whole.
     seed, jobs : the result depends on the seed, not on the jobs.
 
-    Twentieths of a trajectory are drawn, and whole trajectories where there are five
-    or more. Raises InputError when the data are not there.
+    A term costs :func:`term_bits`, and a member keeps the terms of least description length.
+    Raises InputError when the data are not there.
 
     >>> from dynsr.discovery.search import discover
     >>> t = np.linspace(0, 3, 301)
@@ -76,15 +85,15 @@ def bootstrap(
     result = {}
     sequences = np.random.SeedSequence(seed).spawn(len(found.equations))
     for (state, expr), sequence in zip(found.equations.items(), sequences, strict=True):
-        exprs, bottom = _terms(expr, [c.expr for c in list(found.front[state])[-rivals:]])
-        blocks = [b for run in found.trajectories for b in _weaken(run, state, exprs, bottom)]
-        if len(found.trajectories) >= 5:
-            blocks = [_join(_weaken(r, state, exprs, bottom)) for r in found.trajectories]
+        exprs, bottom = _terms(expr, [c.expr for c in list(found.front[state])[-alternatives:]])
+        runs = [_weaken(run, state, exprs, bottom, pieces) for run in found.trajectories]
+        blocks = [_join(run) for run in runs] if len(runs) >= 5 else [b for r in runs for b in r]
         whole = _join(blocks)
         coefficients = np.linalg.lstsq(whole.values.T, whole.y, rcond=None)[0]
-        noise = estimate_noise([whole.y - coefficients @ whole.values], whole.y)
+        noise = residual_noise([whole.y - coefficients @ whole.values], whole.y)
+        bits = term_bits(exprs, noise)
         draws = Parallel(n_jobs=jobs)(
-            delayed(_fit_member)(blocks, noise, child) for child in sequence.spawn(members)
+            delayed(_fit_member)(blocks, noise, bits, child) for child in sequence.spawn(members)
         )
         result[state] = _summarise(exprs, np.array(list(draws)), level)
     return result
@@ -105,13 +114,13 @@ def _join(blocks: Sequence[_Weak]) -> _Weak:
 
 
 def _weaken(
-    run: Trajectory, state: str, exprs: Sequence[sympy.Expr], bottom: sympy.Expr
+    run: Trajectory, state: str, exprs: Sequence[sympy.Expr], bottom: sympy.Expr, pieces: int
 ) -> list[_Weak]:
-    """Give one block for each twentieth of a trajectory, of the bumps whose middle lies there."""
+    """Give one block for each piece of a trajectory, of the bumps whose middle lies there."""
     evaluated = compile_numpy([*exprs, bottom], [*run.names, "t"])
     *rows, below = evaluated(np.concatenate([run.columns.T, run.t[None]]))
     values, x = np.array(rows) / below, run.x[:, run.index(state)]
-    width = max(8, len(run) // _WINDOWS)
+    width = max(8, len(run) // pieces)
     starts = np.arange(0, len(run) - width, max(1, width // 4))
     if len(starts) < 4:
         raise InputError(f"{len(run)} rows are too few for an ensemble; give at least 24")
@@ -125,7 +134,7 @@ def _weaken(
     steps /= np.sum(steps * bump, axis=1, keepdims=True)
     y = -np.einsum("wi,wi,wi->w", steps, slope, x[index])
     integrals = np.einsum("wi,wi,mwi->mw", steps, bump, values[:, index])
-    owner = np.arange(len(starts)) * _WINDOWS // len(starts)
+    owner = np.arange(len(starts)) * pieces // len(starts)
     return [_Weak(integrals[:, owner == b], y[owner == b]) for b in np.unique(owner)]
 
 
@@ -136,14 +145,14 @@ def _trapezoid_weights(t: np.ndarray) -> np.ndarray:
 
 
 def _terms(
-    expr: sympy.Expr, rivals: Sequence[sympy.Expr]
+    expr: sympy.Expr, alternatives: Sequence[sympy.Expr]
 ) -> tuple[tuple[sympy.Expr, ...], sympy.Expr]:
-    """Terms of the equation and, where it is a sum, of its rivals; and its denominator."""
+    """Terms of the equation and, where it is a sum, of the alternatives; and its denominator."""
     top, bottom = sympy.fraction(sympy.together(expr)) if _is_ratio(expr) else (expr, sympy.S.One)
     found = list(sympy.Add.make_args(sympy.expand(top)))
     if bottom == 1:
-        for rival in rivals:
-            found += [] if _is_ratio(rival) else sympy.Add.make_args(sympy.expand(rival))
+        for other in alternatives:
+            found += [] if _is_ratio(other) else sympy.Add.make_args(sympy.expand(other))
     bare = dict.fromkeys(term.as_coeff_Mul()[1] for term in found if term != 0)
     return tuple(bare), bottom
 
@@ -152,39 +161,29 @@ def _is_ratio(expr: sympy.Expr) -> bool:
     return bool(sympy.fraction(expr)[1].free_symbols)
 
 
+def term_bits(exprs: Sequence[sympy.Expr], noise: Noise) -> np.ndarray:
+    """(m,) bits that each of m terms adds to the sum of them all, its coefficient among them."""
+    terms = [sympy.Float(0.5) * e for e in exprs]
+    whole = structure_bits(sympy.Add(*terms))
+    without = [structure_bits(sympy.Add(*terms[:i], *terms[i + 1 :])) for i in range(len(terms))]
+    return whole - np.array(without) + constant_bits(noise.effective_rows)
+
+
 def _fit_member(
-    blocks: Sequence[_Weak], noise: Noise, sequence: np.random.SeedSequence
+    blocks: Sequence[_Weak], noise: Noise, bits: np.ndarray, sequence: np.random.SeedSequence
 ) -> np.ndarray:
     """(m,) coefficients on one draw; 0 for a term that was dropped."""
     rng = np.random.default_rng(sequence)
     drawn = _join([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))])
-    values = drawn.values
-    keep = list(range(len(values)))
-    coefficients, bits = _fit(values, keep, drawn.y, noise)
-    while len(keep) > 1:
-        trials = [_fit(values, [k for k in keep if k != out], drawn.y, noise) for out in keep]
-        best = int(np.argmin([bits for _, bits in trials]))
-        if trials[best][1] - _TERM_BITS >= bits:
-            break
-        coefficients, bits = trials[best]
-        keep.pop(best)
-    full = np.zeros(len(values))
-    full[keep] = coefficients
-    return full
-
-
-def _fit(
-    values: np.ndarray, keep: Sequence[int], y: np.ndarray, noise: Noise
-) -> tuple[np.ndarray, float]:
-    """Fit robustly (Cauchy weights); gives coefficients and the bits of the misses."""
-    columns = values[list(keep)]
-    weights = np.ones(len(y))
-    coefficients = np.zeros(len(keep))
-    for _ in range(5):
-        coefficients = np.linalg.lstsq((columns * weights).T, y * weights, rcond=None)[0]
-        misses = y - coefficients @ columns
-        weights = 1 / np.sqrt(1 + (misses / noise.floor) ** 2)
-    return coefficients, data_bits(misses, noise)
+    found, least = np.zeros(len(bits)), np.inf
+    for kept, coefficients in eliminate(drawn.values.T, drawn.y, robust=True, unit=noise.floor):
+        chosen = list(kept)
+        misses = drawn.y - coefficients @ drawn.values[chosen]
+        length = data_bits(misses, noise) + float(np.sum(bits[chosen]))
+        if length < least:
+            least, found = length, np.zeros(len(bits))
+            found[chosen] = coefficients
+    return found
 
 
 def _summarise(exprs: Sequence[sympy.Expr], draws: np.ndarray, level: float) -> list[Term]:

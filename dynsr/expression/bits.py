@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from decimal import Decimal
 from typing import Any
 
@@ -46,12 +47,13 @@ def _fraction_bits(value: float) -> float:
     return math.inf
 
 
-def complexity(expr: sympy.Expr) -> float:
+def complexity(expr: sympy.Expr, constants: Collection[sympy.Symbol] = ()) -> float:
     """Complexity of an expression in bits: its description length without the data.
 
     k log2(n) bits for k occurrences of n distinct variables, functions and operations, plus
     :func:`number_bits` of every number (Udrescu et al. 2020, eq. 4). A sum of j terms holds j - 1
-    additions; the signs -1 and the reciprocal in a quotient count as operations.
+    additions; the signs -1 and the reciprocal in a quotient count as operations. ``constants``
+    are symbols that stand for numbers yet unknown: all of them count as one kind.
 
     >>> from dynsr.expression import parse
     >>> complexity(parse("x")) < complexity(parse("x + y")) < complexity(parse("2.718*x + sin(y)"))
@@ -63,7 +65,7 @@ def complexity(expr: sympy.Expr) -> float:
     while stack:
         node = stack.pop()
         if node.is_Symbol or node in (sympy.pi, sympy.E):
-            kinds.append(node)
+            kinds.append("constant" if node in constants else node)
         elif node.is_Number:
             bits += number_bits(node)
         elif node.is_Add or node.is_Mul:

@@ -1,55 +1,91 @@
 from .candidates import Candidate, ParetoFront, rmse, score_candidate
 from .constants import free_constants, refit, skeleton
-from .description import Noise, choose, data_bits, description_length, estimate_noise, noise_of
-from .flow import Flow, KeptWindows, ProbedFlow, Windows, cut_windows
-from .linear import fit_robustly
+from .description import (
+    choose,
+    constant_bits,
+    data_bits,
+    description_length,
+    information_criterion,
+    mean_error_bits,
+    shift_bits,
+    structure_bits,
+)
+from .flow import Flow, Windows, cut_windows, runge_kutta_step
+from .linear import (
+    RatioFit,
+    cauchy_weights,
+    eliminate,
+    fit_ratio,
+    fit_robustly,
+    linearly_independent,
+)
+from .noise import (
+    Noise,
+    independent_rows,
+    is_noisy,
+    noise_and_spread,
+    noise_of,
+    residual_noise,
+)
 from .polishing import polish
+from .settings import FitSettings
 from .shooting import (
     Shooting,
     build_shooting,
     choose_substeps,
     drives_of,
-    is_noisy,
     prepare,
     read_inputs,
 )
-from .snapping import MOST_CONSTANTS, one_a_shape, score_snapped, snap_best, tidy
-from .variation import improve, loosen, neighbours
+from .snapping import one_a_shape, score_snapped, snap_best, tidy
+from .variation import improve, loosen, neighbours, with_floats
 
 __all__ = [
     "Candidate",
+    "FitSettings",
     "Flow",
-    "KeptWindows",
-    "MOST_CONSTANTS",
     "Noise",
     "ParetoFront",
-    "ProbedFlow",
+    "RatioFit",
     "Shooting",
     "Windows",
     "build_shooting",
+    "cauchy_weights",
     "choose",
     "choose_substeps",
+    "constant_bits",
     "cut_windows",
     "data_bits",
     "description_length",
     "drives_of",
-    "estimate_noise",
+    "eliminate",
+    "fit_ratio",
     "fit_robustly",
     "free_constants",
     "improve",
+    "independent_rows",
+    "information_criterion",
     "is_noisy",
+    "linearly_independent",
     "loosen",
+    "mean_error_bits",
     "neighbours",
+    "noise_and_spread",
     "noise_of",
     "one_a_shape",
     "polish",
     "prepare",
     "read_inputs",
     "refit",
+    "residual_noise",
     "rmse",
+    "runge_kutta_step",
     "score_candidate",
     "score_snapped",
+    "shift_bits",
     "skeleton",
     "snap_best",
+    "structure_bits",
     "tidy",
+    "with_floats",
 ]

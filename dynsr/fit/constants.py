@@ -12,6 +12,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.expression import compile_numpy
+from dynsr.fit.linear import cauchy_weights
 
 # A residual that is not a finite number counts as this many times the size of the target.
 _PENALTY = 1e3
@@ -149,7 +150,12 @@ class Template:
         return self._descend(values, chosen, unit)
 
     def _descend(self, values: np.ndarray, free: np.ndarray, unit: float | None) -> np.ndarray:
-        """Take reweighted Gauss-Newton steps, shortened until they gain."""
+        """Take reweighted Gauss-Newton steps, shortened until they gain.
+
+        ``scipy.optimize.least_squares`` (trf with its Cauchy loss, lm without) was measured on a
+        ratio of six constants and 1000 rows: one and a half to five times the time, and where the
+        unit is near rounding it ended at a higher loss.
+        """
         residual = self._tame(values)
         level = _level(residual, unit)
         for _ in range(_MOST_PLAIN_STEPS if unit is None else _MOST_STEPS):
@@ -194,7 +200,7 @@ class Template:
 
 
 def _root_weights(residual: np.ndarray, unit: float | None) -> np.ndarray:
-    return np.ones(len(residual)) if unit is None else 1 / np.sqrt(1 + (residual / unit) ** 2)
+    return np.ones(len(residual)) if unit is None else np.sqrt(cauchy_weights(residual, unit))
 
 
 def _level(residual: np.ndarray, unit: float | None) -> float:

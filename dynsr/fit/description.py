@@ -9,57 +9,26 @@ A residual far above the floor costs log2(|r| / eps) bits, as in AI Feynman 2.0 
 noise; and a few large residuals cost little, so that the errors of a few bad steps do not decide.
 AI Feynman sets eps = 2^-30; here it is estimated from the data, because slopes taken from a
 trajectory are never that exact.
+
+Whole systems whose noise is known and whose constants are still floats are compared by the
+Bayesian information criterion (Schwarz 1978) in the same unit, :func:`information_criterion`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import sympy
 
-from dynsr.data import SCHEMES, Samples
-from dynsr.expression import REAL_RESOLUTION, complexity, evaluate
+from dynsr.data import Samples
+from dynsr.expression import complexity
 from dynsr.fit.candidates import Candidate
+from dynsr.fit.constants import free_constants
+from dynsr.fit.noise import Noise, noise_of, residuals
 
-# Share of the slopes below which nothing is told apart, unless the slopes were given.
-_FINEST = 1e-6
-
-
-@dataclass(frozen=True)
-class Noise:
-    """What cannot be explained: ``floor`` in units of y, and how many rows are independent."""
-
-    floor: float
-    effective_rows: float
-
-
-def estimate_noise(
-    residuals: Iterable[np.ndarray], y: np.ndarray, rows_per_run: float = 2.0
-) -> Noise:
-    """Take the noise from the residuals of the formula that explains most rows best.
-
-    The floor is the smallest median of |r| over the given residual vectors, at least 2^-30 of the
-    size of ``y``. Residuals of a trajectory keep their sign over many rows, so a run of one sign
-    counts as ``rows_per_run`` independent rows (n rows of white noise have n / 2 runs).
-
-    >>> estimate_noise([np.array([1.0, -1.0, 1.0, -1.0])], np.ones(4))
-    Noise(floor=1.0, effective_rows=4.0)
-    """
-    size = float(np.sqrt(np.mean(np.square(y)))) or 1.0
-    best, floor = np.zeros(len(y)), math.inf
-    for residual in residuals:
-        median = float(np.median(np.abs(residual)))
-        if median < floor:
-            best, floor = residual, median
-    if not math.isfinite(floor):
-        floor = size
-    if floor <= REAL_RESOLUTION * size:
-        # Rounding errors are no noise: their signs say nothing, and every row is exact.
-        return Noise(REAL_RESOLUTION * size, float(len(y)))
-    runs = 1 + int(np.count_nonzero(np.diff(np.signbit(best))))
-    return Noise(floor, float(min(len(y), rows_per_run * runs)))
+_DIGITS = 8
 
 
 def data_bits(residual: np.ndarray, noise: Noise) -> float:
@@ -73,9 +42,18 @@ def data_bits(residual: np.ndarray, noise: Noise) -> float:
     return noise.effective_rows * bits if math.isfinite(bits) else math.inf
 
 
-def residuals(candidate: Candidate, samples: Samples) -> np.ndarray:
-    """(n,) y - f(X)."""
-    return samples.y - evaluate(candidate.expr, samples.columns)
+def mean_error_bits(residual: np.ndarray, resolution: float) -> np.ndarray:
+    """Bits a row, mean log2(1 + |r| / resolution), of each row of ``residual`` (..., n).
+
+    Equation 5 of Udrescu et al. (2020) as it stands. It is linear below the resolution where
+    :func:`data_bits` is square: it ranks formulas before any noise is known, from a resolution
+    far below the residuals, where it grows as data_bits does.
+
+    >>> float(mean_error_bits(np.array([[3.0, 1.0]]), 1.0)[0])
+    1.5
+    """
+    with np.errstate(all="ignore"):
+        return np.asarray(np.mean(np.log2(1 + np.abs(residual) / resolution), axis=-1))
 
 
 def description_length(candidate: Candidate, samples: Samples, noise: Noise) -> float:
@@ -83,20 +61,87 @@ def description_length(candidate: Candidate, samples: Samples, noise: Noise) -> 
     return complexity(candidate.expr) + data_bits(residuals(candidate, samples), noise)
 
 
-def noise_of(candidates: Iterable[Candidate], samples: Samples) -> Noise:
-    """Estimate the noise of samples from the residuals of many candidates.
+def structure_bits(expr: sympy.Expr) -> float:
+    """Bits of a formula whose constants are still to be fitted: each float is one symbol.
 
-    Errors of plain differences change their sign inside every step of the solver that made the
-    states and average out; those of a smoother hang together over its whole window, beyond the
-    runs of their sign, and count half. What remains of the bias of clean slopes is a function of
-    the states that a long formula can follow, so nothing below a millionth of the slopes counts.
+    All floats are one kind of symbol, and none merges with another, so that two terms which
+    differ in their constants alone are two terms.
+
+    >>> x = sympy.Symbol("x")
+    >>> structure_bits(2.5 * x) == structure_bits(-0.1 * x)
+    True
     """
-    misses = (residuals(c, samples) for c in candidates)
-    if samples.scheme == "given":
-        return estimate_noise(misses, samples.y)
-    noise = estimate_noise(misses, samples.y, 2.0 if samples.scheme in SCHEMES else 1.0)
-    size = float(np.sqrt(np.mean(np.square(samples.y))))
-    return Noise(max(noise.floor, _FINEST * size), noise.effective_rows)
+    template, values = free_constants(expr, "constant ")
+    return complexity(template, values.keys())
+
+
+def constant_bits(rows: float) -> float:
+    """Bits of one fitted constant, log2(m) / 2 of m independent rows (Schwarz 1978).
+
+    >>> constant_bits(256)
+    4.0
+    """
+    return math.log2(max(rows, 2.0)) / 2
+
+
+def information_criterion(
+    mean_squares: np.ndarray, rows: np.ndarray, exprs: Iterable[sympy.Expr], constants: int
+) -> float:
+    """Bits of a system fitted to its states: the Bayesian information criterion over 2 ln 2.
+
+    L = sum_s m_s/2 log2(mean squared miss of s) + structure of the equations + constants
+    log2(max m)/2.
+
+    Parameters
+    ----------
+    mean_squares : (k,) mean squared miss of every state, in units of its noise.
+    rows : (k,) independent rows of every state, :func:`dynsr.fit.independent_rows`.
+    exprs : the k equations.
+    constants : how many constants were fitted.
+    """
+    data = float(np.sum(rows / 2 * np.log2(mean_squares)))
+    terms = sum(map(structure_bits, exprs))
+    return data + terms + constant_bits(float(np.max(rows))) * constants
+
+
+def shift_bits(shift: float, error: float = 1.0) -> float:
+    """Bits that the data lose when a constant moves: half its squared z-score, in base 2.
+
+    ``shift`` is in the units of ``error``, the constant's standard error: the loss of a Gaussian
+    likelihood near its top.
+
+    >>> round(shift_bits(2.0), 3)
+    2.885
+    """
+    return (shift / error) ** 2 / (2 * math.log(2))
+
+
+def written_constant(value: float, error: float) -> float:
+    """Round a constant to the digits that its standard error supports, nine at most.
+
+    >>> written_constant(9.8123, 0.02)
+    9.812
+    """
+    if not (math.isfinite(error) and error > 0 and value != 0):
+        return float(f"{value:.{_DIGITS}e}")
+    digits = max(0, min(_DIGITS, math.ceil(math.log10(abs(value) / error))))
+    return float(f"{value:.{digits}e}")
+
+
+def written_bits(
+    exprs: Mapping[str, sympy.Expr], errors: Mapping[str, Sequence[tuple[float, float]]]
+) -> float:
+    """Complexity of equations, each constant written with the digits that its error supports.
+
+    ``errors`` gives for every state (value, standard error) of its constants in their order.
+    """
+    bits = 0.0
+    for state, expr in exprs.items():
+        template, values = free_constants(expr, "constant ")
+        pairs = zip(values, errors[state], strict=True)
+        written = {c: sympy.Float(written_constant(*pair)) for c, pair in pairs}
+        bits += complexity(template.xreplace(written))
+    return bits
 
 
 def choose(
@@ -104,7 +149,6 @@ def choose(
 ) -> Candidate:
     """Give the candidate of least description length; ValueError when there is none.
 
-    >>> import sympy
     >>> t = np.arange(9.0)
     >>> s = Samples(t[:, None], 2 * t, ("x",), "x", "given", t)
     >>> x = sympy.Symbol("x")

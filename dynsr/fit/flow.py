@@ -1,14 +1,11 @@
-"""Flow: integrate a system with free constants over many windows of data at once.
-
-A flow may also take several rows a step and be read off between them, and carry sensitivities to
-terms that are not in the equations.
-"""
+"""Flow: integrate a system with free constants over many windows of data at once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import sympy
@@ -16,39 +13,83 @@ import sympy
 from dynsr.expression import compile_numpy
 
 
+def runge_kutta_step(
+    slope: Callable[[Any, Any], Any], state: Any, h: Any, at: tuple[Any, Any, Any], k1: Any = None
+) -> Any:
+    """Take one step of the classical Runge-Kutta method of order 4 (Kutta 1901).
+
+    Parameters
+    ----------
+    slope : (state, at) -> slope; arrays of any kind and shape.
+    state : where the step starts.
+    h : its length.
+    at : what the slope needs at the start, the middle and the end: times, or driven columns.
+    k1 : the slope at the start, where it is known.
+
+    >>> decay = lambda x, t: -x
+    >>> round(runge_kutta_step(decay, 1.0, 0.1, (0.0, 0.05, 0.1)), 6)
+    0.904837
+    """
+    start, middle, end = at
+    k1 = slope(state, start) if k1 is None else k1
+    k2 = slope(state + h / 2 * k1, middle)
+    k3 = slope(state + h / 2 * k2, middle)
+    k4 = slope(state + h * k3, end)
+    return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
 @dataclass(frozen=True, eq=False)
 class Windows:
     """Pieces of trajectories, all of m intervals, as lanes.
 
     ``t`` (m + 1, W) times; ``x`` (m + 1, k, W) states measured there; ``drive`` gives the driven
-    columns, (d, W), at times (W,).
+    columns, (d, W), at times (W,). They are read once for all flows over the windows.
     """
 
     t: np.ndarray
     x: np.ndarray
     drive: Callable[[np.ndarray], np.ndarray]
+    _driven: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
 
     def driven_at(self, substeps: int) -> np.ndarray:
         """Driven columns (m * 2 substeps + 1, d, W) at every node and midpoint of the steps."""
-        parts = np.arange(2 * substeps) / (2 * substeps)
-        steps = np.diff(self.t, axis=0)
-        nodes = (self.t[:-1, None, :] + parts[None, :, None] * steps[:, None, :]).reshape(
-            -1, self.t.shape[1]
-        )
-        return np.stack([self.drive(row) for row in (*nodes, self.t[-1])])
+        if substeps not in self._driven:
+            parts = np.arange(2 * substeps) / (2 * substeps)
+            steps = np.diff(self.t, axis=0)
+            nodes = (self.t[:-1, None, :] + parts[None, :, None] * steps[:, None, :]).reshape(
+                -1, self.t.shape[1]
+            )
+            self._driven[substeps] = np.stack([self.drive(row) for row in (*nodes, self.t[-1])])
+        return self._driven[substeps]
 
 
 @dataclass(frozen=True, eq=False)
 class Flow:
     """The system dx/dt = f(x, driven, t, constants), ready to integrate.
 
-    ``rhs`` maps the k states to expressions in the states, the driven columns, ``t`` and the
-    constants.
+    Parameters
+    ----------
+    rhs : state -> expression in the k states, the driven columns, ``t`` and the constants.
+    driven : names of the driven columns.
+    constants : the P symbols whose values are given when the flow is run; those of the probes last.
+    stride : rows a step where one substep is asked for; rows between are read off the cubic through
+        two states with their slopes. Only for times that are even.
+    probes : (place of a state, term) of terms that the flow does not have but whose sensitivities
+        are wanted; each has a constant, which is 0.
+
+    >>> flow = Flow({"x": -sympy.Symbol("x")}, (), (), stride=5)
+    >>> t = np.linspace(0, 1, 101)[:, None]
+    >>> windows = Windows(t, t[:, None], lambda times: times[None])
+    >>> found = flow.run(windows, np.ones((1, 1)), np.empty(0), 1)
+    >>> bool(np.allclose(found[:, 0], np.exp(-t), atol=1e-6))
+    True
     """
 
     rhs: Mapping[str, sympy.Expr]
     driven: tuple[str, ...]
     constants: tuple[sympy.Symbol, ...]
+    stride: int = 1
+    probes: tuple[tuple[int, sympy.Expr], ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -62,6 +103,8 @@ class Flow:
     @cached_property
     def _partial(self) -> tuple[list[tuple[int, int]], Callable[[np.ndarray], np.ndarray]]:
         """Non-zero entries (i, j) of the Jacobian to states, then constants; and their values."""
+        if self.probes:
+            return self._partial_of_probes()
         real = {sympy.Symbol(n): sympy.Symbol(n, real=True) for n in self.names}
         back = {v: k for k, v in real.items()}
         columns = [sympy.Symbol(n, real=True) for n in (*self.rhs, *map(str, self.constants))]
@@ -75,6 +118,24 @@ class Flow:
                     entries.append((i, j))
                     found.append(slope.xreplace(back))
         return entries, compile_numpy([*self.rhs.values(), *found], self.names)
+
+    def _partial_of_probes(
+        self,
+    ) -> tuple[list[tuple[int, int]], Callable[[np.ndarray], np.ndarray]]:
+        """Entries of the flow itself, and for each probe the value of its term."""
+        own = self.constants[: len(self.constants) - len(self.probes)]
+        plain = replace(self, constants=own, probes=())
+        entries, evaluate = plain._partial
+        first = len(self.rhs) + len(own)
+        used = len(plain.names)
+        terms = compile_numpy([term for _, term in self.probes], plain.names)
+        entries = [*entries, *((row, first + i) for i, (row, _) in enumerate(self.probes))]
+
+        def together(values: np.ndarray) -> np.ndarray:
+            mine = values[:used]
+            return np.concatenate([evaluate(mine), terms(mine)])
+
+        return entries, together
 
     def run(
         self, windows: Windows, start: np.ndarray, constants: np.ndarray, substeps: int
@@ -112,19 +173,37 @@ class Flow:
         stages: np.ndarray,
     ) -> Iterator[np.ndarray]:
         yield state
+        if self.stride > 1 and substeps == 1:
+            yield from self._stride(windows, state, slope, stages)
+            return
         node = 0
         with np.errstate(all="ignore"):
             for interval in np.diff(windows.t, axis=0):
                 h = interval / substeps
                 for _ in range(substeps):
-                    a, b, c = stages[node : node + 3]
-                    k1 = slope(state, a)
-                    k2 = slope(state + h / 2 * k1, b)
-                    k3 = slope(state + h / 2 * k2, b)
-                    k4 = slope(state + h * k3, c)
-                    state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+                    state = runge_kutta_step(slope, state, h, tuple(stages[node : node + 3]))
                     node += 2
                 yield state
+
+    def _stride(
+        self,
+        windows: Windows,
+        state: np.ndarray,
+        slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
+        stages: np.ndarray,
+    ) -> Iterator[np.ndarray]:
+        last, row = len(windows.t) - 1, 0
+        with np.errstate(all="ignore"):
+            k1 = slope(state, stages[0])
+            while row < last:
+                rows = min(self.stride, last - row)
+                h = windows.t[row + rows] - windows.t[row]
+                at = stages[2 * row], stages[2 * row + rows], stages[2 * (row + rows)]
+                after = runge_kutta_step(slope, state, h, at, k1)
+                slope_after = slope(after, at[2])
+                yield from _between(rows, state, after, h * k1, h * slope_after)
+                yield after
+                state, k1, row = after, slope_after, row + rows
 
     def _slope_only(self, x: np.ndarray, rest: np.ndarray) -> np.ndarray:
         return self._slope(np.concatenate([x, rest]))
@@ -181,77 +260,6 @@ def cut_windows(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class StridingFlow(Flow):
-    """A flow that takes ``stride`` rows a step, for times that are even.
-
-    >>> import sympy
-    >>> flow = StridingFlow({"x": -sympy.Symbol("x")}, (), (), 5)
-    >>> t = np.linspace(0, 1, 101)[:, None]
-    >>> windows = Windows(t, t[:, None], lambda times: times[None])
-    >>> found = flow.run(windows, np.ones((1, 1)), np.empty(0), 1)
-    >>> bool(np.allclose(found[:, 0], np.exp(-t), atol=1e-6))
-    True
-    """
-
-    stride: int = 1
-
-    def _march(
-        self,
-        windows: Windows,
-        state: np.ndarray,
-        substeps: int,
-        slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
-        stages: np.ndarray,
-    ) -> Iterator[np.ndarray]:
-        if self.stride == 1 or substeps != 1:
-            yield from super()._march(windows, state, substeps, slope, stages)
-            return
-        yield state
-        last, row = len(windows.t) - 1, 0
-        with np.errstate(all="ignore"):
-            k1 = slope(state, stages[0])
-            while row < last:
-                rows = min(self.stride, last - row)
-                h = windows.t[row + rows] - windows.t[row]
-                middle, end = stages[2 * row + rows], stages[2 * (row + rows)]
-                k2 = slope(state + h / 2 * k1, middle)
-                k3 = slope(state + h / 2 * k2, middle)
-                k4 = slope(state + h * k3, end)
-                after = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-                slope_after = slope(after, end)
-                yield from _between(rows, state, after, h * k1, h * slope_after)
-                yield after
-                state, k1, row = after, slope_after, row + rows
-
-
-@dataclass(frozen=True, eq=False)
-class ProbedFlow(StridingFlow):
-    """A flow with sensitivities to terms that it does not have.
-
-    ``probes`` are (place of the state, term); each has a constant, after the flow's own, which is
-    0: the states are those of the flow, and their slope by that constant comes from the term.
-    """
-
-    probes: tuple[tuple[int, sympy.Expr], ...] = ()
-
-    @cached_property
-    def _partial(self) -> tuple[list[tuple[int, int]], Callable[[np.ndarray], np.ndarray]]:
-        own = self.constants[: len(self.constants) - len(self.probes)]
-        plain = StridingFlow(self.rhs, self.driven, own, self.stride)
-        entries, evaluate = plain._partial
-        first = len(self.rhs) + len(own)
-        used = len(plain.names)
-        terms = compile_numpy([term for _, term in self.probes], plain.names)
-        entries = [*entries, *((row, first + i) for i, (row, _) in enumerate(self.probes))]
-
-        def together(values: np.ndarray) -> np.ndarray:
-            mine = values[:used]
-            return np.concatenate([evaluate(mine), terms(mine)])
-
-        return entries, together
-
-
 def _between(
     rows: int, before: np.ndarray, after: np.ndarray, rise: np.ndarray, rise_after: np.ndarray
 ) -> np.ndarray:
@@ -260,16 +268,3 @@ def _between(
     value = before + s**2 * (3 - 2 * s) * (after - before)
     found: np.ndarray = value + s * (1 - s) ** 2 * rise - s**2 * (1 - s) * rise_after
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class KeptWindows(Windows):
-    """Windows whose driven columns are read once for all flows over them."""
-
-    _kept: dict[int, np.ndarray] = field(default_factory=dict)
-
-    def driven_at(self, substeps: int) -> np.ndarray:
-        """Driven columns at every node and midpoint of the steps."""
-        if substeps not in self._kept:
-            self._kept[substeps] = super().driven_at(substeps)
-        return self._kept[substeps]

@@ -13,11 +13,14 @@ import numpy as np
 import sympy
 from scipy.interpolate import make_interp_spline
 
-from dynsr.data import Trajectory, estimate_noise
+from dynsr.data import Trajectory, robust_scale
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
 from dynsr.fit.flow import Flow, Windows, cut_windows
+from dynsr.fit.linear import cauchy_weights
+from dynsr.fit.noise import is_noisy
+from dynsr.fit.settings import FIT, FitSettings
 
 # loss -> (rho(z), rho'(z)) of the squared residual z in units of the misses.
 LOSSES: dict[str, tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]] = {
@@ -25,8 +28,6 @@ LOSSES: dict[str, tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]] =
     "soft_l1": (lambda z: 2 * (np.sqrt(1 + z) - 1), lambda z: 1 / np.sqrt(1 + z)),
     "cauchy": (np.log1p, lambda z: 1 / (1 + z)),
 }
-# A relative gain below this is less than the constants' own uncertainty.
-_GAIN = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +94,7 @@ class Shooting:
 
     def unit(self, misses: np.ndarray) -> np.ndarray:
         """(k,) robust size of the misses of every state, never below rounding."""
-        return np.maximum(1.4826 * np.median(np.abs(misses), axis=(0, 2)), 1e-13)
+        return np.maximum(robust_scale(misses, axis=(0, 2)), 1e-13)
 
     def minimise(
         self,
@@ -102,7 +103,7 @@ class Shooting:
         loss: str,
         deadline: float,
         most: int = 25,
-        gain: float = _GAIN,
+        gain: float = FIT.match_gain,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Fit constants (P,) and starts (k, W), misses weighed in units of their present size.
 
@@ -143,10 +144,10 @@ class Shooting:
         return constants + shared, starts + own.T
 
     def standard_errors(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """(P,) sandwich estimate; without free starts the misses of one window hang together."""
+        """(P,) sandwich estimate; without free starts misses of one window are correlated."""
         misses, by_constant, by_start = self.linearise(constants, starts)
         unit = self.unit(misses)[:, None]
-        weights = _by_lane(1 / (1 + (misses / unit) ** 2) / unit**2)
+        weights = _by_lane(cauchy_weights(misses, unit) / unit**2)
         flat = _by_lane(misses)
         normal = _normal(flat, by_constant, by_start, weights)
         if self.free:
@@ -195,11 +196,6 @@ def _normal(
     return normal
 
 
-_MOST_WINDOWS = 400
-# Plain first, then ever more robust.
-_ROUNDS = ("linear", "soft_l1", "cauchy")
-
-
 @dataclass(frozen=True, eq=False)
 class Match:
     """Equations whose constants fit the states.
@@ -232,7 +228,7 @@ def match_trajectories(
     *,
     inputs: Mapping[str, sympy.Expr] | None = None,
     window: int | None = None,
-    max_seconds: float = 10.0,
+    settings: FitSettings = FIT,
 ) -> Match:
     """Refine every float constant of ``exprs`` so that the integrated states fit the data.
 
@@ -244,7 +240,7 @@ def match_trajectories(
     inputs : input name -> expression in ``t``, where it is known; other inputs are interpolated.
     window : intervals a window; by default 10 for clean data, and for noisy data, where the start
         of each window is fitted too, a tenth of the longest trajectory but 20 to 100.
-    max_seconds : the best constants found by then are given.
+    settings : losses, windows, gain and seconds of the fit.
 
     Integers and rationals are structure and stay. Raises InputError when a state is unknown.
 
@@ -260,8 +256,8 @@ def match_trajectories(
     if min(map(len, runs)) < 3:
         return Match.untouched(exprs, success=not len(values))
     length = window or _window_length(runs, free)
-    shooting = build_shooting(flow, runs, inputs or {}, length, free)
-    fitted = _fit(shooting, np.array(values), time.monotonic() + max_seconds)
+    shooting = build_shooting(flow, runs, inputs or {}, length, free, settings.match_windows)
+    fitted = _fit(shooting, np.array(values), settings)
     return Match.untouched(exprs) if fitted is None else _match(flow, owners, *fitted)
 
 
@@ -275,11 +271,15 @@ def build_shooting(
     inputs: Mapping[str, sympy.Expr],
     length: int,
     free: bool,
+    most: int = FIT.match_windows,
 ) -> Shooting:
-    """Cut the runs into windows of ``length`` intervals, their starts ``free`` or measured."""
+    """Cut the runs into ``most`` windows of ``length`` intervals, starts ``free`` or measured."""
     columns = [runs[0].index(state) for state in flow.rhs]
     spread = np.std(np.concatenate([run.x for run in runs]), axis=0)[columns]
-    windows = _cut(flow, runs, inputs, length)
+    drives = drives_of(flow.driven, runs, inputs)
+    windows = cut_windows(
+        [run.t for run in runs], [run.x[:, columns] for run in runs], drives, length, most
+    )
     return Shooting(flow, windows, np.maximum(spread, 1e-300), free)
 
 
@@ -287,7 +287,7 @@ def measure_errors(
     exprs: Mapping[str, sympy.Expr],
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
-    max_seconds: float = 10.0,
+    settings: FitSettings = FIT,
 ) -> dict[str, tuple[tuple[float, float], ...]]:
     """Give (value, standard error) of every float of equations that stay as they are.
 
@@ -305,27 +305,19 @@ def measure_errors(
     errors = np.full(len(values), np.inf)
     if len(values) and min(map(len, runs)) >= 3:
         free = is_noisy(runs)
-        shooting = build_shooting(flow, runs, inputs, _window_length(runs, free), free)
+        length = _window_length(runs, free)
+        shooting = build_shooting(flow, runs, inputs, length, free, settings.match_windows)
         put = dict(zip(flow.constants, map(sympy.Float, values), strict=True))
         rhs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
         fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
         with np.errstate(all="ignore"):
             starts = shooting.windows.x[0]
             fixed = replace(fixed, substeps=choose_substeps(fixed, np.empty(0), starts))
-            _, starts = _minimise(fixed, np.empty(0), starts, time.monotonic() + max_seconds)
+            _, starts = _minimise(fixed, np.empty(0), starts, settings)
             shooting = replace(shooting, substeps=fixed.substeps)
             errors = _standard_errors(shooting, constants, starts)
     pairs = list(zip(owners, values, errors.tolist(), strict=True))
     return {s: tuple((v, e) for owner, v, e in pairs if owner == s) for s in exprs}
-
-
-def is_noisy(runs: Sequence[Trajectory]) -> bool:
-    """Say whether measurement noise of a state is above 1e-5 of its spread."""
-    long = [run for run in runs if len(run) > 4]
-    if not long:
-        return False
-    noise = np.mean([estimate_noise(run) for run in long], axis=0)
-    return bool(np.any(noise > 1e-5 * np.std(np.concatenate([run.x for run in runs]), axis=0)))
 
 
 def read_inputs(
@@ -359,18 +351,6 @@ def prepare(
     return Flow(rhs, driven, tuple(constants)), values, owners
 
 
-def _cut(
-    flow: Flow,
-    runs: Sequence[Trajectory],
-    inputs: Mapping[str, sympy.Expr],
-    length: int,
-) -> Windows:
-    states = [runs[0].index(state) for state in flow.rhs]
-    drives = drives_of(flow.driven, runs, inputs)
-    parts = [r.x[:, states] for r in runs]
-    return cut_windows([r.t for r in runs], parts, drives, length, _MOST_WINDOWS)
-
-
 def drives_of(
     driven: Sequence[str], runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
 ) -> list[Callable[[np.ndarray], np.ndarray]]:
@@ -398,7 +378,7 @@ def _drive(
 
 
 def _fit(
-    shooting: Shooting, constants: np.ndarray, deadline: float
+    shooting: Shooting, constants: np.ndarray, settings: FitSettings
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Give the constants, their errors and the misses; None when the start diverges."""
     starts = shooting.windows.x[0]
@@ -406,17 +386,20 @@ def _fit(
         shooting = replace(shooting, substeps=choose_substeps(shooting, constants, starts))
         if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
             return None
-        constants, starts = _minimise(shooting, constants, starts, deadline)
-        # Along time, so that signs that stay show errors that hang together.
+        constants, starts = _minimise(shooting, constants, starts, settings)
+        # Along time, so that signs that stay show correlated errors.
         misses = shooting.misses(constants, starts).transpose(2, 1, 0).ravel()
         return constants, _standard_errors(shooting, constants, starts), misses
 
 
 def _minimise(
-    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, deadline: float
+    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, settings: FitSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    for loss in _ROUNDS if len(constants) or shooting.free else ():
-        constants, starts = shooting.minimise(constants, starts, loss, deadline)
+    deadline = time.monotonic() + settings.match_seconds
+    for loss in settings.match_losses if len(constants) or shooting.free else ():
+        constants, starts = shooting.minimise(
+            constants, starts, loss, deadline, gain=settings.match_gain
+        )
     return constants, starts
 
 

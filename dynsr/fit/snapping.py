@@ -21,20 +21,18 @@ from dynsr.data import Samples
 from dynsr.expression import LARGEST_IN_FRACTION, complexity, number_bits, round_constants
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import Template, as_floats, refit, skeleton
-from dynsr.fit.description import Noise, data_bits, description_length, noise_of
+from dynsr.fit.description import data_bits, description_length, shift_bits
+from dynsr.fit.noise import Noise, noise_of
+from dynsr.fit.settings import FIT, FitSettings
 
+# Longer decimals are no simple numbers: six digits cost as many bits as most data support.
 _MOST_DIGITS = 6
-MOST_CONSTANTS = 12
-# Simple numbers, fewest predicted bits first, of which the best is kept.
-_MOST_TRIED = 4
-# What the data lose in bits when a constant moves by three standard errors.
-_SURE_BITS = 9 / (2 * math.log(2))
-# A fraction or decimal is looked at when it lies this close, relative to the value.
-_NEAR = 0.05
 
 
-def simple_numbers(value: float) -> list[sympy.Rational]:
+def simple_numbers(value: float, near: float = FIT.near) -> list[sympy.Rational]:
     """Simple numbers near ``value``: 0, integers, small fractions and short decimals.
+
+    Fractions and decimals lie within the share ``near`` of the value.
 
     >>> [str(n) for n in simple_numbers(2.6665)][:4]
     ['0', '3', '8/3', '11/4']
@@ -42,20 +40,21 @@ def simple_numbers(value: float) -> list[sympy.Rational]:
     if not math.isfinite(value):
         return []
     small = [Fraction(round(value * q), q) for q in range(2, LARGEST_IN_FRACTION + 1)]
-    near = [f for f in small if abs(f.numerator) <= LARGEST_IN_FRACTION]
-    near += [Fraction(f"{value:.{digits}e}") for digits in range(_MOST_DIGITS)]
-    near = [f for f in near if abs(float(f) - value) <= _NEAR * abs(value)]
-    exact = dict.fromkeys([Fraction(0), Fraction(round(value)), *near])
-    found = [sympy.Rational(f.numerator, f.denominator) for f in exact]
-    return sorted(found, key=lambda n: (number_bits(n), n))
+    found = [f for f in small if abs(f.numerator) <= LARGEST_IN_FRACTION]
+    found += [Fraction(f"{value:.{digits}e}") for digits in range(_MOST_DIGITS)]
+    found = [f for f in found if abs(float(f) - value) <= near * abs(value)]
+    exact = dict.fromkeys([Fraction(0), Fraction(round(value)), *found])
+    numbers = [sympy.Rational(f.numerator, f.denominator) for f in exact]
+    return sorted(numbers, key=lambda n: (number_bits(n), n))
 
 
 @dataclass(frozen=True, eq=False)
 class _Snapper:
-    """Snaps the constants of one template, judged by one noise."""
+    """Snaps the constants of one template, given one noise."""
 
     template: Template
     noise: Noise
+    settings: FitSettings
 
     _frames: dict[tuple[int | None, ...], tuple[float, list[int]]] = field(default_factory=dict)
 
@@ -90,7 +89,7 @@ class _Snapper:
         """Give the bits of the snapped formula and itself."""
         template, unit = self.template, self.noise.floor
         values, free = template.values, np.ones(len(template.values), dtype=bool)
-        if len(values) <= MOST_CONSTANTS:
+        if len(values) <= self.settings.most_constants:
             values = template.fit(values, free, unit)
         else:
             free[:] = False
@@ -98,7 +97,7 @@ class _Snapper:
         least = self._bits(numbers)
         while free.any():
             ranked = sorted(self._options(numbers, free), key=lambda option: option[0])
-            tried = [self._fix(numbers, free, *rest) for _, *rest in ranked[:_MOST_TRIED]]
+            tried = [self._fix(numbers, free, *rest) for _, *rest in ranked[: self.settings.tried]]
             best = min(tried, key=lambda item: item[0], default=None)
             # A tie goes to the snapped one: later fits leave it alone.
             if best is None or not best[0] <= least:
@@ -113,15 +112,16 @@ class _Snapper:
         values = _as_array(numbers)
         covariance = self.template.covariance(values, free, self.noise.floor)
         now = self._data_bits(values)
+        most = now + shift_bits(self.settings.surely_zero)
         for place, i in enumerate(np.flatnonzero(free)):
-            for simple in simple_numbers(values[i]):
+            for simple in simple_numbers(values[i], self.settings.near):
                 moved = values.copy()
                 moved[free] += _follow(covariance[:, place], place, float(simple) - values[i])
                 moved[i] = float(simple)
                 misses = self._data_bits(moved)
                 # Zero saves a whole term, and others may seem to stand in for it while they are
                 # free: only a term that the data do not ask for goes.
-                if simple == 0 and misses > now + _SURE_BITS:
+                if simple == 0 and misses > most:
                     continue
                 bits = self._formula_bits([*numbers[:i], simple, *numbers[i + 1 :]]) + misses
                 if math.isfinite(bits):
@@ -156,7 +156,9 @@ def _follow(column: np.ndarray, place: int, shift: float) -> np.ndarray:
     return column / column[place] * shift
 
 
-def snap(expr: sympy.Expr, samples: Samples, noise: Noise) -> sympy.Expr:
+def snap(
+    expr: sympy.Expr, samples: Samples, noise: Noise, settings: FitSettings = FIT
+) -> sympy.Expr:
     """Give the formula of the same form, or of fewer terms, that takes the fewest bits.
 
     The fit is a Cauchy fit of unit ``noise.floor``. Snapped constants come back as rationals, so
@@ -167,7 +169,9 @@ def snap(expr: sympy.Expr, samples: Samples, noise: Noise) -> sympy.Expr:
     >>> snap(2.9996 * sympy.sin(sympy.Symbol("x")), s, Noise(7e-4, 100.0))
     3*sin(x)
     """
-    ends = [_Snapper(Template.of(form, samples), noise).snap() for form in normal_forms(expr)]
+    ends = [
+        _Snapper(Template.of(form, samples), noise, settings).snap() for form in normal_forms(expr)
+    ]
     return min(ends, key=lambda end: (end[0], str(end[1])))[1]
 
 
@@ -248,9 +252,12 @@ def one_a_shape(ranked: Iterable[Candidate]) -> list[Candidate]:
     return list(shapes.values())
 
 
-def score_snapped(candidate: Candidate, samples: Samples, noise: Noise) -> Candidate:
+def score_snapped(
+    candidate: Candidate, samples: Samples, noise: Noise, settings: FitSettings = FIT
+) -> Candidate:
     """Snap a candidate and score it anew."""
-    return score_candidate(snap(candidate.expr, samples, noise), samples, candidate.source)
+    expr = snap(candidate.expr, samples, noise, settings)
+    return score_candidate(expr, samples, candidate.source)
 
 
 def snap_best(candidates: Iterable[Candidate], samples: Samples, top: int = 8) -> list[Candidate]:

@@ -1,13 +1,14 @@
 """Small changes of a formula: one factor for its sine, one function for its argument, and so on.
 
 Over a short range w and sin(w) are nearly the same column, so a search that ranks by squared
-error may prefer the wrong one. Each change is fitted and judged by its bits; the best is changed
+error may prefer the wrong one. Each change is fitted and its bits are counted; the best is changed
 again until none is better.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import sympy
@@ -16,12 +17,10 @@ from dynsr.data import Samples
 from dynsr.expression import complexity
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import refit
-from dynsr.fit.description import Noise, description_length
-from dynsr.fit.snapping import map_numbers, snap
-
-_ROUNDS = 3
-_MOST_SNAPPED = 3
-_LONGEST = 250.0
+from dynsr.fit.description import description_length
+from dynsr.fit.noise import Noise
+from dynsr.fit.settings import FIT, FitSettings
+from dynsr.fit.snapping import map_numbers, score_snapped
 
 
 def neighbours(expr: sympy.Expr) -> list[sympy.Expr]:
@@ -47,25 +46,27 @@ def _swap(node: sympy.Expr, inside: bool) -> Iterator[sympy.Expr]:
             yield node.func(*node.args[:index], changed, *node.args[index + 1 :])
 
 
-def improve(candidate: Candidate, samples: Samples, noise: Noise) -> Candidate:
+def improve(
+    candidate: Candidate, samples: Samples, noise: Noise, settings: FitSettings = FIT
+) -> Candidate:
     """Climb from a candidate to its best neighbour until none takes fewer bits.
 
     Long formulas are handed back as they are: they have too many neighbours to be worth it.
     """
     best, least = candidate, description_length(candidate, samples, noise)
-    for _ in range(_ROUNDS):
-        if complexity(best.expr) > _LONGEST:
+    for _ in range(settings.variation_rounds):
+        if complexity(best.expr) > settings.longest:
             break
         mine, *fitted = [
             score_candidate(refit(loosen(e), samples, noise.floor), samples)
             for e in [best.expr, *neighbours(best.expr)]
         ]
-        # Before snapping all have dear constants, so only among themselves are they comparable.
+        # Before snapping all constants cost many bits: only such formulas are comparable.
         bound = description_length(mine, samples, noise)
         bits = [description_length(c, samples, noise) for c in fitted]
-        order = [i for i in np.argsort(bits, kind="stable") if bits[i] < bound][:_MOST_SNAPPED]
+        order = [i for i in np.argsort(bits, kind="stable") if bits[i] < bound][: settings.varied]
         snapped = [
-            score_candidate(snap(fitted[i].expr, samples, noise), samples, candidate.source)
+            replace(score_snapped(fitted[i], samples, noise, settings), source=candidate.source)
             for i in order
         ]
         bits = [description_length(c, samples, noise) for c in snapped]
@@ -91,6 +92,15 @@ def loosen(expr: sympy.Expr) -> sympy.Expr:
         return above
     terms = sorted(sympy.Add.make_args(bottom), key=lambda t: (len(t.free_symbols) > 0, str(t)))
     return above / sympy.Add(*map(_loose_term, terms[:-1]), terms[-1])
+
+
+def with_floats(expr: sympy.Expr) -> sympy.Expr:
+    """Make every coefficient a float again, unless the whole is one bare column or number.
+
+    >>> with_floats(3 * sympy.Symbol("x")), with_floats(sympy.Symbol("x"))
+    (3.0*x, x)
+    """
+    return expr if expr.is_Symbol or expr.is_Number else loosen(expr)
 
 
 def _loose_term(term: sympy.Expr) -> sympy.Expr:

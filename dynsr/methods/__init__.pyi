@@ -1,7 +1,7 @@
 from .base import AbstractMethod, Progress, Report, silent
 from .feynman.search import DynAIFeynman
 from .genetic import GeneticAlgorithm
-from .library import Library
+from .library import Library, MonomialLibrary
 from .rational import RationalSearch
 from .registry import (
     AUTO,
@@ -24,6 +24,7 @@ __all__ = [
     "GeneticAlgorithm",
     "Library",
     "METHODS",
+    "MonomialLibrary",
     "PRESETS",
     "Progress",
     "RationalSearch",

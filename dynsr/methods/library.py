@@ -1,17 +1,72 @@
-"""Libraries: the candidate functions of a sparse regression, as SymPy expressions."""
+"""Libraries of terms, as SymPy expressions: products of variables and of functions of one.
+
+Every search that needs terms takes them from here: sparse regression, polynomials, the features of
+ratios, and the terms that a comparison of whole systems may add.
+"""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 
 import numpy as np
 import sympy
 
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy, parse, to_text
+from dynsr.expression import OPERATORS, compile_numpy, parse, to_text
+
+# Function of one variable -> (its cost, the highest power that a product may hold); a variable
+# costs 1. sin^2 is left out: cos^2 and 1 span it.
+FUNCTION_FACTORS = {"sin": (2, 1), "cos": (2, 2), "exp": (3, 1), "log": (3, 1), "sqrt": (3, 1)}
+
+
+def monomials(
+    costs: Sequence[int],
+    degree: int,
+    *,
+    most_cost: float = math.inf,
+    powers: Sequence[int] | None = None,
+) -> list[tuple[int, ...]]:
+    """Every product of up to ``degree`` of q factors, as the places of its factors.
+
+    Parameters
+    ----------
+    costs : (q,) cost of each factor; a product costs their sum.
+    degree : most factors of a product.
+    most_cost : products that cost more are left out.
+    powers : (q,) highest power of each factor; ``degree`` by default.
+
+    Cheapest first, of equal cost those of fewer factors; () is the product 1.
+
+    >>> monomials([1, 2], 2, most_cost=3)
+    [(), (0,), (1,), (0, 0), (0, 1)]
+    """
+    found: list[tuple[int, tuple[int, ...]]] = [(0, ())]
+    level = found
+    for _ in range(degree):
+        level = [
+            (cost + costs[i], (*places, i))
+            for cost, places in level
+            for i in range(places[-1] if places else 0, len(costs))
+            if cost + costs[i] <= most_cost and (powers is None or places.count(i) < powers[i])
+        ]
+        found = [*found, *level]
+    return [places for _, places in sorted(found, key=lambda item: (item[0], len(item[1])))]
+
+
+def cut_by_cost(costs: Sequence[int], most: int) -> int:
+    """How many of the first products are kept so that at most ``most`` are, whole costs at a time.
+
+    ``costs`` ascend; where the cheapest alone are too many, ``most`` of them are.
+
+    >>> cut_by_cost([0, 1, 1, 2, 2], 4), cut_by_cost([1, 1, 1], 2)
+    (3, 2)
+    """
+    if len(costs) <= most:
+        return len(costs)
+    return sum(cost < costs[most] for cost in costs) or most
 
 
 class AbstractLibrary(ABC):
@@ -90,13 +145,9 @@ def polynomials(names: Sequence[str], degree: int, constant: bool = True) -> Lib
     if degree < 0 or (degree == 0 and not constant):
         raise InputError(f"degree {degree} leaves no polynomial; give at least 1")
     symbols = [sympy.Symbol(name) for name in names]
-    first = 0 if constant else 1
+    found = monomials([1] * len(symbols), degree)
     return Library(
-        tuple(
-            sympy.Mul(*factors)
-            for size in range(first, degree + 1)
-            for factors in combinations_with_replacement(symbols, size)
-        )
+        tuple(sympy.Mul(*(symbols[i] for i in p)) for p in found[0 if constant else 1 :])
     )
 
 
@@ -162,3 +213,40 @@ class GrownLibrary(AbstractLibrary):
         if self.degree > 1:
             mixed.append(products(pairs, polynomials(names, 2)))
         return [*powers[:1], waves, mixed[0], *powers[1:2], *mixed[1:], *powers[2:]]
+
+
+@dataclass(frozen=True)
+class MonomialLibrary(AbstractLibrary):
+    """All products of the variables and of functions of one variable, bounded by cost and count.
+
+    Parameters
+    ----------
+    functions : names of functions, of :data:`FUNCTION_FACTORS`.
+    degree : most factors of a product.
+    cost : most that a product costs: a variable 1, a sine or cosine 2, other functions 3.
+    limit : most products; where there are more, the highest costs are left out, each as a whole.
+
+    >>> [str(f) for f in MonomialLibrary(cost=2).for_names(["x"]).functions]
+    ['1', 'x', 'sin(x)', 'cos(x)', 'x**2']
+    """
+
+    functions: tuple[str, ...] = ("sin", "cos")
+    degree: int = 3
+    cost: int = 4
+    limit: int = 120
+
+    def factors(self, names: Sequence[str]) -> list[tuple[sympy.Expr, int, int]]:
+        """Give (expression, cost, highest power) of every factor for these variables."""
+        found = []
+        for symbol in map(sympy.Symbol, names):
+            found.append((symbol, 1, self.degree))
+            for name in self.functions:
+                found.append((OPERATORS[name].sympy(symbol), *FUNCTION_FACTORS[name]))
+        return found
+
+    def for_names(self, names: Sequence[str]) -> Library:
+        """Make the products for these variables."""
+        exprs, costs, powers = zip(*self.factors(names), strict=True)
+        found = monomials(costs, self.degree, most_cost=self.cost, powers=powers)
+        count = cut_by_cost([sum(costs[i] for i in places) for places in found], self.limit)
+        return Library(tuple(sympy.Mul(*(exprs[i] for i in p)) for p in found[:count]))

@@ -16,17 +16,22 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import complexity
-from dynsr.fit import Candidate, ParetoFront, rmse, score_candidate
+from dynsr.expression import complexity, number_bits
+from dynsr.fit import (
+    Candidate,
+    ParetoFront,
+    RatioFit,
+    cauchy_weights,
+    fit_ratio,
+    mean_error_bits,
+    rmse,
+    score_candidate,
+)
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.features import Features, build_features
 from dynsr.methods.feynman.problem import Target, make_targets
 
 Support = frozenset[int]
-_COLLINEAR = 1e-7
-_CANCELLATION = 50.0
-# Squared errors fall to less than this share, or a further term was not worth it.
-_IDLE = 0.9**2
 # Subsets extended in one stack: enough to be quick, few enough to stay in the cache.
 _CHUNK = 32
 
@@ -47,6 +52,9 @@ class SubsetSearch:
     weights : (n,) weight of each sample.
     width : how many subsets of each size are kept.
     deadline : ``time.monotonic()`` value after which no further subset is extended.
+    collinear : a column adds nothing when the share of it that a subset does not explain is below.
+    cancellation : no coefficient, of columns of norm 1, may exceed this many times the size of y.
+    idle : the search ends when two more terms leave more than this share of the squared error.
     """
 
     numerators: np.ndarray
@@ -55,6 +63,9 @@ class SubsetSearch:
     weights: np.ndarray
     width: int = 200
     deadline: float = math.inf
+    collinear: float = 1e-7
+    cancellation: float = 50.0
+    idle: float = 0.81
 
     @cached_property
     def _columns(self) -> tuple[np.ndarray, np.ndarray]:
@@ -91,12 +102,12 @@ class SubsetSearch:
         pivots = 1 - np.einsum("bij,bij->bj", rows, solved)
         moments = projections - np.einsum("bij,bi->bj", rows, fitted)
         rest = total - np.einsum("bi,bi->b", projections[chosen], fitted)
-        usable = pivots > _COLLINEAR
+        usable = pivots > self.collinear
         np.put_along_axis(usable, chosen, False, axis=1)
         added = np.where(usable, moments / np.where(usable, pivots, 1.0), 0.0)
         coefficients = fitted[..., None] - solved * added[:, None, :]
         size = np.maximum(np.abs(added), np.abs(coefficients).max(axis=1, initial=0.0))
-        usable &= size < _CANCELLATION * np.sqrt(total)
+        usable &= size < self.cancellation * np.sqrt(total)
         # The difference below is exact only to rounding of the total.
         error = np.maximum(rest[:, None] - added * moments, 1e-15 * total)
         square = self._mean_square_denominators(chosen, coefficients, added)
@@ -143,10 +154,17 @@ class SubsetSearch:
             found.append(list(kept))
             scores.append(min(kept.values()))
             parents = found[-1]
-            idle = len(scores) > 2 and scores[-1] > _IDLE * scores[-3]
+            idle = len(scores) > 2 and scores[-1] > self.idle * scores[-3]
             if idle or time.monotonic() > self.deadline:
                 break
         return found
+
+    def fit(self, support: Support) -> tuple[Support, RatioFit]:
+        """Fit a subset so that the error of N / D itself is least; gives it with its support."""
+        m, chosen = len(self.numerators), sorted(support)
+        above = self.numerators[[c for c in chosen if c < m]]
+        below = self.denominators[[c - m for c in chosen if c >= m]]
+        return support, fit_ratio(above, below, self.y, weights=self.weights)
 
     def _grow(self, supports: Sequence[Support], most: int, pool: dict[Support, float]) -> None:
         for start in range(0, len(supports), _CHUNK):
@@ -193,50 +211,6 @@ def _solve(systems: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.linalg.solve(systems + 1e-12 * np.eye(systems.shape[1]), right)
 
 
-@dataclass(frozen=True, eq=False)
-class RatioFit:
-    """Coefficients of one subset: ``numerator`` and ``denominator`` map feature -> coefficient.
-
-    D holds the constant 1 besides; ``residual`` (n,) is y - N / D.
-    """
-
-    numerator: dict[int, float]
-    denominator: dict[int, float]
-    residual: np.ndarray
-
-
-def fit_ratio(
-    search: SubsetSearch, support: Support, rounds: int = 6, weights: np.ndarray | None = None
-) -> RatioFit:
-    """Fit a subset so that the error of N / D itself is least.
-
-    Repeats the linear fit with rows weighted by 1 / |D| of the round before (Sanathanan and
-    Koerner 1963), by orthogonal factorisation, so that an exact relation is fitted exactly.
-    """
-    m = len(search.numerators)
-    chosen = sorted(support)
-    top = [c for c in chosen if c < m]
-    bottom = [c - m for c in chosen if c >= m]
-    columns = np.vstack([search.numerators[top], search.denominators[bottom] * search.y]).T
-    root = np.sqrt(search.weights if weights is None else weights)
-    denominator = np.ones_like(search.y)
-    solution = np.zeros(len(chosen))
-    for _ in range(rounds if bottom else 1):
-        scale = root / np.maximum(np.abs(denominator), 1e-12)
-        solution = np.linalg.lstsq(columns * scale[:, None], search.y * scale, rcond=None)[0]
-        denominator = 1 - solution[len(top) :] @ search.denominators[bottom]
-    with np.errstate(all="ignore"):
-        predicted = (solution[: len(top)] @ search.numerators[top]) / denominator
-    return RatioFit(
-        dict(zip(top, solution.tolist(), strict=False)),
-        {j: -c for j, c in zip(bottom, solution[len(top) :].tolist(), strict=True)},
-        search.y - predicted,
-    )
-
-
-_EXACT = 1e-9
-
-
 @dataclass(frozen=True)
 class RationalSearch(AbstractMethod):
     """Search for a short sum of features, or a ratio of two.
@@ -258,6 +232,10 @@ class RationalSearch(AbstractMethod):
         else, up to the fourth degree above and below; for laws without a constant term.
     changes : domain changes of the target, names of ``domain.CHANGES``, that are searched after it.
     seconds : time after which nothing further is begun.
+    collinear, cancellation, idle : bounds of the subset search, see :class:`SubsetSearch`.
+    exact : largest residual, as a share of the target's range, at which a formula is exact.
+    close : bits a row within which a formula of fewer terms is as good as the best; more terms
+        always explain slopes a little better, because their errors are not independent.
 
     >>> x = np.linspace(0.5, 2.0, 200)
     >>> samples = Samples(x[:, None], 3 * x / (2 + x**2), ("x",), "x", "given", x)
@@ -277,6 +255,11 @@ class RationalSearch(AbstractMethod):
     inverses: bool = False
     changes: tuple[str, ...] = ()
     seconds: float = math.inf
+    collinear: float = 1e-7
+    cancellation: float = 50.0
+    idle: float = 0.81
+    exact: float = 1e-9
+    close: float = 0.25
 
     name = "rational"
     presets: ClassVar = {"best": {}, "quick": {"costs": (3, 4)}, "paper": {}}
@@ -337,16 +320,16 @@ class RationalSearch(AbstractMethod):
                 if not ranked:
                     return False
                 yield [formula.score(samples) for group in ranked for formula in group[: self.keep]]
-                plain = _plainest(ranked)
-                if float(np.abs(plain.residual).max()) < _EXACT * float(np.ptp(rows.y)):
+                plain = self._close_to_least(ranked)[0]
+                if float(np.abs(plain.residual).max()) < self.exact * float(np.ptp(rows.y)):
                     return True
-                weights = 1 / (1 + (plain.residual / max(plain.median, 1e-300)) ** 2)
+                weights = cauchy_weights(plain.residual, max(plain.median, 1e-300))
                 if time.monotonic() > deadline:
                     return False
             if plain.shape == reached:
                 return False
             reached = plain.shape
-            used = {str(v) for f in _close_to_least(ranked)[:2] for v in f.expr.free_symbols}
+            used = {str(v) for f in self._close_to_least(ranked)[:2] for v in f.expr.free_symbols}
         return False
 
     def _numerators(self, columns: dict[str, np.ndarray], cost: int, used: set[str]) -> Features:
@@ -368,24 +351,40 @@ class RationalSearch(AbstractMethod):
         degree = 4 if self.inverses else 2
         denominators = build_features(rows.columns, min(cost, 4), degree, inverses=self.inverses)
         below = denominators.values[1:] if self.denominators else np.empty((0, len(rows)))
-        subsets = SubsetSearch(numerators.values, below, rows.y, weights, self.width, deadline)
+        subsets = SubsetSearch(
+            numerators.values,
+            below,
+            rows.y,
+            weights,
+            self.width,
+            deadline,
+            self.collinear,
+            self.cancellation,
+            self.idle,
+        )
         fits = [
-            [fit_ratio(subsets, support) for support in supports[: 5 * self.keep]]
+            [subsets.fit(support) for support in supports[: 5 * self.keep]]
             for supports in subsets.search(self.max_terms)
         ]
         if not fits:
             return []
-        medians = [float(np.median(np.abs(fit.residual))) for group in fits for fit in group]
+        medians = [float(np.median(np.abs(fit.residual))) for group in fits for _, fit in group]
         floor = max(np.nanmin(medians), 1e-12 * float(np.abs(rows.y).max()))
         ranked = []
         for group in fits:
-            formulas = [_Formula(fit, numerators, denominators, floor) for fit in group]
+            formulas = [_Formula(*fit, numerators, denominators, floor) for fit in group]
             ranked.append(sorted(formulas, key=lambda formula: formula.bits))
         return ranked
+
+    def _close_to_least(self, ranked: list[list[_Formula]]) -> list[_Formula]:
+        """The best of every size that are close to the best of all, fewest terms first."""
+        least = min(group[0].bits for group in ranked)
+        return [group[0] for group in ranked if group[0].bits <= least + self.close]
 
 
 @dataclass(frozen=True, eq=False)
 class _Formula:
+    support: Support
     fit: RatioFit
     numerators: Features
     denominators: Features
@@ -394,7 +393,15 @@ class _Formula:
     @cached_property
     def expr(self) -> sympy.Expr:
         """The formula itself; only those that are handed on need it."""
-        return _expression(self.fit, self.numerators, self.denominators)
+        m = len(self.numerators.exprs)
+        chosen = sorted(self.support)
+        above = [self.numerators.exprs[c] for c in chosen if c < m]
+        # The first feature of a denominator is the constant, which has the coefficient 1.
+        below = [self.denominators.exprs[c - m + 1] for c in chosen if c >= m]
+        return _expression(
+            list(zip(above, self.fit.numerator.tolist(), strict=True)),
+            [(sympy.S.One, 1.0), *zip(below, self.fit.denominator.tolist(), strict=True)],
+        )
 
     @property
     def residual(self) -> np.ndarray:
@@ -420,31 +427,17 @@ class _Formula:
     @property
     def bits(self) -> float:
         """Bits a sample of the residual above the floor."""
-        with np.errstate(all="ignore"):
-            data = float(np.mean(np.log2(1 + np.abs(self.residual) / self.floor)))
+        data = float(mean_error_bits(self.residual, self.floor))
         return data if math.isfinite(data) else math.inf
 
 
-def _close_to_least(ranked: list[list[_Formula]]) -> list[_Formula]:
-    least = min(group[0].bits for group in ranked)
-    return [group[0] for group in ranked if group[0].bits <= least + 0.25]
+Terms = list[tuple[sympy.Expr, float]]
 
 
-def _plainest(ranked: list[list[_Formula]]) -> _Formula:
-    """The formula of fewest terms whose data bits are close to the least of all.
-
-    More terms always explain slopes a little better, because their errors are not independent.
-    """
-    return _close_to_least(ranked)[0]
-
-
-def _expression(fit: RatioFit, numerators: Features, denominators: Features) -> sympy.Expr:
+def _expression(top: Terms, bottom: Terms) -> sympy.Expr:
     """Write N / D with the common factor that makes most coefficients simple."""
-    top = [(numerators.exprs[i], c) for i, c in fit.numerator.items()]
-    if not fit.denominator:
+    if len(bottom) == 1:
         return sympy.Add(*(sympy.Float(c) * e for e, c in top))
-    bottom = [(sympy.S.One, 1.0)]
-    bottom += [(denominators.exprs[j + 1], c) for j, c in fit.denominator.items()]
     scale, pinned = _common_factor([c for _, c in (*bottom, *top)])
     terms = [(e, c * scale) for e, c in (*bottom, *top)]
     numbers = [sympy.Float(c) for _, c in terms]
@@ -462,14 +455,14 @@ def _common_factor(coefficients: list[float]) -> tuple[float, int]:
             continue
         for whole in (1, 2, 3, 4):
             factor = whole / abs(coefficient)
-            price = sum(_price(c * factor) for c in coefficients)
-            if price < best[0] - 1e-9:
-                best = (price, factor, index)
+            bits = sum(_bits_of_coefficient(c * factor) for c in coefficients)
+            if bits < best[0] - 1e-9:
+                best = (bits, factor, index)
     return best[1], best[2]
 
 
-def _price(value: float) -> float:
-    nearest = round(value)
-    if nearest and abs(value - nearest) < 0.01 * abs(value) and abs(nearest) < 10:
-        return math.log2(1 + abs(nearest))
-    return 10 + abs(math.log2(max(abs(value), 1e-12)))
+def _bits_of_coefficient(value: float) -> float:
+    """Bits of a fitted number, which counts as the integer that it is within 1 %."""
+    near = round(value)
+    simple = 0 < abs(near) < 10 and abs(value - near) < 0.01 * abs(value)
+    return number_bits(sympy.Integer(near) if simple else sympy.Float(value))

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.linalg
 import sympy
 
 from dynsr.data import Samples
@@ -25,12 +24,18 @@ from dynsr.engines import (
 )
 from dynsr.errors import InputError
 from dynsr.expression import complexity, to_text
-from dynsr.fit import Candidate, ParetoFront, rmse, score_candidate
+from dynsr.fit import (
+    Candidate,
+    ParetoFront,
+    eliminate,
+    fit_ratio,
+    linearly_independent,
+    rmse,
+    score_candidate,
+)
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.library import AbstractLibrary, GrownLibrary, Library
 
-_DEPENDENT = 1e-6
-_REWEIGHTINGS = 8
 _ITERATIONS = 100
 _BEST = {"thresholds": tuple(np.geomspace(1e-3, 1.0, 13).tolist())}
 
@@ -61,47 +66,6 @@ class Model:
         with np.errstate(all="ignore"):
             below = np.array(list(self.denominator.values())) @ theta[list(self.denominator)]
             return top / below
-
-
-def independent_rows(theta: np.ndarray) -> np.ndarray:
-    """Indices of the rows that are no combination of earlier rows kept, to one part in 1e6.
-
-    >>> independent_rows(np.array([[1.0, 1.0], [2.0, 2.0], [0.0, 1.0]])).tolist()
-    [0, 2]
-    """
-    basis = np.empty((0, theta.shape[1]))
-    kept = []
-    for index, row in enumerate(theta):
-        norm = np.linalg.norm(row)
-        if not norm > 0 or len(basis) == theta.shape[1]:
-            continue
-        rest = row / norm
-        for _ in range(2):  # twice is enough (Kahan): the second pass mends rounding of the first
-            rest = rest - basis.T @ (basis @ rest)
-        size = np.linalg.norm(rest)
-        if size > _DEPENDENT:
-            kept.append(index)
-            basis = np.vstack([basis, rest / size])
-    return np.array(kept, dtype=int)
-
-
-def eliminate(columns: np.ndarray, target: np.ndarray) -> Iterator[tuple[Terms, np.ndarray]]:
-    """Yield least-squares fits of target (m,) on columns (s, m), of s, s - 1, ..., 1 columns.
-
-    Each time the column leaves whose absence raises the squared error least: the smallest
-    ``c_k^2 / ((A'A)^-1)_kk``.
-    """
-    chosen = list(range(len(columns)))
-    factor = scipy.linalg.qr(np.vstack([columns, target]).T, mode="r", check_finite=False)[0]
-    factor = factor[: factor.shape[1]]
-    matrix, right = factor[:, :-1], factor[:, -1]
-    while chosen:
-        q, r = np.linalg.qr(matrix[:, chosen])
-        inverse = scipy.linalg.solve_triangular(r, np.eye(len(chosen)), check_finite=False)
-        coefficients = inverse @ (q.T @ right)
-        yield tuple(chosen), coefficients
-        price = coefficients**2 / np.sum(inverse**2, axis=1)
-        chosen.pop(int(np.argmin(price)))
 
 
 def explicit_models(
@@ -150,7 +114,7 @@ def _descend(
     if not support:
         return
     index = list(support)
-    for chosen, coefficients in eliminate(columns[index], target):
+    for chosen, coefficients in eliminate(columns[index].T, target):
         terms = tuple(index[k] for k in chosen)
         if terms in seen:
             return
@@ -199,45 +163,22 @@ def _thin(
     """Refit a ratio, and again with one term less, for as long as both its parts have terms."""
     while num and len(den) > 1 and (num, den) not in seen:
         seen.add((num, den))
-        model, weight = _fit_ratio(theta, dx, num, den)
-        if model.size <= max_terms:
-            yield model
-        lead = den[0]
-        columns = np.vstack([theta[list(num)], dx * theta[list(den[1:])]]) * weight
-        fits = eliminate(columns, dx * theta[lead] * weight)
+        top, bottom, lead = theta[list(num)], theta[list(den[1:])], theta[den[0]]
+        fit = fit_ratio(top, bottom, dx, lead)
+        if len(num) + len(den) <= max_terms:
+            yield Model(
+                dict(zip(num, fit.numerator, strict=True)),
+                dict(zip(den, (1.0, *fit.denominator), strict=True)),
+                float(np.sqrt(np.mean(fit.residual**2))),
+            )
+        columns = np.vstack([top, dx * bottom]) * fit.weight
+        fits = eliminate(columns.T, dx * lead * fit.weight)
         next(fits)
-        chosen, _ = next(fits, ((), np.empty(0)))
-        kept = set(chosen)
+        kept = set(next(fits, ((), None))[0])
         num, den = (
             tuple(i for k, i in enumerate(num) if k in kept),
-            (lead, *(i for k, i in enumerate(den[1:], len(num)) if k in kept)),
+            (den[0], *(i for k, i in enumerate(den[1:], len(num)) if k in kept)),
         )
-
-
-def _fit_ratio(
-    theta: np.ndarray, dx: np.ndarray, num: Terms, den: Terms
-) -> tuple[Model, np.ndarray]:
-    """Fit N / D to dx, the first term of D at coefficient 1; give also the last weights 1 / D."""
-    top, bottom = theta[list(num)], theta[list(den[1:])]
-    columns = np.vstack([top, -dx * bottom])
-    target = dx * theta[den[0]]
-    weight = np.ones(len(dx))
-    best = Model({}, {}, np.inf)
-    for _ in range(_REWEIGHTINGS):
-        fitted = np.linalg.lstsq((columns * weight).T, target * weight, rcond=None)[0]
-        a, b = fitted[: len(num)], fitted[len(num) :]
-        below = theta[den[0]] + b @ bottom
-        with np.errstate(all="ignore"):
-            error = float(np.sqrt(np.mean((a @ top / below - dx) ** 2)))
-        if error < best.error:
-            best = Model(
-                dict(zip(num, a, strict=True)),
-                dict(zip(den, (1.0, *b), strict=True)),
-                error,
-            )
-        floor = 1e-3 * float(np.sqrt(np.mean(below**2)))
-        weight = 1 / np.maximum(np.abs(below), max(floor, 1e-300))
-    return best, weight
 
 
 def _unit_rows(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -365,7 +306,7 @@ class SINDy(AbstractMethod):
         self, library: Library, theta: np.ndarray, samples: Samples
     ) -> Iterator[list[Candidate]]:
         """Yield the candidates of the path that are the best so far of their size."""
-        kept = independent_rows(theta)
+        kept = linearly_independent(theta)
         library, theta = library.select(kept), theta[kept]
         best: dict[int, float] = {}
         for models in self._path(library, theta, samples.y):

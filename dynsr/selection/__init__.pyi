@@ -1,5 +1,6 @@
 from .pick import (
     Pick,
+    SelectionSettings,
     explains_all,
     forecast_miss,
     pick_equation,
@@ -7,15 +8,16 @@ from .pick import (
     trivial_candidates,
     write_candidates,
 )
-from .systems import settle
+from .systems import compare_systems
 
 __all__ = [
     "Pick",
+    "SelectionSettings",
+    "compare_systems",
     "explains_all",
     "forecast_miss",
     "pick_equation",
     "read_candidates",
-    "settle",
     "trivial_candidates",
     "write_candidates",
 ]

@@ -1,4 +1,4 @@
-"""Selection: from all that was found for one state to one equation, with the reasons in words."""
+"""Selection: from all that was found for one state to one equation, and why it was chosen."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from dynsr.data import Samples, Trajectory
 from dynsr.expression import evaluate, parse, shown, to_text
 from dynsr.fit import (
     Candidate,
+    FitSettings,
     Noise,
     build_shooting,
     choose_substeps,
@@ -26,6 +27,7 @@ from dynsr.fit import (
     score_snapped,
     tidy,
 )
+from dynsr.selection.systems import ComparisonSettings
 
 
 def forecast_misses(
@@ -65,20 +67,43 @@ def forecast_miss(
     return float(np.median(forecast_misses(exprs, trajectories, inputs=inputs)))
 
 
-_MOST_SNAPPED = 6
-_MOST_IMPROVED = 3
-_MOST_COMPARED = 5
 # The median of n sizes of Gaussian errors has a relative standard error of
-# 1 / (2 q phi(q) 2 sqrt(n)), q = 0.6745 their quartile; that of two such medians' ratio is sqrt(2)
-# times that, and medians within twice that are taken for equal: then fewer bits decide.
+# 1 / (2 q phi(q) 2 sqrt(n)), q = 0.6745 their quartile.
 _MEDIAN_ERROR = 1.166
-# Share of the spread below which no misses are told apart.
-_FINEST = 1e-7
 
 
 @dataclass(frozen=True)
-class Rival:
-    """A formula in the last round: its bits in all and its error on held-back data.
+class SelectionSettings:
+    """Settings of the choice of one equation a state; they stand in a run's record.
+
+    Parameters
+    ----------
+    snapped : formulas, fewest bits first, whose constants are fitted and snapped.
+    improved : snapped formulas whose neighbours are tried.
+    compared : formulas that are compared on held-back data.
+    window : intervals of a forecast.
+    errors : medians of forecast errors within so many standard errors of their ratio are equal.
+    finest : share of the spread below which no forecast errors are told apart.
+    fit : how constants are fitted and snapped.
+    comparison : how whole systems are compared.
+    """
+
+    snapped: int = 6
+    improved: int = 3
+    compared: int = 5
+    window: int = 50
+    errors: float = 2.0
+    finest: float = 1e-7
+    fit: FitSettings = FitSettings()
+    comparison: ComparisonSettings = ComparisonSettings()
+
+
+SELECTION = SelectionSettings()
+
+
+@dataclass(frozen=True)
+class RankedCandidate:
+    """A formula of the last comparison: its bits in all and its error on held-back data.
 
     ``held_back`` is the median miss of short forecasts in units of the state's spread; None where
     nothing was held back.
@@ -91,57 +116,59 @@ class Rival:
 
 @dataclass(frozen=True)
 class Pick:
-    """The equation chosen for a state, the rivals (the winner first) and why it won."""
+    """The equation chosen for a state: candidates ranked, the chosen one first, and why."""
 
     state: str
-    rivals: tuple[Rival, ...]
+    ranked: tuple[RankedCandidate, ...]
     noise: Noise
 
     @property
     def candidate(self) -> Candidate:
-        """The winner."""
-        return self.rivals[0].candidate
+        """The chosen candidate."""
+        return self.ranked[0].candidate
 
     @property
     def explanation(self) -> str:
-        """Say in words why the winner won."""
-        winner, *others = self.rivals
+        """Say why the first candidate was chosen."""
+        winner, *others = self.ranked
         formula = shown(tidy(winner.candidate.expr))
-        words = [
+        sentences = [
             f"{self.state}' = {formula} takes {winner.bits:.0f} bits in all, "
             f"{winner.candidate.complexity:.0f} of them for the formula; found by "
             f"{winner.candidate.source or 'search'}."
         ]
         if winner.held_back is not None:
-            words.append(f"On held-back data it misses by {winner.held_back:.2g} of the spread.")
-        words += [self._compare(winner, other) for other in others[:1]]
-        return " ".join(words)
+            sentences.append(
+                f"On held-back data it misses by {winner.held_back:.2g} of the spread."
+            )
+        sentences += [self._compare(winner, other) for other in others[:1]]
+        return " ".join(sentences)
 
     def as_record(self) -> dict[str, Any]:
         """Give the choice as plain values."""
         return {
             "target": self.state,
             "noise": [self.noise.floor, self.noise.effective_rows],
-            "rivals": [
+            "ranked": [
                 {
                     "candidate": write_candidates([r.candidate])[0],
                     "bits": r.bits,
                     "held_back": r.held_back,
                 }
-                for r in self.rivals
+                for r in self.ranked
             ],
         }
 
     @classmethod
     def from_record(cls, state: str, record: Mapping[str, Any]) -> Pick:
         """Read a choice back."""
-        rivals = tuple(
-            Rival(read_candidates([r["candidate"]])[0], r["bits"], r["held_back"])
-            for r in record["rivals"]
+        ranked = tuple(
+            RankedCandidate(read_candidates([r["candidate"]])[0], r["bits"], r["held_back"])
+            for r in record["ranked"]
         )
-        return cls(state, rivals, Noise(*record["noise"]))
+        return cls(state, ranked, Noise(*record["noise"]))
 
-    def _compare(self, winner: Rival, other: Rival) -> str:
+    def _compare(self, winner: RankedCandidate, other: RankedCandidate) -> str:
         formula = shown(tidy(other.candidate.expr), 4)
         formula = formula if len(formula) <= 80 else formula[:77] + "..."
         if other.bits >= winner.bits:
@@ -158,43 +185,68 @@ def pick_equation(
     samples: Samples,
     held_back: Sequence[Trajectory] = (),
     known: sympy.Expr = sympy.S.Zero,
+    settings: SelectionSettings = SELECTION,
 ) -> Pick:
     """Choose by description length among formulas that forecast held-back data equally well.
 
     The constants of the shortest formulas are fitted and snapped, the best are varied, and the
-    rest are compared on ``held_back`` (never on test data). ``known`` is the given part of the
-    equation that ``samples.y`` leaves out. Raises ValueError when the pool is empty.
+    rest are compared on held-back data.
+
+    Parameters
+    ----------
+    state : whose equation it is.
+    pool : all that was found for it.
+    samples : its samples.
+    held_back : trajectories that no search has seen; never the test data.
+    known : the given part of the equation, which ``samples.y`` leaves out.
+    settings : the numbers that decide.
+
+    Raises ValueError when the pool is empty.
     """
     candidates = _distinct(pool)
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
     noise = noise_of(candidates, samples)
-    ranked = one_a_shape(_rank(candidates, samples, noise))[:_MOST_SNAPPED]
-    snapped = _rank(_distinct(score_snapped(c, samples, noise) for c in ranked), samples, noise)
-    varied = [improve(c, samples, noise) for c in snapped[:_MOST_IMPROVED]]
-    last = _rank(_distinct([*varied, *snapped]), samples, noise)[:_MOST_COMPARED]
+    ranked = one_a_shape(_rank(candidates, samples, noise))[: settings.snapped]
+    fit = settings.fit
+    scored = _distinct(score_snapped(c, samples, noise, fit) for c in ranked)
+    snapped = _rank(scored, samples, noise)
+    varied = [improve(c, samples, noise, fit) for c in snapped[: settings.improved]]
+    last = _rank(_distinct([*varied, *snapped]), samples, noise)[: settings.compared]
     misses = {
-        c.expr: forecast_misses({state: known + c.expr}, held_back) for c in last if held_back
+        c.expr: forecast_misses({state: known + c.expr}, held_back, window=settings.window)
+        for c in last
+        if held_back
     }
-    rivals = [
-        Rival(
+    compared = [
+        RankedCandidate(
             c,
             description_length(c, samples, noise),
             float(np.median(misses[c.expr])) if held_back else None,
         )
         for c in last
     ]
-    # The misses of one forecast hang together: each counts once.
+    # The misses of one forecast are correlated: each forecast counts once.
     forecasts = min((m.shape[-1] for m in misses.values()), default=1)
-    return Pick(state, tuple(order_rivals(rivals, forecasts)), noise)
+    return Pick(state, tuple(rank_candidates(compared, forecasts, settings)), noise)
 
 
-def order_rivals(rivals: list[Rival], forecasts: int) -> list[Rival]:
-    """Order by bits, behind those whose held-back error is clearly above the least."""
-    misses = [r.held_back for r in rivals if r.held_back is not None and np.isfinite(r.held_back)]
-    equal = 1 + 2 * math.sqrt(2 / forecasts) * _MEDIAN_ERROR
-    bound = equal * min(misses) + _FINEST if misses else np.inf
-    return sorted(rivals, key=lambda r: ((r.held_back or 0.0) > bound, r.bits))
+def rank_candidates(
+    candidates: Sequence[RankedCandidate],
+    forecasts: int,
+    settings: SelectionSettings = SELECTION,
+) -> list[RankedCandidate]:
+    """Order by bits, behind those whose held-back error is clearly above the least.
+
+    Clearly: by more than twice the standard error of the ratio of two medians of ``forecasts``
+    errors, sqrt(2 / forecasts) times 1.166 (of the median of sizes of normal errors).
+    """
+    misses = [
+        c.held_back for c in candidates if c.held_back is not None and np.isfinite(c.held_back)
+    ]
+    equal = 1 + settings.errors * math.sqrt(2 / forecasts) * _MEDIAN_ERROR
+    bound = equal * min(misses) + settings.finest if misses else np.inf
+    return sorted(candidates, key=lambda c: ((c.held_back or 0.0) > bound, c.bits))
 
 
 def _distinct(pool: Iterable[Candidate]) -> list[Candidate]:
@@ -215,7 +267,7 @@ def trivial_candidates(samples: Samples) -> list[Candidate]:
 
 
 def explains_all(candidate: Candidate, samples: Samples) -> bool:
-    """Say whether a formula leaves nothing: misses below a thousandth of the slopes, or the noise.
+    """Say whether the median miss of a formula is at most 0.05 % of the slopes' root mean square.
 
     >>> t = np.arange(9.0)
     >>> s = Samples(t[:, None], t, ("v",), "q", "given", t)

@@ -16,7 +16,7 @@ import sympy
 from dynsr.data import Samples
 from dynsr.errors import InputError
 from dynsr.expression import parse
-from dynsr.fit import Candidate, ParetoFront
+from dynsr.fit import Candidate, ParetoFront, cauchy_weights
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.feynman.enumeration.alphabet import count_strings, make_letters
 from dynsr.methods.feynman.enumeration.backend import choose_backend
@@ -266,7 +266,8 @@ class RunningSearch:
             best = self.pool.best
             if robust and best is not None:
                 rest = np.abs(best.residual[rows])
-                roots = roots / np.sqrt(1 + (rest / max(2 * np.median(rest), 1e-300)) ** 2)
+                unit = max(2 * float(np.median(rest)), 1e-300)
+                roots = roots * np.sqrt(cauchy_weights(rest, unit))
             gram = make_gram(values, problem, rows, roots / roots.max())
             pairs = best_pairs(gram, _PAIRS)
             triples = best_triples(gram, list(pairs), self.settings.keep)

@@ -15,12 +15,14 @@ import numpy as np
 import sympy
 
 from dynsr.expression import REAL_RESOLUTION, complexity
-from dynsr.fit import Candidate, fit_robustly
+from dynsr.fit import Candidate, Noise, data_bits, fit_robustly, mean_error_bits
 from dynsr.methods.feynman.enumeration.bank import Bank
 from dynsr.methods.feynman.problem import Problem
 
 _BEST, _EACH = 24, 4
-_LETTER = 6.0
+# Bits of a letter in a formula's code of k log2(n) bits (dynsr.expression.complexity), for n = 64
+# kinds: an upper bound that needs no formula written out.
+_LETTER_BITS = 6.0
 Writer = Callable[[], sympy.Expr]
 
 
@@ -58,7 +60,7 @@ def measure(
         residuals = y - predicted
         losses = np.sqrt(np.einsum("kn,kn->k", residuals, residuals) / len(y))
         scale = REAL_RESOLUTION * (float(np.sqrt(np.mean(y * y))) or 1.0)
-        bits = np.mean(np.log2(1 + np.abs(residuals) / scale), axis=1)
+        bits = mean_error_bits(residuals, scale)
     finite = np.flatnonzero(np.isfinite(losses) & np.isfinite(bits))
     best = [finite[np.argsort(error[finite], kind="stable")[:_EACH]] for error in (bits, losses)]
     found = []
@@ -90,17 +92,19 @@ class Pool:
 
     @property
     def shortest(self) -> Found | None:
-        """The formula of least description length, letters counted at _LETTER bits.
+        """The formula of least description length, letters counted at _LETTER_BITS bits.
 
         The noise floor is the least median residual of all, and every row counts.
         """
-        if not self.found:
-            return None
-        sizes = np.abs([found.residual for found in self.found])
-        floor = float(np.median(sizes, axis=1).min()) or 1e-300
-        bits = np.log2(1 + (sizes / floor) ** 2).sum(axis=1) / 2
-        lengths = bits + _LETTER * np.array([found.size for found in self.found])
-        return self.found[int(np.argmin(lengths))]
+        floor = min((float(np.median(np.abs(f.residual))) for f in self.found), default=0.0)
+        return min(
+            self.found,
+            key=lambda f: (
+                data_bits(f.residual, Noise(floor or 1e-300, len(f.residual)))
+                + _LETTER_BITS * f.size
+            ),
+            default=None,
+        )
 
     def candidates(self, source: str) -> list[Candidate]:
         """Write the formulas out, simplest first, equal ones once."""
@@ -312,7 +316,7 @@ def _most_promising(problem: Problem, features: np.ndarray) -> np.ndarray:
     fitted = fit_robustly(design, z, scales)
     rest = np.abs(z - (design @ fitted[:, :, None])[:, :, 0]) * scales
     size = REAL_RESOLUTION * (float(np.sqrt(np.mean((z * scales) ** 2))) or 1.0)
-    errors = np.log2(1 + rest / size).mean(axis=1), np.square(rest).mean(axis=1)
+    errors = mean_error_bits(rest, size), np.square(rest).mean(axis=1)
     return np.unique([np.argsort(error, kind="stable")[:_FIRST] for error in errors])
 
 

@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations_with_replacement, product
+from itertools import product
 
 import numpy as np
 import sympy
 
 from dynsr.data import Samples
 from dynsr.expression import complexity
-from dynsr.fit import Candidate, ParetoFront, rmse, score_candidate
+from dynsr.fit import Candidate, ParetoFront, eliminate, rmse, score_candidate
 from dynsr.methods.feynman.stages.base import AbstractStage, Context
+from dynsr.methods.library import monomials
 
 Exponents = tuple[int, ...]
 _FEW = 24
 _FITTED, _EXCESS = 0.8, 10.0
 
 
-def monomials(variables: int, degree: int) -> list[Exponents]:
+def monomial_exponents(variables: int, degree: int) -> list[Exponents]:
     """Exponents of all monomials of total degree up to ``degree``, lowest degree first.
 
-    >>> monomials(2, 1)
+    >>> monomial_exponents(2, 1)
     [(0, 0), (1, 0), (0, 1)]
     """
-    found = []
-    for total in range(degree + 1):
-        for chosen in combinations_with_replacement(range(variables), total):
-            found.append(tuple(chosen.count(j) for j in range(variables)))
-    return found
+    found = monomials([1] * variables, degree)
+    return [tuple(places.count(j) for j in range(variables)) for places in found]
 
 
 def design(X: np.ndarray, exponents: list[Exponents]) -> np.ndarray:
@@ -75,7 +72,7 @@ class Polynomial(AbstractStage):
 def carries_over(samples: Samples, degree: int) -> bool:
     """Whether the fit of a degree to the first four fifths of the rows holds on the last fifth."""
     centre, scale = standard_coordinates(samples.X)
-    values = design((samples.X - centre) / scale, monomials(samples.X.shape[1], degree))
+    values = design((samples.X - centre) / scale, monomial_exponents(samples.X.shape[1], degree))
     first = max(1, int(_FITTED * len(samples)))
     weights = np.linalg.lstsq(values[:first], samples.y[:first], rcond=None)[0]
     residual = samples.y - values @ weights
@@ -93,7 +90,7 @@ def fit_full(samples: Samples, degree: int) -> Candidate:
     The coefficients are taken back to the variables themselves without rounding; where that
     would lose digits (columns far from zero) the formula stays in centred variables.
     """
-    exponents = monomials(samples.X.shape[1], degree)
+    exponents = monomial_exponents(samples.X.shape[1], degree)
     centre, scale = standard_coordinates(samples.X)
     values = design((samples.X - centre) / scale, exponents)
     weights = np.linalg.lstsq(values, samples.y, rcond=None)[0]
@@ -151,10 +148,10 @@ def _as_expression(terms: dict[Exponents, float], names: tuple[str, ...]) -> sym
 
 def thin_out(samples: Samples, degree: int, robust: bool) -> list[Candidate]:
     """Sparse polynomials of up to 24 terms, by backward elimination from all monomials."""
-    exponents = monomials(samples.X.shape[1], degree)
+    exponents = monomial_exponents(samples.X.shape[1], degree)
     values = design(samples.X, exponents)
     found = []
-    for kept, weights in eliminate(values, samples.y, robust):
+    for kept, weights in eliminate(values, samples.y, robust=robust, few=_FEW):
         if len(kept) > _FEW:
             continue
         expr = _as_expression(
@@ -163,46 +160,3 @@ def thin_out(samples: Samples, degree: int, robust: bool) -> list[Candidate]:
         loss = rmse(values[:, kept] @ weights, samples.y)
         found.append(Candidate(expr, loss, complexity(expr), "polynomial, sparse"))
     return found
-
-
-def eliminate(
-    values: np.ndarray, y: np.ndarray, robust: bool
-) -> Iterator[tuple[list[int], np.ndarray]]:
-    """Yield (columns kept, their weights), dropping the column that explains least each time.
-
-    ``values`` is (n, k). Above 24 columns an eighth of them goes at a time. With ``robust`` rows
-    are weighted 1 / (1 + (r / eps)^2), eps the median of |r| of the full fit, so that a few rows
-    with large errors do not steer the fit.
-    """
-    norms = np.linalg.norm(values, axis=0)
-    kept = [int(j) for j in np.flatnonzero(norms > 0)]
-    scaled = values / np.where(norms > 0, norms, 1.0)
-    trust = np.ones(len(y))
-    floor = 0.0
-    while kept:
-        many = len(kept) > _FEW
-        for _ in range((2 if many else 8) if robust else 1):
-            weights, gain = _fit_and_gain(scaled[:, kept], y, np.sqrt(trust))
-            residual = y - scaled[:, kept] @ weights
-            floor = floor or max(float(np.median(np.abs(residual))), 1e-12 * np.ptp(y), 1e-300)
-            if robust:
-                before, trust = trust, 1 / (1 + np.square(residual / floor))
-                if np.abs(trust - before).max() < 1e-3:
-                    break
-        yield list(kept), weights / norms[kept]
-        order = np.argsort(gain, kind="stable")
-        for index in sorted(order[: len(kept) // 8 if many else 1], reverse=True):
-            del kept[int(index)]
-
-
-def _fit_and_gain(
-    values: np.ndarray, y: np.ndarray, root: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted least squares, and how much each column lowers the sum of squares."""
-    # The triangular factor has the same right singular vectors at a fraction of the size.
-    q, triangle = np.linalg.qr(values * root[:, None])
-    u, s, vt = np.linalg.svd(triangle)
-    inverse = np.where(s > 1e-12 * s[0], 1 / np.maximum(s, 1e-300), 0.0)
-    weights = vt.T @ (inverse * (u.T @ (q.T @ (y * root))))
-    variance = np.square(vt.T * inverse).sum(axis=1)
-    return weights, np.square(weights) / np.maximum(variance, 1e-300)

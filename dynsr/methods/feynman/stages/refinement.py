@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import sympy
 
 from dynsr.data import Samples
-from dynsr.fit import MOST_CONSTANTS, Candidate, ParetoFront, refit, score_candidate, snap_best
+from dynsr.fit import Candidate, FitSettings, ParetoFront, refit, score_candidate, snap_best
 from dynsr.methods.feynman.stages.base import AbstractStage, Context
 
 
@@ -26,7 +26,7 @@ class Refinement(AbstractStage):
     snapping: bool = True
     candidates: tuple[Candidate, ...] = ()
     top: int = 8
-    most_constants: int = MOST_CONSTANTS
+    most_constants: int = FitSettings.most_constants
     name = "refinement"
 
     def run(self, samples: Samples, context: Context) -> list[Candidate]:
