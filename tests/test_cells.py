@@ -11,7 +11,7 @@ from dynsr.data.system import CART_POLE, DUFFING, LOTKA_VOLTERRA, PENDULUM, Syst
 from dynsr.errors import InputError
 from dynsr.expression.evaluation import evaluate
 from dynsr.fit.candidates import Candidate, ParetoFront
-from dynsr.methods.registry import make_method
+from dynsr.paper.protocol import paper_method
 from dynsr.paper.replication import Cell, Plan, cell_method, cell_samples, compute_cell, replicate
 from dynsr.paper.stages import describe_stages
 
@@ -102,9 +102,9 @@ def test_an_unknown_engine_is_a_failed_record():
     assert record.status == "failed" and "unknown engine 'matlab'" in record.error
 
 
-def _small(name, preset, system):
+def _small(name, system, quick):
     """Give a method with the paper's settings and a small budget."""
-    return replace(make_method(name, preset, system), epochs=40, candidates=50, max_depth=1)
+    return replace(paper_method(name, system, quick), epochs=40, candidates=50, max_depth=1)
 
 
 def test_the_network_stages_run_in_the_papers_settings():

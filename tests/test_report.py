@@ -147,7 +147,7 @@ def test_the_report_says_what_the_replication_is(records, recorded_steps):
     text = " ".join(Page(render_replication(records, settings)).text)
     for words in ("one result", "our reconstruction", "withheld", "1642.3124"):
         assert words in text
-    assert ("our own solver's steps" in text) is not recorded_steps
+    assert ("the solver's own steps" in text) is not recorded_steps
     command = text.partition("dynsr replicate --systems")[2].partition("--engine")[0]
     assert ("--recorded-steps" in command) is recorded_steps
 

@@ -112,7 +112,10 @@ def _facts(records: Sequence[Record], settings: Mapping[str, Any]) -> list[tuple
         ("seed", str(settings["seed"])),
         ("engine", str(settings["engine"])),
         ("settings", "quick" if settings["quick"] else "the paper's"),
-        ("steps of SINDy's samples", "recorded" if settings["recorded_steps"] else "our own"),
+        (
+            "steps of SINDy's samples",
+            "recorded" if settings["recorded_steps"] else "the engine's own",
+        ),
         ("time of the searches", f"{total:.0f} s, all cells together"),
         *sorted(versions.items()),
     ]
