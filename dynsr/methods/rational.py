@@ -26,6 +26,7 @@ from dynsr.fit import (
     mean_error_bits,
     rmse,
     score_candidate,
+    skeleton,
 )
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.features import Features, build_features
@@ -326,9 +327,9 @@ class RationalSearch(AbstractMethod):
                 weights = cauchy_weights(plain.residual, max(plain.median, 1e-300))
                 if time.monotonic() > deadline:
                     return False
-            if plain.shape == reached:
+            before, reached = reached, skeleton(plain.expr)
+            if reached == before:
                 return False
-            reached = plain.shape
             used = {str(v) for f in self._close_to_least(ranked)[:2] for v in f.expr.free_symbols}
         return False
 
@@ -418,11 +419,6 @@ class _Formula:
     def median(self) -> float:
         value = float(np.median(np.abs(self.residual)))
         return value if math.isfinite(value) else math.inf
-
-    @property
-    def shape(self) -> sympy.Expr:
-        """The formula with all its floats alike."""
-        return self.expr.xreplace({number: sympy.S.Pi for number in self.expr.atoms(sympy.Float)})
 
     @property
     def bits(self) -> float:

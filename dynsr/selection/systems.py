@@ -35,6 +35,7 @@ from dynsr.fit import (
     neighbours,
     noise_and_spread,
     shift_bits,
+    skeleton,
     structure_bits,
     with_floats,
 )
@@ -155,7 +156,7 @@ class SystemComparison:
 
     def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
         """Fit every constant and start; None where the system cannot be followed."""
-        key = str({s: form_of(e) for s, e in exprs.items()})
+        key = str({s: skeleton(e) for s, e in exprs.items()})
         if key not in self._cache:
             self._cache[key] = self._fit(exprs, near)
         return self._cache[key]
@@ -198,11 +199,6 @@ class SystemComparison:
         """Bits of misses, terms and constants."""
         rows, exprs = self.rows_of(fit), fit.exprs.values()
         return information_criterion(fit.mean_squares, rows, exprs, len(fit.constants))
-
-
-def form_of(expr: sympy.Expr) -> str:
-    """Text of a formula that is the same whatever its constants are."""
-    return str(free_constants(expr, "c")[0])
 
 
 @dataclass(frozen=True)
@@ -279,7 +275,7 @@ def _make_moves(
                 if lost != expr and not lost.has(sympy.zoo, sympy.nan):
                     moves.append(_Move(state, lost, out=(index,)))
         others = [*neighbours(expr), *swap_everywhere(expr), *toggle_factors(expr, factors)]
-        changed = {form_of(e): e for e in others}
+        changed = {skeleton(e): e for e in others}
         for other in changed.values():
             moves.append(_Move(state, other, whole=(count + len(probes),)))
             probes.append((row, other - expr))
@@ -422,7 +418,7 @@ def compare_systems(
         if refitted is not None and np.max(refitted.mean_squares) < settings.follows**2:
             best = _climb(longer, refitted, [], settings.rounds_long)
             break
-    same = {s: form_of(best.exprs[s]) == form_of(chosen[s]) for s in names}
+    same = {s: skeleton(best.exprs[s]) == skeleton(chosen[s]) for s in names}
     return {s: exprs[s] if same[s] else best.exprs[s] for s in names}
 
 
