@@ -78,3 +78,14 @@ def test_data_are_needed(lacking, tmp_path):
     loaded = Discovery.load(lacking.save(tmp_path / "d.json"))
     with pytest.raises(InputError, match="data are not here"):
         loaded.hybrid()
+
+
+def test_a_model_that_diverges_says_when():
+    """x' = x^2 from 1 is 1 / (1 - t): met at 0.9, and refused by the first time after t = 1."""
+    t = np.linspace(0.0, 0.9, 91)
+    run = Trajectory(t, 1 / (1 - t[:, None]), ("x",))
+    square = {"x": parse("x^2")}
+    model = Discovery(square, {"x": ()}, {}, {}, (run,)).hybrid(epochs=2)
+    assert model.simulate().x[-1, 0] == pytest.approx(10.0, rel=1e-3)
+    with pytest.raises(InputError, match=r"no solution at t = 1\.1; shorten"):
+        model.simulate(t=np.linspace(0.0, 2.0, 21))

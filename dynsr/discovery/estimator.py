@@ -27,8 +27,6 @@ from dynsr.fit import (
 )
 from dynsr.methods import DEFAULT_PRESET, AbstractMethod, choose_methods
 
-_MOST_SNAPPED = 6
-
 
 class DynsrRegressor(RegressorMixin, BaseEstimator):
     """Find y = f(X) as a formula; slopes of a state for y make it one equation of a system.
@@ -40,6 +38,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
     preset : "best", "quick" or "paper", see :data:`dynsr.methods.registry.PRESETS`.
     select : "description length" or "lowest error": which formula of the front is used.
     snap : replace constants by simple numbers where the description length says so.
+    most_snapped : so many formulas, those of least description length, are snapped.
     random_state : seed of all chance.
     engine : "embedded", "julia" or an engine: what regresses for SINDy.
 
@@ -59,6 +58,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         preset: str = DEFAULT_PRESET,
         select: str = "description length",
         snap: bool = True,
+        most_snapped: int = 6,
         random_state: int | np.random.RandomState | None = 0,
         engine: str | AbstractEngine = DEFAULT_ENGINE,
     ) -> None:
@@ -67,6 +67,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         self.preset = preset
         self.select = select
         self.snap = snap
+        self.most_snapped = most_snapped
         self.random_state = random_state
         self.engine = engine
 
@@ -106,7 +107,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         noise = noise_of(front, samples)
         if self.snap:
             ranked = sorted(front, key=lambda c: description_length(c, samples, noise))
-            front = front.add(*self._snapped(ranked[:_MOST_SNAPPED], samples, noise))
+            front = front.add(*self._snapped(ranked[: self.most_snapped], samples, noise))
         return choose(front, samples, noise).expr, front
 
     def _snapped(self, ranked: list[Candidate], samples: Samples, noise: Any) -> list[Candidate]:

@@ -1,4 +1,4 @@
-"""Found equations in torch: with trainable constants, or a network for the slopes they leave."""
+"""Found equations in torch: with trainable constants, or a network for their residuals."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import sympy
 import torch
+from scipy.integrate import solve_ivp
 
 from dynsr.data import Samples, Trajectory, choose_samples, robust_scale
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, compile_numpy, evaluate, to_text
-from dynsr.fit import ParetoFront, free_constants, runge_kutta_step
+from dynsr.fit import ParetoFront, free_constants
 from dynsr.methods import AbstractMethod, make_method
 
 
@@ -45,7 +46,16 @@ class EquationModule(torch.nn.Module):
     def forward(
         self, t: torch.Tensor | float, state: torch.Tensor, **inputs: torch.Tensor
     ) -> torch.Tensor:
-        """Give dx/dt."""
+        """Give dx/dt, (..., k) in state units a second.
+
+        Parameters
+        ----------
+        t : the time, or times (...,), in seconds.
+        state : (..., k) states.
+        inputs : name -> (...,) values of each input.
+
+        Raises TypeError when an input is missing.
+        """
         columns = list(state.unbind(-1))
         missing = [name for name in self.inputs if name not in inputs]
         if missing:
@@ -67,14 +77,14 @@ class EquationModule(torch.nn.Module):
 if TYPE_CHECKING:
     from dynsr.discovery.result import Discovery
 
-_SUBSTEPS = 4
+_RELTOL, _ABSTOL = 1e-8, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class Residual:
     """A network g with y - f(X) = g(X) + error, for one state.
 
-    ``share`` is the part of the slopes' variance (robust) that the network carries: the drop in
+    ``share`` is the share of the slopes' variance (robust) that the network carries: the drop in
     mean squared, clipped misses on rows it was not trained on. ``freedom`` is the degrees of
     freedom of the fitted Student-t error: small for heavy tails, large for nearly Gaussian.
     """
@@ -103,7 +113,7 @@ class HybridModel:
 
     @property
     def shares(self) -> dict[str, float]:
-        """State -> part of the slopes' variance that the network carries, 0 to 1."""
+        """State -> share of the slopes' variance that the network carries, 0 to 1."""
         return {state: residual.share for state, residual in self.residuals.items()}
 
     def slopes(self, X: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
@@ -120,23 +130,31 @@ class HybridModel:
         x0: Sequence[float] | np.ndarray | None = None,
         t: Sequence[float] | np.ndarray | None = None,
     ) -> Trajectory:
-        """Integrate both parts with Runge-Kutta 4, by default over the first trajectory.
+        """Integrate equations and networks by SciPy's DOP853, by default over the first trajectory.
 
-        Inputs are those of the first trajectory. Raises InputError when the solution diverges.
+        No engine integrates them, since a network does not cross the seam. Inputs are those of the
+        first trajectory, linear between its times.
+
+        Parameters
+        ----------
+        x0 : (k,) start states in the order of the data.
+        t : (n,) increasing times in seconds.
+
+        Raises InputError when the solution diverges, or an equation is missing.
         """
         run = self.found.trajectories[0]
         times = run.t if t is None else np.asarray(t, dtype=float)
         order = [run.index(state) for state in self.found.equations]
         start = run.x[0] if x0 is None else np.asarray(x0, dtype=float)
         rhs = self._field(run, order)
-        path = [start]
-        for a, b in zip(times, times[1:], strict=False):
-            path.append(_step(rhs, path[-1], a, b))
-        found = np.array(path)
-        if not np.all(np.isfinite(found)):
-            lost = times[np.flatnonzero(~np.isfinite(found).all(axis=1))[0]]
+        with np.errstate(all="ignore"):
+            solved = solve_ivp(
+                rhs, times[[0, -1]], start, "DOP853", times, rtol=_RELTOL, atol=_ABSTOL
+            )
+        if not solved.success or not np.all(np.isfinite(solved.y)):
+            lost = times[min(len(solved.t), len(times) - 1)]
             raise InputError(f"the model has no solution at t = {lost:g}; shorten the time span")
-        return Trajectory(times, found, run.states)
+        return Trajectory(times, solved.y.T, run.states, origin={"integrator": "SciPy DOP853"})
 
     def _field(
         self, run: Trajectory, order: Sequence[int]
@@ -164,7 +182,7 @@ class HybridModel:
         return rhs
 
     def residual_samples(self, state: str) -> Samples:
-        """Give the slopes that the equation leaves, as the network sees them, without the noise.
+        """Give the residuals of a state's slopes as the network sees them, without the noise.
 
         A symbolic search on these says what the network has learned.
         """
@@ -189,49 +207,51 @@ class HybridModel:
         return chosen.search(self.residual_samples(state), np.random.default_rng(seed))
 
 
-def _step(
-    rhs: Callable[[float, np.ndarray], np.ndarray], x: np.ndarray, a: float, b: float
-) -> np.ndarray:
-    h = (b - a) / _SUBSTEPS
-    for i in range(_SUBSTEPS):
-        t = a + i * h
-        x = runge_kutta_step(lambda x, t: rhs(t, x), x, h, (t, t + h / 2, t + h))
-    return x
-
-
 def fit_hybrid(
-    found: Discovery, *, width: int = 32, epochs: int = 400, seed: int = 0
+    found: Discovery, *, width: int = 32, epochs: int = 400, rate: float = 0.01, seed: int = 0
 ) -> HybridModel:
-    """Train one network a state on the slopes that its equation leaves.
+    """Train one network a state on the residuals: slopes of the data less those of the equation.
 
     The likelihood is Student's t with fitted scale and degrees of freedom, so that a few wild
     slopes do not decide. Every fifth block of rows is kept out to choose the best epoch and to
-    measure the share. Raises InputError when the data are not there.
+    measure the share.
+
+    Parameters
+    ----------
+    found : a discovery that still has its data.
+    width : neurons in each of the two hidden layers.
+    epochs : passes over the samples by Adam, its rate falling along a cosine.
+    rate : rate at the start.
+    seed : all chance comes from it.
+
+    Raises InputError when the data are not there.
     """
     if not found.trajectories:
         raise InputError("the data are not here; discover again before asking for a hybrid")
     residuals = {}
     for state, expr in found.equations.items():
         samples = choose_samples(list(found.trajectories), state)
-        left = samples.y - evaluate(expr, {**samples.columns, "t": samples.t})
-        residuals[state] = _train(samples, left, width, epochs, seed)
+        residual = samples.y - evaluate(expr, {**samples.columns, "t": samples.t})
+        residuals[state] = _train(samples, residual, width, epochs, rate, seed)
     return HybridModel(found, residuals)
 
 
-def _train(samples: Samples, left: np.ndarray, width: int, epochs: int, seed: int) -> Residual:
+def _train(
+    samples: Samples, residual: np.ndarray, width: int, epochs: int, rate: float, seed: int
+) -> Residual:
     centre, scale = samples.X.mean(axis=0), samples.X.std(axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    unit = float(robust_scale(left)) or 1.0
-    kept_out = (np.arange(len(left)) * 25 // len(left)) % 5 == 2
+    unit = float(robust_scale(residual)) or 1.0
+    kept_out = (np.arange(len(residual)) * 25 // len(residual)) % 5 == 2
     X = torch.from_numpy((samples.X - centre) / scale)
-    y = torch.from_numpy(left / unit)
+    y = torch.from_numpy(residual / unit)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network = _network(X.shape[1], width)
-        freedom = _descend(network, X, y, torch.from_numpy(kept_out), epochs)
+        freedom = _descend(network, X, y, torch.from_numpy(kept_out), epochs, rate)
     with torch.no_grad():
         predicted = unit * network(X)[:, 0].numpy()
-    share = _share(samples.y[kept_out], left[kept_out], predicted[kept_out])
+    share = _share(samples.y[kept_out], residual[kept_out], predicted[kept_out])
     return Residual(samples.target, network, centre, scale, unit, share, freedom)
 
 
@@ -247,11 +267,16 @@ def _network(inputs: int, width: int) -> torch.nn.Sequential:
 
 
 def _descend(
-    network: torch.nn.Sequential, X: torch.Tensor, y: torch.Tensor, out: torch.Tensor, epochs: int
+    network: torch.nn.Sequential,
+    X: torch.Tensor,
+    y: torch.Tensor,
+    out: torch.Tensor,
+    epochs: int,
+    rate: float,
 ) -> float:
     """Maximise the likelihood; the weights of the best epoch on the rows kept out stay."""
     shape = torch.zeros(2, dtype=torch.float64, requires_grad=True)
-    optimiser = torch.optim.Adam([*network.parameters(), shape], lr=0.01)
+    optimiser = torch.optim.Adam([*network.parameters(), shape], lr=rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
     best, weights = np.inf, {k: v.clone() for k, v in network.state_dict().items()}
     for _ in range(epochs):
@@ -275,10 +300,10 @@ def _student(misses: torch.Tensor, shape: torch.Tensor) -> torch.Tensor:
     return constant + (freedom + 1) / 2 * torch.log1p((misses / scale) ** 2 / freedom)
 
 
-def _share(y: np.ndarray, left: np.ndarray, predicted: np.ndarray) -> float:
-    """Part of the slopes' variance that the network explains on rows kept out."""
+def _share(y: np.ndarray, residual: np.ndarray, predicted: np.ndarray) -> float:
+    """Share of the slopes' variance that the network explains on rows kept out."""
     size = float(np.mean((y - y.mean()) ** 2)) or 1.0
-    bound = 5 * float(robust_scale(left)) or np.inf
-    before = np.mean(np.minimum(left**2, bound**2))
-    after = np.mean(np.minimum((left - predicted) ** 2, bound**2))
+    bound = 5 * float(robust_scale(residual)) or np.inf
+    before = np.mean(np.minimum(residual**2, bound**2))
+    after = np.mean(np.minimum((residual - predicted) ** 2, bound**2))
     return float(np.clip((before - after) / size, 0.0, 1.0))

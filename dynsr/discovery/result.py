@@ -168,20 +168,17 @@ class Discovery:
 
         return EquationModule(self.equations)
 
-    def hybrid(self, *, width: int = 32, epochs: int = 400, seed: int = 0) -> HybridModel:
-        """Train networks on the residuals of the slopes; see :func:`fit_hybrid`.
+    def hybrid(
+        self, *, width: int = 32, epochs: int = 400, rate: float = 0.01, seed: int = 0
+    ) -> HybridModel:
+        """Train networks on the residuals of the slopes.
 
-        Parameters
-        ----------
-        width : neurons in the hidden layer of each network.
-        epochs : passes over the samples.
-        seed : all chance comes from it.
-
-        Raises InputError when the data are not there.
+        The parameters are those of :func:`dynsr.discovery.hybrid.fit_hybrid`. Raises InputError
+        when the data are not there.
         """
         from dynsr.discovery.hybrid import fit_hybrid
 
-        return fit_hybrid(self, width=width, epochs=epochs, seed=seed)
+        return fit_hybrid(self, width=width, epochs=epochs, rate=rate, seed=seed)
 
     def plot(self) -> Figure:
         """Draw the data and the equations integrated from their start; gives the figure."""

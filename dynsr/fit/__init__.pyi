@@ -10,7 +10,7 @@ from .description import (
     shift_bits,
     structure_bits,
 )
-from .flow import Flow, Windows, cut_windows, runge_kutta_step
+from .flow import Flow, Windows, cut_windows
 from .linear import (
     RatioFit,
     cauchy_weights,
@@ -79,7 +79,6 @@ __all__ = [
     "refit",
     "residual_noise",
     "rmse",
-    "runge_kutta_step",
     "score_candidate",
     "score_snapped",
     "shift_bits",

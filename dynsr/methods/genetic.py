@@ -86,7 +86,14 @@ class GeneticAlgorithm(AbstractMethod):
             raise InputError(f"mutation rate {self.mutation} of the GA must lie between 0 and 1")
 
     def grammar(self, names: Sequence[str]) -> Grammar:
-        """Give the grammar over the columns ``names`` of some samples."""
+        """Give the grammar over the columns of some samples.
+
+        Parameters
+        ----------
+        names : the columns.
+
+        Raises InputError when ``variables`` holds one that is not there.
+        """
         chosen = tuple(names) if self.variables is None else self.variables
         unknown = [name for name in chosen if name not in names]
         if unknown:

@@ -94,8 +94,12 @@ class Grammar:
     def decode(self, bits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derive the words of a whole population of bitstrings at once.
 
-        Takes bits (N, L); gives the infix tokens (N, T), padded with PAD, a function's argument
-        ended by CLOSE, and valid (N,), false where the string ended before the word.
+        Gives the infix tokens (N, T), padded with PAD, a function's argument ended by CLOSE, and
+        valid (N,), false where the string ended before the word.
+
+        Parameters
+        ----------
+        bits : (N, L) of 0 and 1.
         """
         bits = np.atleast_2d(np.asarray(bits, dtype=np.int64))
         derivation = _Derivation(self, bits)
@@ -104,7 +108,12 @@ class Grammar:
         return derivation.words(), derivation.complete
 
     def encode(self, text: str, length: int) -> np.ndarray:
-        """Give a bitstring of ``length`` that decodes to the word ``text``; unused bits are 0.
+        """Give a bitstring that decodes to a word, (length,); unused bits are 0.
+
+        Parameters
+        ----------
+        text : the word, as :meth:`text` prints it.
+        length : bits in all.
 
         Raises InputError when the text is no word of the grammar or needs more bits.
         """
@@ -150,12 +159,11 @@ class Grammar:
 
     def text(self, infix: np.ndarray) -> str:
         """Print one word, (T,) infix tokens, as the paper prints it."""
-        parts = []
+        printed = ""
         for token in (int(t) for t in infix if t != PAD):
-            parts.append(")" if token == CLOSE else self.symbols[token])
-            if token >= self.first_function:
-                parts.append("(")
-        return "".join(parts)
+            printed += ")" if token == CLOSE else self.symbols[token]
+            printed += "(" if token >= self.first_function else ""
+        return printed
 
 
 class _Derivation:
@@ -248,6 +256,11 @@ def to_postfix(infix: np.ndarray, grammar: Grammar) -> np.ndarray:
 
     Dijkstra's shunting yard, one step for all words at once. A function stands on the operator
     stack as the bracket that it opens.
+
+    Parameters
+    ----------
+    infix : (N, T) tokens, padded with PAD, as :meth:`Grammar.decode` gives them.
+    grammar : whose tokens they are.
     """
     count, width = infix.shape
     rank = _ranks(grammar)
@@ -298,6 +311,12 @@ def evaluate_words(postfix: np.ndarray, columns: np.ndarray, grammar: Grammar) -
 
     A stack machine on arrays: at each position all words with the same token take their step
     together. Values outside an operator's domain become NaN or inf without a warning.
+
+    Parameters
+    ----------
+    postfix : (N, T) tokens, padded with PAD.
+    columns : (p, n) values of the variables, in the grammar's order.
+    grammar : whose tokens they are.
     """
     count, n = len(postfix), columns.shape[1]
     arity = np.array([_arity(token, grammar) for token in range(len(grammar.symbols))])
@@ -345,7 +364,7 @@ def _arity(token: int, grammar: Grammar) -> int:
 def to_sympy(postfix: np.ndarray, grammar: Grammar) -> sympy.Expr | None:
     """Give the SymPy tree of one postfix word (T,); None where it holds a number out of range.
 
-    Parts without variables are computed in float64, as :func:`evaluate_words` does.
+    Subtrees without variables are computed in float64, as :func:`evaluate_words` does.
     """
     stack: list[sympy.Expr] = []
     for token in (int(t) for t in postfix if t != PAD):

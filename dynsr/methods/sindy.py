@@ -5,7 +5,7 @@ A path of sparse models is made of many thresholds, then one term less at a time
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -36,10 +36,11 @@ from dynsr.fit import (
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.library import AbstractLibrary, GrownLibrary, Library
 
-_ITERATIONS = 100
-_BEST = {"thresholds": tuple(np.geomspace(1e-3, 1.0, 13).tolist())}
+_BEST = {"thresholds": tuple(np.geomspace(1e-3, 1.0, 13).tolist()), "max_iterations": 100}
 
 Terms = tuple[int, ...]
+# Gives coefficients for (theta, dx, threshold, implicit).
+Regress = Callable[[np.ndarray, np.ndarray, float, bool], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,20 +72,26 @@ class Model:
 def explicit_models(
     theta: np.ndarray,
     dx: np.ndarray,
-    engine: AbstractEngine,
-    optimizer: Optimizer,
+    regress: Regress,
     thresholds: Sequence[float],
 ) -> Iterator[list[Model]]:
     """Yield, after each threshold, models dx = c . theta with few terms.
 
     Thresholds act on the coefficients of rows and dx scaled to a root mean square of 1.
+
+    Parameters
+    ----------
+    theta : (p, n) values of the library.
+    dx : (n,) slopes in state units per second.
+    regress : gives the coefficients (p,) of scaled theta and dx at a threshold.
+    thresholds : those to try, in their order.
     """
     scaled, scale = _unit_rows(theta)
     size = float(np.sqrt(np.mean(dx**2)))
     seen: set[Terms] = set()
     supports = [tuple(range(len(theta)))]
     for threshold in thresholds:
-        found = _regress(engine, optimizer, scaled, dx / size, threshold, implicit=False)
+        found = regress(scaled, dx / size, threshold, False)
         supports.append(tuple(np.flatnonzero(found).tolist()))
         yield [
             Model(dict(zip(terms, c * size / scale[list(terms)], strict=True)), {}, error)
@@ -92,19 +99,6 @@ def explicit_models(
             for terms, c, error in _descend(scaled, dx / size, support, seen)
         ]
         supports = []
-
-
-def _regress(
-    engine: AbstractEngine,
-    optimizer: Optimizer,
-    theta: np.ndarray,
-    dx: np.ndarray,
-    threshold: float,
-    implicit: bool,
-) -> np.ndarray:
-    settings = {"threshold": threshold}
-    problem = SparseProblem(theta, dx, optimizer, settings, False, _ITERATIONS, implicit)
-    return engine.regress(problem).coefficients
 
 
 def _descend(
@@ -126,8 +120,7 @@ def _descend(
 def implicit_models(
     theta: np.ndarray,
     dx: np.ndarray,
-    engine: AbstractEngine,
-    optimizer: Optimizer,
+    regress: Regress,
     thresholds: Sequence[float],
     max_terms: int,
 ) -> Iterator[list[Model]]:
@@ -135,13 +128,19 @@ def implicit_models(
 
     A relation makes dx N(x) - D(x) small, which a D near zero does by itself. Each support is
     therefore refitted to dx - N / D by reweighting with 1 / D (Sanathanan and Koerner 1963).
+
+    Parameters
+    ----------
+    theta, dx, thresholds : as for :func:`explicit_models`.
+    regress : gives the relation (2p,), of the denominator and then of the numerator.
+    max_terms : models of more coefficients are not given.
     """
     scaled, scale = _unit_rows(theta)
     size = float(np.sqrt(np.mean(dx**2)))
     seen: set[tuple[Terms, Terms]] = set()
     p = len(theta)
     for threshold in thresholds:
-        relation = _regress(engine, optimizer, scaled, dx / size, threshold, implicit=True)
+        relation = regress(scaled, dx / size, threshold, True)
         den = tuple(np.flatnonzero(relation[:p]).tolist())
         num = tuple(np.flatnonzero(relation[p:]).tolist())
         found = []
@@ -160,7 +159,7 @@ def _thin(
     seen: set[tuple[Terms, Terms]],
     max_terms: int,
 ) -> Iterator[Model]:
-    """Refit a ratio, and again with one term less, for as long as both its parts have terms."""
+    """Refit a ratio, and again with one term less, while numerator and denominator have terms."""
     while num and len(den) > 1 and (num, den) not in seen:
         seen.add((num, den))
         top, bottom, lead = theta[list(num)], theta[list(den[1:])], theta[den[0]]
@@ -263,7 +262,15 @@ class SINDy(AbstractMethod):
         return front
 
     def regress(self, samples: Samples) -> SparseSolution:
-        """Solve the one regression of these settings; the path is not taken."""
+        """Solve the one regression of these settings; the path is not taken.
+
+        Parameters
+        ----------
+        samples : the rows of X (n, p) and the slopes y (n,).
+
+        Raises InputError when a function of the library is not finite on the samples,
+        EngineUnavailable when the engine is absent.
+        """
         library = self.library.for_names(samples.names)
         problem = SparseProblem(
             _checked_values(library, samples),
@@ -293,14 +300,21 @@ class SINDy(AbstractMethod):
         if len(y) > self.max_rows:
             rows = np.linspace(0, len(y) - 1, self.max_rows).astype(int)
             theta, y = theta[:, rows], y[rows]
-        engine = find_engine(self.engine or DEFAULT_ENGINE)
-        yield from explicit_models(theta, y, engine, self.optimizer, self.thresholds)
+        yield from explicit_models(theta, y, self._solve, self.thresholds)
         size, largest = 2, min(self.max_implicit, len(theta))
         while size <= largest:
-            yield from implicit_models(
-                theta[:size], y, engine, self.optimizer, self.thresholds[::2], self.max_terms
-            )
+            some = self.thresholds[::2]
+            yield from implicit_models(theta[:size], y, self._solve, some, self.max_terms)
             size = largest if size < largest < 2 * size else 2 * size
+
+    def _solve(
+        self, theta: np.ndarray, dx: np.ndarray, threshold: float, implicit: bool
+    ) -> np.ndarray:
+        settings = {"threshold": threshold}
+        problem = SparseProblem(
+            theta, dx, self.optimizer, settings, False, self.max_iterations, implicit
+        )
+        return find_engine(self.engine or DEFAULT_ENGINE).regress(problem).coefficients
 
     def _follow(
         self, library: Library, theta: np.ndarray, samples: Samples
