@@ -15,7 +15,7 @@ import sympy
 from dynsr.data import Trajectory, choose_samples, take_trajectories
 from dynsr.discovery.prediction import predict
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine
-from dynsr.errors import DynsrError, InputError
+from dynsr.errors import DynsrError, InputError, need
 from dynsr.expression import (
     arguments_of,
     evaluate,
@@ -163,7 +163,11 @@ class Discovery:
         return to_julia(self.equations)
 
     def to_torch(self) -> EquationModule:
-        """Give the right-hand side as a torch module whose constants can be trained."""
+        """Give the right-hand side as a torch module whose constants can be trained.
+
+        Raises MissingExtra when torch is not installed.
+        """
+        need("torch", "torch", "a torch module")
         from dynsr.discovery.hybrid import EquationModule
 
         return EquationModule(self.equations)
@@ -177,8 +181,9 @@ class Discovery:
         epochs : passes over the samples.
         seed : all chance comes from it.
 
-        Raises InputError when the data are not there.
+        Raises InputError when the data are not there, MissingExtra when torch is not installed.
         """
+        need("torch", "torch", "a hybrid model")
         from dynsr.discovery.hybrid import fit_hybrid
 
         return fit_hybrid(self, width=width, epochs=epochs, seed=seed)
