@@ -4,11 +4,16 @@
 
     DynsrError
     ├── InputError          what the user gave cannot be used (exit code 2)
+    │   └── MissingExtra        what was asked for needs a package that is not installed
     └── EngineError         an engine failed at what it was asked
         └── EngineUnavailable   the engine asked for is not installed (exit code 2)
 
     DynsrWarning            the input was usable only after a change that the message names
 """
+
+from __future__ import annotations
+
+from importlib.util import find_spec
 
 
 class DynsrError(Exception):
@@ -17,6 +22,10 @@ class DynsrError(Exception):
 
 class InputError(DynsrError, ValueError):
     """What the user gave cannot be used; the message names the value and the remedy in one line."""
+
+
+class MissingExtra(InputError):
+    """What was asked for needs an optional package; the message holds the command to install it."""
 
 
 class EngineError(DynsrError, RuntimeError):
@@ -29,3 +38,29 @@ class EngineUnavailable(EngineError):
 
 class DynsrWarning(UserWarning):
     """The input was usable only after a change, or looks wrong; the message names it."""
+
+
+def need(module: str, extra: str, user: str) -> None:
+    """Check that an optional package is installed, without importing it.
+
+    Parameters
+    ----------
+    module : the package's import name.
+    extra : the extra of dynsr that installs it.
+    user : what needs it, as the subject of the message.
+
+    Raises MissingExtra, with the command to install it, when it is not there.
+
+    >>> need("sympy", "all", "a formula")
+    >>> need("no_such_package", "all", "a wonder")
+    Traceback (most recent call last):
+    ...
+    dynsr.errors.MissingExtra: a wonder needs no_such_package: pip install "dynsr[all]"
+    """
+    try:
+        there = find_spec(module) is not None
+    # A package may be blocked: None in sys.modules, or a finder that refuses.
+    except (ImportError, ValueError):
+        there = False
+    if not there:
+        raise MissingExtra(f'{user} needs {module}: pip install "dynsr[{extra}]"')

@@ -12,8 +12,9 @@ from dynsr.errors import InputError
 from dynsr.expression.evaluation import evaluate
 from dynsr.expression.parsing import parse
 from dynsr.fit.description import choose
-from dynsr.methods.feynman.enumeration.brute_force import BruteForce, BruteForceStage, search_values
+from dynsr.methods.feynman.enumeration.brute_force import BruteForce, search_values
 from dynsr.methods.feynman.stages.base import Context
+from dynsr.methods.feynman.stages.brute_force import Enumeration
 
 GOLDEN = Path(__file__).parent / "golden" / "tsit5"
 SMALL = BruteForce(max_size=5, beam=0, device="cpu")
@@ -178,7 +179,7 @@ def test_stage_gives_candidates_scored_on_its_samples():
     """The stage's losses are RMSEs on the samples it was given."""
     samples = planted("3.7*sin(x*y) - 1.2", "xy")
     context = Context(np.random.default_rng(0), deadline=time.monotonic() + 60)
-    found = BruteForceStage(SMALL).run(samples, context)
+    found = Enumeration(SMALL).run(samples, context)
     for candidate in found:
         error = evaluate(candidate.expr, samples.columns) - samples.y
         assert candidate.loss == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6, abs=1e-13)

@@ -74,4 +74,4 @@ def test_a_polynomial_that_only_follows_the_samples_is_left_out():
     samples = _samples(X, np.exp(X[:, 0]) * np.cos(2 * X[:, 3]))
     found = Polynomial(sparse=False).run(samples, Context(np.random.default_rng(0)))
     assert fit_full(samples, 4).loss < 0.1 * min(c.loss for c in found)
-    assert "polynomial 4" not in {c.source for c in found}
+    assert "polynomial: degree 4" not in {c.source for c in found}

@@ -7,12 +7,10 @@ from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import refit
 from dynsr.methods.feynman.stages.base import Context
-from dynsr.methods.feynman.stages.inner_functions import (
-    Compositionality,
-    GeneralisedSymmetry,
-    GeneralSeparability,
-    scatter,
-)
+from dynsr.methods.feynman.stages.compositionality import Compositionality
+from dynsr.methods.feynman.stages.general_separability import GeneralSeparability
+from dynsr.methods.feynman.stages.generalised_symmetry import GeneralisedSymmetry
+from dynsr.methods.feynman.stages.inner_functions import scatter
 from dynsr.methods.feynman.stages.polynomial import Polynomial
 from dynsr.methods.feynman.stages.reduction import AbstractReducer, Reduce, Support
 from dynsr.methods.feynman.stages.separability import Separability
@@ -97,7 +95,7 @@ def test_a_reducer_that_is_switched_off_finds_nothing(kind):
     samples = _samples("sin(a*b + c*a^2) + exp(b*c)/(a + b*c^2)")
     law = "sin(a*b + c*a^2) + exp(b*c)/(a + b*c^2)"
     surrogate = Truth(law, samples.names, float(np.std(samples.y)))
-    assert PLANTED[kind][1].find(samples, surrogate) == []
+    assert PLANTED[kind][1].find(samples, surrogate, Support(samples.X)) == []
 
 
 def test_a_thin_curve_supports_no_reduction():
@@ -109,7 +107,7 @@ def test_a_thin_curve_supports_no_reduction():
     samples = Samples(X, y, ("a", "b", "c"), "a", "given", t)
     assert not Support(X).fills_space
     surrogate = Truth(law, samples.names, float(np.std(y)))
-    assert [r.kind for reducer in ALL for r in reducer.find(samples, surrogate)] == []
+    assert [r.kind for reducer in ALL for r in reducer.find(samples, surrogate, Support(X))] == []
 
 
 def test_scatter_measures_noise_about_a_curve():

@@ -21,7 +21,7 @@ def test_rough_constants_become_those_of_the_law():
     """A formula of the right shape with constants 10 % off is exact after the refit."""
     samples = _samples("2.37*exp(-0.71*x) + 0.113")
     rough = score_candidate(parse("2.6*exp(-0.64*x) + 0.1"), samples)
-    found = Refinement(False, (rough,)).run(samples, Context(np.random.default_rng(0)))
+    found = Refinement(False).run(samples, Context(np.random.default_rng(0), found=(rough,)))
     assert min(c.loss for c in found) < 1e-12
 
 
@@ -33,7 +33,7 @@ def test_snapping_alone_gives_simple_numbers():
     context = Context(np.random.default_rng(0))
 
     def numbers(snapping: bool) -> list[set[float]]:
-        found = Refinement(snapping, rough).run(samples, context)
+        found = Refinement(snapping).run(samples, replace(context, found=rough))
         return [{abs(float(a)) for a in c.expr.atoms(sympy.Number)} for c in found]
 
     assert {3.0, 9.81} in numbers(True)
@@ -44,5 +44,5 @@ def test_long_formulas_are_left_as_they_are():
     """A formula with more constants than the bound is not refitted."""
     samples = _samples("sin(x)")
     long = score_candidate(parse("0.1*x + 0.2*x^2 + 0.3*x^3"), samples)
-    stage = Refinement(True, (long,), most_constants=2)
-    assert stage.run(samples, Context(np.random.default_rng(0))) == []
+    stage = Refinement(most_constants=2)
+    assert stage.run(samples, Context(np.random.default_rng(0), found=(long,))) == []

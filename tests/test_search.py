@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import sympy
@@ -11,8 +13,12 @@ from dynsr.expression.evaluation import evaluate
 from dynsr.expression.parsing import parse
 from dynsr.methods.base import Progress
 from dynsr.methods.feynman.search import STAGES, DynAIFeynman
+from dynsr.methods.feynman.stages.domain_change import DomainChange
+from dynsr.methods.feynman.stages.polynomial import Polynomial
 
-_QUICK = DynAIFeynman(stages=("polynomial", "brute force", "refinement"), candidates=5000)
+_QUICK = DynAIFeynman(
+    stages=("polynomial", "brute force", "refinement"), candidates=5000, exact_values=None
+)
 
 
 def _samples(law: str, count: int = 400) -> Samples:
@@ -55,14 +61,13 @@ def test_the_paper_preset_is_at_least_as_good_as_the_paper():
 def test_a_law_beyond_the_direct_stages_is_found_through_the_network():
     """A scaling symmetry that the trained network shows leads on; without it the law is missed."""
     samples = _samples("1/(1 + (a/b)^2)", 300)
-    changes = ("inv",)
-    direct = DynAIFeynman(stages=("polynomial", "domain change"), sparse=False, changes=changes)
-    reduced = DynAIFeynman(
-        stages=("polynomial", "domain change", "symmetry"),
-        sparse=False,
-        changes=changes,
-        epochs=250,
+    full = Polynomial(sparse=False)
+    direct = DynAIFeynman(
+        stages=("polynomial", "domain change"),
+        polynomial=full,
+        domain_change=DomainChange((full,), ("inv",)),
     )
+    reduced = replace(direct, stages=(*direct.stages, "symmetry"), epochs=250)
     found, missed = (m.search(samples, _rng()).best_fit.loss for m in (reduced, direct))
     assert found < 1e-6 * missed
 
@@ -142,7 +147,6 @@ def test_a_stage_that_is_switched_off_gives_no_candidates(stage):
     ("settings", "says"),
     [
         ({"stages": ("magic",)}, "unknown stage 'magic'"),
-        ({"changes": ("cube",)}, "unknown domain change 'cube'"),
         ({"selection": "luck"}, "unknown selection 'luck'"),
         ({"epochs": 0}, "epochs 0"),
         ({"time_budget": -1.0}, "time_budget -1.0"),
@@ -154,6 +158,14 @@ def test_settings_that_cannot_be_used_are_named(settings, says):
         DynAIFeynman(**settings)
 
 
+def test_settings_of_a_stage_that_cannot_be_used_are_named():
+    """A change of the target that does not exist, or a negative degree, is one clear line."""
+    with pytest.raises(InputError, match="unknown domain change 'cube'; they are: inv, square"):
+        DomainChange((Polynomial(),), ("cube",))
+    with pytest.raises(InputError, match="degree -1 must be at least 0"):
+        Polynomial(-1)
+
+
 def test_an_unknown_preset_is_named():
     """The presets are listed when another is asked for."""
     with pytest.raises(InputError, match="'fast' of DynAIFeynman; its presets are: best"):
@@ -163,3 +175,13 @@ def test_an_unknown_preset_is_named():
 def test_every_stage_is_part_of_the_best_preset():
     """The preset of most power leaves nothing out."""
     assert set(DynAIFeynman.preset("best").stages) == set(STAGES)
+
+
+def test_the_source_of_a_formula_names_the_stage_that_found_it():
+    """Every member of the front says its stage, alone or before a colon."""
+    clean = _samples("sin(a*b) + 0.1*a^3", 150)
+    samples = replace(clean, y=clean.y + 0.01 * _rng().normal(size=150))
+    method = DynAIFeynman(epochs=20, agreement=0, candidates=5000)
+    front = method.search(samples, _rng())
+    found = {candidate.source.partition(":")[0] for candidate in front}
+    assert found <= {*STAGES, "mean"} and len(found) > 1

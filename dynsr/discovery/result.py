@@ -15,7 +15,7 @@ import sympy
 from dynsr.data import Trajectory, choose_samples, take_trajectories
 from dynsr.discovery.prediction import predict
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine
-from dynsr.errors import DynsrError, InputError
+from dynsr.errors import DynsrError, InputError, need
 from dynsr.expression import (
     arguments_of,
     evaluate,
@@ -163,7 +163,11 @@ class Discovery:
         return to_julia(self.equations)
 
     def to_torch(self) -> EquationModule:
-        """Give the right-hand side as a torch module whose constants can be trained."""
+        """Give the right-hand side as a torch module whose constants can be trained.
+
+        Raises MissingExtra when torch is not installed.
+        """
+        need("torch", "torch", "a torch module")
         from dynsr.discovery.hybrid import EquationModule
 
         return EquationModule(self.equations)
@@ -174,8 +178,9 @@ class Discovery:
         """Train networks on the residuals of the slopes.
 
         The parameters are those of :func:`dynsr.discovery.hybrid.fit_hybrid`. Raises InputError
-        when the data are not there.
+        when the data are not there, MissingExtra when torch is not installed.
         """
+        need("torch", "torch", "a hybrid model")
         from dynsr.discovery.hybrid import fit_hybrid
 
         return fit_hybrid(self, width=width, epochs=epochs, rate=rate, seed=seed)

@@ -236,11 +236,14 @@ class _Problem:
             {s: self.samples(s, self.runs, known_left_out=False) for s in states},
             {s: p.noise for s, p in picks.items()},
         )
+        notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
         return Discovery(
             equations=polished.exprs,
             errors=polished.errors,
             front={s: _whole_front(pools[s], picks[s]) for s in states},
-            explanation={s: p.explanation + _why(settled[s], whole[s]) for s, p in picks.items()},
+            explanation={
+                s: p.explanation + _why(settled[s], whole[s]) + notes for s, p in picks.items()
+            },
         )
 
     def settle(

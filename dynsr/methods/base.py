@@ -90,6 +90,11 @@ class AbstractMethod(ABC):
             return self
         return replace(self, engine=engine)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the result must know, one line each, such as stages left out here."""
+        return ()
+
     @abstractmethod
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent

@@ -11,11 +11,8 @@ import numpy as np
 import torch
 
 from dynsr.data import Samples
+from dynsr.methods.feynman.stages.base import NetworkSettings
 from dynsr.methods.feynman.stages.polynomial import standard_coordinates
-
-HIDDEN = (128, 128, 64, 64)
-_BATCH = 256
-_PEAK_RATE = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,29 +64,29 @@ def fit_network(
     samples: Samples,
     rng: np.random.Generator,
     epochs: int = 500,
-    hidden: tuple[int, ...] = HIDDEN,
-    validation: float = 0.2,
+    settings: NetworkSettings | None = None,
 ) -> Network:
-    """Train p-128-128-64-64-1 tanh units on samples (Udrescu et al. 2020, section 2.2).
+    """Train p-128-128-64-64-1 tanh units on samples (Udrescu et al. 2020).
 
     Inputs and target are standardised. The first half of the ``epochs`` (the paper: 500) goes to
-    Adam in batches of 256 with a rate that rises and falls once, the second to L-BFGS on all rows
-    at once, which ends early when the rows set aside for ``validation`` get worse. float64 on a
-    CPU, float32 on a GPU where torch finds one. The weights of least validation error are kept.
+    Adam in batches with a rate that rises and falls once, the second to L-BFGS on all rows at
+    once, which ends early when the rows set aside for validation get worse. float64 on a CPU,
+    float32 on a GPU where torch finds one. The weights of least validation error are kept.
     """
+    settings = settings or NetworkSettings()
     gpu = torch.cuda.is_available()
     device, dtype = ("cuda", torch.float32) if gpu else ("cpu", torch.float64)
     centre, scale = standard_coordinates(samples.X)
     offset, spread = float(np.mean(samples.y)), float(np.std(samples.y)) or 1.0
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
-    module = _build(samples.X.shape[1], hidden, generator).to(device, dtype)
+    module = _build(samples.X.shape[1], settings.hidden, generator).to(device, dtype)
     inputs = torch.as_tensor((samples.X - centre) / scale, dtype=dtype).to(device)
     target = torch.as_tensor((samples.y - offset) / spread, dtype=dtype).to(device)[:, None]
     order = torch.randperm(len(samples), generator=generator).to(device)
-    held = max(1, int(validation * len(samples)))
+    held = max(1, int(settings.validation * len(samples)))
     training = _Training(module, inputs, target, order[held:], order[:held], generator)
     with _one_thread():
-        training.descend(epochs // 2)
+        training.descend(epochs // 2, settings.batch, settings.peak_rate)
         training.polish(epochs - epochs // 2)
     module.load_state_dict(training.best_weights)
     error = spread * training.best_error
@@ -132,7 +129,7 @@ class _Training:
     def loss(self, rows: torch.Tensor | slice = slice(None)) -> torch.Tensor:
         return torch.mean((self.module(self.inputs[rows]) - self.target[rows]) ** 2)
 
-    def judge(self) -> float:
+    def check(self) -> float:
         """Error on the rows set aside; the weights are kept when it is the least so far."""
         with torch.no_grad():
             miss = self.module(self.held_inputs) - self.held_target
@@ -142,13 +139,13 @@ class _Training:
             self.best_weights = copy.deepcopy(self.module.state_dict())
         return error
 
-    def descend(self, epochs: int) -> None:
+    def descend(self, epochs: int, batch: int, peak_rate: float) -> None:
         """Adam, one cycle of the learning rate."""
         count = len(self.inputs)
-        batches = max(1, count // _BATCH)
-        adam = torch.optim.Adam(self.module.parameters(), lr=_PEAK_RATE)
+        batches = max(1, count // batch)
+        adam = torch.optim.Adam(self.module.parameters(), lr=peak_rate)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
-            adam, _PEAK_RATE, total_steps=max(2, epochs * batches), final_div_factor=1e3
+            adam, peak_rate, total_steps=max(2, epochs * batches), final_div_factor=1e3
         )
         for _ in range(epochs):
             order = torch.randperm(count, generator=self.generator).to(self.inputs.device)
@@ -158,7 +155,7 @@ class _Training:
                 adam.step()
                 schedule.step()
             self.epochs += 1
-            self.judge()
+            self.check()
 
     def polish(self, epochs: int, block: int = 10, patience: int = 5) -> None:
         """L-BFGS in blocks; ends after ``patience`` blocks that did not help the held rows."""
@@ -183,6 +180,6 @@ class _Training:
             solver.step(closure)
             self.epochs += block
             before = self.best_error
-            stale = 0 if self.judge() < 0.999 * before else stale + 1
+            stale = 0 if self.check() < 0.999 * before else stale + 1
             if stale >= patience:
                 break

@@ -4,123 +4,180 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.errors import InputError
+from dynsr.errors import InputError, MissingExtra, need
 from dynsr.fit import Candidate, ParetoFront, choose, score_candidate, snap_best
 from dynsr.methods.base import AbstractMethod, Report, silent
-from dynsr.methods.feynman.enumeration.brute_force import BruteForce, BruteForceStage, SimpleStage
-from dynsr.methods.feynman.stages.base import AbstractStage, Context, Surrogate
-from dynsr.methods.feynman.stages.domain_change import DOMAIN_CHANGES, DomainChange
-from dynsr.methods.feynman.stages.inner_functions import (
-    Compositionality,
-    GeneralisedSymmetry,
-    GeneralSeparability,
+from dynsr.methods.feynman.enumeration.brute_force import BruteForce
+from dynsr.methods.feynman.stages.base import (
+    AbstractStage,
+    Context,
+    NetworkSettings,
+    Surrogate,
 )
+from dynsr.methods.feynman.stages.brute_force import Enumeration
+from dynsr.methods.feynman.stages.compositionality import Compositionality
+from dynsr.methods.feynman.stages.domain_change import DomainChange
+from dynsr.methods.feynman.stages.general_separability import GeneralSeparability
+from dynsr.methods.feynman.stages.generalised_symmetry import GeneralisedSymmetry
 from dynsr.methods.feynman.stages.polynomial import Polynomial
-from dynsr.methods.feynman.stages.reduction import AbstractReducer, Reduce, short
+from dynsr.methods.feynman.stages.rational import Rational
+from dynsr.methods.feynman.stages.reduction import AbstractReducer, Reach, Reduce, short
 from dynsr.methods.feynman.stages.refinement import Refinement
 from dynsr.methods.feynman.stages.separability import Separability
 from dynsr.methods.feynman.stages.symmetry import Symmetry
 from dynsr.methods.rational import RationalSearch
 
-STAGES = (
+# Stages that look at the samples as they are.
+DIRECT_STAGES = (
+    "simple functions",
+    "sums of powers",
+    "sums of functions",
     "rational",
     "polynomial",
     "brute force",
-    "domain change",
+)
+# Stages whose best formulas are compared; the first is over before anything can be learned from it.
+_COMPARED = DIRECT_STAGES[1:]
+# Stages that need the network, and with it torch.
+NETWORK_STAGES = (
     "symmetry",
     "separability",
     "compositionality",
     "general separability",
     "generalised symmetry",
-    "refinement",
-    "snapping",
 )
+STAGES = (*DIRECT_STAGES, "domain change", *NETWORK_STAGES, "refinement", "snapping")
 SELECTIONS = ("lowest error", "description length")
-_DIRECT = ("rational", "polynomial", "brute force")
-_EXACT = 1e-9
+
+
+# The paper's is its experiment's: 500 epochs, degree 4, the member of lowest error reported; the
+# caller gives it forward differences. Its stages know neither sums and ratios nor laws of one
+# combination.
 _PAPER: dict[str, Any] = {
-    "stages": tuple(name for name in STAGES if name != "rational"),
-    "sparse": False,
+    "stages": tuple(stage for stage in STAGES if stage not in DIRECT_STAGES[:4]),
+    "exact_values": None,
+    "polynomial": Polynomial(sparse=False),
     "candidates": 200_000,
     "branches": 1,
     "selection": "lowest error",
     "agreement": 0,
 }
-_SIMPLE = BruteForce(max_size=3, sums=(), beam=0, combinations=True)
 
 
 @dataclass(frozen=True)
-class RationalStage(AbstractStage):
-    """The search for short sums and ratios as a stage; each round goes to the front at once."""
+class ExactStages:
+    """Stages for values that may be exact, in their order; an exact formula ends them.
 
-    settings: RationalSearch = field(default_factory=RationalSearch)
-    name = "rational"
+    They run on samples of scheme "given". The slopes of a trajectory carry the errors of their
+    differences, so that no formula is exact and an enumeration of millions would follow the errors.
 
-    def run(self, samples: Samples, context: Context) -> list[Candidate]:
-        """Give the best formulas of every size."""
-        found: list[Candidate] = []
-        total = len(self.settings.costs) * self.settings.rounds
-        context.tell(self.name, 0, total)
-        seconds = min(self.settings.seconds, 0.4 * context.seconds_left)
-        settings = replace(self.settings, seconds=seconds)
-        for done, candidates in enumerate(settings.find(samples), start=1):
-            found += candidates
-            context.offer(candidates)
-            context.tell(self.name, done, total)
-            if context.seconds_left <= 0:
-                break
-        return found
+    Parameters
+    ----------
+    simple_functions : the short enumeration, laws of one product of powers first.
+    sums_of_powers : sums and ratios of products of powers, of the target's square and inverse too.
+    sums_of_functions : sums of products with sines, exponentials, logarithms and roots.
+    brute_force : the long enumeration.
+    simple_share : share of the time left, 0 to 1, that the short enumeration takes at most.
+    share : the same for each of the others.
+    """
+
+    simple_functions: BruteForce = BruteForce(max_candidates=1e5, ratios=True, combinations=True)
+    sums_of_powers: RationalSearch = RationalSearch(
+        costs=(4,), rounds=1, width=64, inverses=True, changes=("square", "inv")
+    )
+    sums_of_functions: RationalSearch = RationalSearch(
+        costs=(6,),
+        rounds=1,
+        width=64,
+        denominators=False,
+        max_features=2500,
+        changes=("square",),
+    )
+    brute_force: BruteForce = BruteForce(
+        max_candidates=2.5e6, changes=("square",), ratios=True, keep=8
+    )
+    simple_share: float = 0.4
+    share: float = 0.9
 
 
 @dataclass(frozen=True)
 class DynAIFeynman(AbstractMethod):
     """AI Feynman 2.0 (Udrescu et al. 2020) extended to the slopes of trajectories.
 
+    Stages run in the order of STAGES until a formula is exact or several stages agree.
+
     Parameters
     ----------
     stages : which of STAGES are run.
-    degree : highest degree of the polynomial fits.
-    sparse : also thin the polynomials out.
-    epochs : passes over the samples in training the network (the paper: 500).
-    candidates : functions that brute force forms at most; a tenth of them on reduced problems.
+    simple_functions : the enumeration of the smallest functions, which comes first.
+    rational : sums and ratios of features, robust against a few large errors of slopes.
+    polynomial : all monomials up to a degree; on reduced problems without thinning out.
+    brute_force : the enumeration.
+    exact_values : settings of the stages that run before these on values that may be exact; its
+        enumerations replace those above.
+    reduced : the enumeration on reduced problems.
+    candidates : functions that any enumeration forms at most; a tenth of them on reduced problems.
+    domain_change : searches for functions of the target.
+    epochs : passes over the samples in training the network (the paper: 500); halved with every
+        reduction.
+    network : layers and training of the network.
+    reducers : the tests for symmetries, separability and inner functions, with their tolerances.
+    reach : where among the samples the network is believed.
     branches : reductions followed at each level, surest first.
     max_depth : reductions after each other at most.
-    changes : domain changes of the target.
+    refinement : which formulas get better constants.
+    max_constants : formulas of more free constants do not count when stages are compared, nor as
+        explanations that make the network needless.
     selection : which of SELECTIONS :meth:`choose` goes by.
-    agreement : so many of the direct stages (sums and ratios, polynomials, brute force) whose best
-        formulas, refined and snapped, are the same end the search; 0 never ends it early.
-    time_budget : seconds after which no new part is begun; by default there is no limit, since a
-        limit makes the result depend on the machine's speed.
+    exact : RMSE, in standard deviations of the target, at which a formula ends the search.
+    agreement : so many of DIRECT_STAGES whose best formulas, refined and snapped, are the same end
+        the search; 0 never ends it early.
+    time_budget : seconds after which nothing further is begun; by default there is no limit, since
+        a limit makes the result depend on the machine's speed.
 
-    Raises InputError when a stage, change or selection is unknown or a bound allows nothing.
+    Raises InputError when a stage or selection is unknown or a bound allows nothing.
 
     >>> method = DynAIFeynman.preset("paper", epochs=100)
-    >>> method.epochs, method.degree, method.selection
+    >>> method.epochs, method.polynomial.degree, method.selection
     (100, 4, 'lowest error')
     """
 
     stages: tuple[str, ...] = STAGES
-    degree: int = 4
-    sparse: bool = True
+    simple_functions: BruteForce = BruteForce(max_size=3, sums=(), beam=0, combinations=True)
+    rational: RationalSearch = RationalSearch()
+    polynomial: Polynomial = Polynomial()
+    brute_force: BruteForce = BruteForce(max_candidates=5e5)
+    exact_values: ExactStages | None = ExactStages()
+    reduced: BruteForce = BruteForce(max_candidates=5e4, sums=(50,), keep=6)
+    candidates: float = math.inf
+    domain_change: DomainChange = DomainChange((Polynomial(sparse=False),))
     epochs: int = 500
-    candidates: float = 500_000
+    network: NetworkSettings = NetworkSettings()
+    reducers: tuple[AbstractReducer, ...] = (
+        Symmetry(),
+        Separability(),
+        Compositionality(),
+        GeneralSeparability(),
+        GeneralisedSymmetry(),
+    )
+    reach: Reach = Reach()
     branches: int = 2
     max_depth: int = 2
-    changes: tuple[str, ...] = DOMAIN_CHANGES
+    refinement: Refinement = Refinement()
+    max_constants: int = 8
     selection: str = "description length"
+    exact: float = 1e-9
     agreement: int = 2
     time_budget: float | None = None
 
     name = "dynaifeynman"
-    # The paper's is its experiment's: 500 epochs, degree 4, the member of lowest error reported;
-    # the caller gives it forward differences.
     presets: ClassVar = {
         "best": {},
         "quick": {**_PAPER, "epochs": 100, "candidates": 50_000, "max_depth": 1},
@@ -132,25 +189,31 @@ class DynAIFeynman(AbstractMethod):
         for stage in self.stages:
             if stage not in STAGES:
                 raise InputError(f"unknown stage {stage!r}; the stages are: {', '.join(STAGES)}")
-        for change in self.changes:
-            if change not in DOMAIN_CHANGES:
-                known = ", ".join(DOMAIN_CHANGES)
-                raise InputError(f"unknown domain change {change!r}; they are: {known}")
         if self.selection not in SELECTIONS:
             known = ", ".join(SELECTIONS)
             raise InputError(f"unknown selection {self.selection!r}; they are: {known}")
-        for bound, least in (("degree", 0), ("epochs", 1), ("candidates", 1), ("branches", 1)):
-            if not getattr(self, bound) >= least:
-                raise InputError(f"{bound} {getattr(self, bound)!r} must be at least {least}")
+        for bound in ("epochs", "candidates", "branches"):
+            if not getattr(self, bound) >= 1:
+                raise InputError(f"{bound} {getattr(self, bound)!r} must be at least 1")
         if self.time_budget is not None and not self.time_budget > 0:
             raise InputError(
                 f"time_budget {self.time_budget!r} must be a positive number of seconds"
             )
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What this search leaves out here: the network's stages, where torch is not installed."""
+        missing = self._missing_network()
+        if missing is None or not self._reducers():
+            return ()
+        return (f"{', '.join(r.name for r in self._reducers())} did not run: {missing}",)
+
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent
     ) -> ParetoFront:
         """Search; see :meth:`AbstractMethod.search`.
+
+        Raises MissingExtra when all the stages chosen need the network and torch is not installed.
 
         >>> x = np.linspace(0.5, 2.0, 100)
         >>> samples = Samples(x[:, None], 2 * np.sin(x), ("x",), "x", "given", x)
@@ -158,6 +221,12 @@ class DynAIFeynman(AbstractMethod):
         >>> DynAIFeynman.preset("best").choose(front, samples).expr
         2*sin(x)
         """
+        missing = self._missing_network()
+        if missing is not None and self._reducers():
+            if not {*DIRECT_STAGES, "domain change"} & set(self.stages):
+                raise missing
+            stages = tuple(stage for stage in self.stages if stage not in NETWORK_STAGES)
+            return replace(self, stages=stages).search(samples, rng, report)
         budget = math.inf if self.time_budget is None else self.time_budget
         context = Context(
             rng,
@@ -181,77 +250,99 @@ class DynAIFeynman(AbstractMethod):
         return front.best_fit if self.selection == "lowest error" else choose(front, samples)
 
     def _solve(self, samples: Samples, context: Context) -> list[Candidate]:
-        """Run the stages in order until one is exact or several agree."""
+        """Run the stages in order until one is exact or several agree; then refine."""
         found: list[Candidate] = []
         bests: list[sympy.Expr] = []
-        size = float(np.std(samples.y))
-        settled = False
+        limit = self.exact * float(np.std(samples.y))
         for stage in self._pipeline(samples, context.depth):
             if context.seconds_left <= 0 or context.interrupted:
-                break
-            if isinstance(stage, Refinement):
-                # Beside an exact formula the others need no better constants.
-                exact = [c for c in found if c.loss <= _EXACT * size]
-                stage = replace(stage, candidates=tuple(exact or found))
-            elif settled:
-                continue
+                return found
             context.tell(stage.name, 0, None)
             fresh = stage.run(samples, context)
             found += fresh
             context.offer(fresh)
-            settled = bool(found) and min(c.loss for c in found) <= _EXACT * size
-            if context.depth == 0 and not settled and stage.name in _DIRECT:
-                bests += self._agree(fresh, samples, context)
-                settled = bool(bests) and bests.count(bests[-1]) >= self.agreement > 0
+            if any(c.loss <= limit for c in fresh):
+                break
+            if context.depth == 0 and stage.name in _COMPARED:
+                bests += self._compare(fresh, samples, context)
+                if bests and bests.count(bests[-1]) >= self.agreement > 0:
+                    break
+        if context.depth or not {"refinement", "snapping"} & set(self.stages):
+            return found
+        if context.seconds_left > 0 and not context.interrupted:
+            # Beside an exact formula the others need no better constants.
+            context.found = tuple([c for c in found if c.loss <= limit] or found)
+            context.tell("refinement", 0, None)
+            refined = self.refinement
+            refined = replace(refined, snapping=refined.snapping and "snapping" in self.stages)
+            context.offer(refined.run(samples, context))
         return found
 
-    def _agree(
+    def _compare(
         self, fresh: list[Candidate], samples: Samples, context: Context
     ) -> list[sympy.Expr]:
         """Snap a stage's best short formula, so that stages can be compared."""
         if not self.agreement or "snapping" not in self.stages:
             return []
-        snapped = snap_best(short(fresh), samples, 2)
+        snapped = snap_best(short(fresh, self.max_constants), samples, 2)
         context.offer(snapped)
         return [candidate.expr for candidate in snapped[:1]]
 
     def _pipeline(self, samples: Samples, depth: int) -> list[AbstractStage]:
-        polynomial = Polynomial(self.degree, self.sparse and depth == 0)
-        rational = RationalSearch() if depth == 0 else RationalSearch(costs=(3,), rounds=1)
-        brute = BruteForce(max_candidates=self.candidates)
+        """Give the stages that search, in their order, for a problem or one reduced from it."""
+        every: list[AbstractStage]
+        exact = self.exact_values
         if depth:
-            fewer = max(1.0, 0.1 * self.candidates)
-            brute = replace(brute, max_candidates=fewer, sums=(50,), keep=6)
-        stages: dict[str, AbstractStage] = {
-            "rational": RationalStage(rational),
-            "polynomial": polynomial,
-            "brute force": BruteForceStage(brute),
-        }
+            every = [
+                Rational(replace(self.rational, costs=(3,), rounds=1)),
+                replace(self.polynomial, sparse=False),
+                self._enumerate("brute force", self.reduced, cap=0.1),
+            ]
+        elif exact and samples.scheme == "given":
+            every = [
+                self._enumerate("simple functions", exact.simple_functions, exact.simple_share),
+                Rational(exact.sums_of_powers, exact.share, "sums of powers"),
+                Rational(exact.sums_of_functions, exact.share, "sums of functions"),
+                self._enumerate("brute force", exact.brute_force, exact.share),
+                Rational(self.rational),
+                self.polynomial,
+            ]
+        else:
+            every = [
+                self._enumerate("simple functions", self.simple_functions),
+                Rational(self.rational),
+                self.polynomial,
+                self._enumerate("brute force", self.brute_force),
+            ]
         if depth == 0 or samples.X.shape[1] == 1:
-            inner = Polynomial(self.degree, False)
-            stages["domain change"] = DomainChange((inner,), self.changes)
-        pipeline = [stage for name, stage in stages.items() if name in self.stages]
-        # The paper's own stages know neither sums and ratios nor laws of one combination.
-        if depth == 0 and {"rational", "brute force"} <= set(self.stages):
-            pipeline.insert(0, SimpleStage(_SIMPLE))
-        pipeline.append(Reduce(self._reducers(), self.branches, self.max_depth))
-        if depth == 0 and {"refinement", "snapping"} & set(self.stages):
-            pipeline.append(Refinement("snapping" in self.stages))
-        return pipeline
+            every.append(self.domain_change)
+        chosen = [stage for stage in every if stage.name in self.stages]
+        reduce = Reduce(
+            self._reducers(), self.branches, self.max_depth, self.max_constants, self.reach
+        )
+        return [*chosen, reduce]
+
+    def _enumerate(
+        self, name: str, settings: BruteForce, share: float = 0.5, cap: float = 1.0
+    ) -> Enumeration:
+        """Give an enumeration of at most a part ``cap`` of ``candidates``."""
+        most = min(settings.max_candidates, max(1.0, cap * self.candidates))
+        return Enumeration(replace(settings, max_candidates=most), share, name)
 
     def _reducers(self) -> tuple[AbstractReducer, ...]:
-        every = (
-            Symmetry(),
-            Separability(),
-            Compositionality(),
-            GeneralSeparability(),
-            GeneralisedSymmetry(),
-        )
-        return tuple(reducer for reducer in every if reducer.name in self.stages)
+        return tuple(reducer for reducer in self.reducers if reducer.name in self.stages)
+
+    def _missing_network(self) -> MissingExtra | None:
+        try:
+            need("torch", "torch", "the network of DynAIFeynman")
+        except MissingExtra as missing:
+            return missing
+        return None
 
     def _train(self, samples: Samples, context: Context) -> Surrogate:
         """Train the network; on reduced problems with half the epochs, as AI Feynman does."""
         # Torch takes seconds to import and is wanted by this one stage.
         from dynsr.methods.feynman.network import fit_network
 
-        return fit_network(samples, context.rng, max(1, self.epochs >> min(context.depth, 1)))
+        epochs = max(1, self.epochs >> min(context.depth, 1))
+        return fit_network(samples, context.rng, epochs, self.network)

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dynsr.errors import InputError
+from dynsr.errors import InputError, need
 from dynsr.expression import OPERATORS
 
 DEVICES = ("auto", "cpu", "cuda", "torch-cpu")
@@ -107,7 +107,8 @@ class TorchBackend:
     """Arrays of float64 on a torch device."""
 
     def __init__(self, device: str) -> None:
-        """Check that the device is there."""
+        """Check that torch and the device are there."""
+        need("torch", "torch", f"device {device!r}")
         import torch
 
         if device.startswith("cuda") and not torch.cuda.is_available():
@@ -153,7 +154,8 @@ def choose_backend(device: str = "auto") -> Backend:
     """Give the backend of a device: "cpu" (numpy), "cuda", "torch-cpu", or "auto".
 
     "auto" takes CUDA when torch is already imported and sees a GPU, numpy otherwise. Raises
-    InputError for an unknown or absent device.
+    InputError for an unknown or absent device, MissingExtra for one that needs torch where torch
+    is not installed.
 
     >>> choose_backend("cpu").name
     'numpy'

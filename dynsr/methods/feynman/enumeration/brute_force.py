@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 import sympy
@@ -30,7 +30,6 @@ from dynsr.methods.feynman.enumeration.power_laws import (
 from dynsr.methods.feynman.enumeration.screening import Screen, Shortlist
 from dynsr.methods.feynman.enumeration.sums import Beam, best_pairs, best_triples, make_gram
 from dynsr.methods.feynman.problem import Problem, make_problems
-from dynsr.methods.feynman.stages.base import AbstractStage, Context
 
 _EXACT = 1e-10
 # Rows on which pairs are compared, and pairs that triples are grown from.
@@ -359,36 +358,6 @@ class BruteForce(AbstractMethod):
     ) -> ParetoFront:
         """Search; ``rng`` is not used, since nothing here is left to chance."""
         return search_values(samples.X, samples.y, samples.names, self, report=report).front
-
-
-@dataclass(frozen=True)
-class BruteForceStage(AbstractStage):
-    """The enumeration as one stage of a search; takes at most ``share`` of the time left."""
-
-    settings: BruteForce = field(default_factory=BruteForce)
-    share: float = 0.5
-
-    name = "brute force"
-
-    def run(self, samples: Samples, context: Context) -> list[Candidate]:
-        """Give the formulas found."""
-        seconds = min(self.settings.seconds, self.share * context.seconds_left)
-        if seconds <= 0:
-            return []
-        settings = replace(self.settings, seconds=seconds)
-
-        def tell(progress: Progress) -> None:
-            context.tell(self.name, progress.done, progress.total)
-
-        result = search_values(samples.X, samples.y, samples.names, settings, report=tell)
-        context.interrupted |= result.stopped == "interrupted"
-        return list(result.candidates)
-
-
-class SimpleStage(BruteForceStage):
-    """The simplest functions and laws of one combination: over at once, and often enough."""
-
-    name = "simple functions"
 
 
 def search_values(

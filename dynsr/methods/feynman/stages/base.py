@@ -33,6 +33,24 @@ class Surrogate(Protocol):
         """(n, p) derivatives at n rows."""
 
 
+@dataclass(frozen=True)
+class NetworkSettings:
+    """The network that serves as surrogate (Udrescu et al. 2020).
+
+    Parameters
+    ----------
+    hidden : units of each hidden layer.
+    batch : samples of one step of Adam.
+    peak_rate : the largest learning rate.
+    validation : share of the samples that training does not see.
+    """
+
+    hidden: tuple[int, ...] = (128, 128, 64, 64)
+    batch: int = 256
+    peak_rate: float = 5e-3
+    validation: float = 0.2
+
+
 @dataclass
 class Context:
     """What the stages of one search share.
@@ -43,6 +61,7 @@ class Context:
     deadline : ``time.monotonic()`` value after which no new part of the search is begun.
     report : where progress goes.
     front : best front so far of the caller's own problem (not of a reduced one).
+    found : formulas that a refining stage begins with.
     depth : how many reductions lie between the caller's problem and the present one.
     solve : finds formulas for a reduced problem; by default none.
     surrogate : gives the stand-in for the function behind some samples.
@@ -53,6 +72,7 @@ class Context:
     deadline: float = math.inf
     report: Report = silent
     front: ParetoFront = field(default_factory=ParetoFront)
+    found: tuple[Candidate, ...] = ()
     depth: int = 0
     solve: Callable[[Samples, Context], list[Candidate]] = lambda samples, context: []
     surrogate: Callable[[Samples, Context], Surrogate] | None = None
@@ -79,7 +99,11 @@ class Context:
 
 
 class AbstractStage(ABC):
-    """One way to find formulas for samples; subclasses are frozen dataclasses of settings."""
+    """One way to find formulas for samples; subclasses are frozen dataclasses of settings.
+
+    The ``source`` of a candidate is the ``name`` of the stage that found it, alone or followed by
+    a colon and how: "symmetry: scaling in a/b". Refinement keeps the source.
+    """
 
     name: str
 

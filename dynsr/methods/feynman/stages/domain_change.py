@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from dynsr.data import Samples
+from dynsr.errors import InputError
 from dynsr.fit import Candidate, ParetoFront, score_candidate
 from dynsr.methods.feynman.problem import make_targets
 from dynsr.methods.feynman.stages.base import AbstractStage, Context
@@ -28,14 +29,28 @@ DOMAIN_CHANGES = (
 class DomainChange(AbstractStage):
     """Run ``inner`` stages on T(y) for every change T that can be undone on the range of y.
 
-    Formulas are scored on y itself, not on T(y). ``keep`` of each change's formulas, the most
-    accurate ones for T(y), are brought back.
+    Formulas are scored on y itself, not on T(y).
+
+    Parameters
+    ----------
+    inner : the stages that search for T(y).
+    changes : names of T, of DOMAIN_CHANGES.
+    keep : formulas of each change, the most accurate ones for T(y), that are brought back.
+
+    Raises InputError for an unknown change.
     """
 
     inner: tuple[AbstractStage, ...]
     changes: tuple[str, ...] = DOMAIN_CHANGES
     keep: int = 6
     name = "domain change"
+
+    def __post_init__(self) -> None:
+        """Check the changes' names."""
+        for change in self.changes:
+            if change not in DOMAIN_CHANGES:
+                known = ", ".join(DOMAIN_CHANGES)
+                raise InputError(f"unknown domain change {change!r}; they are: {known}")
 
     def run(self, samples: Samples, context: Context) -> list[Candidate]:
         """Run the inner stages on each changed target."""
@@ -48,6 +63,6 @@ class DomainChange(AbstractStage):
             changed = replace(samples, y=target.values)
             inner = [c for stage in self.inner for c in stage.run(changed, context)]
             for candidate in ParetoFront(inner).candidates[-self.keep :]:
-                source = f"{candidate.source} of {target.change.name}"
+                source = f"{self.name}: {candidate.source} of {target.change.name}"
                 found.append(score_candidate(target.build(candidate.expr), samples, source))
         return found

@@ -1,6 +1,7 @@
-"""Inner functions: f = F(h(x)), f = F(h(x_S), x_R) and f = F(g(x_S) + h(x_R)).
+"""Inner functions, found from gradients: h such that grad h is parallel to grad f.
 
-They are found from gradients: h such that grad f is parallel to grad h.
+Three stages search with it: :mod:`compositionality`, f = F(h(x)); :mod:`general_separability`,
+f = F(g(x_S) + h(x_R)); and :mod:`generalised_symmetry`, f = F(h(x_S), x_R).
 """
 
 from __future__ import annotations
@@ -20,12 +21,7 @@ from dynsr.methods.feynman.stages.reduction import (
     AbstractReducer,
     AbstractReduction,
     Substitution,
-    Support,
 )
-from dynsr.methods.feynman.stages.separability import partitions
-
-_CLOSE = 4.0
-_LARGEST_SET = 3
 
 
 @dataclass(frozen=True)
@@ -46,14 +42,16 @@ def find_inner_functions(
     columns: dict[str, np.ndarray],
     gradient: np.ndarray,
     features: list[sympy.Expr],
-    largest: int = _LARGEST_SET,
+    largest: int = 3,
     keep: int = 3,
+    close: float = 4.0,
 ) -> list[InnerFunction]:
     """Find short sums of features whose gradient has the direction of ``gradient`` (n, p).
 
-    Features and gradients are over all p ``columns``. A sum that leaves a variable out is no
-    answer. Of the sums whose misalignment is within a factor 4 of the least, the ``keep``
-    simplest are given; a constant in them is of any size and sign.
+    Features and gradients are over all p ``columns``. A sum has at most ``largest`` features; one
+    that leaves a variable out is no answer. Of the sums whose misalignment is within a factor
+    ``close`` of the least, the ``keep`` simplest are given; a constant in them is of any size and
+    sign.
     """
     names = list(columns)
     slopes = _feature_gradients(columns, features)
@@ -81,8 +79,8 @@ def find_inner_functions(
         if sets:
             found += _best_of_size(np.array(sets), total, missed, features, 10 * keep)
     least = max(min((h.misalignment for h in found), default=0.0), 1e-12)
-    close = [h for h in found if h.misalignment <= _CLOSE * least]
-    return sorted(close, key=lambda h: (complexity(skeleton(h.expr)), h.misalignment))[:keep]
+    best = [h for h in found if h.misalignment <= close * least]
+    return sorted(best, key=lambda h: (complexity(skeleton(h.expr)), h.misalignment))[:keep]
 
 
 def _feature_gradients(columns: dict[str, np.ndarray], features: list[sympy.Expr]) -> np.ndarray:
@@ -129,9 +127,6 @@ def _coefficient(value: float) -> sympy.Expr:
     return sympy.Float(value)
 
 
-_MISALIGNED = 0.01
-
-
 @dataclass(frozen=True)
 class AbstractInnerSearch(AbstractReducer):
     """What the searches for inner functions share.
@@ -141,11 +136,20 @@ class AbstractInnerSearch(AbstractReducer):
     tolerance : accepted error of y as a function of h, in validation errors of the surrogate.
     max_cost : highest cost of a feature (:func:`dynsr.methods.features.build_features`).
     max_features : most features that the inner function is put together from.
+    max_terms : most features in one inner function.
+    misalignment : largest mean square of the sine of the angle between grad h and grad f.
+    close : inner functions whose misalignment is within this factor of the least count as equally
+        good, and the simplest of them is taken.
+    keep : inner functions handed on.
     """
 
     tolerance: float = 1.5
     max_cost: int = 4
     max_features: int = 60
+    max_terms: int = 3
+    misalignment: float = 0.01
+    close: float = 4.0
+    keep: int = 3
 
     def _inner(
         self,
@@ -153,14 +157,37 @@ class AbstractInnerSearch(AbstractReducer):
         gradient: np.ndarray,
         which: list[int],
         features: list[sympy.Expr] | None = None,
-    ) -> list[tuple[sympy.Expr, float]]:
-        """Inner functions of some of the variables, with their misalignment."""
+    ) -> list[InnerFunction]:
+        """Inner functions of some of the variables."""
         columns = {samples.names[j]: samples.X[:, j] for j in which}
         if features is None:
             features = inner_features(columns, self.max_cost, self.max_features)
         standard = gradient[:, which] * np.std(samples.X[:, which], axis=0)
-        found = find_inner_functions(columns, standard, features)
-        return [(h.expr, h.misalignment) for h in found if h.misalignment <= _MISALIGNED]
+        found = find_inner_functions(
+            columns, standard, features, self.max_terms, self.keep, self.close
+        )
+        return [h for h in found if h.misalignment <= self.misalignment]
+
+    def _accepted(
+        self, inner: list[InnerFunction], samples: Samples, surrogate: Surrogate
+    ) -> list[AbstractReduction]:
+        """Give the first two that y is a smooth function of, to within the tolerance."""
+        found: list[AbstractReduction] = []
+        for h in inner[:2]:
+            error = scatter(evaluate(h.expr, samples.columns), samples.y)
+            if error <= self.tolerance * surrogate.validation_error:
+                kind = f"{self.name}: {shown(h.expr)}"
+                found.append(Substitution(kind, error, h.expr, samples.names))
+        return found
+
+
+def shown(expr: sympy.Expr) -> str:
+    """Write a formula with numbers of four digits.
+
+    >>> shown(sympy.Float(1 / 3) * sympy.Symbol("x"))
+    '0.3333*x'
+    """
+    return str(expr.xreplace({n: sympy.Float(float(n), 4) for n in expr.atoms(sympy.Float)}))
 
 
 def scatter(values: np.ndarray, y: np.ndarray) -> float:
@@ -179,95 +206,3 @@ def scatter(values: np.ndarray, y: np.ndarray) -> float:
     off = v[1:-1] - (1 - share) * v[:-2] - share * v[2:]
     weight = np.sqrt(1 + (1 - share) ** 2 + share**2)
     return float(np.median(np.abs(off / weight))) / 0.6745
-
-
-@dataclass(frozen=True)
-class Compositionality(AbstractInnerSearch):
-    """Look for f = F(h(x)) with h a short sum of features, by the direction of the gradient.
-
-    An inner function counts when y, ordered by h, is a smooth curve to within the tolerance.
-    """
-
-    name = "compositionality"
-
-    def find(self, samples: Samples, surrogate: Surrogate) -> list[AbstractReduction]:
-        """Find inner functions of all variables."""
-        if not Support(samples.X).fills_space:
-            return []
-        everything = list(range(samples.X.shape[1]))
-        inner = self._inner(samples, surrogate.gradient(samples.X), everything)
-        return _accepted(self.name, inner, samples, self.tolerance * surrogate.validation_error)
-
-
-@dataclass(frozen=True)
-class GeneralSeparability(AbstractInnerSearch):
-    """Look for f = F(g(x_S) + h(x_R)): a sum inside one more function of one variable.
-
-    Products are sums of logarithms, so F(g(x_S) h(x_R)) is found too where g and h have one sign.
-    """
-
-    max_cost: int = 6
-    name = "general separability"
-
-    def find(self, samples: Samples, surrogate: Surrogate) -> list[AbstractReduction]:
-        """Find sums over each partition of the variables."""
-        if not Support(samples.X).fills_space:
-            return []
-        gradient = surrogate.gradient(samples.X)
-        found: list[AbstractReduction] = []
-        for first, second in partitions(samples.X.shape[1]):
-            features: list[sympy.Expr] = []
-            for part in (first, second):
-                columns = {samples.names[j]: samples.X[:, j] for j in part}
-                features += inner_features(columns, self.max_cost, self.max_features // 2)
-            everything = list(range(samples.X.shape[1]))
-            inner = self._inner(samples, gradient, everything, features)
-            limit = self.tolerance * surrogate.validation_error
-            found += _accepted(self.name, inner, samples, limit)
-        return found
-
-
-def _accepted(
-    kind: str, inner: list[tuple[sympy.Expr, float]], samples: Samples, limit: float
-) -> list[AbstractReduction]:
-    found: list[AbstractReduction] = []
-    for expr, _ in inner[:2]:
-        error = scatter(evaluate(expr, samples.columns), samples.y)
-        if error <= limit:
-            found.append(Substitution(f"{kind} in {_name(expr)}", error, expr, samples.names))
-    return found
-
-
-def _name(expr: sympy.Expr) -> str:
-    return str(expr.xreplace({n: sympy.Float(float(n), 4) for n in expr.atoms(sympy.Float)}))
-
-
-@dataclass(frozen=True)
-class GeneralisedSymmetry(AbstractInnerSearch):
-    """Look for f = F(h(x_S), x_R) with two or more, but not all, of the variables in h.
-
-    The gradient restricted to x_S must have the direction of grad h for all values of the others.
-    An inner function is accepted when its gradient is within ``angle`` (radians, root mean square)
-    of that direction.
-    """
-
-    max_features: int = 36
-    angle: float = 0.05
-    name = "generalised symmetry"
-
-    def find(self, samples: Samples, surrogate: Surrogate) -> list[AbstractReduction]:
-        """Try every subset of the variables."""
-        count = samples.X.shape[1]
-        if count < 3 or not Support(samples.X).fills_space:
-            return []
-        gradient = surrogate.gradient(samples.X)
-        found: list[AbstractReduction] = []
-        for size in range(2, count):
-            for which in combinations(range(count), size):
-                names = tuple(samples.names[j] for j in which)
-                for expr, misalignment in self._inner(samples, gradient, list(which))[:1]:
-                    if misalignment <= self.angle**2:
-                        error = surrogate.validation_error * misalignment / self.angle**2
-                        kind = f"{self.name} in {_name(expr)}"
-                        found.append(Substitution(kind, error, expr, names))
-        return found

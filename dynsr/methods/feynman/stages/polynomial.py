@@ -10,14 +10,15 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
+from dynsr.errors import InputError
 from dynsr.expression import complexity
 from dynsr.fit import Candidate, ParetoFront, eliminate, rmse, score_candidate
 from dynsr.methods.feynman.stages.base import AbstractStage, Context
 from dynsr.methods.library import monomials
 
 Exponents = tuple[int, ...]
+# Above so many columns an eighth of them is eliminated at a time; one at a time below.
 _FEW = 24
-_FITTED, _EXCESS = 0.8, 10.0
 
 
 def monomial_exponents(variables: int, degree: int) -> list[Exponents]:
@@ -42,17 +43,33 @@ def design(X: np.ndarray, exponents: list[Exponents]) -> np.ndarray:
 class Polynomial(AbstractStage):
     """Least squares over all monomials up to ``degree`` (the paper's appendix: degree 4).
 
-    Every degree from 0 up is given in full. With ``sparse`` each degree is also thinned out: the
-    term that explains least is dropped and the rest fitted again, by plain and by robust (Cauchy)
-    least squares, down to one term; sums of at most 24 terms are given. A degree is left out when
-    it has more terms than half the rows, and in full also when its fit to the first four fifths of
-    the rows misses the last fifth by more than 10 times as much: such a polynomial follows the
-    samples and diverges as soon as it leaves them.
+    Every degree from 0 up is given in full; one that has more terms than half the rows is left
+    out. A full polynomial whose fit to the first rows misses the last ones is left out too: it
+    follows the samples and diverges as soon as it leaves them.
+
+    Parameters
+    ----------
+    degree : highest total degree; at least 0.
+    sparse : also thin each degree out: the term that explains least is dropped and the others
+        fitted again, by plain and by robust (Cauchy) least squares, down to one term.
+    max_terms : sparse sums of more terms are not given.
+    fitted : share of the rows, the first ones, that the test of a full polynomial fits.
+    excess : how many times the error on those rows it may miss the others by.
+
+    Raises InputError when ``degree`` is negative.
     """
 
     degree: int = 4
     sparse: bool = True
+    max_terms: int = 24
+    fitted: float = 0.8
+    excess: float = 10.0
     name = "polynomial"
+
+    def __post_init__(self) -> None:
+        """Check the degree."""
+        if not self.degree >= 0:
+            raise InputError(f"degree {self.degree!r} must be at least 0")
 
     def run(self, samples: Samples, context: Context) -> list[Candidate]:
         """Fit every degree; see the class."""
@@ -61,26 +78,29 @@ class Polynomial(AbstractStage):
             context.tell(self.name, degree, self.degree + 1)
             if math.comb(degree + samples.X.shape[1], degree) > max(1, len(samples) // 2):
                 break
-            if carries_over(samples, degree):
+            if carries_over(samples, degree, self.fitted, self.excess):
                 front = front.add(fit_full(samples, degree))
             if self.sparse and degree:
-                front = front.add(*thin_out(samples, degree, robust=False))
-                front = front.add(*thin_out(samples, degree, robust=True))
+                front = front.add(*thin_out(samples, degree, self.max_terms, robust=False))
+                front = front.add(*thin_out(samples, degree, self.max_terms, robust=True))
         return list(front)
 
 
-def carries_over(samples: Samples, degree: int) -> bool:
-    """Whether the fit of a degree to the first four fifths of the rows holds on the last fifth."""
+def carries_over(samples: Samples, degree: int, fitted: float = 0.8, excess: float = 10.0) -> bool:
+    """Whether the fit of a degree to the first share ``fitted`` of the rows holds on the others.
+
+    It does when it misses those by at most ``excess`` times its own RMSE.
+    """
     centre, scale = standard_coordinates(samples.X)
     values = design((samples.X - centre) / scale, monomial_exponents(samples.X.shape[1], degree))
-    first = max(1, int(_FITTED * len(samples)))
+    first = max(1, int(fitted * len(samples)))
     weights = np.linalg.lstsq(values[:first], samples.y[:first], rcond=None)[0]
     residual = samples.y - values @ weights
     own, tail = residual[:first], residual[first:]
     if not len(tail):
         return True
     floor = 1e-7 * float(np.std(samples.y))
-    limit = _EXCESS * max(float(np.sqrt(np.mean(own**2))), floor)
+    limit = excess * max(float(np.sqrt(np.mean(own**2))), floor)
     return bool(np.sqrt(np.mean(tail**2)) <= limit)
 
 
@@ -95,7 +115,7 @@ def fit_full(samples: Samples, degree: int) -> Candidate:
     values = design((samples.X - centre) / scale, exponents)
     weights = np.linalg.lstsq(values, samples.y, rcond=None)[0]
     raw = expand_shift(dict(zip(exponents, weights, strict=True)), centre, scale)
-    source = f"polynomial {degree}"
+    source = f"{Polynomial.name}: degree {degree}"
     candidate = score_candidate(_as_expression(raw, samples.names), samples, source)
     spread = float(np.std(samples.y)) or 1.0
     if candidate.loss > rmse(values @ weights, samples.y) + 1e-9 * spread:
@@ -146,17 +166,17 @@ def _as_expression(terms: dict[Exponents, float], names: tuple[str, ...]) -> sym
     )
 
 
-def thin_out(samples: Samples, degree: int, robust: bool) -> list[Candidate]:
-    """Sparse polynomials of up to 24 terms, by backward elimination from all monomials."""
+def thin_out(samples: Samples, degree: int, max_terms: int, robust: bool) -> list[Candidate]:
+    """Sparse polynomials of few terms, by backward elimination from all monomials."""
     exponents = monomial_exponents(samples.X.shape[1], degree)
     values = design(samples.X, exponents)
     found = []
     for kept, weights in eliminate(values, samples.y, robust=robust, few=_FEW):
-        if len(kept) > _FEW:
+        if len(kept) > max_terms:
             continue
         expr = _as_expression(
             {exponents[j]: w for j, w in zip(kept, weights, strict=True)}, samples.names
         )
         loss = rmse(values[:, kept] @ weights, samples.y)
-        found.append(Candidate(expr, loss, complexity(expr), "polynomial, sparse"))
+        found.append(Candidate(expr, loss, complexity(expr), f"{Polynomial.name}: sparse"))
     return found

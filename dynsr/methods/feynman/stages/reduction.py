@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import sympy
@@ -21,44 +22,68 @@ from dynsr.expression import evaluate
 from dynsr.fit import Candidate, ParetoFront, choose, score_candidate
 from dynsr.methods.feynman.stages.base import AbstractStage, Context, Surrogate
 
-_SPREAD = 0.15
-_LEAST_ROWS = 20
-_SHORT = 8
+
+@dataclass(frozen=True)
+class Reach:
+    """Where a surrogate is believed.
+
+    Parameters
+    ----------
+    spacings : a point is near the samples when the nearest one is no farther than this many times
+        the 0.99 quantile of the samples' own spacing.
+    spread : samples fill the space when, in their neighbourhoods, the narrowest direction is at
+        least this share of the widest (medians of singular values); else gradients are unknown.
+    least_rows, share : a test needs so many rows near the samples, and this share of all.
+    """
+
+    spacings: float = 1.5
+    spread: float = 0.15
+    least_rows: int = 20
+    share: float = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """Where the samples are: which points are close to some, and whether they fill the space."""
+    """Where the samples are: which points are close to some, and whether they fill the space.
+
+    Parameters
+    ----------
+    X : (n, p) samples; distances are in standard deviations of its columns.
+    reach : what counts as close, filled and enough.
+    """
 
     X: np.ndarray
+    reach: Reach = Reach()
 
     def _standard(self, X: np.ndarray) -> np.ndarray:
         scale = np.std(self.X, axis=0)
         return (X - self.X.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
 
     def near(self, X: np.ndarray) -> np.ndarray:
-        """Whether each row is about as close to a sample as samples are to each other."""
+        """(n,) whether each row is about as close to a sample as samples are to each other."""
         own = self._standard(self.X)
         tree = cKDTree(own)
         spacing = tree.query(own, k=2)[0][:, 1]
-        return tree.query(self._standard(X))[0] <= 1.5 * np.quantile(spacing, 0.99)
+        limit = self.reach.spacings * np.quantile(spacing, 0.99)
+        return tree.query(self._standard(X))[0] <= limit
 
-    @property
+    def enough(self, rows: np.ndarray) -> bool:
+        """Whether so many rows, an (n,) mask, can speak for all."""
+        return int(rows.sum()) >= max(self.reach.least_rows, int(self.reach.share * len(rows)))
+
+    @cached_property
     def fills_space(self) -> bool:
         """Whether neighbours differ in every direction, so that a full gradient can be known."""
         own = self._standard(self.X)
+        # So many neighbourhoods fix a median; ten points for each direction fix a shape.
         rows = np.linspace(0, len(own) - 1, min(200, len(own))).astype(int)
         count = min(10 * own.shape[1], len(own))
         neighbours = own[cKDTree(own).query(own[rows], k=count)[1]]
-        spread = np.linalg.svd(
+        extent = np.linalg.svd(
             neighbours - neighbours.mean(axis=1, keepdims=True), compute_uv=False
         )
-        return bool(np.median(spread[:, -1] / np.maximum(spread[:, 0], 1e-300)) > _SPREAD)
-
-
-def enough(rows: np.ndarray) -> bool:
-    """Whether so many rows (a mask) can speak for all."""
-    return int(rows.sum()) >= max(_LEAST_ROWS, len(rows) // 20)
+        narrow = extent[:, -1] / np.maximum(extent[:, 0], 1e-300)
+        return bool(np.median(narrow) > self.reach.spread)
 
 
 class AbstractReduction(ABC):
@@ -133,8 +158,10 @@ class AbstractReducer(AbstractStage):
     tolerance: float
 
     @abstractmethod
-    def find(self, samples: Samples, surrogate: Surrogate) -> list[AbstractReduction]:
-        """Give the reductions that pass, in any order."""
+    def find(
+        self, samples: Samples, surrogate: Surrogate, support: Support
+    ) -> list[AbstractReduction]:
+        """Give the reductions that pass, in any order; ``support`` is that of the samples."""
 
     def run(self, samples: Samples, context: Context) -> list[Candidate]:
         """Apply the surest reduction alone."""
@@ -153,11 +180,15 @@ class Reduce(AbstractStage):
     reducers : which properties to look for.
     branches : how many reductions are followed, surest first.
     max_depth : how many reductions may follow each other.
+    max_constants : a formula is short when it has at most so many free constants.
+    reach : where the surrogate is believed.
     """
 
     reducers: tuple[AbstractReducer, ...]
     branches: int = 2
     max_depth: int = 3
+    max_constants: int = 8
+    reach: Reach = Reach()
     name = "reduction"
 
     def run(self, samples: Samples, context: Context) -> list[Candidate]:
@@ -168,12 +199,14 @@ class Reduce(AbstractStage):
             return []
         context.tell("network", 0, 1)
         surrogate = context.surrogate(samples, context)
-        if context.depth == 0 and _explained(context.front, surrogate.validation_error):
+        explained = (c.loss for c in short(context.front, self.max_constants))
+        if context.depth == 0 and min(explained, default=np.inf) <= surrogate.validation_error:
             return []
+        support = Support(samples.X, self.reach)
         found: list[AbstractReduction] = []
         for done, reducer in enumerate(self.reducers):
             context.tell(reducer.name, done, len(self.reducers))
-            found += reducer.find(samples, surrogate)
+            found += reducer.find(samples, surrogate, support)
         candidates = []
         for reduction in sorted(found, key=lambda r: (r.error, r.kind))[: self.branches]:
             if context.seconds_left <= 0:
@@ -184,10 +217,6 @@ class Reduce(AbstractStage):
         return candidates
 
 
-def short(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Give the formulas of at most 8 free constants."""
-    return [c for c in candidates if len(c.expr.atoms(sympy.Float)) <= _SHORT]
-
-
-def _explained(front: ParetoFront, error: float) -> bool:
-    return min((c.loss for c in short(front)), default=np.inf) <= error
+def short(candidates: Iterable[Candidate], most: int) -> list[Candidate]:
+    """Give the formulas of at most so many free constants."""
+    return [c for c in candidates if len(c.expr.atoms(sympy.Float)) <= most]

@@ -18,22 +18,18 @@ class Refinement(AbstractStage):
     Parameters
     ----------
     snapping : also snap the ``top`` formulas of least description length, with robust refits.
-    candidates : formulas to begin with.
     top : how many shapes are snapped.
     most_constants : formulas with more floats are left as they are.
     """
 
     snapping: bool = True
-    candidates: tuple[Candidate, ...] = ()
     top: int = 8
     most_constants: int = FitSettings.most_constants
     name = "refinement"
 
     def run(self, samples: Samples, context: Context) -> list[Candidate]:
         """Refine the Pareto front by plain least squares; then snap."""
-        front = [
-            c for c in ParetoFront(self.candidates) if self._constants(c) <= self.most_constants
-        ]
+        front = [c for c in ParetoFront(context.found) if self._constants(c) <= self.most_constants]
         found: list[Candidate] = []
         for done, candidate in enumerate(front):
             if context.seconds_left <= 0:
@@ -44,7 +40,7 @@ class Refinement(AbstractStage):
                 found.append(score_candidate(expr, samples, candidate.source))
         if self.snapping and context.seconds_left > 0:
             context.tell("snapping", 0, None)
-            small = [c for c in self.candidates if self._constants(c) <= self.most_constants]
+            small = [c for c in context.found if self._constants(c) <= self.most_constants]
             found += snap_best(small, samples, self.top)
         return found
 

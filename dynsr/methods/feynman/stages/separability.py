@@ -16,11 +16,8 @@ from dynsr.methods.feynman.stages.reduction import (
     AbstractReducer,
     AbstractReduction,
     Support,
-    enough,
     leading,
 )
-
-_SMALL = 0.02
 
 
 def partitions(count: int) -> Iterator[tuple[list[int], list[int]]]:
@@ -41,7 +38,8 @@ class Split(AbstractReduction):
 
     The first factor is solved on ``values``, the surrogate along x_S with x_R held. The second is
     solved on what the samples themselves leave once the first is taken off, so that the
-    surrogate's own error does not enter it.
+    surrogate's own error does not enter it. Rows at which the first factor of a product is below
+    ``small`` times its largest are left out of the second.
     """
 
     kind: str
@@ -50,6 +48,8 @@ class Split(AbstractReduction):
     second: tuple[int, ...]
     values: np.ndarray
     product: bool
+    small: float
+    support: Support
 
     def solve(self, samples: Samples, context: Context) -> list[sympy.Expr]:
         """Solve for S, then for R, and join."""
@@ -70,8 +70,8 @@ class Split(AbstractReduction):
             return None
         if not self.product:
             return _columns(samples, self.second, samples.y - known)
-        rows = np.abs(known) > _SMALL * np.abs(known).max()
-        if not enough(rows):
+        rows = np.abs(known) > self.small * np.abs(known).max()
+        if not self.support.enough(rows):
             return None
         return _columns(samples.select(rows), self.second, samples.y[rows] / known[rows])
 
@@ -86,18 +86,28 @@ class Separability(AbstractReducer):
     """Test every partition of the variables for a sum and for a product.
 
     The errors are the medians of |f - f(x_S, m_R) - f(m_S, x_R) + f(m)| and of
-    |f - f(x_S, m_R) f(m_S, x_R) / f(m)| (Udrescu et al. 2020, section 2.4), over the rows near
+    |f - f(x_S, m_R) f(m_S, x_R) / f(m)| (Udrescu et al. 2020), over the rows near
     which all three points have samples; m is the sample nearest the middle at which f is not small.
+
+    Parameters
+    ----------
+    tolerance : accepted error, in validation errors of the surrogate.
+    additive : look for g(x_S) + h(x_R).
+    multiplicative : look for g(x_S) h(x_R).
+    small : rows at which g is below this share of its largest value do not tell h.
     """
 
     tolerance: float = 1.0
     additive: bool = True
     multiplicative: bool = True
+    small: float = 0.02
     name = "separability"
 
-    def find(self, samples: Samples, surrogate: Surrogate) -> list[AbstractReduction]:
+    def find(
+        self, samples: Samples, surrogate: Surrogate, support: Support
+    ) -> list[AbstractReduction]:
         """Test every partition."""
-        X, support = samples.X, Support(samples.X)
+        X = samples.X
         here = surrogate.predict(X)
         middle = _middle(X, here)
         centre = here[middle]
@@ -107,14 +117,15 @@ class Separability(AbstractReducer):
             held[:, second] = X[middle, second]
             freed[:, first] = X[middle, first]
             rows = support.near(held) & support.near(freed)
-            if not enough(rows):
+            if not support.enough(rows):
                 continue
             left, right = surrogate.predict(held), surrogate.predict(freed)
             for product in (False, True):
                 error = self._error(here, left, right, centre, product, rows)
                 if error <= self.tolerance * surrogate.validation_error:
-                    kind = f"{'multiplicative' if product else 'additive'} separability"
-                    found.append(Split(kind, error, tuple(first), tuple(second), left, product))
+                    kind = f"{self.name}: {'multiplicative' if product else 'additive'}"
+                    parts = tuple(first), tuple(second)
+                    found.append(Split(kind, error, *parts, left, product, self.small, support))
         return found
 
     def _error(

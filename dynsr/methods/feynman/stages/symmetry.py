@@ -16,10 +16,8 @@ from dynsr.methods.feynman.stages.reduction import (
     AbstractReduction,
     Substitution,
     Support,
-    enough,
 )
 
-_FACTOR = 1.2
 Move = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -27,42 +25,55 @@ Move = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 class Symmetry(AbstractReducer):
     """Look for f(x_i - x_j), f(x_i + x_j), f(x_i / x_j) and f(x_i x_j) in every pair.
 
-    Both variables are moved so that the combination stays (by half the smaller standard
-    deviation, or by the factor 1.2; Udrescu et al. 2020, section 2.3) and the surrogate is asked
-    whether its value stays too. Moving one of the two alone must change it much more.
+    Both variables are moved so that the combination stays (Udrescu et al. 2020) and the surrogate
+    is asked whether its value stays too. Moving one of the two alone must change it much more.
+
+    Parameters
+    ----------
+    tolerance : accepted median change, in validation errors of the surrogate.
+    translation : look for x_i - x_j and x_i + x_j.
+    scaling : look for x_i / x_j and x_i x_j.
+    step : how far variables are moved, in the smaller of their standard deviations.
+    factor : what variables are multiplied and divided by.
+    contrast : moving one of the two alone must change the surrogate by more than so many times.
     """
 
     tolerance: float = 2.0
     translation: bool = True
     scaling: bool = True
+    step: float = 0.5
+    factor: float = 1.2
+    contrast: float = 5.0
     name = "symmetry"
 
-    def find(self, samples: Samples, surrogate: Surrogate) -> list[AbstractReduction]:
+    def find(
+        self, samples: Samples, surrogate: Surrogate, support: Support
+    ) -> list[AbstractReduction]:
         """Test every pair and kind."""
-        support = Support(samples.X)
         here = surrogate.predict(samples.X)
         found: list[AbstractReduction] = []
         for i, j in combinations(range(samples.X.shape[1]), 2):
             for kind, inner, move in self._moves(samples, i, j):
-                error, contrast = _change(samples.X, i, j, move, surrogate, here, support)
-                if error <= self.tolerance * surrogate.validation_error and contrast > 5 * error:
+                error, alone = _change(samples.X, i, j, move, surrogate, here, support)
+                small = error <= self.tolerance * surrogate.validation_error
+                if small and alone > self.contrast * error:
                     replaced = (samples.names[i], samples.names[j])
-                    found.append(
-                        Substitution(f"{kind} symmetry of {inner}", error, inner, replaced)
-                    )
+                    label = f"{self.name}: {kind} in {inner}"
+                    found.append(Substitution(label, error, inner, replaced))
         return found
 
     def _moves(self, samples: Samples, i: int, j: int) -> Iterator[tuple[str, sympy.Expr, Move]]:
         a, b = sympy.Symbol(samples.names[i]), sympy.Symbol(samples.names[j])
         x, z = samples.X[:, i], samples.X[:, j]
-        step = 0.5 * min(float(np.std(x)), float(np.std(z)))
+        step = self.step * min(float(np.std(x)), float(np.std(z)))
         if self.translation:
             yield "translational", a - b, lambda p, q: (p + step, q + step)
             yield "translational", a + b, lambda p, q: (p + step, q - step)
         if self.scaling:
+            factor = self.factor
             if np.abs(z).min() > 1e-6 * np.abs(z).max():
-                yield "scaling", a / b, lambda p, q: (p * _FACTOR, q * _FACTOR)
-            yield "scaling", a * b, lambda p, q: (p * _FACTOR, q / _FACTOR)
+                yield "scaling", a / b, lambda p, q: (p * factor, q * factor)
+            yield "scaling", a * b, lambda p, q: (p * factor, q / factor)
 
 
 def _change(
@@ -79,7 +90,7 @@ def _change(
     both[:, i], both[:, j] = move(X[:, i], X[:, j])
     one[:, i], other[:, j] = both[:, i], both[:, j]
     rows = support.near(both)
-    if not enough(rows):
+    if not support.enough(rows):
         return np.inf, 0.0
 
     def median(moved: np.ndarray) -> float:
