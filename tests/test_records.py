@@ -10,7 +10,7 @@ import sympy
 
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
-from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.fit.candidates import Candidate
 from dynsr.jobs.store import (
     RecordError,
     RecordWarning,
@@ -201,10 +201,10 @@ def test_settings_become_plain_values():
 
 
 def test_values_of_every_type_read_back():
-    """Fronts, optional values, tuples and mappings are what they were; null is infinity."""
-    front = ParetoFront([Candidate(parse("1/3*x"), 0.1 + 0.2, 7.5, "ga")])
+    """Candidates, optional values, tuples and mappings are what they were; null is infinity."""
+    found = (Candidate(parse("1/3*x"), 0.1 + 0.2, 7.5, "ga"), Candidate(parse("2.0*x"), 0.5, 3.0))
     for kind, value in (
-        (ParetoFront, front),
+        (tuple[Candidate, ...], found),
         (tuple[tuple[str, ...], float], (("a", "b"), math.inf)),
         (dict[str, float], {"a": 1e-300}),
         (float | None, 2.5),
