@@ -6,6 +6,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
+from dynsr.cli.progress import SearchProgress
 from dynsr.errors import DynsrError
 from dynsr.paper.protocol import PAPER_METHODS
 from dynsr.paper.replication import PAPER_NAMES, Replication, replicate
@@ -28,9 +29,15 @@ def run(
 ) -> Replication:
     """Compute the cells of some methods that the folder does not hold yet, and give all of them."""
     try:
-        return replicate(
-            systems, methods, out=options.out, quick=options.quick, progress=True, report=False
-        )
+        with SearchProgress() as progress:
+            return replicate(
+                systems,
+                methods,
+                out=options.out,
+                quick=options.quick,
+                progress=progress,
+                report=False,
+            )
     except DynsrError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None

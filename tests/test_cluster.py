@@ -38,7 +38,7 @@ def test_a_killed_worker_does_not_change_the_result(tmp_path):
         killed = []
 
         def kill(step):
-            """Kill a worker when the first part has ended."""
+            """Kill a worker when the first task has ended."""
             if step.what and not killed:
                 os.kill(pids[0], signal.SIGKILL)
                 killed.append(step.what)

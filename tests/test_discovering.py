@@ -150,9 +150,7 @@ def seen(monkeypatch):
 
     def discover(data, *, progress, **options):
         calls.update(options, data=data)
-        candidate = {"expr": "-0.5*x", "loss": 0.1, "complexity": 3.0, "source": "fake"}
-        record = {"target": "x", "front": [candidate]}
-        progress(dynsr.discovery.search.Step("search-x-fake", 1, 1, record))
+        progress(dynsr.discovery.search.Step("x' by fake", 1, 1, None, "-0.5*x  (error 0.1)"))
         return Found({"engine": options["engine"], "seed": options["seed"], "methods": ["fake"]})
 
     monkeypatch.setattr(dynsr.discovery, "discover", discover)
@@ -204,7 +202,7 @@ def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
     assert guess in result.stderr and f"guessed: {guess}" in result.stdout.replace(
         str(tmp_path) + os.sep, ""
     )
-    assert "search-x-fake: -0.5*x  (error 0.1)" in result.stderr
+    assert "x' by fake: -0.5*x  (error 0.1)" in result.stderr
     assert f"open: {os.path.join('data-dynsr', 'report.html')}" in result.stderr
     assert (tmp_path / "data-dynsr" / "report.html").exists()
 
@@ -362,7 +360,7 @@ def test_files_that_are_no_discovery(kept, tmp_path, content):
 
 
 def start_search(path, out, *words):
-    """Start a search in a process group of its own; wait until one part has ended."""
+    """Start a search in a process group of its own; wait until one task has ended."""
     words = [sys.executable, "-m", "dynsr", "discover", path, "-o", out, *words]
     child = subprocess.Popen(
         [str(word) for word in words],
@@ -371,8 +369,7 @@ def start_search(path, out, *words):
         text=True,
         start_new_session=True,
     )
-    parts = out / "parts"
-    while not list(parts.glob("search*")):
+    while not list((out / "records").glob("search*")):
         assert child.poll() is None
         time.sleep(0.05)
     return child
@@ -390,7 +387,6 @@ def test_interrupt_of_a_search_is_130(tmp_path):
     assert "the same command goes on from there" in errors
     saved = json.loads((tmp_path / "kept" / "discovery.json").read_text())
     assert saved["equations"] and not saved["complete"]
-    assert not (tmp_path / "kept" / "live").exists()
 
 
 def test_a_second_interrupt_ends_at_once():
@@ -428,7 +424,7 @@ def test_another_discovery_gets_a_folder_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setattr("dynsr.cli.discovery.keep", lambda found, folder: [])
     for seed in (0, 1, 0, 1):
         result = run(*words[:-1], "--seed", seed)
-        said = "other seed (0 there, 1 here); this one goes to 'line-dynsr-2'"
+        said = "holds results with seed 0, not 1; this one goes to 'line-dynsr-2'"
         assert (said in result.stderr) == (seed == 1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["line-dynsr", "line-dynsr-2", "line.csv"]
-    assert "name another folder" in refuse(*words, "--seed", 2, "-o", "line-dynsr")
+    assert "give another folder" in refuse(*words, "--seed", 2, "-o", "line-dynsr")

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.polishing import polish
 from dynsr.fit.shooting import is_noisy
+from dynsr.jobs.store import RecordWarning
 from dynsr.methods.rational import RationalSearch
 
 QUICK = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
@@ -167,28 +169,31 @@ def test_too_few_rows_are_refused():
         discover((np.arange(3.0), np.ones((3, 1))), jobs=1)
 
 
-def test_finished_parts_are_not_done_again(decay, found, tmp_path):
-    """A second run in the same folder reads every part and gives the same discovery."""
+def test_finished_tasks_are_not_done_again(decay, found, tmp_path):
+    """A second run in the same folder reads every record and gives the same discovery."""
     discover(decay, method=QUICK, jobs=1, out=tmp_path)
-    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "parts").iterdir()}
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "records").iterdir()}
     again = discover(decay, method=QUICK, jobs=1, out=tmp_path)
-    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "parts").iterdir()} == before
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "records").iterdir()} == before
     assert {**again.as_record(), "seconds": 0} == {**found.as_record(), "seconds": 0}
 
 
-def test_a_damaged_part_is_done_again(decay, found, tmp_path):
+def test_a_damaged_record_is_done_again(decay, found, tmp_path):
     """A record that is cut short counts as unfinished."""
     discover(decay, method=QUICK, jobs=1, out=tmp_path)
-    for path in (tmp_path / "parts").iterdir():
+    for path in (tmp_path / "records").iterdir():
         path.write_text(path.read_text()[: -len(path.read_text()) // 2])
-    again = discover(decay, method=QUICK, jobs=1, out=tmp_path)
+    with pytest.warns(RecordWarning, match="no whole record .*; computing it again"):
+        again = discover(decay, method=QUICK, jobs=1, out=tmp_path)
     assert again.equations == found.equations
 
 
 def test_a_saved_discovery_loads_as_it_was(found, tmp_path):
     """Saving and loading gives the same equations, fronts, reasons and settings."""
-    again = Discovery.load(found.save(tmp_path / "d.json"))
-    assert again.as_record() == found.as_record()
+    unsure = replace(found, errors={**found.errors, "x": ((-0.5, np.inf),)})
+    for kept in (found, unsure):
+        again = Discovery.load(kept.save(tmp_path / "d.json"))
+        assert again.as_record() == kept.as_record()
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "dynsr discovery 1"}'])
@@ -216,4 +221,4 @@ def test_a_relative_folder_is_that_of_the_caller(decay, tmp_path, monkeypatch):
         (tmp_path / name).mkdir()
         monkeypatch.chdir(tmp_path / name)
         discover(decay, method="rational", preset="quick", jobs=2, out="kept")
-    assert list((tmp_path / "second" / "kept" / "parts").glob("search-*"))
+    assert list((tmp_path / "second" / "kept" / "records").glob("search-*"))

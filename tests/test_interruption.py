@@ -22,6 +22,14 @@ KILLED = [QUICK, GeneticAlgorithm(population=60, iterations=40)]
 ENDLESS = GeneticAlgorithm(population=30, iterations=10**7)
 
 
+@pytest.fixture(autouse=True)
+def default_interrupt():
+    """Have Ctrl-C raise KeyboardInterrupt, also where the tests run in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture(scope="module")
 def decay():
     """Two coupled linear states in closed form."""
@@ -62,10 +70,8 @@ def test_ctrl_c_gives_the_best_so_far(decay, tmp_path, jobs):
     (term,) = {parse("x - 0.5*y") - found.equations["y"]}
     assert all(abs(float(n)) < 1e-3 for n in term.as_coefficients_dict().values())
     assert "best so far" in found.explanation["y"] and len(found.front["y"]) > 1
-    assert {path.name.rpartition("-")[0] for path in (tmp_path / "parts").iterdir()} == {
-        "search-y-rational"
-    }
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["parts", "run.json"]
+    assert [path.name for path in (tmp_path / "records").iterdir()] == ["search-y-rational.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["manifest.json", "records"]
     assert signal.getsignal(signal.SIGINT) is before
     saved = Discovery.load(found.save(tmp_path / "d.json"))
     assert not saved.complete and saved.equations == found.equations
@@ -108,7 +114,7 @@ def test_an_interrupted_search_is_searched_again(decay, tmp_path):
     whole = discover(decay, method=method, jobs=1, out=tmp_path / "whole")
     moments = [
         has_formula,
-        lambda step: any(r.method == "pick" for r in step.running),
+        lambda step: any(r.stage == "choosing" for r in step.running),
         lambda step: step.done == step.total,
     ]
     for moment in moments:
@@ -124,11 +130,11 @@ def test_a_folder_belongs_to_one_discovery(decay, tmp_path):
     t, x = decay
     discover(decay, method=QUICK, targets="x", jobs=1, out=tmp_path)
     for changes, said in (
-        ({"seed": 1}, r"other seed \(0 there, 1 here\)"),
-        ({"targets": "all"}, r"other targets \(x there, x, y here\)"),
-        ({"method": [QUICK, "sindy"]}, r"other methods \(rational there, rational, sindy here\)"),
-        ({"data": (t, 1.01 * x)}, "other data"),
-        ({"method": RationalSearch(costs=(2,), max_terms=2)}, "other options; name another"),
+        ({"seed": 1}, "holds results with seed 0, not 1; give another folder"),
+        ({"targets": "all"}, "with targets x, not x, y"),
+        ({"method": [QUICK, "sindy"]}, "with methods rational, not rational, sindy"),
+        ({"data": (t, 1.01 * x)}, "with data 301 rows of x, y, .*, not 301 rows of"),
+        ({"method": RationalSearch(costs=(2,), max_terms=2)}, "other options; give another folder"),
     ):
         asked = {"data": decay, "method": QUICK, "targets": "x", **changes}
         with pytest.raises(InputError, match=said):
@@ -157,7 +163,7 @@ print("over", flush=True)
 def test_kill_9_at_random_moments_changes_nothing(decay, tmp_path, jobs, ends):
     """Killed again and again, in searches, choice or polishing, the rerun ends in the same result.
 
-    A part that is finished is never done again.
+    A task that is finished is never done again.
     """
     whole = discover(decay, method=KILLED, jobs=1)
     moments = random.Random(jobs)
@@ -176,9 +182,9 @@ def test_kill_9_at_random_moments_changes_nothing(decay, tmp_path, jobs, ends):
         os.kill(child.pid, signal.SIGKILL)
         child.wait()
         child.stdout.close()
-        kept = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "parts").glob("[!.]*")}
+        kept = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "records").glob("[!.]*")}
         assert len(kept) >= done and times.items() <= kept.items()
-        assert all("key" in json.loads((tmp_path / "parts" / n).read_text()) for n in kept)
+        assert all("key" in json.loads((tmp_path / "records" / n).read_text()) for n in kept)
         times = kept
     again = discover(decay, method=KILLED, jobs=1, out=tmp_path)
     assert {**again.as_record(), "seconds": 0} == {**whole.as_record(), "seconds": 0}

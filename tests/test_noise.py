@@ -1,5 +1,6 @@
 import csv
 import io
+import json
 import os
 import subprocess
 import sys
@@ -18,7 +19,9 @@ from dynsr.benchmarks.noise import (
     run_noise,
 )
 from dynsr.data.system import CART_POLE, LOTKA_VOLTERRA
+from dynsr.errors import InputError
 from dynsr.fit.candidates import ParetoFront, score_candidate
+from dynsr.jobs.store import from_plain, to_plain
 from dynsr.methods.base import AbstractMethod, silent
 
 ROOT = Path(__file__).parent.parent
@@ -46,18 +49,18 @@ def row(state, seed, same, off, rmse, noise=0.01, system="pendulum"):
     return NoiseRow(Recovery(system, state, noise, seed, "2*x", same, off, 3.0 + seed), rmse)
 
 
-def test_cells_are_kept_and_taken_from_their_records(tmp_path):
-    """A second run searches only the cells that the folder lacks, and gives the same rows."""
+def test_draws_are_kept_and_taken_from_their_records(tmp_path):
+    """A second run searches only the draws that the folder lacks, and gives the same rows."""
     log = tmp_path / "log"
     method = Truth(str(log))
     told = []
+
+    def tell(step):
+        if step.what:
+            told.extend(step.record.rows)
+
     first = run_noise(
-        [LOTKA_VOLTERRA],
-        [0.0, 0.002],
-        [0],
-        method=method,
-        out=tmp_path / "out",
-        finished=told.extend,
+        [LOTKA_VOLTERRA], [0.0, 0.002], [0], method=method, out=tmp_path / "out", progress=tell
     )
     assert first == told and len(first) == 4 and len(log.read_text().split()) == 4
     again = run_noise([LOTKA_VOLTERRA], [0.0, 0.002], [0], method=method, out=tmp_path / "out")
@@ -65,12 +68,19 @@ def test_cells_are_kept_and_taken_from_their_records(tmp_path):
     run_noise([LOTKA_VOLTERRA], [0.0, 0.002], [0, 1], method=method, out=tmp_path / "out")
     # Without noise all draws are one.
     assert len(log.read_text().split()) == 6
-    for lost in (tmp_path / "out" / "parts").iterdir():
+    for lost in (tmp_path / "out" / "records").iterdir():
         lost.unlink()
     resumed = run_noise([LOTKA_VOLTERRA], [0.0], [0], method=method, out=tmp_path / "out")
     # The searches themselves are kept too.
     assert len(log.read_text().split()) == 6
     assert [r.recovery.found for r in resumed] == [r.recovery.found for r in first[:2]]
+
+
+def test_a_folder_holds_the_draws_of_one_method(tmp_path):
+    """Another method does not mix its records with those that are there."""
+    run_noise([LOTKA_VOLTERRA], [0.0], [0], method=Truth(), out=tmp_path)
+    with pytest.raises(InputError, match="holds results with preset best, not quick"):
+        run_noise([LOTKA_VOLTERRA], [0.0], [0], method=Truth(), preset="quick", out=tmp_path)
 
 
 def test_what_is_found_is_judged_against_the_truth():
@@ -86,17 +96,17 @@ def test_failed_searches_count_as_not_found(tmp_path):
     found = run_noise([CART_POLE], [0.01], [3], method="no-such-method", out=tmp_path)
     assert [r.recovery.state for r in found] == list(CART_POLE.states)
     assert not any(r.recovery.same_form for r in found)
-    assert "no-such-method" in next((tmp_path / "parts").iterdir()).read_text()
+    assert "no-such-method" in next((tmp_path / "records").iterdir()).read_text()
 
 
 def test_rows_survive_their_record():
     """A row is read back from its record as it was, also where the error is infinite."""
     for one in (row("a", 0, True, 0.01, 0.5), row("b", 1, False, float("inf"), float("inf"))):
-        assert NoiseRow.from_dict(one.as_dict()) == one
+        assert from_plain(NoiseRow, json.loads(json.dumps(to_plain(one)))) == one
 
 
 def test_table_of_the_levels():
-    """Shares count all states, constants the exact ones alone, seconds the cells."""
+    """Shares count all states, constants the exact ones alone, seconds the discoveries."""
     rows = [
         row("a", 0, True, 0.01, 0.5),
         row("b", 0, False, float("inf"), 4.0),

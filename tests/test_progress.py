@@ -1,4 +1,5 @@
 import io
+import time
 from dataclasses import replace
 
 import pytest
@@ -6,11 +7,10 @@ import sympy
 from rich.console import Console
 
 from dynsr.cli import progress as module
-from dynsr.cli.progress import SearchProgress, best_equation
+from dynsr.cli.progress import SearchProgress
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
-from dynsr.jobs.watch import Running, Step
-from dynsr.selection.pick import write_candidates
+from dynsr.jobs.progress import Running, Step, best_equation
 
 FRONT = ParetoFront(
     [
@@ -30,28 +30,34 @@ def test_best_equation_is_the_knee():
 
 
 def step(seconds, done=0, what="", running=(), left=65.0):
-    """Give a report of a run of four parts."""
-    record = {"target": "x", "method": "sindy", "front": write_candidates(FRONT)} if what else {}
-    return Step(what, done, 4, record, running, seconds, left if done < 4 else None)
+    """Give a report of a run of four tasks."""
+    found = best_equation(FRONT) if what else ""
+    return Step(what, done, 4, None, found, running, seconds, left if done < 4 else None)
 
 
 def search(stage="generations", total=40.0):
     """Give a running search that has a formula."""
-    return Running("search-y-ga", "y", "ga", stage, 12.0, total, "2*x*[y]", 0.5, 7.0)
+    best, began = "2*x*[y]  (error 0.5)", time.time() - 7
+    return Running("search-y-ga", "y' by ga", stage, 12.0, total, best, began)
 
 
-def test_a_log_gets_a_line_a_part_at_most_one_in_two_seconds(capsys):
-    """Where stderr is no terminal, parts that end are lines with the equation and time left."""
+def test_a_log_gets_a_line_a_task_at_most_one_in_two_seconds(capsys):
+    """Where stderr is no terminal, tasks that end are lines with the equation and time left."""
     with SearchProgress() as progress:
-        for report in (step(0), step(1, 1, "a"), step(1.5, 2, "b"), step(4, 3, "c")):
+        for report in (
+            step(0),
+            step(1, 1, "x' by a"),
+            step(1.5, 2, "x' by b"),
+            step(4, 3, "x' by c"),
+        ):
             progress(report)
-        progress(step(4.5, 4, "d"))
+        progress(step(4.5, 4, "choice of x'"))
         progress(step(5, 4))
-    found = "x' by sindy: -x*y + 1.5*x  (error 0.001)"
+    found = "-x*y + 1.5*x  (error 0.001)"
     assert capsys.readouterr().err.splitlines() == [
-        f"[1/4] 0:01 {found}; about 1:05 left",
-        f"[3/4] 0:04 {found}; about 1:05 left",
-        f"[4/4] 0:04 {found}",
+        f"[1/4] 0:01 x' by a: {found}; about 1:05 left",
+        f"[3/4] 0:04 x' by c: {found}; about 1:05 left",
+        f"[4/4] 0:04 choice of x': {found}",
     ]
 
 
@@ -83,22 +89,22 @@ def test_quiet_says_nothing(capsys):
 
 @pytest.mark.parametrize("total", [None, 40.0])
 def test_a_terminal_shows_every_running_search(monkeypatch, total):
-    """On a terminal each running part is a line with its stage and formula, cut to the width."""
+    """On a terminal each running task is a line with its stage and formula, cut to the width."""
     screen = io.StringIO()
     narrow = Console(file=screen, force_terminal=True, width=100, highlight=False)
     monkeypatch.setattr(module, "console", lambda stderr: narrow)
     with SearchProgress() as progress:
-        long = replace(search(), part="search-x-ga", state="x", best="x + " * 100)
+        long = replace(search(), task="search-x-ga", title="x' by ga", best="x + " * 100)
         progress(step(75, 1, "a", (search("brute force [1]", total), long)))
         progress._bar.refresh()
         progress.say("one line [2]")
         drawn = screen.getvalue()
         assert "brute force [1]" in drawn and "one line [2]" in drawn and "2*x*[y]" in drawn
-        assert "1 of 4 parts" in drawn and "1:15" in drawn and "about 1:05 left" in drawn
+        assert "1 of 4 tasks" in drawn and "1:15" in drawn and "about 1:05 left" in drawn
         assert "x + x + x" in drawn and "…" in drawn
         assert len(progress._bar.tasks) == 3
         progress(step(80, 2, "b", (search(),)))
         assert len(progress._bar.tasks) == 2
         progress(step(90, 4, "b"))
         progress._bar.refresh()
-    assert "fitting the constants" in screen.getvalue()
+    assert "finishing" in screen.getvalue()

@@ -9,16 +9,20 @@ import pytest
 import sympy
 
 from dynsr.errors import InputError
-from dynsr.jobs.store import write_text
-from dynsr.paper.records import (
-    Record,
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate
+from dynsr.jobs.store import (
     RecordError,
-    describe_settings,
-    open_folder,
-    plain_values,
+    RecordWarning,
+    RunFolder,
+    fingerprint,
+    from_plain,
     read_record,
+    to_plain,
     write_record,
+    write_text,
 )
+from dynsr.paper.records import Record, describe_settings
 
 RECORD = Record(
     system="pendulum",
@@ -48,8 +52,8 @@ RECORD = Record(
 def test_a_record_reads_back_as_it_was(tmp_path, record):
     """Every number keeps all its bits, infinity included, and the file is strict JSON."""
     path = tmp_path / "cell.json"
-    write_record(record, path)
-    again = read_record(path)
+    write_record(path, record)
+    again, _ = read_record(path, Record)
     assert again == record and again.printed_loss == math.inf
 
     def refuse(name):
@@ -62,7 +66,7 @@ def test_a_record_reads_back_as_it_was(tmp_path, record):
 def test_every_cut_and_every_flipped_character_is_known(tmp_path):
     """No prefix of a record, and none with a character changed, is read as another record."""
     path = tmp_path / "cell.json"
-    write_record(RECORD, path)
+    write_record(path, RECORD)
     text = path.read_text()
     rng = np.random.default_rng(0)
     damaged = [text[:n] for n in range(0, len(text) - 1, 37)]
@@ -74,7 +78,7 @@ def test_every_cut_and_every_flipped_character_is_known(tmp_path):
         path.write_text(content)
         try:
             # The last digit of a number may change and leave the same float64.
-            assert read_record(path) == RECORD
+            assert read_record(path, Record)[0] == RECORD
         except RecordError:
             refused += 1
     assert refused >= len(damaged) - 2
@@ -90,30 +94,41 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path, monkeypatch):
     assert path.read_text() == "old"
 
 
+def claim(path, settings, key="", work="replication"):
+    """Claim a folder of a replication."""
+    RunFolder(path, "cells").claim(work, settings, key, alone=("cells", "tables"))
+
+
 def test_a_folder_is_continued_with_the_same_settings_alone(tmp_path):
     """Equal settings continue a folder; the first that differs is named with both values."""
     settings = {"seed": 1, "quick": False}
-    folder = open_folder(tmp_path / "a" / "b", settings)
-    assert open_folder(folder, settings) == folder
+    folder = tmp_path / "a" / "b"
+    claim(folder, settings)
+    claim(folder, settings)
     with pytest.raises(InputError, match="holds results with seed 1, not 2; give another folder"):
-        open_folder(folder, {"seed": 2, "quick": True})
+        claim(folder, {"seed": 2, "quick": True})
+    with pytest.raises(InputError, match="holds results with other options; give another folder"):
+        claim(folder, settings, "key")
+    with pytest.raises(InputError, match="no manifest of a dynsr discovery; give a new or an emp"):
+        claim(folder, settings, work="discovery")
 
 
 def test_a_folder_without_a_manifest_yet_is_continued(tmp_path):
     """A call that was killed before it wrote its manifest does not make the folder useless."""
     (tmp_path / "cells").mkdir()
     (tmp_path / ".manifest.json.77.part").write_text("{")
-    assert open_folder(tmp_path, {"seed": 1}) == tmp_path
+    claim(tmp_path, {"seed": 1})
+    assert json.loads((tmp_path / "manifest.json").read_text())["settings"] == {"seed": 1}
 
 
 def test_what_is_left_half_written_is_removed_when_it_is_old(tmp_path):
     """A part of an hour ago goes, one of just now may belong to a process that runs."""
-    folder = open_folder(tmp_path, {})
-    old, new = folder / "cells" / ".a.1.part", folder / "cells" / ".b.2.part"
+    claim(tmp_path, {})
+    old, new = tmp_path / "cells" / ".a.1.part", tmp_path / "cells" / ".b.2.part"
     for part in (old, new):
         part.write_text("{")
     os.utime(old, (time.time() - 7200,) * 2)
-    open_folder(tmp_path, {})
+    claim(tmp_path, {})
     assert not old.exists() and new.exists()
 
 
@@ -122,9 +137,18 @@ def test_what_is_left_half_written_is_removed_when_it_is_old(tmp_path):
     [
         (lambda p: p.write_text("x"), "is a file; give a folder"),
         (lambda p: (p.mkdir(), (p / "thesis.doc").write_text("x")), "holds 'thesis.doc' and no"),
-        (lambda p: (p.mkdir(), (p / "manifest.json").write_text("{}")), "no manifest of dynsr"),
-        (lambda p: (p.mkdir(), (p / "manifest.json").write_text("{")), "no manifest of dynsr"),
-        (lambda p: (p.mkdir(), (p / "manifest.json").write_text("[]")), "no manifest of dynsr"),
+        (
+            lambda p: (p.mkdir(), (p / "manifest.json").write_text("{}")),
+            "no manifest of a dynsr replication",
+        ),
+        (
+            lambda p: (p.mkdir(), (p / "manifest.json").write_text("{")),
+            "no manifest of a dynsr replication",
+        ),
+        (
+            lambda p: (p.mkdir(), (p / "manifest.json").write_text("[]")),
+            "no manifest of a dynsr replication",
+        ),
     ],
 )
 def test_a_folder_that_is_not_ours_is_refused(tmp_path, make, message):
@@ -132,7 +156,7 @@ def test_a_folder_that_is_not_ours_is_refused(tmp_path, make, message):
     make(tmp_path / "out")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(InputError, match=message) as caught:
-        open_folder(tmp_path / "out", {})
+        claim(tmp_path / "out", {})
     assert "\n" not in str(caught.value) and sorted(tmp_path.rglob("*")) == before
 
 
@@ -140,12 +164,12 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
     """A folder below a file, or one that the system refuses, is named in one line."""
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="cannot write results into .*: Not a directory; give"):
-        open_folder(tmp_path / "file" / "out", {})
+        claim(tmp_path / "file" / "out", {})
     monkeypatch.setattr(
         os, "replace", lambda a, b: (_ for _ in ()).throw(PermissionError(13, "no"))
     )
     with pytest.raises(InputError, match="cannot write results into .*: no; give another folder"):
-        open_folder(tmp_path / "out", {})
+        claim(tmp_path / "out", {})
 
 
 def test_settings_become_plain_values():
@@ -169,8 +193,72 @@ def test_settings_become_plain_values():
         "inner": {"law": "x/3"},
         "numbers": [1.0, 2.0],
         "kind": "int",
-        "bound": "inf",
+        "bound": None,
         "names": ["a", "b"],
     }
-    assert describe_settings(outer) == plain_values(outer) == expected
+    assert describe_settings(outer) == to_plain(outer) == expected
     assert json.loads(json.dumps(expected, allow_nan=False)) == expected
+
+
+def test_values_of_every_type_read_back():
+    """Candidates, optional values, tuples and mappings are what they were; null is infinity."""
+    found = (Candidate(parse("1/3*x"), 0.1 + 0.2, 7.5, "ga"), Candidate(parse("2.0*x"), 0.5, 3.0))
+    for kind, value in (
+        (tuple[Candidate, ...], found),
+        (tuple[tuple[str, ...], float], (("a", "b"), math.inf)),
+        (dict[str, float], {"a": 1e-300}),
+        (float | None, 2.5),
+    ):
+        assert from_plain(kind, json.loads(json.dumps(to_plain(value)))) == value
+
+
+@pytest.mark.parametrize("loss", [None, math.inf, 2.5])
+def test_what_is_not_there_is_told_from_what_is_infinite(tmp_path, loss):
+    """A record reads back with None where nothing was measured and infinity where it diverged."""
+    record = replace(RECORD, printed_loss=loss)
+    write_record(tmp_path / "record.json", record)
+    assert read_record(tmp_path / "record.json", Record)[0] == record
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [
+        (int, "1"),
+        (Candidate, {"expr": "x"}),
+        (Candidate, []),
+        (Candidate, {"expr": "open('f')", "loss": 1.0, "complexity": 1.0, "source": ""}),
+        (tuple[float, float], [1.0]),
+    ],
+)
+def test_a_value_of_another_type_is_refused(kind, value):
+    """What is not of the type asked for is an error, and code in a formula is never run."""
+    with pytest.raises((ValueError, TypeError)):
+        from_plain(kind, value)
+
+
+def test_a_record_of_another_key_or_type_is_refused(tmp_path):
+    """A record counts only for the data and settings that it was made from, and if finished."""
+    folder = RunFolder(tmp_path)
+    folder.claim("test", {})
+    folder.save("a", "one", RECORD)
+    assert folder.load("a", "one", Record) == RECORD and folder.load("b", "one", Record) is None
+    assert folder.load("a", "two", Record, lambda record: False) is None
+    with pytest.warns(RecordWarning, match="other data or with other settings; computing it again"):
+        assert folder.load("a", "two", Record) is None
+    with pytest.raises(RecordError, match="does not have the fields of a Candidate"):
+        read_record(folder.file("a"), Candidate)
+
+
+def test_fingerprints_tell_values_apart():
+    """Equal values have one fingerprint; another number, type, shape or nesting has another."""
+    values = [
+        np.arange(4.0),
+        np.arange(4),
+        np.arange(4.0).reshape(2, 2),
+        [0.0, 1.0],
+        [[0.0], 1.0],
+        {"a": 1},
+        {"a": "1"},
+    ]
+    assert len({fingerprint(v) for v in values}) == len(values)
+    assert fingerprint({"a": 1, "b": [2]}) == fingerprint({"b": [2], "a": 1})

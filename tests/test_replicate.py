@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from dynsr.errors import InputError
-from dynsr.paper.records import RecordWarning
+from dynsr.jobs.store import RecordWarning
 from dynsr.paper.replication import replicate
 
 HERE = Path(__file__).parent
@@ -150,7 +150,7 @@ def test_damaged_records_are_computed_again(whole, copied):
 def test_a_record_of_other_settings_is_computed_again(copied):
     """When a method's own settings changed, its old records are not used."""
     chosen = {**CELLS, "runs": 1, "make": lambda name, *rest: make("guess0.01", *rest)}
-    with pytest.warns(RecordWarning, match="other settings of the method"):
+    with pytest.warns(RecordWarning, match="other data or with other settings"):
         again = replicate(**chosen, jobs=1, out=copied)
     assert again.records[0].settings["pause"] == 0.01
 

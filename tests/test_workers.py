@@ -1,13 +1,19 @@
+import gc
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import closing
 from pathlib import Path
 
 import joblib
 import pytest
+from joblib._parallel_backends import ThreadingBackend
+from joblib.externals.loky.process_executor import BrokenProcessPool
 
+from dynsr.jobs import pool
 from dynsr.jobs.pool import spread
 
 
@@ -33,13 +39,70 @@ def test_every_result_comes_with_its_number(jobs):
     assert dict(spread(pow, [(2, i) for i in range(5)], jobs)) == {i: 2**i for i in range(5)}
 
 
-# From Python 3.12 on a fork beside threads is warned of; the user chose the backend.
-@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
-@pytest.mark.parametrize("backend", ["threading", "multiprocessing"])
-def test_other_backends_serve(backend):
-    """Whatever joblib runs calls with is used."""
+@pytest.mark.parametrize("backend", ["threading", "multiprocessing", "no generators"])
+def test_every_backend_gives_the_same(backend):
+    """A backend that gives all results only at the end serves as well."""
+    joblib.register_parallel_backend("no generators", WithoutGenerators)
     with joblib.parallel_config(backend=backend):
         assert dict(spread(pow, [(2, i) for i in range(4)], 2)) == {i: 2**i for i in range(4)}
+
+
+class WithoutGenerators(ThreadingBackend):
+    """A backend like Ray's, which cannot give results one by one."""
+
+    supports_return_generator = False
+
+
+def test_a_broken_or_closed_pool_is_followed_by_a_good_one():
+    """After results that nobody takes, an error and a worker that dies, the next call works."""
+    with closing(spread(time.sleep, [(0,), (600,), (600,)], 2)) as results:
+        next(results)
+    with pytest.raises(ZeroDivisionError):
+        list(spread(divmod, [(1, 0), (1, 1)], 2))
+    with pytest.raises(BrokenProcessPool):
+        list(spread(os._exit, [(9,), (9,)], 2))
+    assert dict(spread(pow, [(2, i) for i in range(4)], 2)) == {i: 2**i for i in range(4)}
+
+
+def test_an_interrupt_while_workers_start_leaves_no_pool_behind(monkeypatch):
+    """Ctrl-C held back until the workers are there ends them, and does not end those of the next.
+
+    A pool that is left open would end the workers of whatever runs when it is collected.
+    """
+    make = pool._make_pool
+
+    def start_and_interrupt(*options):
+        """Give a pool in whose start Ctrl-C comes."""
+
+        def start(calls):
+            results = make(*options)(calls)
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+            return results
+
+        return start
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        monkeypatch.setattr(pool, "_make_pool", start_and_interrupt)
+        with pytest.raises(KeyboardInterrupt) as caught:
+            list(spread(time.sleep, [(600,), (600,)], 2))
+        monkeypatch.undo()
+        running = spread(pow, [(2, i) for i in range(4)], 2)
+        first = next(running)
+        del caught
+        gc.collect()
+        assert dict([first, *running]) == {i: 2**i for i in range(4)}
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_apart_is_another_process_with_one_thread(jobs):
+    """Even one call at a time runs in another process, whose libraries have one thread."""
+    found = dict(spread(os.getenv, [("OMP_NUM_THREADS",)] * 3, jobs, apart=True))
+    assert found == dict.fromkeys(range(3), "1")
+    pids = dict(spread(os.getpid, [()] * 3, jobs, apart=True))
+    assert os.getpid() not in pids.values()
 
 
 CHILD = """

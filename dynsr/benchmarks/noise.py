@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 import sympy
+from joblib import effective_n_jobs
 
 from dynsr import __version__
 from dynsr.data import System, Trajectory
@@ -19,14 +20,17 @@ from dynsr.discovery import discover, equation_rmse
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, add_noise, training_trajectory
 from dynsr.errors import DynsrError, InputError
 from dynsr.expression import parse, to_text
-from dynsr.jobs import Part, Record, RunFolder, Step, fingerprint, run_parts
-from dynsr.methods import DEFAULT_PRESET, AbstractMethod
+from dynsr.fit import ParetoFront
+from dynsr.jobs import RunFolder, Step, Task, Watch, fingerprint, run_tasks, to_plain
+from dynsr.methods import DEFAULT_PRESET, AbstractMethod, Progress, Report, silent
 from dynsr.report import Formula, Table
 
 NOISE_LEVELS = (0.0, 0.001, 0.01, 0.05)
 _EXACT_WITHIN = 0.02
 # Two constants inside a function, such as the 1 in sin(1*x), are the same to this many digits.
 _DIGITS_INSIDE = 2
+# Rough seconds of a discovery on one core.
+_USUAL_SECONDS = 60.0
 
 Search = Callable[[Trajectory, int], Mapping[str, sympy.Expr]]
 
@@ -69,8 +73,7 @@ def measure_recovery(
     is known.
     """
     for level in noise:
-        if not (np.isfinite(level) and level >= 0):
-            raise InputError(f"noise {level} must be a number from 0 up, such as 0.01 for 1 %")
+        _check_level(level)
     for system in systems:
         clean = training_trajectory(system, engine)
         for level in noise:
@@ -81,10 +84,15 @@ def measure_recovery(
                 found = search(data, seed)
                 seconds = time.perf_counter() - began
                 for state, true in zip(system.states, system.rhs, strict=True):
-                    yield _judge(system.name, state, level, seed, found.get(state), true, seconds)
+                    yield _compare(system.name, state, level, seed, found.get(state), true, seconds)
 
 
-def _judge(
+def _check_level(level: float) -> None:
+    if not (np.isfinite(level) and level >= 0):
+        raise InputError(f"noise {level} must be a number from 0 up, such as 0.01 for 1 %")
+
+
+def _compare(
     system: str,
     state: str,
     noise: float,
@@ -166,26 +174,29 @@ Method = str | AbstractMethod | Sequence[str | AbstractMethod]
 
 @dataclass(frozen=True)
 class NoiseRow:
-    """One state of one cell: what was found, and how far it is from the truth.
+    """One state of one discovery: what was found, and how far it is from the truth.
 
     ``equation_rmse`` is taken along the true states of the test span (units of the state a
-    second); ``seconds`` is the time of the cell, which all its states share.
+    second); the ``seconds`` of the discovery are those of all its states.
     """
 
     recovery: Recovery
     equation_rmse: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain values; infinity is None."""
-        values = {**asdict(self.recovery), "equation_rmse": self.equation_rmse}
-        return {k: None if v == math.inf else v for k, v in values.items()}
 
-    @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> NoiseRow:
-        """Read back what :meth:`as_dict` gave."""
-        values: dict[str, Any] = {k: math.inf if v is None else v for k, v in record.items()}
-        rmse = values.pop("equation_rmse")
-        return cls(Recovery(**values), rmse)
+@dataclass(frozen=True)
+class NoiseRecord:
+    """What the discovery of one noisy system gave: a row a state, and why it failed if it did."""
+
+    rows: tuple[NoiseRow, ...]
+    seconds: float
+    failure: str = ""
+
+    @property
+    def summary(self) -> str:
+        """How many of the equations were found, in a few words."""
+        exact = sum(row.recovery.same_form for row in self.rows)
+        return self.failure or f"{exact} of {len(self.rows)} equations exact"
 
 
 def run_noise(
@@ -197,7 +208,7 @@ def run_noise(
     preset: str = DEFAULT_PRESET,
     out: str | Path | None = None,
     jobs: int = 1,
-    finished: Callable[[Sequence[NoiseRow]], None] = lambda rows: None,
+    progress: Callable[[Step], None] | None = None,
 ) -> list[NoiseRow]:
     """Discover every system at every level with every seed; gives one row a state.
 
@@ -207,65 +218,66 @@ def run_noise(
     Parameters
     ----------
     levels : standard deviation of the noise in units of each state's own.
-    out : folder of the records; cells found there are not computed again.
-    jobs : cells at a time; each is searched by one process.
-    finished : called with the rows of each cell as it ends.
+    method, preset : as :func:`dynsr.discover` takes them.
+    out : folder of the records; draws found there are not computed again.
+    jobs : draws at a time; each is searched by one process.
+    progress : called with a :class:`Step` as draws end, and every half second while they run.
+
+    Raises InputError when a level is no number from 0 up, or ``out`` cannot be used or holds
+    results of another method, preset or version of dynsr.
     """
+    for level in levels:
+        _check_level(level)
     folder = RunFolder(None if out is None else Path(out).absolute())
-    parts = [
-        _make_part(Cell(system, level, seed, method, preset), folder)
+    settings = {"method": method, "preset": preset, "version": __version__}
+    folder.claim("noise benchmark", settings, repr(method))
+    tasks = [
+        _make_task(system, level, seed, method, preset, folder)
         for system in systems
         for level in levels
         for seed in (seeds if level else seeds[:1])
     ]
-    records = run_parts(parts, folder, jobs, lambda _, record: finished(_rows(record)))
-    return [row for record in records for row in _rows(record)]
+    with Watch(progress, {t.name: t.seconds for t in tasks}, effective_n_jobs(jobs)) as watch:
+        records = run_tasks(tasks, folder, jobs, watch)
+    return [row for record in records for row in record.rows]
 
 
-@dataclass(frozen=True)
-class Cell:
-    """One system at one level with one draw of the noise, and how it is searched."""
-
-    system: System
-    level: float
-    seed: int
-    method: Method = "auto"
-    preset: str = DEFAULT_PRESET
-
-    @property
-    def name(self) -> str:
-        """Name of the cell and of its record."""
-        return f"{self.system.name}-{self.level:g}-{self.seed}"
+def _make_task(
+    system: System, level: float, seed: int, method: Method, preset: str, folder: RunFolder
+) -> Task:
+    name = f"{system.name}-{level:g}-{seed}"
+    key = fingerprint(to_plain(system), level, seed, repr(method), preset, __version__)
+    searches = None if folder.path is None else folder.path / "searches" / name
+    arguments = (system, level, seed, method, preset, searches)
+    title = f"{system.name} at noise {level:g}, seed {seed}"
+    return Task(name, title, discover_again, arguments, NoiseRecord, key, _USUAL_SECONDS)
 
 
-def _make_part(cell: Cell, folder: RunFolder) -> Part:
-    system = cell.system
-    words = {s: str(e) for s, e in zip(system.states, system.rhs, strict=True)}
-    key = fingerprint(
-        *(words, system.train, system.step, list(system.x0)),
-        *(repr(cell.method), cell.preset, __version__),
-    )
-    searches = None if folder.path is None else folder.path / "searches" / cell.name
-    return Part(cell.name, key, run_cell, (cell, searches))
-
-
-def run_cell(cell: Cell, searches: Path | None = None, tell: Any = None) -> Record:
-    """Discover the system of a cell; gives the record of its states.
+def discover_again(
+    system: System,
+    level: float,
+    seed: int,
+    method: Method = "auto",
+    preset: str = DEFAULT_PRESET,
+    searches: Path | None = None,
+    report: Report = silent,
+) -> NoiseRecord:
+    """Discover a known system from data with one draw of noise.
 
     An error of the search is kept in the record, and every state then counts as not found.
     Finished searches are kept in the folder ``searches`` if one is given; their time counts, also
-    where they were taken from there. ``tell`` is not called: what ends is told cell by cell.
+    where they were taken from there.
     """
     failure: list[str] = []
-    clock = _Clock()
+    clock = _Clock(report)
 
     def search(data: Trajectory, seed: int) -> Mapping[str, sympy.Expr]:
         try:
             found = discover(
                 data,
-                method=cell.method,
-                preset=cell.preset,
-                inputs=dict(cell.system.inputs),
+                method=method,
+                preset=preset,
+                inputs=dict(system.inputs),
                 seed=seed,
                 jobs=1,
                 out=searches,
@@ -275,27 +287,28 @@ def run_cell(cell: Cell, searches: Path | None = None, tell: Any = None) -> Reco
             failure.append(str(error))
             return {}
         if not found.complete:
-            # A cell that was stopped must not pass for finished.
+            # A draw that was stopped must not pass for finished.
             raise KeyboardInterrupt
         return found.equations
 
-    found = measure_recovery([cell.system], search, [cell.level], [cell.seed])
+    found = measure_recovery([system], search, [level], [seed])
     timed = [replace(r, seconds=r.seconds + clock.saved) for r in found]
-    rows = [NoiseRow(r, _rmse(cell.system, r)).as_dict() for r in timed]
-    return {"rows": rows, "failure": failure[0] if failure else None}
+    rows = tuple(NoiseRow(r, _rmse(system, r)) for r in timed)
+    return NoiseRecord(rows, timed[0].seconds, failure[0] if failure else "")
 
 
 class _Clock:
     """Adds up the seconds that searches took which were now taken from their records."""
 
-    def __init__(self) -> None:
-        self.saved, self.last = 0.0, time.monotonic()
+    def __init__(self, report: Report) -> None:
+        self.report, self.saved, self.last = report, 0.0, time.monotonic()
 
     def __call__(self, step: Step) -> None:
+        self.report(Progress(step.what or "searching", step.done, step.total, ParetoFront()))
         if not step.what:
             return
         now = time.monotonic()
-        self.saved += max(0.0, step.record.get("seconds", 0.0) - (now - self.last))
+        self.saved += max(0.0, step.record.seconds - (now - self.last))
         self.last = now
 
 
@@ -303,10 +316,6 @@ def _rmse(system: System, recovery: Recovery) -> float:
     if not recovery.found:
         return math.inf
     return equation_rmse(system, parse(recovery.found), recovery.state)
-
-
-def _rows(record: Record) -> list[NoiseRow]:
-    return [NoiseRow.from_dict(row) for row in record["rows"]]
 
 
 def noise_table(rows: Iterable[NoiseRow]) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -96,9 +97,8 @@ def _line(row: Recovery) -> str:
 
 
 def _deliver(rows: Sequence[Recovery], json: bool) -> None:
-    plain = [{**output.to_plain(row), "recovered": row.recovered} for row in rows]
     if json:
-        output.print_json(plain)
+        output.print_json([{**asdict(row), "recovered": row.recovered} for row in rows])
         return
     output.print_table(
         "Equations found again (form exact, constants within 2 %)",

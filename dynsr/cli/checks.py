@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -32,11 +32,10 @@ def crosscheck(
     asked = {"systems": systems, "engines": engines, "sections": sections, "extra": extra}
     chosen = {name: options.read_names(value) for name, value in asked.items() if value}
     rows = run(**chosen)  # type: ignore[arg-type] # only what was asked for is given
-    plain: list[dict[str, Any]] = [{**output.to_plain(row), "verdict": row.verdict} for row in rows]
     if json:
-        output.print_json(plain)
+        output.print_json(rows)
     else:
-        output.print_rows("Crosscheck", plain)
+        output.print_rows("Crosscheck", rows)
     differing = sum(row.verdict == "differs" for row in rows)
     if differing:
         output.note(f"{differing} of {len(rows)} comparisons differ")

@@ -79,9 +79,11 @@ def by_state(scores: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     >>> by_state({"data": {"x": {"forecast": 0.1}}, "truth": {"x": {"printed_loss": 2.0}}})
     {'x': {'forecast': 0.1, 'printed_loss': 2.0}}
     """
+    from dynsr.jobs import to_plain
+
     rows: dict[str, dict[str, Any]] = {}
     for part in scores.values():
-        for state, values in output.to_plain(part).items():
+        for state, values in to_plain(part).items():
             rows.setdefault(state, {}).update(values)
     return rows
 

@@ -6,10 +6,8 @@ Notes say what was guessed and what was warned of in a run, at once and again at
 from __future__ import annotations
 
 import json
-import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -30,32 +28,9 @@ def console(stderr: bool = False) -> Console:
 
 def print_json(value: Any) -> None:
     """Print a value as JSON, alone on stdout."""
-    typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=False))
+    from dynsr.jobs import to_plain
 
-
-def to_plain(value: Any) -> Any:
-    """Turn a value into what JSON can hold: arrays to lists, formulas to text, inf and NaN to null.
-
-    >>> to_plain({"x": (1, float("inf"))})
-    {'x': [1, None]}
-    """
-    if value is None or isinstance(value, (bool, int, str)):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): to_plain(item) for key, item in value.items()}
-    if is_dataclass(value) and not isinstance(value, type):
-        return {part.name: to_plain(getattr(value, part.name)) for part in fields(value)}
-    if hasattr(value, "tolist"):  # an array or a number of numpy's
-        return to_plain(value.tolist())
-    if hasattr(value, "free_symbols"):
-        from dynsr.expression import to_text
-
-        return to_text(value)
-    if isinstance(value, Iterable):
-        return [to_plain(item) for item in value]
-    return str(value)
+    typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def print_table(
@@ -70,6 +45,8 @@ def print_table(
 
 def print_rows(title: str, rows: Sequence[Any]) -> None:
     """Print a table of dataclass instances or mappings that all have the same fields."""
+    from dynsr.jobs import to_plain
+
     records = [to_plain(row) for row in rows]
     columns = list(records[0]) if records else []
     print_table(title, columns, [[_cell(record[key]) for key in columns] for record in records])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dynsr.cli import options, output
+from dynsr.cli.progress import SearchProgress
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
 
@@ -52,20 +52,21 @@ def replicate(
     from dynsr.paper import replicate as run
 
     try:
-        found = run(
-            systems=options.read_names(systems) or PAPER_NAMES,
-            methods=options.read_names(methods) or PAPER_METHODS,
-            runs=runs,
-            seed=seed,
-            jobs=jobs,
-            out=out,
-            quick=quick,
-            recorded_steps=recorded_steps,
-            engine=engine,
-            progress=not quiet,
-            # They are written where they are shown.
-            report=False,
-        )
+        with SearchProgress(quiet) as progress:
+            found = run(
+                systems=options.read_names(systems) or PAPER_NAMES,
+                methods=options.read_names(methods) or PAPER_METHODS,
+                runs=runs,
+                seed=seed,
+                jobs=jobs,
+                out=out,
+                quick=quick,
+                recorded_steps=recorded_steps,
+                engine=engine,
+                progress=progress,
+                # They are written where they are shown.
+                report=False,
+            )
     except KeyboardInterrupt:
         if not quiet:
             output.note(f"finished cells are kept in {out}; the same command goes on from there")
@@ -101,17 +102,13 @@ def deliver_results(
 def load_results(folder: Path) -> tuple[list[Record], dict[str, Any]]:
     """Load the records and the settings of a replication from its folder.
 
-    Raises InputError when the folder holds no results, RecordError when a file is cut short.
+    Raises InputError when the folder holds no results, RecordError when a file is damaged.
     """
-    from dynsr.paper import MANIFEST, RecordError, read_record
+    from dynsr.jobs import read_manifest, read_record
+    from dynsr.paper import Record
 
-    try:
-        settings = loads((folder / MANIFEST).read_text(encoding="utf-8"))["settings"]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise RecordError(
-            f"{folder / MANIFEST} is damaged or no manifest of dynsr; run dynsr replicate again"
-        ) from None
-    records = [read_record(path) for path in sorted((folder / "cells").glob("[!.]*.json"))]
+    settings = read_manifest(folder, "replication")
+    records = [read_record(p, Record)[0] for p in sorted((folder / "cells").glob("[!.]*.json"))]
     if not records:
         raise InputError(f"{str(folder)!r} holds no finished cell; run dynsr replicate first")
     return records, settings

@@ -1,8 +1,7 @@
-"""Progress of a search on stderr: what runs, its stage, its best equation and the time left."""
+"""Progress of a run on stderr: the tasks that run, their stage and best equation, the time left."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -13,19 +12,17 @@ from rich.table import Column
 from dynsr.cli.output import console, note
 
 if TYPE_CHECKING:
-    from dynsr.fit import ParetoFront
-    from dynsr.jobs import Running, Step
+    from dynsr.jobs import Step
 
-_SHOWN_EQUATION = 60
 _SECONDS_BETWEEN_LINES = 2.0
-# Running searches are told of after so many seconds, then twice as many, up to the longest gap.
+# Running tasks are told of after so many seconds, then twice as many, up to the longest gap.
 _FIRST_GAP, _LONGEST_GAP = 10.0, 80.0
 
 
 class SearchProgress:
-    """Shows how far a search is: a live line a running part on a terminal, now and then elsewhere.
+    """Shows how far a run is: a live line a running task on a terminal, now and then elsewhere.
 
-    Use it as a context and call it with each :class:`dynsr.jobs.watch.Step`.
+    Use it as a context and call it with each :class:`dynsr.jobs.Step`.
     """
 
     def __init__(self, quiet: bool = False) -> None:
@@ -65,7 +62,7 @@ class SearchProgress:
         self._bar.stop()
 
     def __call__(self, step: Step) -> None:
-        """Show a report of a running discovery."""
+        """Show a report of a run."""
         if self._live:
             self._draw(step)
         elif not self._quiet:
@@ -83,43 +80,43 @@ class SearchProgress:
         over = step.done == step.total
         self._bar.update(
             self._whole,
-            what="fitting the constants" if over else f"{step.done} of {step.total} parts",
+            what="finishing" if over else f"{step.done} of {step.total} tasks",
             total=step.total,
             completed=step.done,
             time=clock(step.seconds),
             best=_left(step),
         )
-        running = {part.part: part for part in step.running}
+        running = {said.task: said for said in step.running}
         for name in [name for name in self._tasks if name not in running]:
             self._bar.remove_task(self._tasks.pop(name))
-        for name, part in running.items():
+        for name, said in running.items():
             if name not in self._tasks:
-                self._tasks[name] = self._add(title(part.state, part.method))
+                self._tasks[name] = self._add(said.title)
             self._bar.update(
                 self._tasks[name],
-                stage="" if part.stage == part.method else escape(part.stage),
-                total=part.total,
-                completed=part.done,
-                time=clock(part.seconds),
-                best=escape(_found(part)),
+                stage=escape(said.stage),
+                total=said.total,
+                completed=said.done,
+                time=clock(said.seconds),
+                best=escape(said.best),
             )
 
     def _write(self, step: Step) -> None:
         """Write a line for what has ended, at most one in two seconds, so that a log stays short.
 
-        Between them, running parts are told of at gaps that grow.
+        Between them, running tasks are told of at gaps that grow.
         """
         where = f"[{step.done}/{step.total}] {clock(step.seconds)}"
         if step.what:
             if step.seconds - self._last >= _SECONDS_BETWEEN_LINES or step.done == step.total:
-                note("; ".join(filter(None, [f"{where} {_ended(step)}", _left(step)])))
+                ended = f"{where} {step.what}: {step.found}".rstrip(": ")
+                note("; ".join(filter(None, [ended, _left(step)])))
                 self._last = self._told = step.seconds
         elif step.seconds - self._told >= self._gap:
-            for part in step.running:
-                far = f"/{part.total:g}" if part.total else ""
-                stage = f", {part.stage} {part.done:g}{far}" if part.stage else ""
-                words = f"{title(part.state, part.method)}{stage}: {_cut(_found(part))}"
-                note(f"{where} {words}".rstrip(": "))
+            for said in step.running:
+                far = f"/{said.total:g}" if said.total else ""
+                stage = f", {said.stage} {said.done:g}{far}" if said.stage else ""
+                note(f"{where} {said.title}{stage}: {said.best}".rstrip(": "))
             self._told, self._gap = step.seconds, min(2 * self._gap, _LONGEST_GAP)
 
 
@@ -137,52 +134,5 @@ def clock(seconds: float) -> str:
     return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
 
 
-def title(state: str, method: str) -> str:
-    """Say in words what a part does.
-
-    >>> title("x", "sindy"), title("x", "pick")
-    ("x' by sindy", "x' being chosen")
-    """
-    return f"{state}' being chosen" if method == "pick" else f"{state}' by {method}"
-
-
 def _left(step: Step) -> str:
     return "" if step.seconds_left is None else f"about {clock(step.seconds_left)} left"
-
-
-def _found(part: Running) -> str:
-    return f"{part.best}  (error {part.loss:.2g})" if part.best and part.loss is not None else ""
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= _SHOWN_EQUATION else text[: _SHOWN_EQUATION - 3] + "..."
-
-
-def _ended(step: Step) -> str:
-    """Say which part has ended, and with which equation."""
-    record: Mapping[str, Any] = step.record
-    what = step.what
-    if "ranked" in record:
-        what = f"{record['target']}' chosen"
-    elif "method" in record:
-        what = title(record["target"], record["method"])
-    return f"{what}: {best_of(record)}".rstrip(": ")
-
-
-def best_of(record: Mapping[str, Any]) -> str:
-    """Give the best equation in the record of a finished part, as a few words."""
-    from dynsr.fit import ParetoFront
-    from dynsr.selection import read_candidates
-
-    chosen = [ranked["candidate"] for ranked in record.get("ranked", [])[:1]]
-    return best_equation(ParetoFront(read_candidates(chosen or record.get("front", []))))
-
-
-def best_equation(front: ParetoFront) -> str:
-    """Give the front's knee in a few characters, its error beside it; "" for an empty front."""
-    if not len(front):
-        return ""
-    from dynsr.expression import shown
-    from dynsr.fit import tidy
-
-    return f"{_cut(shown(tidy(front.knee.expr), 4))}  (error {front.knee.loss:.2g})"

@@ -109,7 +109,9 @@ def score(
     if json:
         output.print_json(scores)
         return
-    rows = list(flatten(output.to_plain(scores)))
+    from dynsr.jobs import to_plain
+
+    rows = list(flatten(to_plain(scores)))
     output.print_table(f"{model} on {', '.join(map(str, files))}", ("score", "value"), rows)
 
 
@@ -136,9 +138,9 @@ def report(
     json: options.Json = False,
 ) -> None:
     """Make one self-contained HTML report of a saved discovery or of a replication's results."""
-    from dynsr.paper import MANIFEST
+    from dynsr.jobs import MANIFEST
 
-    if (source / MANIFEST).exists():
+    if (source / MANIFEST).exists() and not (source / "discovery.json").exists():
         _report_replication(source, out, json)
         return
     found = load_discovery(source)

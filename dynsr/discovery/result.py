@@ -30,7 +30,7 @@ from dynsr.expression import (
     to_text_block,
 )
 from dynsr.fit import Candidate, ParetoFront, rmse
-from dynsr.jobs import write_json
+from dynsr.jobs import from_plain, write_json
 from dynsr.selection import forecast_miss
 
 if TYPE_CHECKING:
@@ -235,7 +235,7 @@ class Discovery:
         try:
             return cls(
                 equations={s: parse(e) for s, e in record["equations"].items()},
-                errors={s: tuple(map(tuple, p)) for s, p in record["errors"].items()},
+                errors=from_plain(dict[str, tuple[tuple[float, ...], ...]], record["errors"]),
                 front={
                     s: ParetoFront(Candidate(parse(e), *rest) for e, *rest in front)
                     for s, front in record["front"].items()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import time
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,17 +14,17 @@ from joblib import effective_n_jobs
 
 from dynsr import __version__
 from dynsr.data import Samples, Trajectory, choose_samples, split_held_back, take_trajectories
-from dynsr.discovery.interruption import collect_best, stopping_at_interrupt
+from dynsr.discovery.interruption import collect_best
 from dynsr.discovery.prediction import name_engines
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.tasks import pick_one, search_one
+from dynsr.discovery.tasks import Found, pick_tasks, plan_tasks, search_tasks
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, share_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, compile_numpy, to_text
 from dynsr.fit import Candidate, ParetoFront, is_noisy, polish, read_inputs, tidy
-from dynsr.jobs import Part, RunFolder, Step, Watch, fingerprint, run_parts
+from dynsr.jobs import RunFolder, Step, Watch, fingerprint, run_tasks
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, choose_methods
-from dynsr.selection import Pick, compare_systems, read_candidates, write_candidates
+from dynsr.selection import Pick, compare_systems
 
 _MOST_ROWS = 4000
 
@@ -66,8 +64,8 @@ def discover(
     scheme : how slopes are made; by default forward differences with preset "paper", as there,
         and with the others "auto", which lets the data choose.
     slopes : state -> the user's own slopes, one array (or one a trajectory).
-    out : folder that keeps every finished part; the same call on it goes on where it was killed.
-    progress : called with a :class:`Step` as parts end, and every half second while they run.
+    out : folder that keeps every finished task; the same call on it goes on where it was killed.
+    progress : called with a :class:`Step` as tasks end, and every half second while they run.
 
     Ctrl-C ends the searches: what they have found is given as a Discovery whose ``complete`` is
     False, and the same call on the same ``out`` goes on from there; with nothing found yet it
@@ -87,32 +85,40 @@ def discover(
     shared = share_engine(chosen, workers)
     runs, drives = take_trajectories(data, inputs)
     states = _choose_targets(targets, runs[0])
-    parts_known = read_inputs(known or {}, (*runs[0].names, "t"))
-    for state in parts_known:
+    given = read_inputs(known or {}, (*runs[0].names, "t"))
+    for state in given:
         runs[0].index(state)
     scheme = scheme or ("forward" if preset == "paper" else "auto")
     methods = {n: m.with_engine(shared) for n, m in choose_methods(method, preset).items()}
     for own in (m.engine for m in methods.values() if m.engine is not None):
         share_engine(find_engine(own), workers)
-    problem = _Problem(runs, scheme, slopes or {}, parts_known, seed, RunFolder(_path(out)))
+    problem = _Problem(runs, drives, scheme, slopes or {}, given)
     settings: dict[str, Any] = {
         "method": method if isinstance(method, str) else ",".join(methods),
         "methods": list(methods),
-        **({"known": {s: to_text(e) for s, e in parts_known.items()}} if parts_known else {}),
+        **({"known": {s: to_text(e) for s, e in given.items()}} if given else {}),
         "preset": preset,
         "seed": seed,
         "scheme": scheme,
         "engine": chosen.name,
         "version": __version__,
     }
-    problem.claim(states, methods, drives, settings)
-    with problem.folder.live() as live, stopping_at_interrupt(live):
-        watch = Watch(progress, live, _plan(states, methods), workers)
+    # A worker that outlives a change of folder must not take a relative path for its own.
+    folder = RunFolder(None if out is None else Path(out).absolute())
+    key = _claim(folder, problem, states, methods, settings)
+    training, held_back = split_held_back(runs)
+    samples = {s: problem.samples(s, training) for s in states}
+    with Watch(progress, plan_tasks(states, methods), workers) as watch:
         try:
-            with watch:
-                found = problem.solve(states, methods, drives, jobs, watch)
+            searched = run_tasks(search_tasks(samples, methods, seed, key), folder, jobs, watch)
+            pools = _pool(searched, states)
+            choices = run_tasks(
+                pick_tasks(pools, samples, held_back, given, key), folder, jobs, watch
+            )
+            notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
+            found = problem.fit({c.pick.state: c.pick for c in choices}, pools, notes)
         except KeyboardInterrupt:
-            best = collect_best(states, watch.records, live.read(), problem.training, parts_known)
+            best = collect_best(watch, samples, given)
             if best is None:
                 raise
             found = best
@@ -129,30 +135,6 @@ def discover(
     )
 
 
-def _plan(states: Sequence[str], methods: Mapping[str, AbstractMethod]) -> dict[str, str]:
-    """Name all parts to come, each with its method."""
-    searches = {f"search-{s}-{name}": name for s in states for name in methods}
-    return searches | {f"pick-{state}": "pick" for state in states}
-
-
-def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
-    """Merge what the methods found with what fitting and snapping made of it."""
-    written = [replace(r.candidate, expr=tidy(r.candidate.expr)) for r in pick.ranked]
-    return ParetoFront([*pool, *written])
-
-
-def _why(settled: sympy.Expr, picked: sympy.Expr) -> str:
-    """Say when the states themselves asked for another formula than the slopes did."""
-    if settled == picked:
-        return ""
-    return " Fitted to the noisy states themselves, other terms take fewer bits; they were taken."
-
-
-def _path(out: str | Path | None) -> Path | None:
-    # A worker that outlives a change of folder must not take a relative path for its own.
-    return None if out is None else Path(out).absolute()
-
-
 def _choose_targets(targets: str | Sequence[str], run: Trajectory) -> tuple[str, ...]:
     if isinstance(targets, str):
         targets = run.states if targets == "all" else (targets,)
@@ -163,16 +145,45 @@ def _choose_targets(targets: str | Sequence[str], run: Trajectory) -> tuple[str,
     return tuple(dict.fromkeys(targets))
 
 
+def _claim(
+    folder: RunFolder,
+    problem: _Problem,
+    states: Sequence[str],
+    methods: Mapping[str, AbstractMethod],
+    settings: Mapping[str, Any],
+) -> str:
+    """Make the folder that of this discovery; gives the digest of all that its result depends on.
+
+    Raises FolderTaken when the folder is another discovery's.
+    """
+    if folder.path is None:
+        return ""
+    runs, names = problem.runs, ", ".join(problem.runs[0].names)
+    digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
+    about = {k: v for k, v in settings.items() if k != "method"}
+    about |= {"targets": list(states), "data": f"{sum(map(len, runs))} rows of {names}, {digest}"}
+    key = fingerprint(about, problem.slopes, problem.known, problem.inputs, repr(dict(methods)))
+    folder.claim("discovery", about, key)
+    return key
+
+
+def _pool(searched: Sequence[Found], states: Sequence[str]) -> dict[str, list[Candidate]]:
+    """Put together what all methods found for each state."""
+    pools: dict[str, list[Candidate]] = {state: [] for state in states}
+    for found in searched:
+        pools[found.target] += found.candidates
+    return pools
+
+
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """The data of one discovery and what is asked of them."""
+    """The data of one discovery and what is given of their equations."""
 
     runs: Sequence[Trajectory]
+    inputs: Mapping[str, sympy.Expr]
     scheme: str
     slopes: Mapping[str, Any]
     known: Mapping[str, sympy.Expr]
-    seed: int
-    folder: RunFolder
 
     def samples(
         self, state: str, runs: Sequence[Trajectory], known_left_out: bool = True
@@ -193,108 +204,46 @@ class _Problem:
             found.X, found.y - values, found.names, state, found.scheme, found.t, found.noise
         )
 
-    def _key(self, *parts: Any) -> str:
-        data = [[run.t, run.columns, run.names] for run in self.runs]
-        return fingerprint(
-            data, self.scheme, self.slopes, self.known, self.seed, __version__, *parts
-        )
-
-    def claim(
-        self,
-        states: Sequence[str],
-        methods: Mapping[str, AbstractMethod],
-        drives: Mapping[str, sympy.Expr],
-        settings: Mapping[str, Any],
-    ) -> None:
-        """Mark the folder as this discovery's; raises FolderTaken when it is another's."""
-        rows = f"{sum(map(len, self.runs))} rows of {', '.join(self.runs[0].names)}"
-        about = {k: v for k, v in settings.items() if k != "method"}
-        about |= {"targets": list(states), "data": f"{rows}, {self._key()}"}
-        self.folder.claim(self._key(repr(dict(methods)), about, drives), about)
-
-    def training(self, state: str) -> Samples:
-        """Give the samples that the searches of a state see."""
-        return self.samples(state, split_held_back(self.runs)[0])
-
-    def solve(
-        self,
-        states: Sequence[str],
-        methods: Mapping[str, AbstractMethod],
-        drives: Mapping[str, sympy.Expr],
-        jobs: int,
-        watch: Watch,
+    def fit(
+        self, picks: Mapping[str, Pick], pools: Mapping[str, list[Candidate]], notes: str
     ) -> Discovery:
-        """Search, choose and polish."""
-        pools = self.search(states, methods, jobs, watch)
-        picks = self.pick(states, pools, jobs, watch)
-        whole = {s: self.known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()}
-        settled = self.settle(whole, picks, drives)
-        polished = polish(
-            settled,
+        """Compare whole systems, fit the constants of the best to all data, and explain it."""
+        picked = {s: self.known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()}
+        system = self._compare_systems(picked, picks)
+        fitted = polish(
+            system,
             self.runs,
-            drives,
-            {s: self.samples(s, self.runs, known_left_out=False) for s in states},
+            self.inputs,
+            {s: self.samples(s, self.runs, known_left_out=False) for s in picks},
             {s: p.noise for s, p in picks.items()},
         )
-        notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
         return Discovery(
-            equations=polished.exprs,
-            errors=polished.errors,
-            front={s: _whole_front(pools[s], picks[s]) for s in states},
+            equations=fitted.exprs,
+            errors=fitted.errors,
+            front={s: _whole_front(pools[s], p) for s, p in picks.items()},
             explanation={
-                s: p.explanation + _why(settled[s], whole[s]) + notes for s, p in picks.items()
+                s: p.explanation + _why(system[s], picked[s]) + notes for s, p in picks.items()
             },
         )
 
-    def settle(
-        self,
-        exprs: Mapping[str, sympy.Expr],
-        picks: Mapping[str, Pick],
-        inputs: Mapping[str, sympy.Expr],
+    def _compare_systems(
+        self, exprs: Mapping[str, sympy.Expr], picks: Mapping[str, Pick]
     ) -> Mapping[str, sympy.Expr]:
         """Let whole systems compete on the states where noise makes slopes unsure."""
         if self.known or not is_noisy(self.runs):
             return exprs
-        alternatives = {s: [r.candidate.expr for r in p.ranked[1:]] for s, p in picks.items()}
-        return compare_systems(exprs, alternatives, self.runs, inputs)
+        others = {s: [r.candidate.expr for r in p.ranked[1:]] for s, p in picks.items()}
+        return compare_systems(exprs, others, self.runs, self.inputs)
 
-    def search(
-        self,
-        states: Sequence[str],
-        methods: Mapping[str, AbstractMethod],
-        jobs: int,
-        watch: Watch,
-    ) -> dict[str, list[Candidate]]:
-        """Run every method on every state; gives all fronts' members."""
-        parts = []
-        for state in states:
-            samples = self.training(state)
-            for name, method in methods.items():
-                words = [self.seed, zlib.crc32(state.encode()), zlib.crc32(name.encode())]
-                arguments = (method, samples, np.random.SeedSequence(words))
-                key = self._key(state, name, repr(method))
-                about = {"state": state, "method": name}
-                parts.append(Part(f"search-{state}-{name}", key, search_one, arguments, about))
-        # The dear searches of hard states first would be better balanced, but nobody knows them.
-        records = run_parts(parts, self.folder, jobs, watch, watch.live)
-        pools: dict[str, list[Candidate]] = {state: [] for state in states}
-        for part, record in zip(parts, records, strict=True):
-            pools[part.arguments[1].target] += read_candidates(record["front"])
-        return pools
 
-    def pick(
-        self, states: Sequence[str], pools: Mapping[str, list[Candidate]], jobs: int, watch: Watch
-    ) -> dict[str, Pick]:
-        """Choose one equation a state."""
-        _, held_back = split_held_back(self.runs)
-        parts = []
-        for state in states:
-            samples = self.training(state)
-            known = to_text(self.known.get(state, sympy.S.Zero))
-            written = write_candidates(pools[state])
-            key = self._key(state, json.dumps(written), known)
-            arguments = (written, samples, held_back, known)
-            about = {"state": state, "method": "pick"}
-            parts.append(Part(f"pick-{state}", key, pick_one, arguments, about))
-        records = run_parts(parts, self.folder, jobs, watch, watch.live)
-        return {s: Pick.from_record(s, record) for s, record in zip(states, records, strict=True)}
+def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
+    """Merge what the methods found with what fitting and snapping made of it."""
+    last = [ranked.candidate for ranked in pick.ranked]
+    return ParetoFront([*pool, *(replace(c, expr=tidy(c.expr)) for c in last)])
+
+
+def _why(system: sympy.Expr, picked: sympy.Expr) -> str:
+    """Say when the states themselves asked for another formula than the slopes did."""
+    if system == picked:
+        return ""
+    return " Fitted to the noisy states themselves, other terms take fewer bits; they were taken."

@@ -1,24 +1,58 @@
-"""Parts: the work of a discovery that runs apart, each with a record as its result."""
+"""Tasks of a discovery: searches of one state by one method, and the choice of its equation."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import sympy
 
 from dynsr.data import Samples, Trajectory
-from dynsr.expression import parse
-from dynsr.fit import ParetoFront
-from dynsr.jobs import Record
+from dynsr.fit import Candidate, ParetoFront
+from dynsr.jobs import Task, best_equation
 from dynsr.methods import AbstractMethod, Progress, Report, silent
-from dynsr.selection import (
-    explains_all,
-    pick_equation,
-    read_candidates,
-    trivial_candidates,
-    write_candidates,
-)
+from dynsr.selection import Pick, explains_all, pick_equation, trivial_candidates
+
+# Rough seconds of a task on one core, from which the time left is first guessed.
+_USUAL = {"rational": 6.0, "sindy": 4.0, "dynaifeynman": 15.0, "genetic": 10.0}
+_USUAL_SEARCH, _USUAL_PICK = 10.0, 6.0
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one method found for one state: its formulas, and the seconds that it took."""
+
+    target: str
+    method: str
+    candidates: tuple[Candidate, ...]
+    seconds: float
+
+    @cached_property
+    def front(self) -> ParetoFront:
+        """Those that no other is both simpler and better than."""
+        return ParetoFront(self.candidates)
+
+    @property
+    def summary(self) -> str:
+        """The best of them in a few words."""
+        return best_equation(self.front)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The equation chosen for a state, and the seconds that the choice took."""
+
+    pick: Pick
+    seconds: float
+
+    @property
+    def summary(self) -> str:
+        """The equation in a few words."""
+        return best_equation(ParetoFront([self.pick.candidate]))
 
 
 def search_one(
@@ -26,31 +60,85 @@ def search_one(
     samples: Samples,
     sequence: np.random.SeedSequence,
     report: Report = silent,
-) -> Record:
-    """Search one target with one method; gives a record of its front."""
+) -> Found:
+    """Search one target with one method."""
     began = time.monotonic()
     trivial = trivial_candidates(samples)
     found = [c for c in trivial if explains_all(c, samples)]
     if not found:
         found = list(method.search(samples, np.random.default_rng(sequence), report))
-    return {
-        "target": samples.target,
-        "method": method.name,
-        "front": write_candidates([*trivial, *found]),
-        "seconds": time.monotonic() - began,
-    }
+    return Found(samples.target, method.name, (*trivial, *found), time.monotonic() - began)
 
 
 def pick_one(
-    front: list[Record],
+    pool: Sequence[Candidate],
     samples: Samples,
     held_back: Sequence[Trajectory],
-    known: str,
+    known: sympy.Expr,
     report: Report = silent,
-) -> Record:
-    """Choose the equation of one target; gives a record of the choice."""
+) -> Choice:
+    """Choose the equation of one target."""
     began = time.monotonic()
-    pool = read_candidates(front)
     report(Progress("choosing", 0, None, ParetoFront(pool)))
-    pick = pick_equation(samples.target, pool, samples, held_back, parse(known))
-    return {**pick.as_record(), "seconds": time.monotonic() - began}
+    pick = pick_equation(samples.target, pool, samples, held_back, known)
+    return Choice(pick, time.monotonic() - began)
+
+
+def plan_tasks(states: Sequence[str], methods: Mapping[str, AbstractMethod]) -> dict[str, float]:
+    """Give the name of every task to come with its rough seconds."""
+    return {
+        _search_name(s, name): _USUAL.get(name, _USUAL_SEARCH) for s in states for name in methods
+    } | {_pick_name(state): _USUAL_PICK for state in states}
+
+
+def search_tasks(
+    samples: Mapping[str, Samples], methods: Mapping[str, AbstractMethod], seed: int, key: str
+) -> list[Task]:
+    """Give a task for every state and method; all its chance comes from the seed and the names."""
+    tasks = []
+    # The longest searches first would be better balanced, but nobody knows them.
+    for state, own in samples.items():
+        for name, method in methods.items():
+            entropy = [seed, zlib.crc32(state.encode()), zlib.crc32(name.encode())]
+            arguments = (method, own, np.random.SeedSequence(entropy))
+            title = f"{state}' by {name}"
+            tasks.append(Task(_search_name(state, name), title, search_one, arguments, Found, key))
+    return tasks
+
+
+def pick_tasks(
+    pools: Mapping[str, Sequence[Candidate]],
+    samples: Mapping[str, Samples],
+    held_back: Sequence[Trajectory],
+    known: Mapping[str, sympy.Expr],
+    key: str,
+) -> list[Task]:
+    """Give a task for every state that chooses among the formulas found for it."""
+    return [
+        Task(
+            _pick_name(state),
+            f"choice of {state}'",
+            pick_one,
+            (pool, samples[state], held_back, known.get(state, sympy.S.Zero)),
+            Choice,
+            key,
+        )
+        for state, pool in pools.items()
+    ]
+
+
+def _search_name(state: str, method: str) -> str:
+    return f"search-{state}-{method}"
+
+
+def _pick_name(state: str) -> str:
+    return f"pick-{state}"
+
+
+def state_of(task: str) -> str:
+    """Give the state that a task of this name works on.
+
+    >>> state_of("search-x-sindy"), state_of("pick-theta1")
+    ('x', 'theta1')
+    """
+    return task.split("-")[1]

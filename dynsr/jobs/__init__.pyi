@@ -1,19 +1,33 @@
-from .checkpoint import FolderTaken, Part, Record, RunFolder, fingerprint, run_parts
-from .live import LiveFolder
-from .store import write_bytes, write_json, write_text
-from .watch import Running, Step, Watch
+from .pool import Task, run_tasks
+from .progress import Step, Watch, best_equation
+from .store import (
+    MANIFEST,
+    FolderTaken,
+    RunFolder,
+    fingerprint,
+    from_plain,
+    read_manifest,
+    read_record,
+    to_plain,
+    write_bytes,
+    write_json,
+    write_text,
+)
 
 __all__ = [
     "FolderTaken",
-    "LiveFolder",
-    "Part",
-    "Record",
+    "MANIFEST",
     "RunFolder",
-    "Running",
     "Step",
+    "Task",
     "Watch",
+    "best_equation",
     "fingerprint",
-    "run_parts",
+    "from_plain",
+    "read_manifest",
+    "read_record",
+    "run_tasks",
+    "to_plain",
     "write_bytes",
     "write_json",
     "write_text",

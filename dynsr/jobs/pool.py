@@ -1,4 +1,7 @@
-"""Workers: calls spread over processes by joblib, which neither Ctrl-C nor a kill leaves behind."""
+"""Pool: tasks spread over workers by joblib, each of which keeps its record itself.
+
+Neither Ctrl-C nor a kill of this process leaves workers behind.
+"""
 
 from __future__ import annotations
 
@@ -8,49 +11,167 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
-from functools import lru_cache
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from typing import Any
 
-from joblib import Parallel, delayed
+from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib.externals.loky.process_executor import BrokenProcessPool
+from joblib.parallel import BACKENDS, get_active_backend
+
+from dynsr.errors import DynsrError
+from dynsr.jobs.progress import Reporter, Watch
+from dynsr.jobs.store import RunFolder
 
 _WATCH_SECONDS = 1.0
 
 
+@dataclass(frozen=True)
+class Task:
+    """One piece of work: ``work(*arguments, report)`` gives a record.
+
+    Parameters
+    ----------
+    name : that of its record; no other task of the run has it.
+    title : what it does, in words for those who watch.
+    work, arguments : the function, which other processes can import, and what it is called with.
+    kind : the dataclass of its record.
+    key : digest of all that the record depends on.
+    seconds : rough time it takes on one core.
+    failed : gives the record of a task whose process died, from the reason in words; without it
+        such a death ends the run.
+    """
+
+    name: str
+    title: str
+    work: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    kind: type
+    key: str = ""
+    seconds: float = 10.0
+    failed: Callable[[str], Any] | None = None
+
+
+def run_tasks(
+    tasks: Sequence[Task],
+    folder: RunFolder,
+    jobs: int,
+    watch: Watch,
+    apart: bool = False,
+    finished: Callable[[Any], bool] = lambda record: True,
+) -> list[Any]:
+    """Run tasks side by side; gives their records in the order of the tasks.
+
+    Records that the folder has are read, where ``finished`` holds for them; every other one is
+    kept as soon as it is made, by the process that made it. ``watch`` hears of all of them, and
+    of running tasks in between.
+
+    Parameters
+    ----------
+    jobs : tasks at a time; -1 for one a core. The joblib backend in force is used, so
+        ``joblib.parallel_config("dask")`` spreads the tasks over a cluster.
+    apart : use processes of their own even for one task at a time.
+
+    A worker that dies takes others with it: then the unfinished tasks run one at a time, which
+    shows whose fault it was. Raises DynsrError for a task whose process dies alone, unless it has
+    a record for that.
+    """
+    records: dict[int, Any] = {}
+    for number, task in enumerate(tasks):
+        record = folder.load(task.name, task.key, task.kind, finished)
+        if record is not None:
+            records[number] = record
+            watch(task.name, task.title, record)
+
+    def take(numbers: Sequence[int], jobs: int, apart: bool) -> None:
+        calls = [(tasks[n], folder, watch.messages) for n in numbers]
+        # Closed here and now, so that workers are gone before what they had is read.
+        with closing(spread(_do, calls, jobs, apart)) as results:
+            for i, record in results:
+                records[numbers[i]] = record
+                watch(tasks[numbers[i]].name, tasks[numbers[i]].title, record)
+
+    waiting = [n for n in range(len(tasks)) if n not in records]
+    try:
+        take(waiting, jobs, apart)
+    except BrokenProcessPool:
+        for number in waiting:
+            if number not in records:
+                try:
+                    take([number], 1, True)
+                except BrokenProcessPool:
+                    records[number] = _give_up(tasks[number], folder)
+                    watch(tasks[number].name, tasks[number].title, records[number])
+    return [records[number] for number in range(len(tasks))]
+
+
+def _do(task: Task, folder: RunFolder, messages: Any) -> Any:
+    """Do a task and keep its record; raises KeyboardInterrupt when it was asked to stop."""
+    with closing(Reporter(messages, task.name, task.title)) as report:
+        record = task.work(*task.arguments, report)
+        report.end(record)
+        folder.save(task.name, task.key, record)
+    return record
+
+
+def _give_up(task: Task, folder: RunFolder) -> Any:
+    reason = "its process died, perhaps for want of memory"
+    if task.failed is None:
+        raise DynsrError(f"{task.title}: {reason}; give fewer rows or a smaller search")
+    record = task.failed(reason)
+    folder.save(task.name, task.key, record)
+    return record
+
+
 def spread(
-    work: Callable[..., Any], calls: Sequence[tuple[Any, ...]], jobs: int
+    work: Callable[..., Any], calls: Sequence[tuple[Any, ...]], jobs: int, apart: bool = False
 ) -> Generator[tuple[int, Any], None, None]:
     """Give (number of the call, result) as calls end, in any order.
 
-    The joblib backend in force is used. When this process is interrupted or the iterator is
-    closed, workers of its own are killed; when it is killed, they end by themselves.
+    The joblib backend in force is used; ``apart`` never uses this process. When this process is
+    interrupted or the iterator is closed, workers of its own are killed; when it is killed, they
+    end by themselves. Raises BrokenProcessPool when a worker dies.
     """
-    if jobs == 1 or len(calls) < 2:
+    if not calls or (not apart and (jobs == 1 or len(calls) < 2)):
         yield from ((i, work(*call)) for i, call in enumerate(calls))
         return
-    numbered = [delayed(_run)(os.getpid(), i, work, call) for i, call in enumerate(calls)]
+    numbered = [delayed(_run)(i, work, call) for i, call in enumerate(calls)]
+    results = None
     try:
-        pool = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-    except ValueError:
-        # This backend only gives all results at once.
-        yield from Parallel(n_jobs=jobs, batch_size=1)(numbered)
-        return
-    with _shielded():
-        results = pool(numbered)
-    try:
+        with _shielded():
+            results = _make_pool(jobs, apart)(numbered)
         # Not "yield from", which would close joblib's generator before its warnings are off.
         for result in results:  # noqa: UP028
             yield result
     finally:
-        # joblib warns that results are left, which is what an interrupt means.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            results.close()
+        # One that is left open would end the workers of a later call when it is collected.
+        if isinstance(results, Generator):
+            # joblib warns that results are left, which is what an interrupt means.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                results.close()
 
 
-def _run(parent: int, index: int, work: Callable[..., Any], call: tuple[Any, ...]) -> Any:
-    if os.getpid() != parent and os.getppid() == parent:
-        _follow(parent)
+def _make_pool(jobs: int, apart: bool) -> Parallel:
+    backend, _ = get_active_backend()
+    options: dict[str, Any] = {"n_jobs": jobs, "batch_size": 1}
+    if apart and effective_n_jobs(jobs) == 1:
+        # joblib has no pool of one; of two workers, one is given work at a time.
+        options |= {"n_jobs": 2, "pre_dispatch": 1}
+    local = type(backend) in (BACKENDS["loky"], BACKENDS["multiprocessing"])
+    if local or backend.supports_return_generator:
+        options["return_as"] = "generator_unordered"
+    if not local:
+        return Parallel(**options)
+    # Processes of this machine are always loky's: forks beside threads can hang, and a pool of
+    # multiprocessing waits forever for a worker that died. One thread each, so that sums are
+    # formed in the same order for any number of workers.
+    threads = getattr(backend, "inner_max_num_threads", None) or 1
+    with parallel_config("loky", inner_max_num_threads=threads):
+        return Parallel(**options, initializer=_belong_to, initargs=(os.getpid(),))
+
+
+def _run(index: int, work: Callable[..., Any], call: tuple[Any, ...]) -> Any:
     return index, work(*call)
 
 
@@ -67,9 +188,12 @@ def _shielded() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-@lru_cache(maxsize=1)
-def _follow(parent: int) -> None:
-    """End this worker once its parent is gone."""
+def _belong_to(parent: int) -> None:
+    """Leave Ctrl-C to the parent of this worker, and end the worker once that is gone.
+
+    A search would answer an interrupt with what it has found so far, which is no result here.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
 
 

@@ -1,27 +1,49 @@
-"""Writing files whole or not at all, whatever kills the process."""
+"""Store: files written whole or not at all, JSON of plain values, and folders of records.
+
+One rule for numbers that are not finite: JSON has none, so they are null, and where a number is due
+null reads back as infinity; what is None is left out of a record. Every finite float64 reads back
+with all its bits.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import os
 import threading
+import time
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from dynsr import __version__
+from dynsr.errors import DynsrError, DynsrWarning, InputError
+
+T = TypeVar("T")
+
+MANIFEST = "manifest.json"
+_STALE_SECONDS = 3600.0
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write a value as JSON in one move; folders that are not there are made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, json.dumps(content, indent=1))
+class RecordError(DynsrError, ValueError):
+    """A file is not the whole, undamaged record that it should be."""
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file in one move: whoever reads it sees all of it or nothing new."""
-    write_bytes(path, text.encode("utf-8"))
+class RecordWarning(DynsrWarning):
+    """A record could not be used; its task is done again."""
+
+
+class FolderTaken(InputError):
+    """The folder holds the results of another run."""
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file in one move."""
+    """Write a file in one move: whoever reads it sees all of it or nothing new."""
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.part")
     try:
         with part.open("wb") as file:
@@ -32,3 +54,297 @@ def write_bytes(path: Path, content: bytes) -> None:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in one move."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a value as JSON in one move; folders that are not there are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, _dumps(to_plain(value)))
+
+
+def _dumps(plain: Any) -> str:
+    return json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def to_plain(value: Any) -> Any:
+    """Bring a value to what strict JSON holds.
+
+    Dataclasses become mappings of their fields, arrays and sets lists, formulas and paths text;
+    a number that is not finite becomes None, and anything else its name or that of its class.
+
+    >>> to_plain({"x": (1, float("inf"))})
+    {'x': [1, None]}
+    """
+    return _bring(value, True)
+
+
+def _bring(value: Any, whole: bool) -> Any:
+    """Bring a value to what JSON holds; unless ``whole``, fields that are None are left out."""
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _bring(item, whole) for key, item in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        items = {f.name: getattr(value, f.name) for f in fields(value)}
+        return {k: _bring(v, whole) for k, v in items.items() if whole or v is not None}
+    if isinstance(value, (set, frozenset)):
+        return sorted((_bring(item, whole) for item in value), key=str)
+    if hasattr(value, "tolist"):  # an array or a number of numpy's
+        return _bring(value.tolist(), whole)
+    if hasattr(value, "free_symbols"):
+        from dynsr.expression import to_text
+
+        return to_text(value)
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Iterable):
+        return [_bring(item, whole) for item in value]
+    return str(getattr(value, "__name__", type(value).__name__))
+
+
+def from_plain(kind: Any, value: Any) -> Any:
+    """Read back a value of that type from what :func:`to_plain` made of it.
+
+    ``kind`` is a dataclass, a type of plain values, ``sympy.Expr``, or tuples, mappings and
+    optional ones of these. An optional field that is left out is None; one that is null is a
+    number that was not finite. Text is never run. Raises ValueError (InputError for a formula) or
+    TypeError when the value is of another type.
+
+    >>> from_plain(tuple[float, ...], [1, None])
+    (1.0, inf)
+    """
+    origin, inner = get_origin(kind), get_args(kind)
+    if kind is Any:
+        return value
+    if origin in (Union, UnionType):
+        (chosen,) = (k for k in inner if k is not NoneType)
+        return None if value is None and chosen is not float else from_plain(chosen, value)
+    if origin is tuple:
+        kinds = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
+        return tuple(from_plain(k, v) for k, v in zip(kinds, value, strict=True))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {str(k): from_plain(inner[1], v) for k, v in value.items()}
+    if is_dataclass(kind):
+        return _read_dataclass(kind, value)
+    if kind is float:
+        return math.inf if value is None else float(value)
+    if hasattr(kind, "free_symbols"):
+        from dynsr.expression import parse
+
+        return parse(str(value))
+    if not isinstance(value, kind):
+        raise TypeError(f"{value!r} is no {kind.__name__}")
+    return value
+
+
+def _read_dataclass(kind: Any, value: Any) -> Any:
+    hints = _hints(kind)
+    left_out = {n: None for n, hint in hints.items() if NoneType in get_args(hint)}
+    if not isinstance(value, dict) or {**left_out, **value}.keys() != hints.keys():
+        raise ValueError(f"it does not have the fields of a {kind.__name__}")
+    return kind(**{**left_out, **{n: from_plain(hints[n], v) for n, v in value.items()}})
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {f.name: hints[f.name] for f in fields(kind)}
+
+
+def fingerprint(*values: Any) -> str:
+    """Digest of arrays, texts, numbers and (nested) sequences or mappings of them.
+
+    >>> fingerprint([1.5, {"a": "b"}]) == fingerprint([1.5, {"a": "b"}])
+    True
+    """
+    digest = hashlib.sha256()
+    _feed(digest, values)
+    return digest.hexdigest()[:16]
+
+
+def _feed(digest: Any, value: Any) -> None:
+    if hasattr(value, "tobytes"):
+        digest.update(f"array {value.shape} {value.dtype}".encode())
+        digest.update(value.tobytes())
+    elif isinstance(value, Mapping):
+        _feed(digest, sorted(value.items()))
+    elif isinstance(value, (list, tuple)):
+        digest.update(f"{len(value)} items".encode())
+        for item in value:
+            _feed(digest, item)
+    else:
+        digest.update(f"{type(value).__name__} {value}".encode())
+
+
+def write_record(path: Path, record: Any, key: str = "") -> None:
+    """Write a dataclass as a record: its fields, the key, the version of dynsr, a checksum."""
+    body = {**_bring(record, False), "key": key, "version": __version__}
+    write_json(path, {**body, "checksum": _checksum(body)})
+
+
+def read_record(path: Path, kind: type[T]) -> tuple[T, str]:
+    """Read back a record of that type, and its key.
+
+    Raises RecordError that says what is wrong with the file.
+    """
+    try:
+        body = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RecordError(f"{path} is no whole record ({type(error).__name__})") from None
+    if not isinstance(body, dict) or not {"key", "version", "checksum"} <= body.keys():
+        raise RecordError(f"{path} does not have the fields of a record")
+    if body.pop("checksum") != _checksum(body):
+        raise RecordError(f"{path} was changed or damaged: its checksum differs")
+    key = body.pop("key")
+    del body["version"]
+    try:
+        found: T = from_plain(kind, body)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise RecordError(f"{path} cannot be read: {error}") from None
+    return found, key
+
+
+def _checksum(body: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+def read_manifest(folder: Path, work: str) -> dict[str, Any]:
+    """Give the settings of the run whose results a folder holds.
+
+    ``work`` is what kind of run it must be, such as "replication". Raises RecordError.
+    """
+    path = folder / MANIFEST
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        settings = found["settings"]
+        if found["format"] == _format(work) and isinstance(settings, dict):
+            return {**settings}
+    except (OSError, ValueError, TypeError, KeyError):
+        pass
+    raise RecordError(f"{path} is damaged or no manifest of a dynsr {work}")
+
+
+def _format(work: str) -> str:
+    return f"dynsr {work} 1"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A folder that keeps the results of one run, one file a task; ``None`` keeps nothing.
+
+    It holds ``manifest.json``, the settings that all its tasks share, and the folder ``records``
+    of that name. A record is there as a whole or not at all.
+    """
+
+    path: Path | None
+    records: str = "records"
+
+    def claim(
+        self, work: str, settings: Mapping[str, Any], key: str = "", alone: Iterable[str] = ("*",)
+    ) -> None:
+        """Make the folder that of one run, or go on with the run that it is of.
+
+        ``work`` names the kind of run; ``settings`` are what a reader tells runs apart by, and
+        ``key`` digests all that its results depend on. ``alone`` are the names that a folder
+        without a manifest may hold; anything by default. Raises FolderTaken, which names the first
+        difference, when it is another run's, and InputError when it cannot be used.
+        """
+        if self.path is None:
+            return
+        folder = self.path
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{folder} is a file; give a folder for the results")
+        try:
+            content = sorted(p.name for p in folder.iterdir()) if folder.exists() else []
+            if MANIFEST in content:
+                self._check(work, settings, key)
+            elif foreign := [n for n in content if not _may_be_there(n, tuple(alone))]:
+                raise InputError(
+                    f"{folder} holds {foreign[0]!r} and no results of dynsr; "
+                    "give a new or an empty folder"
+                )
+            (folder / self.records).mkdir(parents=True, exist_ok=True)
+            # Written anew each time, so that a folder that cannot be written is known at once.
+            manifest = {"format": _format(work), "key": key, "settings": settings}
+            write_json(folder / MANIFEST, manifest)
+            self._remove_stale()
+        except OSError as error:
+            reason = error.strerror or type(error).__name__
+            raise InputError(
+                f"cannot write results into {folder}: {reason}; give another folder"
+            ) from None
+
+    def _check(self, work: str, settings: Mapping[str, Any], key: str) -> None:
+        assert self.path is not None
+        try:
+            old = read_manifest(self.path, work)
+        except RecordError as error:
+            raise InputError(f"{error}; give a new or an empty folder") from None
+        for name, value in to_plain(settings).items():
+            if old.get(name) != value:
+                there = _words(old.get(name))
+                raise FolderTaken(
+                    f"{self.path} holds results with {name} {there}, not {_words(value)}; "
+                    f"give another folder, or {name} {there} to continue them"
+                )
+        if json.loads((self.path / MANIFEST).read_text("utf-8")).get("key") != key:
+            raise FolderTaken(f"{self.path} holds results with other options; give another folder")
+
+    def _remove_stale(self) -> None:
+        """Remove what a killed process left half written long ago."""
+        assert self.path is not None
+        for part in [*self.path.glob(".*.part"), *self.path.glob(f"{self.records}/.*.part")]:
+            if time.time() - part.stat().st_mtime > _STALE_SECONDS:
+                part.unlink(missing_ok=True)
+
+    def file(self, name: str) -> Path:
+        """Give the path of the record of a task."""
+        assert self.path is not None
+        return self.path / self.records / f"{name}.json"
+
+    def load(
+        self,
+        name: str,
+        key: str,
+        kind: type[T],
+        finished: Callable[[T], bool] = lambda record: True,
+    ) -> T | None:
+        """Give the record of a task; None when there is none, or none that is ``finished``.
+
+        Warns of one that is damaged or has another key, which counts for none.
+        """
+        if self.path is None or not self.file(name).exists():
+            return None
+        try:
+            record, found = read_record(self.file(name), kind)
+            if not finished(record):
+                return None
+            if found != key:
+                raise RecordError(
+                    f"{self.file(name)} was made from other data or with other settings"
+                )
+            return record
+        except RecordError as error:
+            warnings.warn(f"{error}; computing it again", RecordWarning, stacklevel=4)
+            return None
+
+    def save(self, name: str, key: str, record: Any) -> None:
+        """Keep the record of a task."""
+        if self.path is not None:
+            write_record(self.file(name), record, key)
+
+
+def _may_be_there(name: str, alone: tuple[str, ...]) -> bool:
+    # A call may end between any two files.
+    return "*" in alone or name in alone or (name.startswith(".") and name.endswith(".part"))
+
+
+def _words(value: Any) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)

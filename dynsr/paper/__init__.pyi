@@ -8,24 +8,21 @@ from .protocol import (
     printed_loss,
     score_as_printed,
 )
-from .records import MANIFEST, Record, RecordError, read_record
+from .records import Record
 from .reference import SparseRecord, sparse_records, trajectory_record
 from .replication import replicate
 from .results import table_1
 
 __all__ = [
     "AuditRow",
-    "MANIFEST",
     "PAPER_METHODS",
     "PAPER_NAMES",
     "Record",
-    "RecordError",
     "SparseRecord",
     "audit",
     "is_of_paper",
     "paper_method",
     "printed_loss",
-    "read_record",
     "render_replication",
     "replicate",
     "score_as_printed",

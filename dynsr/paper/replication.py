@@ -5,37 +5,25 @@ A cell is one run of one method on one system, from its seed to its record.
 
 from __future__ import annotations
 
-import os
-import signal
-import threading
 import time
-import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, is_dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import cpu_count
-from joblib.externals.loky import ProcessPoolExecutor, as_completed
-from joblib.externals.loky.process_executor import BrokenProcessPool
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from joblib import effective_n_jobs
 
 from dynsr import __version__
 from dynsr.data import SYSTEMS, Samples, System, find_system, make_samples
 from dynsr.engines import find_engine, training_trajectory
 from dynsr.errors import InputError
 from dynsr.expression import to_text
-from dynsr.methods import AbstractMethod
+from dynsr.jobs import RunFolder, Step, Task, Watch, fingerprint, run_tasks, to_plain
+from dynsr.methods import AbstractMethod, Progress, Report, silent
 from dynsr.paper.page import write_results
 from dynsr.paper.protocol import (
     PAPER_METHODS,
@@ -46,21 +34,11 @@ from dynsr.paper.protocol import (
     score_as_printed,
     sindy_samples,
 )
-from dynsr.paper.records import (
-    Record,
-    RecordError,
-    RecordWarning,
-    describe_settings,
-    open_folder,
-    plain_values,
-    read_record,
-    write_record,
-)
+from dynsr.paper.records import Record, describe_settings
 from dynsr.paper.results import all_tables
 from dynsr.paper.stages import describe_stages
 from dynsr.report import Table
 
-_WATCH_SECONDS = 1.0
 MakeMethod = Callable[[str, System, bool], AbstractMethod]
 
 
@@ -132,9 +110,24 @@ def cell_samples(cell: Cell, engine: str, recorded_steps: bool = False) -> Sampl
     return replace(samples, X=samples.X[:, :count], names=samples.names[:count])
 
 
-def compute_cell(cell: Cell, plan: Plan) -> Record:
+def compute_cell(cell: Cell, plan: Plan, report: Report = silent) -> Record:
     """Search, score and describe one cell; whatever goes wrong becomes a failed record."""
-    record = Record(
+    record = failed_record(cell, plan, "")
+    try:
+        find_engine(plan.engine)
+        return replace(record, status="done", **_search(cell, plan, report))
+    # One cell that fails must not take the others with it; its record says what happened.
+    except Exception as error:
+        return replace(record, error=_one_line(error))
+
+
+def failed_record(cell: Cell, plan: Plan, reason: str) -> Record:
+    """Give the record of a cell that gave no formula, with all that is known of it."""
+    versions, settings = {}, {}
+    with suppress(Exception):
+        versions = find_engine(plan.engine).versions()
+        settings = describe_settings(cell_method(cell, plan))
+    return Record(
         system=cell.system.name,
         method=cell.method,
         run=cell.run,
@@ -142,66 +135,24 @@ def compute_cell(cell: Cell, plan: Plan) -> Record:
         seed=cell.seed(plan.seed),
         status="failed",
         engine=plan.engine,
-        versions={},
+        versions=versions,
         preset=plan.preset,
-        settings={},
-    )
-    try:
-        record = replace(record, versions=find_engine(plan.engine).versions())
-        method = cell_method(cell, plan)
-        record = replace(record, settings=describe_settings(method))
-        return replace(record, status="done", **_search(cell, plan, method))
-    # One cell that fails must not take the others with it; its record says what happened.
-    except Exception as error:
-        return replace(record, error=_one_line(error))
-
-
-def failed_record(cell: Cell, plan: Plan, reason: str) -> Record:
-    """Give the record of a cell whose process did not live to write one."""
-    return Record(
-        cell.system.name,
-        cell.method,
-        cell.run,
-        cell.system.target,
-        cell.seed(plan.seed),
-        "failed",
-        plan.engine,
-        {},
-        plan.preset,
-        {},
+        settings=settings,
         error=reason,
     )
 
 
-def record_cell(cell: Cell, plan: Plan, path: Path) -> Record:
-    """Compute a cell and write its record to ``path`` in one move."""
-    record = compute_cell(cell, plan)
-    write_record(record, path)
-    return record
-
-
-def start_worker(parent: int) -> None:
-    """Prepare a worker process: Ctrl-C is its parent's, and it does not outlive it.
-
-    A search would answer an interrupt with what it has found so far, which is no result here.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
-
-
-def _leave_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(_WATCH_SECONDS)
-    os._exit(1)
-
-
-def _search(cell: Cell, plan: Plan, method: AbstractMethod) -> dict[str, Any]:
+def _search(cell: Cell, plan: Plan, report: Report) -> dict[str, Any]:
+    method = cell_method(cell, plan)
     samples = cell_samples(cell, plan.engine, plan.recorded_steps)
-    start = time.perf_counter()
     ran: dict[str, None] = {}
-    front = method.search(
-        samples, cell.generator(plan.seed), lambda progress: ran.setdefault(progress.stage)
-    )
+
+    def note(progress: Progress) -> None:
+        ran.setdefault(progress.stage)
+        report(progress)
+
+    start = time.perf_counter()
+    front = method.search(samples, cell.generator(plan.seed), note)
     seconds = time.perf_counter() - start
     if not len(front):
         raise ArithmeticError("no formula of the search has finite values on all samples")
@@ -233,9 +184,11 @@ def _one_line(error: Exception) -> str:
 
 
 RUNS, QUICK_RUNS = 5, 2
-# Rough cost of a cell, for the time left and for starting the long ones first.
-_COST = {"dynaifeynman": 30.0}
-_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+# Rough seconds of a cell on one core, for the time left and for starting the long ones first.
+_USUAL = {"dynaifeynman": 60.0}
+_USUAL_CELL = 2.0
+# What a folder may hold before it has a manifest.
+_OURS = ("cells", "tables")
 
 
 @dataclass(frozen=True)
@@ -260,15 +213,6 @@ class Replication:
         """Write tables, Figure 1 and report.html into the folder, from the records alone."""
         return write_results(self.folder, self.records, self.settings)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Give settings, records and Table 1 as JSON can hold them."""
-        return {
-            "settings": self.settings,
-            "folder": str(self.folder),
-            "table1": [plain_values(row) for row in self.tables[0].to_records()],
-            "cells": [plain_values(asdict(record)) for record in self.records],
-        }
-
 
 def replicate(
     systems: Sequence[str | System] = PAPER_NAMES,
@@ -279,7 +223,7 @@ def replicate(
     out: str | Path = "results",
     quick: bool = False,
     engine: str = "embedded",
-    progress: bool = False,
+    progress: Callable[[Step], None] | None = None,
     report: bool = True,
     recorded_steps: bool = False,
     make: MakeMethod = paper_method,
@@ -295,7 +239,7 @@ def replicate(
     out : folder of the results; made when it is not there, continued when it is.
     quick : small search budgets, for a first look; every record says so.
     engine : "embedded" or "julia".
-    progress : show a bar with the time left on the terminal.
+    progress : called with a :class:`Step` as cells end, and every half second while they run.
     report : write the tables, Figure 1 and report.html into ``out`` at the end.
     recorded_steps : make the samples of SINDy's rows with the steps that the release of 2021 took,
         :func:`dynsr.paper.protocol.recorded_ends`, instead of our own; on the embedded engine.
@@ -308,7 +252,7 @@ def replicate(
     cells = _cells(systems, methods, _check_runs(runs, quick))
     preset = "quick" if quick else "paper"
     plan = Plan(_check_seed(seed), preset, engine, make, recorded_steps)
-    workers = _check_jobs(jobs)
+    jobs = _check_jobs(jobs)
     find_engine(engine)
     if recorded_steps:
         check_replays(engine)
@@ -321,26 +265,31 @@ def replicate(
         "recorded_steps": recorded_steps,
         "version": __version__,
     }
-    folder = open_folder(out, settings)
-    records = _complete(cells, plan, folder, workers, progress)
-    result = Replication(folder, settings, tuple(records[cell.name] for cell in cells))
+    folder = RunFolder(Path(out).absolute(), "cells")
+    folder.claim("replication", settings, alone=_OURS)
+    tasks = sorted((_make_task(cell, plan) for cell in cells), key=lambda task: -task.seconds)
+    with Watch(progress, {t.name: t.seconds for t in tasks}, effective_n_jobs(jobs)) as watch:
+        run_tasks(tasks, folder, jobs, watch, apart=True, finished=lambda record: record.done)
+    records = tuple(watch.records[cell.name] for cell in cells)
+    result = Replication(Path(out).absolute(), settings, records)
     if report:
         result.write()
     return result
 
 
-def _complete(
-    cells: Sequence[Cell], plan: Plan, folder: Path, workers: int, progress: bool
-) -> dict[str, Record]:
-    """Give the record of every cell by its name; those that are not there yet are computed."""
-    records = {c.name: r for c in cells if (r := _usable_record(c, plan, folder)) is not None}
-    todo = [cell for cell in cells if cell.name not in records]
-    todo.sort(key=lambda cell: -_COST.get(cell.method, 1.0))
-    with _bar(cells, todo, progress) as finished:
-        for cell, record in _compute(todo, plan, folder, workers):
-            records[cell.name] = record
-            finished(cell, record)
-    return records
+def _make_task(cell: Cell, plan: Plan) -> Task:
+    method = cell_method(cell, plan)
+    settings = repr(method) if is_dataclass(method) else method.name
+    return Task(
+        cell.name,
+        f"{cell.system.name} by {cell.method}, run {cell.run}",
+        compute_cell,
+        (cell, plan),
+        Record,
+        fingerprint(to_plain(cell), cell.seed(plan.seed), plan.engine, plan.preset, settings),
+        _USUAL.get(cell.method, _USUAL_CELL),
+        partial(failed_record, cell, plan),
+    )
 
 
 def _cells(systems: Sequence[str | System], methods: Sequence[str], runs: int) -> list[Cell]:
@@ -375,112 +324,7 @@ def _check_seed(seed: int) -> int:
 
 def _check_jobs(jobs: int | None) -> int:
     if jobs is None or jobs == -1:
-        return cpu_count()
+        return -1
     if int(jobs) != jobs or jobs < 1:
         raise InputError(f"jobs {jobs} must be a whole number from 1 up, or -1 for one a core")
     return int(jobs)
-
-
-def _path(cell: Cell, folder: Path) -> Path:
-    return folder / "cells" / f"{cell.name}.json"
-
-
-def _usable_record(cell: Cell, plan: Plan, folder: Path) -> Record | None:
-    """Give the record of a cell if there is a good one; warn about one that is of no use."""
-    path = _path(cell, folder)
-    if not path.exists():
-        return None
-    try:
-        record = read_record(path)
-        _check_same(record, cell, plan, path)
-    except RecordError as error:
-        warnings.warn(f"{error}; computing it again", RecordWarning, stacklevel=5)
-        return None
-    return record if record.done else None
-
-
-def _check_same(record: Record, cell: Cell, plan: Plan, path: Path) -> None:
-    where = (record.system, record.method, record.run, record.seed, record.engine, record.preset)
-    if where != (
-        cell.system.name,
-        cell.method,
-        cell.run,
-        cell.seed(plan.seed),
-        plan.engine,
-        plan.preset,
-    ):
-        raise RecordError(f"{path} belongs to another cell")
-    if record.done and record.settings != describe_settings(cell_method(cell, plan)):
-        raise RecordError(f"{path} was made with other settings of the method")
-
-
-def _compute(
-    cells: Sequence[Cell], plan: Plan, folder: Path, jobs: int
-) -> Iterator[tuple[Cell, Record]]:
-    """Compute cells and give each with its record as it is done, in any order."""
-    given = set()
-    try:
-        for cell, record in _compute_in_pool(cells, plan, folder, min(jobs, len(cells) or 1)):
-            given.add(cell.name)
-            yield cell, record
-    except BrokenProcessPool:
-        # A worker died (killed, or out of memory) and took its fellows with it. One cell at
-        # a time shows which one it is.
-        for cell in (c for c in cells if c.name not in given):
-            try:
-                yield from _compute_in_pool([cell], plan, folder, 1)
-            except BrokenProcessPool:
-                record = failed_record(cell, plan, "its process died, perhaps for want of memory")
-                write_record(record, _path(cell, folder))
-                yield cell, record
-
-
-def _compute_in_pool(
-    cells: Sequence[Cell], plan: Plan, folder: Path, jobs: int
-) -> Iterator[tuple[Cell, Record]]:
-    if not cells:
-        return
-    pool = ProcessPoolExecutor(
-        jobs, initializer=start_worker, initargs=(os.getpid(),), env=_ONE_THREAD
-    )
-    try:
-        futures = {pool.submit(record_cell, c, plan, _path(c, folder)): c for c in cells}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    except BaseException:
-        pool.shutdown(wait=True, kill_workers=True)
-        raise
-    pool.shutdown(wait=True)
-
-
-@contextmanager
-def _bar(
-    cells: Iterable[Cell], todo: Sequence[Cell], show: bool
-) -> Iterator[Callable[[Cell, Record], None]]:
-    """Show a bar over the cost of all cells; gives what to call for each that is finished."""
-    cost = {cell.name: _COST.get(cell.method, 1.0) for cell in cells}
-    left = sum(cost[cell.name] for cell in todo)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[cells]} cells"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), disable=not show) as progress:
-        done = len(cost) - len(todo)
-        task = progress.add_task(
-            "replicating", total=sum(cost.values()), cells=f"{done}/{len(cost)}"
-        )
-        progress.advance(task, sum(cost.values()) - left)
-
-        def finished(cell: Cell, record: Record) -> None:
-            nonlocal done
-            done += 1
-            progress.advance(task, cost[cell.name])
-            progress.update(task, cells=f"{done}/{len(cost)}")
-            if not record.done:
-                progress.console.print(f"{cell.name} failed: {record.error}", style="red")
-
-        yield finished

@@ -150,8 +150,11 @@ def appendix_table(group: Group) -> Table:
             r.run,
             Formula(r.expression) if r.done else f"failed: {r.error}",
             r.source,
-            *((r.printed_loss, r.trajectory_loss, r.equation_rmse) if r.done else (math.nan,) * 3),
-            r.seconds,
+            *(
+                (r.printed_loss, r.trajectory_loss, r.equation_rmse, r.seconds)
+                if r.done
+                else (math.nan,) * 4
+            ),
         )
         for r in group.records
     )

@@ -4,9 +4,7 @@ from .pick import (
     explains_all,
     forecast_miss,
     pick_equation,
-    read_candidates,
     trivial_candidates,
-    write_candidates,
 )
 from .systems import compare_systems
 
@@ -17,7 +15,5 @@ __all__ = [
     "explains_all",
     "forecast_miss",
     "pick_equation",
-    "read_candidates",
     "trivial_candidates",
-    "write_candidates",
 ]

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import sympy
 
 from dynsr.data import Samples, Trajectory
-from dynsr.expression import evaluate, parse, shown, to_text
+from dynsr.expression import evaluate, shown
 from dynsr.fit import (
     Candidate,
     FitSettings,
@@ -144,30 +143,6 @@ class Pick:
         sentences += [self._compare(winner, other) for other in others[:1]]
         return " ".join(sentences)
 
-    def as_record(self) -> dict[str, Any]:
-        """Give the choice as plain values."""
-        return {
-            "target": self.state,
-            "noise": [self.noise.floor, self.noise.effective_rows],
-            "ranked": [
-                {
-                    "candidate": write_candidates([r.candidate])[0],
-                    "bits": r.bits,
-                    "held_back": r.held_back,
-                }
-                for r in self.ranked
-            ],
-        }
-
-    @classmethod
-    def from_record(cls, state: str, record: Mapping[str, Any]) -> Pick:
-        """Read a choice back."""
-        ranked = tuple(
-            RankedCandidate(read_candidates([r["candidate"]])[0], r["bits"], r["held_back"])
-            for r in record["ranked"]
-        )
-        return cls(state, ranked, Noise(*record["noise"]))
-
     def _compare(self, winner: RankedCandidate, other: RankedCandidate) -> str:
         formula = shown(tidy(other.candidate.expr), 4)
         formula = formula if len(formula) <= 80 else formula[:77] + "..."
@@ -277,24 +252,3 @@ def explains_all(candidate: Candidate, samples: Samples) -> bool:
     misses = np.abs(samples.y - evaluate(candidate.expr, samples.columns))
     size = float(np.sqrt(np.mean(samples.y**2)))
     return bool(np.median(misses) <= 5e-4 * size)
-
-
-def write_candidates(candidates: Iterable[Candidate]) -> list[dict[str, Any]]:
-    """Write candidates as plain records."""
-    return [
-        {
-            "expr": to_text(c.expr),
-            "loss": c.loss,
-            "complexity": c.complexity,
-            "source": c.source,
-        }
-        for c in candidates
-    ]
-
-
-def read_candidates(records: Iterable[Mapping[str, Any]]) -> list[Candidate]:
-    """Read candidates back, parsed without ever being evaluated as Python."""
-    return [
-        Candidate(parse(r["expr"]), float(r["loss"]), float(r["complexity"]), str(r["source"]))
-        for r in records
-    ]

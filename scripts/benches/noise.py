@@ -24,6 +24,7 @@ from dynsr.benchmarks.noise import (
 )
 from dynsr.data.system import PAPER_SYSTEMS, find_system
 from dynsr.errors import DynsrError
+from dynsr.jobs import Step
 from dynsr.report.plots import draw_recovery, to_bytes
 
 
@@ -58,8 +59,8 @@ def main() -> None:
     options = read_options()
     console = Console(width=160)
 
-    def say(rows: Sequence[NoiseRow]) -> None:
-        for r in (row.recovery for row in rows):
+    def say(step: Step) -> None:
+        for r in (row.recovery for row in step.record.rows) if step.what else ():
             verdict = f"exact, off {r.constants_off:.1e}" if r.same_form else "OTHER FORM"
             place = f"{r.system} {100 * r.noise:g} % seed {r.seed} {r.state}'"
             console.print(f"{place}: {verdict}: {r.found}", highlight=False, soft_wrap=True)
@@ -74,7 +75,7 @@ def main() -> None:
             preset=options.preset,
             out=options.out,
             jobs=options.jobs,
-            finished=say,
+            progress=say,
         )
     except DynsrError as error:
         print(f"error: {error}", file=sys.stderr)
