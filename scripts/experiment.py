@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
 from dynsr.errors import DynsrError
-from dynsr.paper.protocol import PAPER_METHODS
+from dynsr.methods.registry import PAPER_METHODS
 from dynsr.paper.replication import PAPER_NAMES, Replication, replicate
 
 

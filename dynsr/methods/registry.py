@@ -23,6 +23,8 @@ PRESETS: dict[str, str] = {
     "paper": "as published; general choices where the paper chose by hand for a system",
 }
 DEFAULT_PRESET = "best"
+# The methods that the paper compares, as its tables call them.
+PAPER_METHODS = ("dynaifeynman", "ga", "sindy")
 AUTO = "auto"
 
 

@@ -35,10 +35,9 @@ from dynsr.data import SYSTEMS, Samples, System, find_system, make_samples
 from dynsr.engines import find_engine, training_trajectory
 from dynsr.errors import InputError
 from dynsr.expression import to_text
-from dynsr.methods import AbstractMethod
+from dynsr.methods import PAPER_METHODS, AbstractMethod
 from dynsr.paper.page import write_results
 from dynsr.paper.protocol import (
-    PAPER_METHODS,
     PAPER_NAMES,
     check_replays,
     is_of_paper,
