@@ -215,8 +215,11 @@ def name_methods() -> str:
 
 def describe_methods() -> str:
     """Say what each method is, for the help."""
-    several = f"{AUTO}: several, as the preset says"
-    return "; ".join([several, *(f"{_title(e)}: {e.description}" for e in METHODS.values())])
+    lines = [f"{AUTO}: several, as the preset says"]
+    for entry in METHODS.values():
+        more = f" (complete with the extra {entry.extra})" if entry.extra else ""
+        lines.append(f"{_title(entry)}: {entry.description}{more}")
+    return "; ".join(lines)
 
 
 def describe_presets() -> str:
