@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from dynsr.cli.progress import SearchProgress
 from dynsr.errors import DynsrError
-from dynsr.paper.protocol import PAPER_METHODS
+from dynsr.methods.registry import PAPER_METHODS
 from dynsr.paper.replication import PAPER_NAMES, Replication, replicate
 
 

@@ -16,12 +16,13 @@ from dynsr.errors import InputError
 from dynsr.methods.registry import (
     DEFAULT_PRESET,
     METHODS,
+    PAPER_METHODS,
     PRESETS,
     choose_methods,
     find_method,
     make_method,
 )
-from dynsr.paper.protocol import PAPER_METHODS, paper_method
+from dynsr.paper.protocol import paper_method
 
 sys.path.insert(0, str(Path(__file__).parent))
 from command_line import run  # noqa: E402 (found beside this file)

@@ -35,7 +35,7 @@ def test_the_appendix_of_the_ga_is_made_and_continued(tmp_path):
     assert first.returncode == 0, first.stderr
     assert first.stdout.count("GA-Baseline on") == 3
     table = (tmp_path / "tables" / "appendix_ga_pendulum.csv").read_text().splitlines()
-    assert len(table) == 3 and table[0].startswith("Run,Formula,As printed")
+    assert len(table) == 3 and table[0].startswith("Run,Formula,Stage,As printed")
     cells = {p: p.stat().st_mtime_ns for p in tmp_path.glob("cells/*.json")}
     assert len(cells) == 6 and run("appendix_ga", "--quick", "--out", tmp_path).returncode == 0
     assert {p: p.stat().st_mtime_ns for p in tmp_path.glob("cells/*.json")} == cells

@@ -14,7 +14,9 @@ from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
-    from dynsr.data import Trajectory
+    import numpy as np
+
+    from dynsr.data import System, Trajectory
     from dynsr.discovery import Discovery
 
 
@@ -60,11 +62,6 @@ def split_inputs(inputs: options.Names) -> tuple[options.Names, dict[str, str]]:
     formulas = read_equations([text for text in inputs if "=" in text])
     return options.read_names([text for text in inputs if "=" not in text]), formulas
 
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from dynsr.data import System, Trajectory
 
 _MAX_ROWS = 10_000_000
 _LEFT_SIDE = re.compile(r"(?:d\s*(\w+)\s*/\s*d\s*t|(\w+)\s*'?)\s*")

@@ -19,10 +19,12 @@ from dynsr.cli.progress import SearchProgress
 from dynsr.cli.results import keep, score_discovery, summarise
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
-from dynsr.methods import AUTO, DEFAULT_PRESET
+from dynsr.methods import AUTO, DEFAULT_PRESET, PAPER_METHODS
 
 if TYPE_CHECKING:
+    from dynsr.data import Trajectory
     from dynsr.discovery import Discovery
+    from dynsr.methods import AbstractMethod
 
 # Name in the scores -> heading, what it means.
 _SCORES = {
@@ -117,12 +119,6 @@ def show_files(found: Discovery, saved: Sequence[Path], folder: Path | None) -> 
         where = f"what is finished is kept in {folder}; " if folder is not None else ""
         goes_on = "the same command goes on from there" if where else "with --out it could go on"
         output.note(f"interrupted: these are the best equations so far; {where}{goes_on}")
-
-
-if TYPE_CHECKING:
-    from dynsr.data import Trajectory
-    from dynsr.discovery import Discovery
-    from dynsr.methods import AbstractMethod
 
 
 def discover(
@@ -289,7 +285,7 @@ def _choose_methods(names: str, preset: str, system: str | None) -> Sequence[str
     """Give the paper's own settings for a system of the paper; else the names are enough."""
     from dynsr.data import find_system
     from dynsr.methods import find_method, make_method
-    from dynsr.paper import PAPER_METHODS, is_of_paper, paper_method
+    from dynsr.paper import is_of_paper, paper_method
 
     asked = options.read_names([names]) or []
     if preset != "paper" or system is None or not is_of_paper(find_system(system)):

@@ -12,19 +12,18 @@ from dynsr.cli import options, output
 from dynsr.cli.progress import SearchProgress
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
+from dynsr.methods import PAPER_METHODS
 
 if TYPE_CHECKING:
     from dynsr.paper import AuditRow, Record
 
-Names = list[str] | None
-
 
 def replicate(
     systems: Annotated[
-        Names, typer.Option(help="Systems, by commas; the paper's three by default.")
+        options.Names, typer.Option(help="Systems, by commas; the paper's three by default.")
     ] = None,
     methods: Annotated[
-        Names, typer.Option(help="dynaifeynman, sindy, ga; all three by default.")
+        options.Names, typer.Option(help=f"{', '.join(PAPER_METHODS)}; all three by default.")
     ] = None,
     runs: Annotated[
         int | None, typer.Option(min=1, help="Runs of each; 5 as in the paper, 2 when quick.")
@@ -48,7 +47,7 @@ def replicate(
 
     Whatever ends it, the next call with the same folder goes on where it stopped.
     """
-    from dynsr.paper import PAPER_METHODS, PAPER_NAMES
+    from dynsr.paper import PAPER_NAMES
     from dynsr.paper import replicate as run
 
     try:

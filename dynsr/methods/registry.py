@@ -23,6 +23,8 @@ PRESETS: dict[str, str] = {
     "paper": "as published; general choices where the paper chose by hand for a system",
 }
 DEFAULT_PRESET = "best"
+# The methods that the paper compares, as its tables call them.
+PAPER_METHODS = ("dynaifeynman", "ga", "sindy")
 AUTO = "auto"
 
 
@@ -213,8 +215,11 @@ def name_methods() -> str:
 
 def describe_methods() -> str:
     """Say what each method is, for the help."""
-    several = f"{AUTO}: several, as the preset says"
-    return "; ".join([several, *(f"{_title(e)}: {e.description}" for e in METHODS.values())])
+    lines = [f"{AUTO}: several, as the preset says"]
+    for entry in METHODS.values():
+        more = f" (complete with the extra {entry.extra})" if entry.extra else ""
+        lines.append(f"{_title(entry)}: {entry.description}{more}")
+    return "; ".join(lines)
 
 
 def describe_presets() -> str:

@@ -1,7 +1,6 @@
 from .auditing import AuditRow, audit
 from .page import render_replication, write_results
 from .protocol import (
-    PAPER_METHODS,
     PAPER_NAMES,
     is_of_paper,
     paper_method,
@@ -15,7 +14,6 @@ from .results import table_1
 
 __all__ = [
     "AuditRow",
-    "PAPER_METHODS",
     "PAPER_NAMES",
     "Record",
     "SparseRecord",

@@ -31,10 +31,8 @@ from dynsr.engines import (
 )
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy
-from dynsr.methods import AbstractMethod, Library, make_method
+from dynsr.methods import PAPER_METHODS, AbstractMethod, Library, make_method
 
-# The methods that the paper compares, as its tables call them.
-PAPER_METHODS: tuple[str, ...] = ("dynaifeynman", "ga", "sindy")
 PAPER_NAMES: tuple[str, ...] = tuple(system.name for system in PAPER_SYSTEMS)
 
 # The slope's own step and the last saved time, in seconds, of every row of SINDy.

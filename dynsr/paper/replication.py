@@ -23,10 +23,9 @@ from dynsr.engines import find_engine, training_trajectory
 from dynsr.errors import InputError
 from dynsr.expression import to_text
 from dynsr.jobs import RunFolder, Step, Task, Watch, fingerprint, run_tasks, to_plain
-from dynsr.methods import AbstractMethod, Progress, Report, silent
+from dynsr.methods import PAPER_METHODS, AbstractMethod, Progress, Report, silent
 from dynsr.paper.page import write_results
 from dynsr.paper.protocol import (
-    PAPER_METHODS,
     PAPER_NAMES,
     check_replays,
     is_of_paper,
