@@ -26,6 +26,7 @@ from .paper import audit, printed_loss, replicate
 __version__: str
 
 __all__ = [
+    "SYSTEMS",
     "AbstractMethod",
     "Candidate",
     "Discovery",
@@ -39,7 +40,6 @@ __all__ = [
     "ParetoFront",
     "RationalSearch",
     "SINDy",
-    "SYSTEMS",
     "Samples",
     "Score",
     "System",

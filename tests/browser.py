@@ -7,6 +7,7 @@ that a zero byte ends (https://chromedevtools.github.io/devtools-protocol).
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import os
 import select
@@ -18,6 +19,8 @@ import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+from typing_extensions import Self
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _SWITCHES = (
@@ -85,7 +88,7 @@ class Browser:
             self.close()
             raise
 
-    def __enter__(self) -> Browser:
+    def __enter__(self) -> Self:
         """Give the browser itself."""
         return self
 
@@ -101,11 +104,9 @@ class Browser:
             self.process.wait(10)
         except (OSError, EOFError, TimeoutError, subprocess.TimeoutExpired):
             pass
-        try:
+        with contextlib.suppress(ProcessLookupError):
             # Its session is its own, so that no other process is in the group.
             os.killpg(self.process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
         self.process.wait()
         os.close(self._to)
         os.close(self._from)

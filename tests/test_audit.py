@@ -73,7 +73,8 @@ def test_unrounded_models_stand_beside_the_rows_that_miss():
 
 def test_the_papers_own_recipe_gives_the_digits_it_rounded_away():
     """SINDy on the paper's data, scored the same way: the pendulum's printed loss to every digit,
-    and 0.240 +- 0.001 for Lotka-Volterra (printed 0.239), where the printed digits give 0.673."""
+    and 0.240 +- 0.001 for Lotka-Volterra (printed 0.239), where the printed digits give 0.673.
+    """
     beside = {row.system: row for row in audit() if row.unrounded is not None}
     assert set(beside) == {"pendulum", "lotka-volterra"}
     assert agrees_cut("2.186", beside["pendulum"].unrounded)

@@ -16,7 +16,7 @@ from dynsr.paper.replication import Cell, Plan, cell_method, cell_samples, compu
 from dynsr.paper.stages import describe_stages
 
 sys.path.insert(0, str(Path(__file__).parent))
-from fake_methods import make  # noqa: E402 (found beside this file)
+from fake_methods import make
 
 
 def test_every_cell_has_its_own_chance():
@@ -88,7 +88,9 @@ def test_the_engine_of_the_plan_is_the_methods():
     )
 
 
-@pytest.mark.parametrize("how, words", [("raises", "no luck today"), ("nothing", "finite values")])
+@pytest.mark.parametrize(
+    ("how", "words"), [("raises", "no luck today"), ("nothing", "finite values")]
+)
 def test_what_goes_wrong_becomes_a_record(how, words):
     """An error or an empty front gives a failed record with one line, never an exception."""
     record = compute_cell(Cell(PENDULUM, f"broken-{how}", 1), Plan(0, "paper", "embedded", make))

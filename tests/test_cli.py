@@ -21,7 +21,7 @@ from dynsr.cli.group import CommandGroup
 from dynsr.data.reading import read_trajectories
 
 sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run  # noqa: E402 (found beside this file)
+from command_line import run
 
 COMMAND = typer.main.get_command(app)
 NAMES = sorted(COMMAND.commands)
@@ -291,7 +291,7 @@ def test_replicate_and_report(tmp_path, monkeypatch):
     found = json.loads(run("replicate", *words, "-o", out, "--json", "-q").stdout)
     assert len(written) == 1
     assert found["settings"]["quick"] and len(found["records"]) == 1
-    assert all(os.path.exists(path) for path in found["files"])
+    assert all(Path(path).exists() for path in found["files"])
     page = (out / "report.html").read_bytes()
     (out / "report.html").unlink()
     run("report", out)
@@ -306,15 +306,15 @@ def test_replicate_and_report(tmp_path, monkeypatch):
     assert "manifest" in refuse("report", out)
 
 
-def test_an_interrupted_replication_says_how_to_go_on(monkeypatch):
+def test_an_interrupted_replication_says_how_to_go_on(monkeypatch, tmp_path):
     """Ctrl-C in a replication ends in 130 and says where the finished cells are."""
 
     def stop(**options):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("dynsr.paper.replicate", stop)
-    said = run("replicate", "-o", "here", code=130).stderr
-    assert "kept in here; the same command goes on" in said and "error: interrupted" in said
+    said = run("replicate", "-o", tmp_path / "here", code=130).stderr
+    assert "here; the same command goes on" in said and "error: interrupted" in said
 
 
 def test_folders_that_are_not_ours(tmp_path):

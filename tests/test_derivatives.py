@@ -58,7 +58,7 @@ def test_clean_data_take_high_order_differences():
     assert np.array_equal(samples.X, exact.x[rows])
 
 
-@pytest.mark.parametrize("share,limit", [(0.001, 0.004), (0.01, 0.03), (0.05, 0.06)])
+@pytest.mark.parametrize(("share", "limit"), [(0.001, 0.004), (0.01, 0.03), (0.05, 0.06)])
 def test_noisy_data_are_smoothed(share, limit):
     """Slopes of noisy data err by a small share, and far less than plain differences do."""
     noisy, clean, slopes = lotka_volterra(GRID, share, 1)

@@ -16,7 +16,7 @@ from dynsr.data.system import LOTKA_VOLTERRA
 from dynsr.paper.protocol import paper_method
 
 sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run  # noqa: E402 (found beside this file)
+from command_line import run
 
 T = np.linspace(0.0, 3.0, 151)
 
@@ -94,9 +94,9 @@ def test_bad_data_end_in_one_line(tmp_path, monkeypatch, case):
 
 
 ODD_DATA = {
-    "identical columns": (dict(y=2 * np.exp(-0.5 * T)), "are identical"),
-    "units a billion apart": (dict(y=1e9 * np.sin(T)), "units that bring them closer"),
-    "function name": (dict(sin=np.sin(T)), "'sin' -> sin_1"),
+    "identical columns": ({"y": 2 * np.exp(-0.5 * T)}, "are identical"),
+    "units a billion apart": ({"y": 1e9 * np.sin(T)}, "units that bring them closer"),
+    "function name": ({"sin": np.sin(T)}, "'sin' -> sin_1"),
     "no identifier": ({"2nd y": np.sin(T)}, "'2nd y' -> x2nd_y"),
     "code as name": ({"__import__('os')": np.sin(T)}, "-> import_os"),
 }
@@ -185,7 +185,7 @@ def test_options_reach_the_search(tmp_path, seen):
     assert found["scores"]["data"] == {"x": scores}
     assert found["complete"] and found["warned"] == []
     assert "data.csv: time 't'" in found["guessed"][0]
-    assert [os.path.exists(path) for path in found["files"]] == [True, True]
+    assert [Path(path).exists() for path in found["files"]] == [True, True]
 
 
 def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
@@ -411,7 +411,7 @@ def test_a_second_interrupt_ends_at_once():
     for words in ("once", "more"):
         assert child.stdout.readline().strip() == words
         child.send_signal(signal.SIGINT)
-    out, errors = child.communicate(timeout=20)
+    _out, errors = child.communicate(timeout=20)
     assert (child.returncode, errors) == (130, "error: interrupted twice\n")
 
 

@@ -126,7 +126,7 @@ def test_several_trajectories_with_their_own_times_are_taken():
 
 def test_own_slopes_are_used(decay):
     """Slopes that the user gives stand in for those the data would give."""
-    t, x = decay
+    _t, x = decay
     slopes = {"x": -0.5 * x[:, 0], "y": x[:, 0] - 0.5 * x[:, 1]}
     result = discover(decay, method=QUICK, slopes=slopes, jobs=1)
     assert result.equations["y"] == parse("x - 0.5*y")

@@ -110,7 +110,8 @@ def test_the_chosen_equation_is_on_its_front(found, page):
 
 def test_the_page_says_how_it_was_made(found, page):
     """The command searches in the same way, and slopes are made as they were: by the recorded
-    scheme, not by the one that the data would choose today."""
+    scheme, not by the one that the data would choose today.
+    """
     schemes = {"x": "savgol(11,3)", "y": "given"}
     given = {"method": "sindy", "known": {"y": "-x"}, "preset": "quick", "scheme": schemes}
     told = html.unescape(render_discovery(replace(found, settings={**found.settings, **given})))
@@ -137,6 +138,6 @@ def test_a_report_that_cannot_be_written_is_an_error_of_one_line(found, tmp_path
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
     for path in (tmp_path / "folder", tmp_path / "file" / "page.html"):
-        with pytest.raises(InputError, match="cannot write .*; choose another file"):
+        with pytest.raises(InputError, match=r"cannot write .*; choose another file"):
             found.report(path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]

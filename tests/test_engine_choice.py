@@ -24,7 +24,7 @@ from dynsr.methods.genetic import GeneticAlgorithm
 from dynsr.methods.sindy import SINDy
 
 sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run  # noqa: E402 (found beside this file)
+from command_line import run
 
 T = np.linspace(0.0, 3.0, 151)
 FAKE = Path(__file__).parent / "fake_julia"

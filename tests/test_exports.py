@@ -42,7 +42,7 @@ def test_the_numpy_function_is_the_equations(expected):
 def test_the_python_code_runs_on_its_own(expected):
     """The written module holds all it needs, and integrates with scipy."""
     space: dict = {}
-    exec(to_python(EQUATIONS), space)  # noqa: S102 (our own output is what is under test)
+    exec(to_python(EQUATIONS), space)
     assert np.allclose(space["rhs"](0.0, STATE, lambda t: FORCE), expected, rtol=1e-14)
     solved = solve_ivp(space["rhs"], (0, 1), STATE, args=(lambda t: FORCE,))
     assert solved.success

@@ -98,7 +98,7 @@ def test_scaling_fits_coefficients_that_no_terminal_has():
 
 
 @pytest.mark.parametrize(
-    "change, message",
+    ("change", "message"),
     [
         ({"bits": 0}, "bits 0 of the GA"),
         ({"population": 1}, "population 1 of the GA"),

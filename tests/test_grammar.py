@@ -126,7 +126,7 @@ def test_a_function_closes_its_brackets():
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    ("text", "message"),
     [
         ("x+q", "'q' is no symbol"),
         ("x+", "no symbol"),
@@ -143,7 +143,7 @@ def test_what_is_no_word_is_refused(text, message):
 
 
 @pytest.mark.parametrize(
-    "arguments, message",
+    ("arguments", "message"),
     [
         (((), ()), "no variable and no constant"),
         ((("x",), (1.0,), ("%",)), "unknown operator '%'"),

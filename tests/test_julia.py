@@ -99,7 +99,7 @@ def test_one_process_answers_until_the_engine_is_closed(engine):
 def test_a_crash_is_an_error_and_the_next_call_works(engine):
     """When Julia dies, the session goes on: an error tells how, then a new process answers."""
     before = process_of(engine)
-    with pytest.raises(EngineError, match="SIGKILL.*something broke"):
+    with pytest.raises(EngineError, match=r"SIGKILL.*something broke"):
         engine.integrate(decay(DIE))
     assert engine.integrate(decay()).success
     assert process_of(engine) != before
@@ -150,7 +150,7 @@ def test_an_answer_that_breaks_off_is_an_error_and_never_half_an_answer(fake_jul
         if length == len(answer):
             assert worker.request({}, {}, 9.0, 9.0, print)[1]["x"].tolist() == [0.0, 1.0, 2.0]
         else:
-            with pytest.raises(EngineError, match="ended unexpectedly .exit code 0."):
+            with pytest.raises(EngineError, match=r"ended unexpectedly .exit code 0."):
                 worker.request({}, {}, 9.0, 9.0, print)
         worker.close()
 
@@ -167,7 +167,7 @@ def test_a_julia_that_does_not_start_is_unavailable(engine, monkeypatch):
     """A failing start is one line with the remedy, and is tried afresh the next time."""
     monkeypatch.setenv("FAKE_JULIA_START", "fail")
     engine.close()
-    with pytest.raises(EngineUnavailable, match="PythonCall.jl did not start properly") as caught:
+    with pytest.raises(EngineUnavailable, match=r"PythonCall.jl did not start properly") as caught:
         engine.integrate(decay())
     assert "\n" not in str(caught.value) and "Project.toml" in str(caught.value)
     monkeypatch.delenv("FAKE_JULIA_START")
@@ -263,6 +263,6 @@ def test_the_stand_in_takes_what_julia_takes():
     spec.loader.exec_module(stand_in)
     for name, function in (("integrate", stand_in._integrate), ("regress", stand_in._regress)):
         text = (find_sources() / "src" / f"{name}.jl").read_text()
-        (arguments,) = re.findall(rf"^function {name}\(([^)]*)\)", text, re.M)
+        (arguments,) = re.findall(rf"^function {name}\(([^)]*)\)", text, re.MULTILINE)
         in_julia = [word for word in re.split(r"[,\s]+", arguments) if word]
         assert list(inspect.signature(function).parameters) == in_julia

@@ -25,7 +25,7 @@ from dynsr.methods.registry import (
 from dynsr.paper.protocol import paper_method
 
 sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run  # noqa: E402 (found beside this file)
+from command_line import run
 
 EVERY = pytest.mark.parametrize("name", METHODS)
 

@@ -46,7 +46,7 @@ def test_infinite_losses_stay_off_the_front():
     bad = score_candidate(parse("1/x"), samples)
     assert math.isinf(bad.loss)
     assert len(ParetoFront([bad])) == 0
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="empty"):
         _ = ParetoFront([bad]).best_fit
 
 

@@ -85,7 +85,9 @@ def test_recovery_over_noise():
     assert len(axis.lines) == 2 and len(axis.collections) == 1
 
 
-@pytest.mark.parametrize("kind, head", [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
+@pytest.mark.parametrize(
+    ("kind", "head"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")]
+)
 def test_equal_figures_are_equal_files(kind, head):
     """The same picture drawn twice gives the same bytes, without date or version."""
     one, two = (plots.to_bytes(plots.draw_panels([panel(One=np.cos(T))]), kind) for _ in range(2))

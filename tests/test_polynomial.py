@@ -38,7 +38,7 @@ def test_the_sparse_fit_has_the_terms_of_the_law_alone():
     """Backward elimination passes through the three terms that made the data, with noise."""
     samples = _planted(noise=0.05)
     found = Polynomial().run(samples, Context(np.random.default_rng(0)))
-    x0, x1, x2 = (c for c in samples.X.T)
+    _x0, _x1, _x2 = (c for c in samples.X.T)
     law = {"x0*x1", "x2**4", "x0"}
     three = [c for c in found if {str(t.as_coeff_Mul()[1]) for t in c.expr.args} == law]
     assert three and min(c.loss for c in three) < 0.06

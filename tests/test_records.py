@@ -133,7 +133,7 @@ def test_what_is_left_half_written_is_removed_when_it_is_old(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "make, message",
+    ("make", "message"),
     [
         (lambda p: p.write_text("x"), "is a file; give a folder"),
         (lambda p: (p.mkdir(), (p / "thesis.doc").write_text("x")), "holds 'thesis.doc' and no"),
@@ -163,12 +163,12 @@ def test_a_folder_that_is_not_ours_is_refused(tmp_path, make, message):
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
     """A folder below a file, or one that the system refuses, is named in one line."""
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="cannot write results into .*: Not a directory; give"):
+    with pytest.raises(InputError, match=r"cannot write results into .*: Not a directory; give"):
         claim(tmp_path / "file" / "out", {})
     monkeypatch.setattr(
         os, "replace", lambda a, b: (_ for _ in ()).throw(PermissionError(13, "no"))
     )
-    with pytest.raises(InputError, match="cannot write results into .*: no; give another folder"):
+    with pytest.raises(InputError, match=r"cannot write results into .*: no; give another folder"):
         claim(tmp_path / "out", {})
 
 

@@ -177,7 +177,7 @@ def test_a_failed_cell_is_a_record_and_is_tried_again(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change, message",
+    ("change", "message"),
     [
         ({"seed": 1}, r"holds results with seed 3, not 1; give another folder, or seed 3"),
         ({"quick": True}, "holds results with quick False, not True"),
@@ -190,7 +190,7 @@ def test_other_settings_in_the_same_folder_are_refused(whole, change, message):
 
 
 @pytest.mark.parametrize(
-    "arguments, message",
+    ("arguments", "message"),
     [
         ({"systems": ["pendlum"]}, "unknown system 'pendlum'; the systems are: lotka-volterra"),
         (

@@ -12,7 +12,7 @@ from dynsr.report.page import Picture, render_page
 from dynsr.report.tables import Formula, Table
 
 sys.path.insert(0, str(Path(__file__).parent))
-from fake_records import PRINTED, record  # noqa: E402 (found beside this file)
+from fake_records import PRINTED, record
 
 SETTINGS = {
     "seed": 5,

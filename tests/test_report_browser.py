@@ -18,8 +18,8 @@ from dynsr.paper.page import render_replication
 from dynsr.report.discovery import render_discovery
 
 sys.path.insert(0, str(Path(__file__).parent))
-from browser import Browser, find_chromium  # noqa: E402 (found beside this file)
-from fake_records import PRINTED, record  # noqa: E402 (found beside this file)
+from browser import Browser, find_chromium
+from fake_records import PRINTED, record
 
 # One worker runs them all, so that one browser is started.
 pytestmark = pytest.mark.xdist_group("browser")

@@ -24,7 +24,7 @@ from dynsr.paper.results import (
 )
 
 sys.path.insert(0, str(Path(__file__).parent))
-from fake_records import PRINTED, record  # noqa: E402 (found beside this file)
+from fake_records import PRINTED, record
 
 
 @pytest.fixture(scope="module")

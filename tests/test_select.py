@@ -26,7 +26,7 @@ def test_an_engine_is_its_own_choice():
 
 def test_an_unknown_engine_is_refused_with_the_names():
     """The message lists the engines there are."""
-    with pytest.raises(InputError, match="unknown engine 'matlab'.*embedded, julia"):
+    with pytest.raises(InputError, match=r"unknown engine 'matlab'.*embedded, julia"):
         find_engine("matlab")
 
 

@@ -1,6 +1,7 @@
 """SINDy on the paper's own data, and on systems whose law is known."""
 
 import gzip
+import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -219,7 +220,7 @@ def test_elimination_drops_the_term_whose_loss_costs_least():
         return float(np.sum((a @ np.linalg.lstsq(a, target, rcond=None)[0] - target) ** 2))
 
     path = [terms for terms, _ in eliminate(columns.T, target)]
-    for larger, smaller in zip(path, path[1:], strict=False):
+    for larger, smaller in itertools.pairwise(path):
         options = [tuple(k for k in larger if k != out) for out in larger]
         assert cost(smaller) == pytest.approx(min(map(cost, options)))
 
@@ -230,7 +231,7 @@ def test_unknown_presets_and_systems_are_refused():
         SINDy.preset("fast")
     with pytest.raises(InputError, match="SINDy has no setting 'speed'; it has: library, "):
         SINDy.preset("best", speed=1)
-    with pytest.raises(InputError, match="no paper settings for 'lorenz'.*; use preset best"):
+    with pytest.raises(InputError, match=r"no paper settings for 'lorenz'.*; use preset best"):
         paper_method("sindy", LORENZ)
     with pytest.raises(InputError, match="cart-pole"):
         sindy_samples(LORENZ)

@@ -79,7 +79,7 @@ def test_the_terminal_shows_what_markup_would_hide():
 
 
 @pytest.mark.parametrize(
-    "value, text",
+    ("value", "text"),
     [(1234567.0, "1.235e+06"), (0.00012345, "0.0001234"), (True, "True"), (-math.inf, "diverges")],
 )
 def test_numbers_are_shown_with_four_digits(value, text):

@@ -1,3 +1,4 @@
+import itertools
 import math
 import time
 from pathlib import Path
@@ -98,7 +99,7 @@ def test_the_error_falls_with_the_fifth_power_of_the_step():
         return abs(x[0] - math.exp(math.sin(1.0)))
 
     errors = [error_after(count) for count in (8, 16, 32)]
-    orders = [math.log2(a / b) for a, b in zip(errors, errors[1:], strict=False)]
+    orders = [math.log2(a / b) for a, b in itertools.pairwise(errors)]
     assert all(4.7 < order < 5.6 for order in orders)
 
 

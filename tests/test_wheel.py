@@ -92,8 +92,8 @@ def test_the_lists_of_julia_packages_agree():
         assert f'{name} = "{entry["uuid"]}"' in project
         assert f'{name} = "{entry["version"]}"' in project
     assert f'julia = "{listed["julia"]}"' in project
-    deps = re.search(r"\[deps\]\n(.*?)\n\n", project, re.S)
-    bounds = re.search(r"\[compat\]\n(.*?)\n\n", project, re.S)
+    deps = re.search(r"\[deps\]\n(.*?)\n\n", project, re.DOTALL)
+    bounds = re.search(r"\[compat\]\n(.*?)\n\n", project, re.DOTALL)
     assert deps and bounds
     for line in deps[1].splitlines():
-        assert re.search(rf"^{line.split(' ')[0]} = ", bounds[1], re.M)
+        assert re.search(rf"^{line.split(' ')[0]} = ", bounds[1], re.MULTILINE)

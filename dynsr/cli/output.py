@@ -14,6 +14,7 @@ from typing import Any
 
 import typer
 from rich.console import Console
+from typing_extensions import Self
 
 from dynsr.errors import DynsrWarning
 
@@ -100,7 +101,7 @@ class Notes:
         if not self._quiet:
             note(words)
 
-    def __enter__(self) -> Notes:
+    def __enter__(self) -> Self:
         """Begin to listen."""
         self._before = warnings.showwarning
         warnings.showwarning = self._hear

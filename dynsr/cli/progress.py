@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.table import Column
+from typing_extensions import Self
 
 from dynsr.cli.output import console, note
 
@@ -47,7 +48,7 @@ class SearchProgress:
         self._last, self._gap = -_SECONDS_BETWEEN_LINES, _FIRST_GAP
         self._told = 0.0
 
-    def __enter__(self) -> SearchProgress:
+    def __enter__(self) -> Self:
         """Start to draw."""
         self._bar.start()
         return self

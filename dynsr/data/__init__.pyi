@@ -1,7 +1,7 @@
 from .catalogue import DEFINITIONS, find_definition
 from .reading import read_trajectories, split_held_back, take_trajectories, write_csv
 from .samples import SCHEMES, Samples, make_samples
-from .slopes import choose_samples, measurement_noise, robust_scale
+from .slopes import SlopeSettings, choose_samples, measurement_noise, robust_scale
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .trajectory import Trajectory
 
@@ -11,6 +11,7 @@ __all__ = [
     "SCHEMES",
     "SYSTEMS",
     "Samples",
+    "SlopeSettings",
     "System",
     "Trajectory",
     "choose_samples",

@@ -14,12 +14,14 @@ from dynsr.data.columns import Columns
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name
 
-_TIME = re.compile(r"t|time|times|timestamps?|datetime|date|sec|secs|seconds?|zeit|temps", re.I)
+_TIME = re.compile(
+    r"t|time|times|timestamps?|datetime|date|sec|secs|seconds?|zeit|temps", re.IGNORECASE
+)
 _TRAJECTORY = re.compile(
     r"(traj(ectory)?|run|trial|episode|experiment|series|replicate|sample|group)(_?(id|no|nr))?|id",
-    re.I,
+    re.IGNORECASE,
 )
-_INPUT = re.compile(r"(f|force|forcing)|(input|control|forcing)s?_?\w*|u_?\d*", re.I)
+_INPUT = re.compile(r"(f|force|forcing)|(input|control|forcing)s?_?\w*|u_?\d*", re.IGNORECASE)
 # A unit in brackets or after a blank bracket: "x [m/s]", "theta (rad)".
 _UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
 
@@ -126,7 +128,7 @@ def _bare(name: str) -> str:
 
 def _guess_time(columns: Columns) -> str:
     for name in columns.names:
-        if _TIME.fullmatch(_bare(name)) or re.fullmatch(r"(t|time)_\w+", name, re.I):
+        if _TIME.fullmatch(_bare(name)) or re.fullmatch(r"(t|time)_\w+", name, re.IGNORECASE):
             return name
     if not columns.named:
         return columns.names[0]
@@ -160,7 +162,7 @@ def _guess_inputs(
     names: Sequence[str], columns: Columns, states: Sequence[str] | None
 ) -> list[str]:
     found = [name for name in names if name in columns.inputs]
-    if found or states is not None and set(names) == set(columns.inputs):
+    if found or (states is not None and set(names) == set(columns.inputs)):
         return found
     fits = [name for name in names if _INPUT.fullmatch(_bare(name))]
     if {_bare(name).lower() for name in names} & {"v", "w"}:  # u beside v or w is a state

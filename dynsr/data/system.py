@@ -166,7 +166,7 @@ class System:
         step : seconds between samples; the system's own by default.
         """
         step = self.step if step is None else step
-        count = int(math.floor((span[1] - span[0]) / step + 1e-9)) + 1
+        count = math.floor((span[1] - span[0]) / step + 1e-9) + 1
         return span[0] + step * np.arange(count)
 
     def equations(self) -> dict[str, str]:

@@ -44,4 +44,4 @@ def collect_best(
         )
     if not equations:
         return None
-    return Discovery(equations, {s: () for s in equations}, fronts, why, complete=False)
+    return Discovery(equations, dict.fromkeys(equations, ()), fronts, why, complete=False)

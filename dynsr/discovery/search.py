@@ -13,7 +13,14 @@ import sympy
 from joblib import effective_n_jobs
 
 from dynsr import __version__
-from dynsr.data import Samples, Trajectory, choose_samples, split_held_back, take_trajectories
+from dynsr.data import (
+    Samples,
+    SlopeSettings,
+    Trajectory,
+    choose_samples,
+    split_held_back,
+    take_trajectories,
+)
 from dynsr.discovery.interruption import collect_best
 from dynsr.discovery.prediction import name_engines
 from dynsr.discovery.result import Discovery
@@ -22,9 +29,9 @@ from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, share_eng
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, compile_numpy, to_text
 from dynsr.fit import Candidate, ParetoFront, is_noisy, polish, read_inputs, tidy
-from dynsr.jobs import RunFolder, Step, Watch, fingerprint, run_tasks
+from dynsr.jobs import RunFolder, Step, Watch, fingerprint, run_tasks, to_plain
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, choose_methods
-from dynsr.selection import Pick, compare_systems
+from dynsr.selection import SELECTION, Pick, compare_systems
 
 _MOST_ROWS = 4000
 
@@ -102,6 +109,11 @@ def discover(
         "scheme": scheme,
         "engine": chosen.name,
         "version": __version__,
+        "details": {
+            "methods": {name: to_plain(method) for name, method in methods.items()},
+            "selection": to_plain(SELECTION),
+            "slopes": to_plain(SlopeSettings()),
+        },
     }
     # A worker that outlives a change of folder must not take a relative path for its own.
     folder = RunFolder(None if out is None else Path(out).absolute())

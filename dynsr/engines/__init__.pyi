@@ -18,12 +18,12 @@ from .testing import RecordingEngine
 from .tsit5.single import interpolate, replay_steps
 
 __all__ = [
-    "AbstractEngine",
     "DEFAULT_ABSTOL",
     "DEFAULT_ENGINE",
     "DEFAULT_RELTOL",
-    "DiffeqpyEngine",
     "ENGINES",
+    "AbstractEngine",
+    "DiffeqpyEngine",
     "EmbeddedEngine",
     "InitialValueProblem",
     "Integration",

@@ -56,7 +56,7 @@ def skeleton(expr: sympy.Expr) -> sympy.Expr:
     >>> skeleton(sympy.sympify("2.5*x + 1.1")) == skeleton(sympy.sympify("0.3*x - 7.0"))
     True
     """
-    return expr.xreplace({number: sympy.pi for number in expr.atoms(sympy.Float)})
+    return expr.xreplace(dict.fromkeys(expr.atoms(sympy.Float), sympy.pi))
 
 
 def as_floats(values: np.ndarray) -> list[sympy.Expr]:

@@ -125,7 +125,7 @@ class Flow:
         """Entries of the flow itself, and for each probe the value of its term."""
         own = self.constants[: len(self.constants) - len(self.probes)]
         plain = replace(self, constants=own, probes=())
-        entries, evaluate = plain._partial
+        entries, evaluate = plain._partial  # noqa: SLF001 (another flow)
         first = len(self.rhs) + len(own)
         used = len(plain.names)
         terms = compile_numpy([term for _, term in self.probes], plain.names)

@@ -219,7 +219,7 @@ class Match:
     @classmethod
     def untouched(cls, exprs: Mapping[str, sympy.Expr], success: bool = False) -> Match:
         """Equations as they came, without a fit."""
-        return cls(dict(exprs), {s: () for s in exprs}, np.empty(0), success)
+        return cls(dict(exprs), dict.fromkeys(exprs, ()), np.empty(0), success)
 
 
 def match_trajectories(

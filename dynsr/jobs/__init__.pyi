@@ -15,8 +15,8 @@ from .store import (
 )
 
 __all__ = [
-    "FolderTaken",
     "MANIFEST",
+    "FolderTaken",
     "RunFolder",
     "Step",
     "Task",

@@ -18,6 +18,8 @@ from multiprocessing.connection import Client, Connection, Listener
 from types import FrameType, TracebackType
 from typing import Any
 
+from typing_extensions import Self
+
 from dynsr.expression import shown
 from dynsr.fit import ParetoFront, tidy
 from dynsr.methods import Progress
@@ -264,7 +266,7 @@ class Watch:
         self._thread = threading.Thread(target=self._report_on, daemon=True)
         self._handler: Any = None
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> Self:
         """Begin to report."""
         handler = signal.getsignal(signal.SIGINT)
         if threading.current_thread() is threading.main_thread() and callable(handler):
@@ -342,4 +344,4 @@ def estimate_left(
             whole, had = seconds * scale, spent.get(name, 0.0)
             # What has run longer than is usual may well run as long again by a quarter.
             left.append(max(whole - had, 0.25 * max(whole, had)))
-    return max(sum(left) / max(workers, 1), max(left)) if left else None
+    return max(sum(left) / max(workers, 1), *left) if left else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -107,10 +108,8 @@ class GeneticAlgorithm(AbstractMethod):
     ) -> ParetoFront:
         """Evolve; see AbstractMethod. Duplicate words are evaluated once in the whole search."""
         seen = _Seen(self.grammar(samples.names), samples, self.scaled)
-        try:
+        with contextlib.suppress(KeyboardInterrupt):
             self._evolve(seen, rng, report)
-        except KeyboardInterrupt:
-            pass
         return seen.front()
 
     def _evolve(self, seen: _Seen, rng: np.random.Generator, report: Report) -> None:

@@ -13,8 +13,8 @@ from .replication import replicate
 from .results import table_1
 
 __all__ = [
-    "AuditRow",
     "PAPER_NAMES",
+    "AuditRow",
     "Record",
     "SparseRecord",
     "audit",

@@ -120,7 +120,7 @@ def table_1(records: Sequence[Record]) -> Table:
     return Table("table1", "Losses beside the paper's Table 1", columns, rows, _NOTE_1)
 
 
-def _row_1(group: Group) -> tuple:
+def _row_1(group: Group) -> tuple[Any, ...]:
     key = (_PAPER_NAMES.get(group.method, ""), group.system)
     paper = _paper_rows().get(key, ())
     printed = TABLE_1.get(key)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -104,7 +105,7 @@ def _cost(candidate: Candidate) -> str:
 
 
 def _steps(places: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float, float, float]]:
-    for (x1, y1), (x2, y2) in zip(places, places[1:], strict=False):
+    for (x1, y1), (x2, y2) in itertools.pairwise(places):
         yield x1, y1, x2, y1
         yield x2, y1, x2, y2
 

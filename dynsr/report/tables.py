@@ -202,7 +202,9 @@ class Table:
         return range(len(self.columns))
 
 
-def _raw(columns: Sequence[str], split: Sequence[bool], row: Sequence[Any]) -> Iterable:
+def _raw(
+    columns: Sequence[str], split: Sequence[bool], row: Sequence[Any]
+) -> Iterable[tuple[str, Any]]:
     for heading, wide, value in zip(columns, split, row, strict=True):
         if not wide:
             yield heading, str(value) if isinstance(value, Formula) else value

@@ -1,4 +1,5 @@
 from .pick import (
+    SELECTION,
     Pick,
     SelectionSettings,
     explains_all,
@@ -9,6 +10,7 @@ from .pick import (
 from .systems import compare_systems
 
 __all__ = [
+    "SELECTION",
     "Pick",
     "SelectionSettings",
     "compare_systems",

@@ -378,7 +378,7 @@ def compare_systems(
     alternatives: Mapping[str, Sequence[sympy.Expr]],
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr] | None = None,
-    settings: ComparisonSettings = ComparisonSettings(),  # noqa: B008 - frozen
+    settings: ComparisonSettings = ComparisonSettings(),
 ) -> Equations:
     """Give the equations whose terms the states support best, climbing from ``exprs``.
 

@@ -37,7 +37,8 @@ LONGEST_SECONDS = 1e9
 
 def announce_on_stderr(text: str) -> None:
     """Write a line of progress to standard error."""
-    print(text, file=sys.stderr, flush=True)
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
 
 
 class JuliaEngine(AbstractEngine):

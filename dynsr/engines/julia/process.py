@@ -217,7 +217,7 @@ def _receive(process: subprocess.Popen[bytes], messages: queue.SimpleQueue[Messa
     # The stream ends, breaks off inside a message, or is closed.
     with contextlib.suppress(EOFError, pickle.UnpicklingError, OSError, ValueError):
         while True:
-            messages.put(pickle.load(process.stdout))
+            messages.put(pickle.load(process.stdout))  # noqa: S301 (our own child)
     messages.put(None)
 
 

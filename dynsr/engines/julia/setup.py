@@ -120,6 +120,7 @@ def locate() -> tuple[str, str]:
     code = f"import sys; sys.path[:] = {json.dumps(sys.path)}\n{_RESOLVE}"
     done = subprocess.run(
         [sys.executable, "-u", "-c", code],
+        check=False,
         stdout=subprocess.PIPE,
         text=True,
         env={**ENVIRONMENT, **os.environ},

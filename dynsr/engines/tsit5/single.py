@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 import time
@@ -192,7 +193,7 @@ def _slopes_or_none(slopes: Slopes, x: Sequence[float], t: float) -> Sequence[fl
 def _limit_met(
     h: float, shortest: float, t: float, tries: int, max_steps: int, deadline: float
 ) -> str:
-    if h <= shortest and t != 0.0 or h == 0.0 or t + h == t:
+    if (h <= shortest and t != 0.0) or h == 0.0 or t + h == t:
         return f"the solution diverged at t = {t:.6g} (the step became too small)"
     if tries >= max_steps:
         return f"more than {max_steps} steps were needed; stopped at t = {t:.6g}"
@@ -252,7 +253,7 @@ def replay_steps(problem: InitialValueProblem, ends: Sequence[float]) -> Steps:
     x = problem.x0.tolist()
     states, stages = [x], []
     first: Sequence[float] = slopes(*x, ends[0])
-    for start, end in zip(ends, ends[1:], strict=False):
+    for start, end in itertools.pairwise(ends):
         taken, x = stages_of_step(slopes, x, start, end - start, first)
         first = taken[6]
         states.append(x)

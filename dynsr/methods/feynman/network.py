@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -98,7 +99,7 @@ def _build(
 ) -> torch.nn.Sequential:
     layers: list[torch.nn.Module] = []
     widths = (variables, *hidden, 1)
-    for a, b in zip(widths, widths[1:], strict=False):
+    for a, b in itertools.pairwise(widths):
         layer = torch.nn.Linear(a, b, dtype=torch.float64)
         with torch.no_grad():
             torch.nn.init.xavier_uniform_(layer.weight, generator=generator)

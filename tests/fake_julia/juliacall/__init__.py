@@ -4,6 +4,7 @@
 Runge-Kutta steps from the Julia source that was sent.
 """
 
+import itertools
 import math
 import os
 import re
@@ -42,7 +43,20 @@ def _not_a_number(function):
 
 _SCOPE = {
     name: _not_a_number(getattr(math, name))
-    for name in "sin cos tan asin acos atan sinh cosh tanh exp log sqrt".split()
+    for name in [
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "sinh",
+        "cosh",
+        "tanh",
+        "exp",
+        "log",
+        "sqrt",
+    ]
 }
 _SCOPE |= {"power": _not_a_number(pow), "abs": abs, "sign": lambda x: (x > 0) - (x < 0)}
 _SCOPE |= {"NaN": math.nan, "Inf": math.inf}
@@ -61,7 +75,7 @@ def slopes_of(source):
 
 def _runge_kutta(slopes, x0, t):
     rows = [x0]
-    for start, end in zip(t[:-1], t[1:], strict=True):
+    for start, end in itertools.pairwise(t):
         x, h = rows[-1], (end - start) / STEPS
         for now in start + h * np.arange(STEPS):
             a = np.array(slopes(now, x))
