@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import sympy
 
+from dynsr.benchmarks.lectures import find_lectures
 from dynsr.data.samples import Samples, make_samples
 from dynsr.data.system import LOTKA_VOLTERRA, PENDULUM
 from dynsr.discovery.scoring import trajectory_loss
@@ -12,7 +13,7 @@ from dynsr.errors import InputError
 from dynsr.expression.evaluation import evaluate
 from dynsr.expression.parsing import parse
 from dynsr.methods.base import Progress
-from dynsr.methods.feynman.search import STAGES, DynAIFeynman
+from dynsr.methods.feynman.search import DIRECT_STAGES, STAGES, DynAIFeynman
 from dynsr.methods.feynman.stages.domain_change import DomainChange
 from dynsr.methods.feynman.stages.polynomial import Polynomial
 
@@ -185,3 +186,34 @@ def test_the_source_of_a_formula_names_the_stage_that_found_it():
     front = method.search(samples, _rng())
     found = {candidate.source.partition(":")[0] for candidate in front}
     assert found <= {*STAGES, "mean"} and len(found) > 1
+
+
+@pytest.mark.parametrize(
+    ("scheme", "first"),
+    [
+        ("given", ("simple functions", "sums of powers", "sums of functions", "brute force")),
+        ("central4", ("simple functions", "rational", "polynomial", "brute force")),
+    ],
+)
+def test_values_that_may_be_exact_have_stages_of_their_own(scheme, first):
+    """Given values get the sums and the long enumeration first; slopes the robust stages."""
+    clean = _samples("sin(a*b) + 0.1*a^3", 100)
+    noisy = clean.y + 0.01 * _rng().normal(size=100)
+    samples = replace(clean, y=noisy, scheme=scheme)
+    seen: list[str] = []
+    method = DynAIFeynman(stages=DIRECT_STAGES, candidates=2000)
+    method.search(samples, _rng(), lambda progress: seen.append(progress.stage))
+    assert tuple(dict.fromkeys(seen))[:4] == first
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", ["I.18.4", "II.24.17"])
+def test_the_best_preset_recovers_equations_of_the_lectures(number):
+    """The formula that the preset chooses is the law itself at points it did not see."""
+    (lecture,) = find_lectures([number])
+    learn, check = np.random.default_rng(0).spawn(2)
+    samples, fresh = lecture.samples(500, learn), lecture.samples(200, check, 0.05)
+    method = DynAIFeynman.preset("best")
+    chosen = method.choose(method.search(samples, _rng()), samples)
+    error = np.abs(evaluate(chosen.expr, fresh.columns) - fresh.y)
+    assert error.max() <= 1e-6 * np.abs(fresh.y).max()

@@ -14,7 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from dynsr.benchmarks.lectures import Lecture, find_lectures
+from dynsr.benchmarks.lectures import LECTURES, Lecture, find_lectures
 from dynsr.data import Samples
 from dynsr.expression.evaluation import evaluate
 from dynsr.fit.candidates import Candidate
@@ -29,9 +29,9 @@ def is_exact(candidate: Candidate, fresh: Samples) -> bool:
     return bool(np.all(error <= TOLERANCE * np.abs(fresh.y).max()))
 
 
-def run(lecture: Lecture, place: int, options: argparse.Namespace) -> tuple[bool, float, list[str]]:
+def run(lecture: Lecture, options: argparse.Namespace) -> tuple[bool, float, list[str]]:
     """Search one equation; give whether it was recovered, the seconds and a row of the table."""
-    learn, check = np.random.default_rng([options.seed, place]).spawn(2)
+    learn, check = np.random.default_rng([options.seed, LECTURES.index(lecture)]).spawn(2)
     samples = lecture.samples(options.rows, learn)
     began, cpu = time.perf_counter(), time.process_time()
     method = DynAIFeynman.preset("best", time_budget=options.seconds)
@@ -64,8 +64,8 @@ def main() -> None:
     table = Table("equation", "formula", "exact", "wall s", "CPU s", "stage", "found")
     missed, total, times, cpu = [], 0.0, [], 0.0
     lectures = find_lectures(options.numbers)
-    for place, lecture in enumerate(lectures):
-        exact, seconds, row = run(lecture, place, options)
+    for lecture in lectures:
+        exact, seconds, row = run(lecture, options)
         console.print(
             f"{row[0]:9} {'exact' if exact else 'MISSED':6} {seconds:6.2f} s, CPU {row[4]} s, "
             f"{row[5]}",

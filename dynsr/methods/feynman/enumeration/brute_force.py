@@ -20,9 +20,10 @@ from dynsr.fit import Candidate, ParetoFront, cauchy_weights
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.feynman.enumeration.alphabet import count_strings, make_letters
 from dynsr.methods.feynman.enumeration.backend import choose_backend
-from dynsr.methods.feynman.enumeration.finishing import Finisher, Found, Pool
+from dynsr.methods.feynman.enumeration.finishing import Finisher, Finishing, Found, Pool
 from dynsr.methods.feynman.enumeration.formation import Enumerator
 from dynsr.methods.feynman.enumeration.power_laws import (
+    Combinations,
     CombinationSearch,
     find_exponents,
     find_nested,
@@ -30,13 +31,6 @@ from dynsr.methods.feynman.enumeration.power_laws import (
 from dynsr.methods.feynman.enumeration.screening import Screen, Shortlist
 from dynsr.methods.feynman.enumeration.sums import Beam, best_pairs, best_triples, make_gram
 from dynsr.methods.feynman.problem import Problem, make_problems
-
-_EXACT = 1e-10
-# Rows on which pairs are compared, and pairs that triples are grown from.
-_SUM_ROWS = 500
-_PAIRS = 48
-# Of so many simplest functions all pairs are starts of triples.
-_SIMPLE = 8
 
 
 @dataclass(frozen=True)
@@ -102,9 +96,10 @@ class RunningSearch:
             self.nested,
             backend,
             int(settings.max_memory * 2**20),
+            int(settings.powers_up_to),
         )
-        self.finisher = Finisher(self.enumerator.bank, X, y)
-        self.pool = Pool()
+        self.finisher = Finisher(self.enumerator.bank, X, y, settings.finishing)
+        self.pool = Pool(settings.finishing)
         self.stopped = ""
         self.sums_done = self.settled = 0
         self.shortest: Found | None = None
@@ -135,7 +130,9 @@ class RunningSearch:
         for problem in self.problems:
             self.pool.add(self.finisher.finish(problem, [()]))
         if settings.ratios:
-            self.pool.add(find_nested(self.X, self.y, self.enumerator.bank.leaves))
+            self.pool.add(
+                find_nested(self.X, self.y, self.enumerator.bank.leaves, settings.finishing)
+            )
         if settings.combinations and not self._must_stop():
             self._try_combination()
         for size in range(1, settings.max_size + 1):
@@ -163,9 +160,10 @@ class RunningSearch:
 
     def _try_combination(self) -> None:
         """Search for a law of one product of powers of the variables."""
-        exponents = find_exponents(self.X, self.y)
+        settings = self.settings
+        exponents = find_exponents(self.X, self.y, settings.combination, settings.finishing)
         if exponents is not None:
-            symbols, operators = self.enumerator.bank.leaves, self.settings.operators
+            symbols, operators = self.enumerator.bank.leaves, settings.operators
             law = CombinationSearch(
                 self.X,
                 self.y,
@@ -173,8 +171,10 @@ class RunningSearch:
                 exponents,
                 operators,
                 self.screen.backend,
+                settings.combination,
+                settings.finishing,
             )
-            exact = _EXACT * float(np.abs(self.y).max())
+            exact = self.settings.exact * float(np.abs(self.y).max())
             self.pool.add(law.run(self.started + self.settings.seconds, exact))
 
     def _notice_settling(self) -> None:
@@ -197,7 +197,7 @@ class RunningSearch:
     def _must_stop(self) -> bool:
         """Whether nothing further is to be begun: a formula is exact, or the time is over."""
         best = self.pool.best
-        if best is not None and best.loss <= _EXACT * float(np.abs(self.y).max()):
+        if best is not None and best.loss <= self.settings.exact * float(np.abs(self.y).max()):
             self.stopped = "exact"
         elif time.monotonic() > self.started + self.settings.seconds:
             self.stopped = "deadline"
@@ -222,7 +222,7 @@ class RunningSearch:
             if (4 * len(numbers) < 3 * count and not over) or self._must_stop():
                 break
             self.sums_done += 1
-            rows = _spaced(len(self.y), _SUM_ROWS)
+            rows = _spaced(len(self.y), self.settings.sum_rows)
             chosen = numbers[:count]
             depth = sum(level.start <= chosen[-1] for level in levels)
             values = self.enumerator.bank.evaluate_all(self.X[rows], depth)[chosen]
@@ -250,7 +250,7 @@ class RunningSearch:
             self.pool.add(self.finisher.finish(problem, pairs))
             if self._must_stop():
                 return
-            triples = beam.extend(problem, [*pairs, *beam.pairs(_SIMPLE)], keep)
+            triples = beam.extend(problem, [*pairs, *beam.pairs(self.settings.starts)], keep)
             self.pool.add(self.finisher.finish(problem, triples))
 
     def _sum(
@@ -268,7 +268,7 @@ class RunningSearch:
                 unit = max(2 * float(np.median(rest)), 1e-300)
                 roots = roots * np.sqrt(cauchy_weights(rest, unit))
             gram = make_gram(values, problem, rows, roots / roots.max())
-            pairs = best_pairs(gram, _PAIRS)
+            pairs = best_pairs(gram, self.settings.pairs)
             triples = best_triples(gram, list(pairs), self.settings.keep)
             for groups in (pairs[: self.settings.keep], triples):
                 chosen = [tuple(int(numbers[i]) for i in group) for group in groups]
@@ -311,6 +311,14 @@ class BruteForce(AbstractMethod):
         "settled"; 0 goes on to the other bounds.
     ratios : search for y / v and v / y too, for each variable v that is nowhere 0.
     combinations : search for laws of one product of powers of the variables first.
+    combination : how those are searched.
+    finishing : how the functions that were chosen become formulas.
+    exact : RMSE, in units of the largest |y|, at which a formula ends the search.
+    sum_rows : rows on which pairs are compared.
+    pairs : best pairs that triples are grown from.
+    starts : simplest functions of which all pairs are starts of triples.
+    powers_up_to : functions formed up to this many are tried in the power law too, whose logarithms
+        cost more than all other tests.
     device : where the arrays live, see ``backend.choose_backend``.
 
     >>> x = np.linspace(0.5, 2.0, 200)
@@ -339,6 +347,13 @@ class BruteForce(AbstractMethod):
     patience: int = 0
     ratios: bool = False
     combinations: bool = False
+    combination: Combinations = Combinations()
+    finishing: Finishing = Finishing()
+    exact: float = 1e-10
+    sum_rows: int = 500
+    pairs: int = 48
+    starts: int = 8
+    powers_up_to: int = 400_000
     device: str = "auto"
 
     name = "brute force"

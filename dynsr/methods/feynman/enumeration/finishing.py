@@ -19,11 +19,35 @@ from dynsr.fit import Candidate, Noise, data_bits, fit_robustly, mean_error_bits
 from dynsr.methods.feynman.enumeration.bank import Bank
 from dynsr.methods.feynman.problem import Problem
 
-_BEST, _EACH = 24, 4
-# Bits of a letter in a formula's code of k log2(n) bits (dynsr.expression.complexity), for n = 64
-# kinds: an upper bound that needs no formula written out.
-_LETTER_BITS = 6.0
 Writer = Callable[[], sympy.Expr]
+
+
+@dataclass(frozen=True)
+class Finishing:
+    """How chosen functions become formulas, and which formulas are kept.
+
+    Parameters
+    ----------
+    kept : formulas of fewest error bits that are kept beside the Pareto fronts.
+    each : formulas of one fit that are looked at: so many of fewest error bits, and of least RMSE.
+    letter_bits : bits of a letter in a formula's code of k log2(n) bits
+        (:func:`dynsr.expression.complexity`), for n = 64 kinds: an upper bound that needs
+        no formula written out.
+    constant_letters : what a fitted constant counts in letters.
+    change_letters : what a change of the target counts in letters.
+    snap : an exponent this close to a multiple of 1/2 or 1/3 is that multiple.
+    few_rows : many functions are compared on so many rows before some are fitted on all.
+    first : how many those are: so many of fewest error bits, and of least RMSE.
+    """
+
+    kept: int = 24
+    each: int = 4
+    letter_bits: float = 6.0
+    constant_letters: float = 4.0
+    change_letters: float = 2.0
+    snap: float = 0.02
+    few_rows: int = 200
+    first: int = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +73,14 @@ class Found:
 
 
 def measure(
-    predicted: np.ndarray, y: np.ndarray, write: Callable[[int], tuple[float, Writer]]
+    predicted: np.ndarray,
+    y: np.ndarray,
+    write: Callable[[int], tuple[float, Writer]],
+    each: int,
 ) -> list[Found]:
     """Make Founds of the best rows of (K, n) predictions at all samples.
 
-    Best are the ``_EACH`` of least bits and those of least RMSE. ``write(k)`` gives size and
+    Best are the ``each`` of least bits and those of least RMSE. ``write(k)`` gives size and
     writer of row k.
     """
     with np.errstate(all="ignore"):
@@ -62,7 +89,7 @@ def measure(
         scale = REAL_RESOLUTION * (float(np.sqrt(np.mean(y * y))) or 1.0)
         bits = mean_error_bits(residuals, scale)
     finite = np.flatnonzero(np.isfinite(losses) & np.isfinite(bits))
-    best = [finite[np.argsort(error[finite], kind="stable")[:_EACH]] for error in (bits, losses)]
+    best = [finite[np.argsort(error[finite], kind="stable")[:each]] for error in (bits, losses)]
     found = []
     for k in np.unique(np.concatenate(best)):
         size, writer = write(int(k))
@@ -73,14 +100,15 @@ def measure(
 class Pool:
     """Formulas that nothing beats in size and bits, or in size and RMSE, and the best in bits."""
 
-    def __init__(self) -> None:
+    def __init__(self, settings: Finishing) -> None:
         """Start empty."""
+        self.settings = settings
         self.found: list[Found] = []
 
     def add(self, found: Iterable[Found]) -> None:
         """Take formulas in and drop what is not worth keeping."""
         everything = [*self.found, *found]
-        by_bits = sorted(everything, key=lambda f: (f.bits, f.size))[:_BEST]
+        by_bits = sorted(everything, key=lambda f: (f.bits, f.size))[: self.settings.kept]
         kept = [*_front(everything, "bits"), *_front(everything, "loss"), *by_bits]
         chosen = {id(f) for f in kept}
         self.found = [f for f in everything if id(f) in chosen]
@@ -92,7 +120,7 @@ class Pool:
 
     @property
     def shortest(self) -> Found | None:
-        """The formula of least description length, letters counted at _LETTER_BITS bits.
+        """The formula of least description length, letters counted at ``letter_bits`` bits.
 
         The noise floor is the least median residual of all, and every row counts.
         """
@@ -101,7 +129,7 @@ class Pool:
             self.found,
             key=lambda f: (
                 data_bits(f.residual, Noise(floor or 1e-300, len(f.residual)))
-                + _LETTER_BITS * f.size
+                + self.settings.letter_bits * f.size
             ),
             default=None,
         )
@@ -124,13 +152,8 @@ def _front(found: list[Found], error: str) -> list[Found]:
     return kept
 
 
-# What a fitted constant and a change of the target count in letters.
-_CONSTANT, _CHANGE = 4.0, 2.0
-_SNAP = 0.02
 # A term of a sum below this part of the largest is rounding.
 _NOTHING = 1e-11
-# Rows on which many functions are compared before a few are fitted on all, and how many those are.
-_FEW, _FIRST = 200, 4
 
 
 class Finisher:
@@ -141,6 +164,7 @@ class Finisher:
         bank: Bank,
         X: np.ndarray,
         y: np.ndarray,
+        settings: Finishing,
         law: tuple[np.ndarray, Sequence[sympy.Expr]] | None = None,
     ) -> None:
         """Take the bank and all rows, (n, p) and (n,).
@@ -148,7 +172,7 @@ class Finisher:
         ``law`` holds values and symbols of the variables whose powers problems have in their
         background, where those are not the bank's.
         """
-        self.bank, self.X, self.y = bank, X, y
+        self.bank, self.X, self.y, self.settings = bank, X, y, settings
         self._law, self._symbols = law or (X, bank.leaves)
         self._values: dict[int, np.ndarray] = {}
 
@@ -163,8 +187,8 @@ class Finisher:
         features = problem.feature(values)
         good = np.isfinite(features).all(axis=(1, 2))
         chosen = np.flatnonzero(good)
-        if len(chosen) > 2 * _FIRST:
-            chosen = chosen[_most_promising(problem, features[chosen])]
+        if len(chosen) > 2 * self.settings.first:
+            chosen = chosen[_most_promising(problem, features[chosen], self.settings)]
         if not len(chosen):
             return []
         kept = [groups[int(k)] for k in chosen]
@@ -199,15 +223,17 @@ class Finisher:
             numbers = np.where(size > _NOTHING * size.max(axis=1, keepdims=True), numbers, 0.0)
             fitted = np.einsum("kni,ki->kn", design, numbers)
             write = partial(self._sum, problem, groups, numbers)
-            found += measure(problem.target.invert(fitted), self.y, write)
+            found += measure(problem.target.invert(fitted), self.y, write, self.settings.each)
         return found
 
     def _sum(
         self, problem: Problem, groups: list[tuple[int, ...]], numbers: np.ndarray, k: int
     ) -> tuple[float, Writer]:
         group, constants = groups[k], numbers[k]
-        size = sum(self.bank.size(f) + 1.0 for f in group) + _CHANGE * (problem.name != "y")
-        size += _CONSTANT * np.count_nonzero((constants != 0) & (constants != 1))
+        prices = self.settings
+        size = sum(self.bank.size(f) + 1.0 for f in group)
+        size += prices.change_letters * (problem.name != "y")
+        size += prices.constant_letters * np.count_nonzero((constants != 0) & (constants != 1))
 
         def write() -> sympy.Expr:
             functions = map(self.bank.expression, group)
@@ -234,7 +260,9 @@ class Finisher:
         done = fitted[:0]
         for snap in (True, False):
             numbers = (
-                snap_all(fitted, len(fitted.T) if problem.by_log else split) if snap else fitted
+                snap_all(fitted, len(fitted.T) if problem.by_log else split, self.settings.snap)
+                if snap
+                else fitted
             )
             if snap and not problem.by_log:
                 left = z - numbers[:, :split] @ problem.logs.T
@@ -274,7 +302,7 @@ class Finisher:
         design = predicted[good][:, :, None]
         factors[good] = fit_robustly(design, self.y, np.ones(len(self.y)))[:, 0]
         write = partial(self._product, problem, groups, values, numbers, factors)
-        return measure(factors[:, None] * predicted, self.y, write)
+        return measure(factors[:, None] * predicted, self.y, write, self.settings.each)
 
     def _product(
         self,
@@ -288,7 +316,9 @@ class Finisher:
         split = len(problem.powers)
         powers = [as_power(a) for a in numbers[k, :split]]
         inner = [as_power(b) if problem.by_log else sympy.Float(b) for b in numbers[k, split:]]
-        size = sum(self.bank.size(f) for f in groups[k]) + _price([*powers, *inner]) + _CONSTANT
+        constant = self.settings.constant_letters
+        size = sum(self.bank.size(f) for f in groups[k]) + constant
+        size += _price([*powers, *inner], constant)
 
         def write() -> sympy.Expr:
             functions = [self.bank.expression(f) for f in groups[k]]
@@ -307,9 +337,9 @@ class Finisher:
         ]
 
 
-def _most_promising(problem: Problem, features: np.ndarray) -> np.ndarray:
-    """Places of the _FIRST of least error bits and the _FIRST of least RMSE on some rows."""
-    few = slice(None, None, max(1, features.shape[2] // _FEW))
+def _most_promising(problem: Problem, features: np.ndarray, settings: Finishing) -> np.ndarray:
+    """Places of the ``first`` of least error bits and those of least RMSE on some rows."""
+    few = slice(None, None, max(1, features.shape[2] // settings.few_rows))
     logs = np.broadcast_to(problem.background[few], (len(features), *problem.background[few].shape))
     design = np.concatenate([logs, features[:, :, few].transpose(0, 2, 1)], axis=2)
     scales, z = problem.target.weights[few], problem.target.values[few]
@@ -317,21 +347,21 @@ def _most_promising(problem: Problem, features: np.ndarray) -> np.ndarray:
     rest = np.abs(z - (design @ fitted[:, :, None])[:, :, 0]) * scales
     size = REAL_RESOLUTION * (float(np.sqrt(np.mean((z * scales) ** 2))) or 1.0)
     errors = mean_error_bits(rest, size), np.square(rest).mean(axis=1)
-    return np.unique([np.argsort(error, kind="stable")[:_FIRST] for error in errors])
+    return np.unique([np.argsort(error, kind="stable")[: settings.first] for error in errors])
 
 
 def _number(value: float) -> sympy.Expr:
     return sympy.Integer(int(value)) if value in (0, 1) else sympy.Float(float(value))
 
 
-def snap_all(numbers: np.ndarray, columns: int) -> np.ndarray:
+def snap_all(numbers: np.ndarray, columns: int, near_enough: float) -> np.ndarray:
     """Bring numbers of the first columns to a multiple of 1/2 or 1/3 where one is close."""
     snapped = numbers.copy()
     steps = np.array([1.0, 2.0, 3.0])
     near = np.round(numbers[:, :columns, None] * steps) / steps
     distance = np.abs(near - numbers[:, :columns, None])
     best = np.argmin(distance - 1e-9 / steps, axis=2)[:, :, None]
-    close = np.take_along_axis(distance, best, axis=2)[:, :, 0] < _SNAP
+    close = np.take_along_axis(distance, best, axis=2)[:, :, 0] < near_enough
     snapped[:, :columns] = np.where(
         close, np.take_along_axis(near, best, axis=2)[:, :, 0], numbers[:, :columns]
     )
@@ -365,9 +395,9 @@ def write_power(base: sympy.Expr, values: np.ndarray, power: sympy.Expr) -> symp
     return base**power if power.is_Integer or not (values < 0).any() else (-base) ** power
 
 
-def _price(powers: list[sympy.Expr]) -> float:
+def _price(powers: list[sympy.Expr], constant: float) -> float:
     """Letters that exponents cost: none for 0, two for 1, three for another simple number."""
     prices = {True: 0.0, False: 3.0}
     return sum(
-        3.0 + _CONSTANT if p.is_Float else 2.0 if abs(p) == 1 else prices[p == 0] for p in powers
+        3.0 + constant if p.is_Float else 2.0 if abs(p) == 1 else prices[p == 0] for p in powers
     )

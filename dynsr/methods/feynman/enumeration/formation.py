@@ -183,8 +183,7 @@ def _pairs(number: int, values: Any, first: _Rows, a: slice, second: _Rows, b: s
     return Chunk(values.reshape(tall * wide, rows), codes, lefts, rights, family)
 
 
-# Functions formed in levels up to this many are looked at for the power law too.
-_LOGARITHMS = 400_000
+# The following say what is worth its memory, not what is looked at.
 # A level of so few functions is stored even if nothing is built on it: sums draw on it.
 _SMALL = 20_000
 # A level of more is stored only if ``most`` leaves room for the next one, so many times as large:
@@ -216,8 +215,10 @@ class Enumerator:
         nested: bool,
         backend: Backend,
         memory: int,
+        powers_up_to: int,
     ) -> None:
         """Start with no level; ``X`` (probes, p) are the probe rows."""
+        self.powers_up_to = powers_up_to
         self.backend, self.nested, self.memory = backend, nested, memory
         self.bank = Bank(letters, tuple(leaves), X.shape[1])
         self.rows = len(X)
@@ -303,7 +304,7 @@ class Enumerator:
             index, spread = index[new], spread.take(new)
         fresh = self._enter(self._affine, spread.affine())
         tested = index[fresh]
-        rows = self.backend.pick(values, tested) if self.formed < _LOGARITHMS else None
+        rows = self.backend.pick(values, tested) if self.formed < self.powers_up_to else None
         shares = screen.shares(projected[len(self._sketch) :, tested], squares[tested], rows)
         shortlist.offer(shares, chunk, tested)
         self.formed += len(chunk)

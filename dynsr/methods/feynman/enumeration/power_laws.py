@@ -7,6 +7,7 @@ y = C x_1^a_1 ... x_p^a_p f(z) with z = x_1^b_1 ... x_p^b_p.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import sympy
@@ -17,6 +18,7 @@ from dynsr.methods.feynman.enumeration.alphabet import make_letters
 from dynsr.methods.feynman.enumeration.backend import Backend
 from dynsr.methods.feynman.enumeration.finishing import (
     Finisher,
+    Finishing,
     Found,
     Writer,
     as_power,
@@ -38,8 +40,48 @@ from dynsr.methods.feynman.problem import (
 )
 
 
-def find_nested(X: np.ndarray, y: np.ndarray, symbols: Sequence[sympy.Expr]) -> list[Found]:
+@dataclass(frozen=True)
+class Combinations:
+    """The search for laws C x_1^a_1 ... x_p^a_p f(z) of one product z of powers.
+
+    Parameters
+    ----------
+    degree : of the polynomial that stands for log f while z is looked for.
+    unexplained : share of log |y| (of its standard deviation) that a law may leave unexplained.
+    max_size : most letters of f.
+    max_candidates : functions formed at most for f.
+    max_memory : megabytes for them.
+    probes : rows on which they are told apart and screened.
+    keep : functions of each level that are fitted on all rows.
+    paired : simplest functions of which all pairs are tried as sums.
+    paired_rows : rows on which the pairs are compared.
+    """
+
+    degree: int = 7
+    unexplained: float = 0.02
+    max_size: int = 7
+    max_candidates: float = 300_000
+    max_memory: int = 128
+    probes: int = 48
+    keep: int = 16
+    paired: int = 250
+    paired_rows: int = 400
+
+
+def find_nested(
+    X: np.ndarray,
+    y: np.ndarray,
+    symbols: Sequence[sympy.Expr],
+    finishing: Finishing | None = None,
+) -> list[Found]:
     """Give the best formula for every change and variable.
+
+    Parameters
+    ----------
+    X : (n, p) values of the variables.
+    y : (n,) target.
+    symbols : the p variables.
+    finishing : how formulas are priced and snapped.
 
     >>> X = np.random.default_rng(0).uniform(1.0, 2.0, (50, 3))
     >>> y = X[:, 0] * np.exp(-X[:, 1] / X[:, 2])
@@ -51,7 +93,8 @@ def find_nested(X: np.ndarray, y: np.ndarray, symbols: Sequence[sympy.Expr]) -> 
     targets = make_targets(y, tuple(CHANGES))[1:]
     for j in usable:
         targets += make_targets(y, tuple(CHANGES), X[:, j], symbols[j])[1:]
-    return [found for target in targets for found in _fit(target, X, y, symbols, usable)]
+    settings = finishing or Finishing()
+    return [found for target in targets for found in _fit(target, X, y, symbols, usable, settings)]
 
 
 def _fit(
@@ -60,13 +103,15 @@ def _fit(
     y: np.ndarray,
     symbols: Sequence[sympy.Expr],
     usable: Sequence[int],
+    settings: Finishing,
 ) -> list[Found]:
     size = np.abs(target.values)
     if size.min() <= 1e-9 * size.max() or not usable:
         return []
     logs = np.log(np.abs(X[:, usable]))
     design = np.column_stack([np.ones(len(y)), logs])[None]
-    powers = snap_all(fit_robustly(design, np.log(size), size * target.weights)[:, 1:], len(usable))
+    fitted = fit_robustly(design, np.log(size), size * target.weights)[:, 1:]
+    powers = snap_all(fitted, len(usable), settings.snap)
     law = np.exp(logs @ powers[0])
     for j, power in zip(usable, powers[0], strict=True):
         law = law * signs_of(X[:, j], np.array([power]))[0]
@@ -80,16 +125,15 @@ def _fit(
         letters = 8.0 + 3 * sum(n != 0 for n in numbers) + 4 * sum(n.is_Float for n in numbers)
         return letters, lambda: target.build(sympy.Mul(sympy.Float(factor), *factors))
 
-    return measure(target.invert(factor * law)[None], y, write)
+    return measure(target.invert(factor * law)[None], y, write, settings.each)
 
 
-# Degree of the polynomial that stands for log f, and the share of log y it may leave unexplained.
-_DEGREE, _UNEXPLAINED = 7, 0.02
-_SIZE, _MOST, _MEGABYTES = 7, 300_000, 128
-_PAIRED = 250
-
-
-def find_exponents(X: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+def find_exponents(
+    X: np.ndarray,
+    y: np.ndarray,
+    search: Combinations | None = None,
+    finishing: Finishing | None = None,
+) -> np.ndarray | None:
     """Give the (p,) exponents of z, the first above 0, the largest +-1; None if there is none.
 
     With l = log x a law is log |y| = a . l + g(b . l). The cross terms of a quadratic fit are
@@ -99,6 +143,7 @@ def find_exponents(X: np.ndarray, y: np.ndarray) -> np.ndarray | None:
     >>> find_exponents(X, X[:, 2] * np.tanh(X[:, 0] / X[:, 1])).tolist()
     [1.0, -1.0, 0.0]
     """
+    search, finishing = search or Combinations(), finishing or Finishing()
     size = np.abs(y)
     usable = [j for j in range(X.shape[1]) if has_logarithm(X[:, j])]
     if len(usable) < 2 or size.min() <= 1e-9 * size.max():
@@ -111,15 +156,15 @@ def find_exponents(X: np.ndarray, y: np.ndarray) -> np.ndarray | None:
     def rest(direction: np.ndarray) -> np.ndarray:
         along = logs @ (direction / np.linalg.norm(direction))
         along = along / np.abs(along).max()
-        columns = np.column_stack([linear, _legendre(along)])
+        columns = np.column_stack([linear, _legendre(along, search.degree)])
         return target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
 
     fitted = least_squares(rest, _most_curved(logs, target), max_nfev=40).x
     left = rest(fitted)
-    if not left @ left < _UNEXPLAINED**2 * (target @ target):
+    if not left @ left < search.unexplained**2 * (target @ target):
         return None
     fitted = fitted / fitted[np.argmax(np.abs(fitted))]
-    simple = snap_all(fitted[None], len(fitted))[0]
+    simple = snap_all(fitted[None], len(fitted), finishing.snap)[0]
     simple = simple * np.sign(simple[simple != 0][0]) + 0.0
     if not all(as_power(b).is_Rational for b in simple):
         return None
@@ -140,8 +185,8 @@ def _most_curved(logs: np.ndarray, target: np.ndarray) -> np.ndarray:
     return vectors[:, np.argmax(np.abs(values))]
 
 
-def _legendre(along: np.ndarray) -> np.ndarray:
-    return np.polynomial.legendre.legvander(along, _DEGREE)[:, 2:]
+def _legendre(along: np.ndarray, degree: int) -> np.ndarray:
+    return np.polynomial.legendre.legvander(along, degree)[:, 2:]
 
 
 class CombinationSearch:
@@ -155,16 +200,20 @@ class CombinationSearch:
         exponents: np.ndarray,
         operators: Sequence[str],
         backend: Backend,
+        settings: Combinations,
+        finishing: Finishing,
     ) -> None:
         """Take all rows, the variables and the exponents of z."""
-        self.y = y
+        self.y, self.settings = y, settings
         self.found: list[Found] = []
         factors = [as_power(b) for b in exponents]
         column = np.exp(np.log(np.abs(X)) @ exponents)
         name = sympy.Mul(*map(write_power, symbols, X.T, factors))
         self.Z = np.column_stack([column, 1 / column])
         self.problems = [q for q in make_problems(X, y, (), True) if q.powers]
-        self.probes = np.unique(np.linspace(0, len(y) - 1, min(len(y), 48)).astype(int))
+        self.probes = np.unique(
+            np.linspace(0, len(y) - 1, min(len(y), settings.probes)).astype(int)
+        )
         letters, nested = make_letters((*operators, *_more(operators)), False)
         self.screen = Screen(self.problems, self.probes, backend)
         self.enumerator = Enumerator(
@@ -173,16 +222,19 @@ class CombinationSearch:
             letters,
             nested,
             backend,
-            _MEGABYTES << 20,
+            settings.max_memory << 20,
+            int(settings.max_candidates),
         )
-        self.finisher = Finisher(self.enumerator.bank, self.Z, y, (X, symbols))
+        self.finisher = Finisher(self.enumerator.bank, self.Z, y, finishing, (X, symbols))
 
     def run(self, deadline: float, exact: float) -> list[Found]:
         """Search until a formula's RMSE is at most ``exact``, all is tried, or the deadline."""
-        bank = self.enumerator.bank
-        for size in range(1, _SIZE + 1):
-            last = size == _SIZE
-            best = self.enumerator.form(size, self.screen, 16, _MOST, deadline, last)
+        bank, settings = self.enumerator.bank, self.settings
+        for size in range(1, settings.max_size + 1):
+            last = size == settings.max_size
+            best = self.enumerator.form(
+                size, self.screen, settings.keep, settings.max_candidates, deadline, last
+            )
             for place, problem in enumerate(self.problems):
                 numbers = [(bank.number(*winner),) for winner in best.winners(place)]
                 self.found += self.finisher.finish(problem, numbers)
@@ -199,11 +251,15 @@ class CombinationSearch:
     def _pair(self, problem: Problem) -> None:
         levels = self.enumerator.bank.levels
         fresh = [level.start + np.flatnonzero(level.fresh) for level in levels]
-        numbers = np.concatenate(fresh)[:_PAIRED]
-        rows = np.unique(np.linspace(0, len(self.y) - 1, min(len(self.y), 400)).astype(int))
+        numbers = np.concatenate(fresh)[: self.settings.paired]
+        rows = np.unique(
+            np.linspace(0, len(self.y) - 1, min(len(self.y), self.settings.paired_rows)).astype(int)
+        )
         values = self.enumerator.bank.evaluate_all(self.Z[rows], len(levels))[numbers]
         gram = make_gram(values, problem, rows, np.ones(len(rows)))
-        pairs = [(int(numbers[i]), int(numbers[j])) for i, j in best_pairs(gram, 16)]
+        pairs = [
+            (int(numbers[i]), int(numbers[j])) for i, j in best_pairs(gram, self.settings.keep)
+        ]
         self.found += self.finisher.finish(problem, pairs)
 
 
