@@ -7,6 +7,7 @@ import sympy
 
 from dynsr.data.system import find_system
 from dynsr.expression.parsing import parse
+from dynsr.jobs import to_plain
 from dynsr.paper.auditing import agrees_cut, audit
 
 
@@ -49,7 +50,7 @@ def test_means_over_the_runs_are_the_appendix_ones(rows):
 
 def test_rows_are_json(rows):
     """A row holds the names that other programs read, and nothing that JSON lacks."""
-    record = json.loads(json.dumps(rows[0].as_dict(), allow_nan=False))
+    record = json.loads(json.dumps(to_plain(rows[0]), allow_nan=False))
     assert {"system", "method", "run", "printed", "ours", "agrees", "note"} <= set(record)
     assert record["printed"] == 1.035 and record["agrees"] is True
 

@@ -77,7 +77,7 @@ def test_the_papers_systems_are_found_from_its_own_data(system, states, target, 
     samples = make_samples(load(system, states), target, "central4")
     settings = replace(SMALL, patience=1)
     result = search_values(samples.X, samples.y, samples.names, settings)
-    assert result.stopped == "settled"
+    assert result.stopped == "stable"
     chosen = choose(result.candidates, samples).expr
     true = parse(truth, states)
     difference = sympy.Poly(chosen - true, *(true.atoms(sympy.sin) | {*map(sympy.Symbol, states)}))

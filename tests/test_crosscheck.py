@@ -16,6 +16,7 @@ from dynsr.checks.crosschecks import (
 from dynsr.engines.base import SparseProblem, SparseSolution
 from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.errors import EngineError, EngineUnavailable, InputError
+from dynsr.jobs import to_plain
 from dynsr.paper.protocol import PAPER_NAMES
 
 CASES = [(s, system) for s in ("corrected", "pysindy") for system in PAPER_NAMES]
@@ -123,6 +124,6 @@ def test_rows_are_plain_data():
         CrosscheckRow("s", "pendulum", "t", "a", "b", 1, 1e-9, 1e-8),
         CrosscheckRow("s", "pendulum", "t", "a", "b", 1, np.inf, 1e-8),
     ]
-    found = json.loads(json.dumps([row.as_dict() for row in rows], allow_nan=False))
+    found = json.loads(json.dumps(to_plain(rows), allow_nan=False))
     assert [row["verdict"] for row in found] == ["absent", "agrees", "differs"]
     assert found[0]["limit"] is None

@@ -11,6 +11,7 @@ from dynsr.checks import doctor
 from dynsr.engines.base import AbstractEngine, Integration, SparseSolution
 from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.errors import EngineError, EngineUnavailable
+from dynsr.jobs import to_plain
 
 
 class Broken(EmbeddedEngine):
@@ -132,7 +133,7 @@ def test_an_engine_that_is_there_but_wrong_is_found_out(monkeypatch):
 def test_checks_are_plain_data():
     """A check can be written as JSON."""
     row = doctor.Check("julia", "missing", "not set up", "dynsr doctor --install", False)
-    assert json.loads(json.dumps(row.as_dict()))["remedy"] == "dynsr doctor --install"
+    assert json.loads(json.dumps(to_plain(row)))["remedy"] == "dynsr doctor --install"
 
 
 def test_installing_without_juliacall_says_what_to_install_first(monkeypatch):

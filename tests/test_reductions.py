@@ -7,10 +7,12 @@ from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import refit
 from dynsr.methods.feynman.stages.base import Context
-from dynsr.methods.feynman.stages.compositionality import Compositionality
-from dynsr.methods.feynman.stages.general_separability import GeneralSeparability
-from dynsr.methods.feynman.stages.generalised_symmetry import GeneralisedSymmetry
-from dynsr.methods.feynman.stages.inner_functions import scatter
+from dynsr.methods.feynman.stages.inner_functions import (
+    Compositionality,
+    GeneralisedSymmetry,
+    GeneralSeparability,
+    scatter,
+)
 from dynsr.methods.feynman.stages.polynomial import Polynomial
 from dynsr.methods.feynman.stages.reduction import AbstractReducer, Reduce, Support
 from dynsr.methods.feynman.stages.separability import Separability

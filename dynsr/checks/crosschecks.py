@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.checks.comparison import CrosscheckRow, absent
-from dynsr.checks.trajectories import trajectory_rows
+from dynsr.checks.trajectories import CrosscheckRow, absent, trajectory_rows
 from dynsr.engines import ENGINES, AbstractEngine, DiffeqpyEngine, SparseProblem, find_engine
 from dynsr.errors import EngineError, EngineUnavailable, InputError
 from dynsr.paper import PAPER_NAMES, SparseRecord, sparse_records

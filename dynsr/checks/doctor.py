@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
 
 import numpy as np
@@ -35,10 +35,6 @@ class Check:
     detail: str
     remedy: str = ""
     required: bool = True
-
-    def as_dict(self) -> dict[str, str | bool]:
-        """Give the fields as plain data."""
-        return asdict(self)
 
 
 def examine(engines: Sequence[str] = ENGINES) -> list[Check]:

@@ -1,13 +1,17 @@
-"""Trajectories of an engine against recorded ones, scipy's DOP853 and the embedded engine."""
+"""Comparisons as rows, and trajectories of an engine against recorded ones and independent solvers.
+
+The solvers are SciPy's DOP853 and the embedded engine.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from dynsr.checks.comparison import CrosscheckRow
 from dynsr.data import System, find_system
 from dynsr.engines import (
     DEFAULT_ABSTOL,
@@ -19,6 +23,52 @@ from dynsr.engines import (
 )
 from dynsr.expression import compile_scalar
 from dynsr.paper import trajectory_record
+
+
+@dataclass(frozen=True)
+class CrosscheckRow:
+    """One comparison.
+
+    Parameters
+    ----------
+    section, system, subject : what was compared.
+    ours, theirs : the two programs.
+    compared : how many numbers were compared.
+    difference : the largest, relative for coefficients and in the states' own units for
+        trajectories; None where one side is absent.
+    limit : up to which difference the two agree.
+    worst : where the largest difference occurred, or why a side is absent.
+
+    ``verdict`` is one of agrees, differs, absent.
+
+    >>> CrosscheckRow("records", "pendulum", "states", "embedded", "scipy", 9, 1e-9, 1e-8).verdict
+    'agrees'
+    """
+
+    section: str
+    system: str
+    subject: str
+    ours: str
+    theirs: str
+    compared: int
+    difference: float | None
+    limit: float
+    worst: str = ""
+    verdict: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Compare the difference with its limit."""
+        if self.difference is None:
+            verdict = "absent"
+        else:
+            verdict = "agrees" if self.difference <= self.limit else "differs"
+        object.__setattr__(self, "verdict", verdict)
+
+
+def absent(section: str, system: str, ours: str, theirs: str, reason: str) -> CrosscheckRow:
+    """Give the row of a comparison that cannot be made."""
+    return CrosscheckRow(section, system, "", ours, theirs, 0, None, math.nan, reason)
+
 
 DEFAULT_LIMIT = 2e-5
 TIGHT_LIMIT = 1e-8

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ import sympy
 from dynsr.data import System
 from dynsr.engines import AbstractEngine, InitialValueProblem, find_engine
 from dynsr.errors import EngineError
-from dynsr.expression import compile_numpy, parse, to_text
+from dynsr.expression import compile_numpy
 
 COMPARED_TIMES = 5001
 MAX_STEPS = 10_000
@@ -70,30 +70,6 @@ class Score:
         """Every loss that was measured, by its name."""
         values = {name: getattr(self, name) for name in _LOSSES}
         return {name: value for name, value in values.items() if value is not None}
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give the fields as JSON can hold them: the expression as text, infinity as None.
-
-        A loss that was not measured is left out.
-        """
-        record = {**asdict(self), "expr": to_text(self.expr), "origin": dict(self.origin)}
-        for name in (*_LOSSES, "seconds"):
-            if record[name] is None:
-                del record[name]
-            elif not math.isfinite(record[name]):
-                record[name] = None
-        return record
-
-    @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> Score:
-        """Read back what :meth:`as_dict` gave."""
-        known = {f.name: record[f.name] for f in fields(cls) if f.name in record}
-        for name in _LOSSES:
-            if name in known:
-                known[name] = math.inf if known[name] is None else float(known[name])
-        if known.get("seconds") is None:
-            known["seconds"] = math.nan
-        return cls(**{**known, "expr": parse(known["expr"])})
 
 
 def equation_rmse(

@@ -21,10 +21,9 @@ from dynsr.data import (
     split_held_back,
     take_trajectories,
 )
-from dynsr.discovery.interruption import collect_best
 from dynsr.discovery.prediction import name_engines
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.tasks import Found, pick_tasks, plan_tasks, search_tasks
+from dynsr.discovery.tasks import Found, collect_best, pick_tasks, plan_tasks, search_tasks
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, share_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, compile_numpy, to_text
@@ -172,9 +171,12 @@ def _claim(
         return ""
     runs, names = problem.runs, ", ".join(problem.runs[0].names)
     digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
-    about = {k: v for k, v in settings.items() if k != "method"}
+    about = {k: v for k, v in settings.items() if k not in ("method", "details")}
     about |= {"targets": list(states), "data": f"{sum(map(len, runs))} rows of {names}, {digest}"}
-    key = fingerprint(about, problem.slopes, problem.known, problem.inputs, repr(dict(methods)))
+    details = settings["details"]
+    key = fingerprint(
+        about, details, problem.slopes, problem.known, problem.inputs, repr(dict(methods))
+    )
     folder.claim("discovery", about, key)
     return key
 

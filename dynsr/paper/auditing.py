@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from decimal import ROUND_DOWN, Decimal
-from typing import Any
 
 import numpy as np
 import sympy
@@ -48,13 +47,6 @@ class AuditRow:
     unrounded_expression: str | None = None
     unrounded: float | None = None
     unrounded_agrees: bool | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give the row as JSON can hold it; a loss that is infinite becomes None."""
-        return {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in asdict(self).items()
-        }
 
 
 def audit(

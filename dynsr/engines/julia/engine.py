@@ -24,7 +24,7 @@ from dynsr.engines.base import (
 from dynsr.engines.julia.process import Announce, Message, WorkerProcess
 from dynsr.engines.julia.setup import ENVIRONMENT, find_sources, name_remedy, require_julia
 from dynsr.engines.julia.source import write_slopes
-from dynsr.engines.sparse.settings import read_settings
+from dynsr.engines.sparse.solve import read_settings
 from dynsr.errors import EngineError, EngineUnavailable
 
 # Installing and compiling the packages for the first time is what takes this long.

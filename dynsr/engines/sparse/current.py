@@ -105,7 +105,7 @@ class Iteration(AbstractIteration):
         idle = ~self.algorithm.active(self.x, self.threshold).any(axis=1)
         return idle | (moved < TOLERANCE) | (moved < TOLERANCE * size)
 
-    def settled(self) -> np.ndarray:
+    def converged(self) -> np.ndarray:
         """Say which problems are at a solution, given that they stopped."""
         return np.ones(len(self.x), dtype=bool)
 
@@ -159,7 +159,7 @@ class _ADMMIteration(Iteration):
         self.x[~self.algorithm.active(self.x, self.threshold)] = 0.0
         return self.stops()
 
-    def settled(self) -> np.ndarray:
+    def converged(self) -> np.ndarray:
         size = np.maximum(np.linalg.norm(self.x, axis=1), np.linalg.norm(self.alpha, axis=1))
         return np.linalg.norm(self.gap, axis=1) <= PRIMAL_TOLERANCE * size
 
@@ -278,7 +278,7 @@ def _run_threshold(
             best.offer(active, live.x, terms, _bic(rss, terms, stack.rows.shape[1]))
         if stopped.any():
             done = active[stopped]
-            counts[done], converged[done] = step, live.settled()[stopped]
+            counts[done], converged[done] = step, live.converged()[stopped]
             state.write(done, live, stopped)
             active = active[~stopped]
             if not active.size:

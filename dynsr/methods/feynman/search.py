@@ -22,10 +22,12 @@ from dynsr.methods.feynman.stages.base import (
     Surrogate,
 )
 from dynsr.methods.feynman.stages.brute_force import Enumeration
-from dynsr.methods.feynman.stages.compositionality import Compositionality
 from dynsr.methods.feynman.stages.domain_change import DomainChange
-from dynsr.methods.feynman.stages.general_separability import GeneralSeparability
-from dynsr.methods.feynman.stages.generalised_symmetry import GeneralisedSymmetry
+from dynsr.methods.feynman.stages.inner_functions import (
+    Compositionality,
+    GeneralisedSymmetry,
+    GeneralSeparability,
+)
 from dynsr.methods.feynman.stages.polynomial import Polynomial
 from dynsr.methods.feynman.stages.rational import Rational
 from dynsr.methods.feynman.stages.reduction import AbstractReducer, Reach, Reduce, short

@@ -47,7 +47,7 @@ class BruteForceResult:
         letters; every one is equal to a function looked at or has no finite values on the samples.
     complete : largest size of which every function was looked at.
     stored : functions kept to build on, in ``nbytes`` bytes (tables of hashes included).
-    stopped : what ended it: "exact", "size", "candidates", "deadline", "settled" or "interrupted".
+    stopped : what ended it: "exact", "size", "candidates", "deadline", "stable" or "interrupted".
     seconds : time taken.
     """
 
@@ -101,7 +101,7 @@ class RunningSearch:
         self.finisher = Finisher(self.enumerator.bank, X, y, settings.finishing)
         self.pool = Pool(settings.finishing)
         self.stopped = ""
-        self.sums_done = self.settled = 0
+        self.sums_done = self.stable = 0
         self.shortest: Found | None = None
         self.near: dict[str, list[tuple[int, int, int]]] = {}
 
@@ -148,9 +148,9 @@ class RunningSearch:
                 settings.beam > 0,
             )
             self._finish(shortlist)
-            self._notice_settling()
+            self._notice_stability()
             if self._try_sums(size):
-                self._notice_settling()
+                self._notice_stability()
             if size == settings.max_size or self.enumerator.stopped == "candidates":
                 self._try_beam()
             if self.report is not silent:
@@ -177,16 +177,16 @@ class RunningSearch:
             exact = self.settings.exact * float(np.abs(self.y).max())
             self.pool.add(law.run(self.started + self.settings.seconds, exact))
 
-    def _notice_settling(self) -> None:
+    def _notice_stability(self) -> None:
         """Count the parts through which the shortest formula stays the same."""
         if not self.settings.patience:
             return
         shortest = self.pool.shortest
         same = shortest is not None and shortest.resembles(self.shortest)
-        self.shortest, self.settled = shortest, self.settled + 1 if same else 0
+        self.shortest, self.stable = shortest, self.stable + 1 if same else 0
         summed = self.sums_done or not self.settings.sums
-        if summed and self.settled >= self.settings.patience:
-            self.stopped = self.stopped or "settled"
+        if summed and self.stable >= self.settings.patience:
+            self.stopped = self.stopped or "stable"
 
     def _ended(self) -> bool:
         """Whether a bound is met; says which in ``stopped``."""
@@ -201,7 +201,7 @@ class RunningSearch:
             self.stopped = "exact"
         elif time.monotonic() > self.started + self.settings.seconds:
             self.stopped = "deadline"
-        return self.stopped in ("exact", "deadline", "settled")
+        return self.stopped in ("exact", "deadline", "stable")
 
     def _finish(self, shortlist: Shortlist) -> None:
         bank = self.enumerator.bank
@@ -308,7 +308,7 @@ class BruteForce(AbstractMethod):
         the end, and to the best of those once more; 0 for none.
     patience : parts (a level, or sums of its functions) through which the formula of least
         description length stays the same, sums among them or before, until the search ends as
-        "settled"; 0 goes on to the other bounds.
+        "stable"; 0 goes on to the other bounds.
     ratios : search for y / v and v / y too, for each variable v that is nowhere 0.
     combinations : search for laws of one product of powers of the variables first.
     combination : how those are searched.

@@ -1,7 +1,6 @@
-"""Inner functions, found from gradients: h such that grad h is parallel to grad f.
+"""Inner functions: f = F(h(x)), f = F(h(x_S), x_R) and f = F(g(x_S) + h(x_R)).
 
-Three stages search with it: :mod:`compositionality`, f = F(h(x)); :mod:`general_separability`,
-f = F(g(x_S) + h(x_R)); and :mod:`generalised_symmetry`, f = F(h(x_S), x_R).
+They are found from gradients: h such that grad f is parallel to grad h (Udrescu et al. 2020).
 """
 
 from __future__ import annotations
@@ -21,7 +20,9 @@ from dynsr.methods.feynman.stages.reduction import (
     AbstractReducer,
     AbstractReduction,
     Substitution,
+    Support,
 )
+from dynsr.methods.feynman.stages.separability import partitions
 
 
 @dataclass(frozen=True)
@@ -206,3 +207,85 @@ def scatter(values: np.ndarray, y: np.ndarray) -> float:
     off = v[1:-1] - (1 - share) * v[:-2] - share * v[2:]
     weight = np.sqrt(1 + (1 - share) ** 2 + share**2)
     return float(np.median(np.abs(off / weight))) / 0.6745
+
+
+@dataclass(frozen=True)
+class Compositionality(AbstractInnerSearch):
+    """Look for f = F(h(x)) with h a short sum of features, by the direction of the gradient.
+
+    An inner function counts when y, ordered by h, is a smooth curve to within the tolerance.
+    """
+
+    name = "compositionality"
+
+    def find(
+        self, samples: Samples, surrogate: Surrogate, support: Support
+    ) -> list[AbstractReduction]:
+        """Find inner functions of all variables."""
+        if not support.fills_space:
+            return []
+        everything = list(range(samples.X.shape[1]))
+        inner = self._inner(samples, surrogate.gradient(samples.X), everything)
+        return self._accepted(inner, samples, surrogate)
+
+
+@dataclass(frozen=True)
+class GeneralisedSymmetry(AbstractInnerSearch):
+    """Look for f = F(h(x_S), x_R) with two or more, but not all, of the variables in h.
+
+    The gradient restricted to x_S must have the direction of grad h for all values of the others.
+    An inner function is accepted when its gradient is within ``angle`` (radians, root mean square)
+    of that direction.
+    """
+
+    max_features: int = 36
+    angle: float = 0.05
+    name = "generalised symmetry"
+
+    def find(
+        self, samples: Samples, surrogate: Surrogate, support: Support
+    ) -> list[AbstractReduction]:
+        """Try every subset of the variables."""
+        count = samples.X.shape[1]
+        if count < 3 or not support.fills_space:
+            return []
+        gradient = surrogate.gradient(samples.X)
+        found: list[AbstractReduction] = []
+        for size in range(2, count):
+            for which in combinations(range(count), size):
+                names = tuple(samples.names[j] for j in which)
+                for h in self._inner(samples, gradient, list(which))[:1]:
+                    if h.misalignment <= self.angle**2:
+                        error = surrogate.validation_error * h.misalignment / self.angle**2
+                        kind = f"{self.name}: {shown(h.expr)}"
+                        found.append(Substitution(kind, error, h.expr, names))
+        return found
+
+
+@dataclass(frozen=True)
+class GeneralSeparability(AbstractInnerSearch):
+    """Look for f = F(g(x_S) + h(x_R)): a sum inside one more function of one variable.
+
+    Products are sums of logarithms, so F(g(x_S) h(x_R)) is found too where g and h have one sign.
+    """
+
+    max_cost: int = 6
+    name = "general separability"
+
+    def find(
+        self, samples: Samples, surrogate: Surrogate, support: Support
+    ) -> list[AbstractReduction]:
+        """Find sums over each partition of the variables."""
+        if not support.fills_space:
+            return []
+        gradient = surrogate.gradient(samples.X)
+        found: list[AbstractReduction] = []
+        for first, second in partitions(samples.X.shape[1]):
+            features: list[sympy.Expr] = []
+            for part in (first, second):
+                columns = {samples.names[j]: samples.X[:, j] for j in part}
+                features += inner_features(columns, self.max_cost, self.max_features // 2)
+            everything = list(range(samples.X.shape[1]))
+            inner = self._inner(samples, gradient, everything, features)
+            found += self._accepted(inner, samples, surrogate)
+        return found
