@@ -59,7 +59,7 @@ def test_without_pysindy_the_row_says_so(monkeypatch: pytest.MonkeyPatch):
     (row,) = crosscheck(["pendulum"], ["embedded"], ["pysindy"])
     assert row.verdict == "absent"
     assert row.difference is None
-    assert "pip install pysindy" in row.worst
+    assert 'pip install "dynsr[pysindy]"' in row.worst
 
 
 def test_without_an_engine_each_section_says_so(monkeypatch: pytest.MonkeyPatch):

@@ -14,7 +14,7 @@ import numpy as np
 
 from dynsr.checks.trajectories import CrosscheckRow, absent, trajectory_rows
 from dynsr.engines import ENGINES, AbstractEngine, DiffeqpyEngine, SparseProblem, find_engine
-from dynsr.errors import EngineError, EngineUnavailable, InputError
+from dynsr.errors import EngineError, EngineUnavailable, InputError, MissingExtra, need
 from dynsr.paper import PAPER_NAMES, SparseRecord, sparse_records
 
 COEFFICIENT_LIMIT = 1e-6
@@ -175,11 +175,12 @@ def _score(problem: SparseProblem, relation: np.ndarray) -> float:
 def pysindy_rows(system: str, engine: AbstractEngine) -> Iterator[CrosscheckRow]:
     """Compare explicit SR3 and STLSQ with pysindy on the same library, step for step."""
     try:
-        import pysindy
-    except ImportError:
-        reason = "pysindy is not installed; pip install pysindy"
-        yield absent("pysindy", system, engine.name, "pysindy", reason)
+        need("pysindy", "pysindy", "the comparison with pysindy")
+    except MissingExtra as missing:
+        yield absent("pysindy", system, engine.name, "pysindy", str(missing))
         return
+    import pysindy
+
     theirs = f"pysindy {pysindy.__version__}"
     for release in ("2021", "current"):
         for optimizer in ("SR3", "STLSQ"):

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dynsr.data.trajectory import Trajectory
-from dynsr.errors import InputError
+from dynsr.errors import InputError, need
 
 _HEAD_BYTES = 1 << 16
 _HEAD_ROWS = 200
@@ -141,15 +141,11 @@ def _unreadable(path: Path, kind: str, error: Exception) -> InputError:
 
 
 def _load_parquet(path: Path) -> Columns:
+    need("pyarrow", "tables", f"reading {path.name!r}")
     import pandas
 
     try:
         frame = pandas.read_parquet(path)
-    except ImportError:
-        raise InputError(
-            f"reading {path.name!r} needs pyarrow; run: pip install 'dynsr[tables]', "
-            "or save it as CSV"
-        ) from None
     except Exception as error:  # pyarrow raises a family of its own for damaged files
         raise _unreadable(path, "Parquet file", error) from None
     return _load_frame(frame, path.name)

@@ -20,7 +20,7 @@ from dynsr.data.samples import (
     join,
 )
 from dynsr.data.trajectory import Trajectory
-from dynsr.errors import InputError
+from dynsr.errors import InputError, need
 
 _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
 _MAD = 1.4826
@@ -109,12 +109,9 @@ def _spline(t: np.ndarray, x: np.ndarray) -> Smooth:
 
 def _total_variation(t: np.ndarray, x: np.ndarray) -> Smooth:
     """Slope of least total variation, by the library ``derivative`` (Tibshirani 2014)."""
-    try:
-        import derivative
-    except ImportError:
-        raise InputError(
-            "scheme 'total-variation' needs the package derivative; run: pip install derivative"
-        ) from None
+    need("derivative", "pysindy", "scheme 'total-variation'")
+    import derivative
+
     scale = float(np.std(x)) or 1.0
     misses = interpolation_residuals(t, x[:, None] / scale, 2)
     alpha = max(float(robust_scale(misses)) ** 2, 1e-10)
