@@ -204,6 +204,18 @@ def test_contributing_maps_the_rooms_in_their_order():
     assert tuple(row.removesuffix(".py").rstrip("/") for row in rows[: len(ROOMS)]) == ROOMS
 
 
+def test_the_tour_follows_one_csv_through_files_that_are_there():
+    """The tour of CONTRIBUTING.md has at most 15 files, and each holds what the tour says."""
+    text = (PACKAGE.parent / "CONTRIBUTING.md").read_text()
+    tour = text.partition("### Follow one CSV")[2]
+    rows = [line.split("`") for line in tour.splitlines() if line.startswith("| `")]
+    assert 10 <= len(rows) <= 15
+    for row in rows:
+        source = (PACKAGE / row[1]).read_text()
+        if len(row) > 3:
+            assert f"def {row[3]}(" in source or f"class {row[3]}" in source, row
+
+
 @pytest.mark.parametrize("room", [r for r in ROOMS if r != "errors"])
 def test_no_module_shares_a_name_with_what_its_room_exports(room):
     """What a room exports is what the attribute of that name is: no module hides behind it."""
