@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy
@@ -74,9 +73,6 @@ class EquationModule(torch.nn.Module):
         }
 
 
-if TYPE_CHECKING:
-    from dynsr.discovery.result import Discovery
-
 _RELTOL, _ABSTOL = 1e-8, 1e-10
 
 
@@ -108,7 +104,9 @@ class Residual:
 class HybridModel:
     """Equations plus networks: dx/dt = f(x) + g(x)."""
 
-    found: Discovery
+    equations: Mapping[str, sympy.Expr]
+    trajectories: Sequence[Trajectory]
+    inputs: Mapping[str, sympy.Expr]
     residuals: Mapping[str, Residual]
 
     @property
@@ -118,11 +116,11 @@ class HybridModel:
 
     def slopes(self, X: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
         """Give dx/dt of every state for (n, p) columns of the data at (n,) times."""
-        names = self.found.trajectories[0].names
+        names = self.trajectories[0].names
         columns = {**{name: X[:, i] for i, name in enumerate(names)}, "t": t}
         return {
             state: evaluate(expr, columns) + self.residuals[state].evaluate(X)
-            for state, expr in self.found.equations.items()
+            for state, expr in self.equations.items()
         }
 
     def simulate(
@@ -142,9 +140,9 @@ class HybridModel:
 
         Raises InputError when the solution diverges, or an equation is missing.
         """
-        run = self.found.trajectories[0]
+        run = self.trajectories[0]
         times = run.t if t is None else np.asarray(t, dtype=float)
-        order = [run.index(state) for state in self.found.equations]
+        order = [run.index(state) for state in self.equations]
         start = run.x[0] if x0 is None else np.asarray(x0, dtype=float)
         rhs = self._field(run, order)
         with np.errstate(all="ignore"):
@@ -159,12 +157,12 @@ class HybridModel:
     def _field(
         self, run: Trajectory, order: Sequence[int]
     ) -> Callable[[float, np.ndarray], np.ndarray]:
-        missing = [s for s in run.states if s not in self.found.equations]
+        missing = [s for s in run.states if s not in self.equations]
         if missing:
             raise InputError(f"the equation of {missing[0]!r} is missing; discover all states")
-        exact = compile_numpy(list(self.found.equations.values()), [*run.names, "t"])
-        drives = compile_numpy(list(self.found.inputs.values()), ["t"])
-        known = list(self.found.inputs)
+        exact = compile_numpy(list(self.equations.values()), [*run.names, "t"])
+        drives = compile_numpy(list(self.inputs.values()), ["t"])
+        known = list(self.inputs)
 
         def rhs(t: float, x: np.ndarray) -> np.ndarray:
             given = dict(zip(known, drives(np.array([t])), strict=True)) if known else {}
@@ -175,7 +173,7 @@ class HybridModel:
             row = np.array([*x, *inputs], dtype=float)
             slope = np.empty(len(x))
             slope[list(order)] = exact(np.append(row, t))
-            for state, place in zip(self.found.equations, order, strict=True):
+            for state, place in zip(self.equations, order, strict=True):
                 slope[place] += self.residuals[state].evaluate(row[None])[0]
             return slope
 
@@ -186,7 +184,7 @@ class HybridModel:
 
         A symbolic search on these says what the network has learned.
         """
-        samples = choose_samples(list(self.found.trajectories), state)
+        samples = choose_samples(list(self.trajectories), state)
         learned = self.residuals[state].evaluate(samples.X)
         return Samples(
             samples.X, learned, samples.names, state, "network", samples.t, samples.noise
@@ -208,7 +206,14 @@ class HybridModel:
 
 
 def fit_hybrid(
-    found: Discovery, *, width: int = 32, epochs: int = 400, rate: float = 0.01, seed: int = 0
+    equations: Mapping[str, sympy.Expr],
+    trajectories: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    *,
+    width: int = 32,
+    epochs: int = 400,
+    rate: float = 0.01,
+    seed: int = 0,
 ) -> HybridModel:
     """Train one network a state on the residuals: slopes of the data less those of the equation.
 
@@ -218,7 +223,9 @@ def fit_hybrid(
 
     Parameters
     ----------
-    found : a discovery that still has its data.
+    equations : state -> right-hand side.
+    trajectories : the data that they were found in.
+    inputs : input name -> expression in ``t`` where it is known.
     width : neurons in each of the two hidden layers.
     epochs : passes over the samples by Adam, its rate falling along a cosine.
     rate : rate at the start.
@@ -226,14 +233,14 @@ def fit_hybrid(
 
     Raises InputError when the data are not there.
     """
-    if not found.trajectories:
+    if not trajectories:
         raise InputError("the data are not here; discover again before asking for a hybrid")
     residuals = {}
-    for state, expr in found.equations.items():
-        samples = choose_samples(list(found.trajectories), state)
+    for state, expr in equations.items():
+        samples = choose_samples(list(trajectories), state)
         residual = samples.y - evaluate(expr, {**samples.columns, "t": samples.t})
         residuals[state] = _train(samples, residual, width, epochs, rate, seed)
-    return HybridModel(found, residuals)
+    return HybridModel(equations, trajectories, inputs, residuals)
 
 
 def _train(

@@ -183,7 +183,15 @@ class Discovery:
         need("torch", "torch", "a hybrid model")
         from dynsr.discovery.hybrid import fit_hybrid
 
-        return fit_hybrid(self, width=width, epochs=epochs, rate=rate, seed=seed)
+        return fit_hybrid(
+            self.equations,
+            self.trajectories,
+            self.inputs,
+            width=width,
+            epochs=epochs,
+            rate=rate,
+            seed=seed,
+        )
 
     def plot(self) -> Figure:
         """Draw the data and the equations integrated from their start; gives the figure."""
