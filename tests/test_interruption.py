@@ -22,14 +22,6 @@ KILLED = [QUICK, GeneticAlgorithm(population=60, iterations=40)]
 ENDLESS = GeneticAlgorithm(population=30, iterations=10**7)
 
 
-@pytest.fixture(autouse=True)
-def default_interrupt():
-    """Have Ctrl-C raise KeyboardInterrupt, also where the tests run in the background."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 @pytest.fixture(scope="module")
 def decay():
     """Two coupled linear states in closed form."""

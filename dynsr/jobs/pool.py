@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib.externals.loky.backend import resource_tracker
 from joblib.externals.loky.process_executor import BrokenProcessPool
 from joblib.parallel import BACKENDS, get_active_backend
 
@@ -177,15 +178,29 @@ def _run(index: int, work: Callable[..., Any], call: tuple[Any, ...]) -> Any:
 
 @contextmanager
 def _shielded() -> Iterator[None]:
-    """Hold Ctrl-C back while workers start: they inherit that it is not meant for them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Hold Ctrl-C back while workers start: half a pool could not be closed.
+
+    The workers inherit that it is not meant for them.
+    """
+    held: list[int] = []
+    handler = signal.getsignal(signal.SIGINT)
+    ours = threading.current_thread() is threading.main_thread() and handler is not None
+    # The start of loky's tracker would lift the block.
+    resource_tracker.ensure_running()
+    masks = hasattr(signal, "pthread_sigmask")
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
+    if ours:
+        # Other threads take the signal too, and have this one handle it.
+        signal.signal(signal.SIGINT, lambda number, frame: held.append(number))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if ours:
+            signal.signal(signal.SIGINT, handler)
+        if held:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _belong_to(parent: int) -> None:
