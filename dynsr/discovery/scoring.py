@@ -91,6 +91,7 @@ def equation_rmse(
     when the true system has no solution over its test span.
 
     >>> from dynsr.data.system import PENDULUM
+    >>> from dynsr.expression import parse
     >>> round(equation_rmse(PENDULUM, parse("-9.81*sin(theta1) - 0.1*theta2 + 0.25")), 12)
     0.25
     """
@@ -116,6 +117,7 @@ def trajectory_loss(
     EngineError when the true system has no solution over its test span.
 
     >>> from dynsr.data.system import LOTKA_VOLTERRA
+    >>> from dynsr.expression import parse
     >>> trajectory_loss(LOTKA_VOLTERRA, parse("-y*(3 - x)"))
     0.0
     """
@@ -141,6 +143,7 @@ def trajectory_losses(
     states : whose distances are added up; all by default.
 
     >>> from dynsr.data.system import CART_POLE
+    >>> from dynsr.expression import parse
     >>> some = trajectory_losses(CART_POLE, [parse("-2*w")], states=["w", "x"])
     >>> some < trajectory_losses(CART_POLE, [parse("-2*w")])
     True
@@ -174,6 +177,7 @@ def score_expressions(
     has no solution over its test span.
 
     >>> from dynsr.data.system import PENDULUM
+    >>> from dynsr.expression import parse
     >>> score_expressions(PENDULUM, [parse("-10*sin(theta1)")], "sindy")[0].trajectory_loss < 1.5
     True
     """
