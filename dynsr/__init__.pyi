@@ -1,6 +1,7 @@
 from .data import SYSTEMS, Samples, System, Trajectory, find_system, make_samples
 from .discovery import (
     Discovery,
+    DiscoverySettings,
     DynsrRegressor,
     Score,
     bootstrap,
@@ -30,6 +31,7 @@ __all__ = [
     "AbstractMethod",
     "Candidate",
     "Discovery",
+    "DiscoverySettings",
     "DynAIFeynman",
     "DynsrError",
     "DynsrRegressor",

@@ -8,11 +8,12 @@ from .scoring import (
     trajectory_loss,
     trajectory_losses,
 )
-from .search import discover
+from .search import DiscoverySettings, discover
 from .uncertainty import bootstrap
 
 __all__ = [
     "Discovery",
+    "DiscoverySettings",
     "DynsrRegressor",
     "Score",
     "bootstrap",

@@ -30,9 +30,23 @@ from dynsr.expression import arguments_of, compile_numpy, to_text
 from dynsr.fit import Candidate, ParetoFront, is_noisy, polish, read_inputs, tidy
 from dynsr.jobs import RunFolder, Step, Watch, fingerprint, run_tasks, to_plain
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, choose_methods
-from dynsr.selection import SELECTION, Pick, compare_systems
+from dynsr.selection import Pick, SelectionSettings, compare_systems
 
-_MOST_ROWS = 4000
+
+@dataclass(frozen=True)
+class DiscoverySettings:
+    """The numbers that decide in a discovery outside its methods; they stand in its record.
+
+    Parameters
+    ----------
+    rows : samples of a state at most; of more rows, evenly spaced ones are taken.
+    slopes : how the data choose the scheme of their slopes.
+    selection : how one equation a state is chosen, constants are fitted and systems compared.
+    """
+
+    rows: int = 4000
+    slopes: SlopeSettings = SlopeSettings()
+    selection: SelectionSettings = SelectionSettings()
 
 
 def discover(
@@ -50,6 +64,7 @@ def discover(
     slopes: Mapping[str, Any] | None = None,
     out: str | Path | None = None,
     progress: Callable[[Step], None] | None = None,
+    settings: DiscoverySettings = DiscoverySettings(),
 ) -> Discovery:
     """Find the equation of every state from trajectories.
 
@@ -72,6 +87,7 @@ def discover(
     slopes : state -> the user's own slopes, one array (or one a trajectory).
     out : folder that keeps every finished task; the same call on it goes on where it was killed.
     progress : called with a :class:`Step` as tasks end, and every half second while they run.
+    settings : the numbers that decide outside the methods.
 
     Ctrl-C ends the searches: what they have found is given as a Discovery whose ``complete`` is
     False, and the same call on the same ``out`` goes on from there; with nothing found yet it
@@ -98,8 +114,8 @@ def discover(
     methods = {n: m.with_engine(shared) for n, m in choose_methods(method, preset).items()}
     for own in (m.engine for m in methods.values() if m.engine is not None):
         share_engine(find_engine(own), workers)
-    problem = _Problem(runs, drives, scheme, slopes or {}, given)
-    settings: dict[str, Any] = {
+    problem = _Problem(runs, drives, scheme, slopes or {}, given, settings)
+    record: dict[str, Any] = {
         "method": method if isinstance(method, str) else ",".join(methods),
         "methods": list(methods),
         **({"known": {s: to_text(e) for s, e in given.items()}} if given else {}),
@@ -110,13 +126,12 @@ def discover(
         "version": __version__,
         "details": {
             "methods": {name: to_plain(method) for name, method in methods.items()},
-            "selection": to_plain(SELECTION),
-            "slopes": to_plain(SlopeSettings()),
+            **to_plain(settings),
         },
     }
     # A worker that outlives a change of folder must not take a relative path for its own.
     folder = RunFolder(None if out is None else Path(out).absolute())
-    key = _claim(folder, problem, states, methods, settings)
+    key = _claim(folder, problem, states, methods, record)
     training, held_back = split_held_back(runs)
     samples = {s: problem.samples(s, training) for s in states}
     with Watch(progress, plan_tasks(states, methods), workers) as watch:
@@ -124,7 +139,10 @@ def discover(
             searched = run_tasks(search_tasks(samples, methods, seed, key), folder, jobs, watch)
             pools = _pool(searched, states)
             choices = run_tasks(
-                pick_tasks(pools, samples, held_back, given, key), folder, jobs, watch
+                pick_tasks(pools, samples, held_back, given, settings.selection, key),
+                folder,
+                jobs,
+                watch,
             )
             notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
             found = problem.fit({c.pick.state: c.pick for c in choices}, pools, notes)
@@ -133,15 +151,15 @@ def discover(
             if best is None:
                 raise
             found = best
-    settings["scheme"] = {s: problem.samples(s, runs).scheme for s in states}
+    record["scheme"] = {s: problem.samples(s, runs).scheme for s in states}
     measured = bool(set(arguments_of(found.equations)) - set(drives))
-    settings["engines"] = name_engines(methods.values(), chosen, measured)
+    record["engines"] = name_engines(methods.values(), chosen, measured)
     return replace(
         found,
         trajectories=tuple(runs),
         inputs=drives,
         engine=chosen,
-        settings=settings,
+        settings=record,
         seconds=time.monotonic() - began,
     )
 
@@ -161,7 +179,7 @@ def _claim(
     problem: _Problem,
     states: Sequence[str],
     methods: Mapping[str, AbstractMethod],
-    settings: Mapping[str, Any],
+    record: Mapping[str, Any],
 ) -> str:
     """Make the folder that of this discovery; gives the digest of all that its result depends on.
 
@@ -171,9 +189,9 @@ def _claim(
         return ""
     runs, names = problem.runs, ", ".join(problem.runs[0].names)
     digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
-    about = {k: v for k, v in settings.items() if k not in ("method", "details")}
+    about = {k: v for k, v in record.items() if k not in ("method", "details")}
     about |= {"targets": list(states), "data": f"{sum(map(len, runs))} rows of {names}, {digest}"}
-    details = settings["details"]
+    details = record["details"]
     key = fingerprint(
         about, details, problem.slopes, problem.known, problem.inputs, repr(dict(methods))
     )
@@ -198,6 +216,7 @@ class _Problem:
     scheme: str
     slopes: Mapping[str, Any]
     known: Mapping[str, sympy.Expr]
+    settings: DiscoverySettings
 
     def samples(
         self, state: str, runs: Sequence[Trajectory], known_left_out: bool = True
@@ -207,9 +226,12 @@ class _Problem:
         if own is not None and runs is not self.runs:
             # Own slopes fit the whole trajectories; the searches see all of them.
             runs = self.runs
-        found = choose_samples(list(runs), state, scheme=self.scheme, slopes=own)
-        if len(found) > _MOST_ROWS:
-            found = found.select(np.linspace(0, len(found) - 1, _MOST_ROWS).astype(int))
+        found = choose_samples(
+            list(runs), state, scheme=self.scheme, slopes=own, settings=self.settings.slopes
+        )
+        rows = self.settings.rows
+        if len(found) > rows:
+            found = found.select(np.linspace(0, len(found) - 1, rows).astype(int))
         if state not in self.known or not known_left_out:
             return found
         given = compile_numpy([self.known[state]], [*found.names, "t"])
@@ -230,6 +252,7 @@ class _Problem:
             self.inputs,
             {s: self.samples(s, self.runs, known_left_out=False) for s in picks},
             {s: p.noise for s, p in picks.items()},
+            self.settings.selection.fit,
         )
         return Discovery(
             equations=fitted.exprs,
@@ -247,7 +270,9 @@ class _Problem:
         if self.known or not is_noisy(self.runs):
             return exprs
         others = {s: [r.candidate.expr for r in p.ranked[1:]] for s, p in picks.items()}
-        return compare_systems(exprs, others, self.runs, self.inputs)
+        return compare_systems(
+            exprs, others, self.runs, self.inputs, self.settings.selection.comparison
+        )
 
 
 def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:

@@ -19,7 +19,7 @@ from dynsr.discovery.result import Discovery
 from dynsr.fit import Candidate, ParetoFront, choose, tidy
 from dynsr.jobs import Task, Watch, best_equation
 from dynsr.methods import AbstractMethod, Progress, Report, silent
-from dynsr.selection import Pick, explains_all, pick_equation, trivial_candidates
+from dynsr.selection import Pick, SelectionSettings, explains_all, pick_equation, trivial_candidates
 
 # Rough seconds of a task on one core, from which the time left is first guessed.
 _USUAL = {"rational": 6.0, "sindy": 4.0, "dynaifeynman": 15.0, "genetic": 10.0}
@@ -79,12 +79,13 @@ def pick_one(
     samples: Samples,
     held_back: Sequence[Trajectory],
     known: sympy.Expr,
+    settings: SelectionSettings,
     report: Report = silent,
 ) -> Choice:
     """Choose the equation of one target."""
     began = time.monotonic()
     report(Progress("choosing", 0, None, ParetoFront(pool)))
-    pick = pick_equation(samples.target, pool, samples, held_back, known)
+    pick = pick_equation(samples.target, pool, samples, held_back, known, settings)
     return Choice(pick, time.monotonic() - began)
 
 
@@ -115,6 +116,7 @@ def pick_tasks(
     samples: Mapping[str, Samples],
     held_back: Sequence[Trajectory],
     known: Mapping[str, sympy.Expr],
+    settings: SelectionSettings,
     key: str,
 ) -> list[Task]:
     """Give a task for every state that chooses among the formulas found for it."""
@@ -123,7 +125,7 @@ def pick_tasks(
             _pick_name(state),
             f"choice of {state}'",
             pick_one,
-            (pool, samples[state], held_back, known.get(state, sympy.S.Zero)),
+            (pool, samples[state], held_back, known.get(state, sympy.S.Zero), settings),
             Choice,
             key,
         )

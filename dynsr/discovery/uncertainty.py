@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import sympy
-from joblib import Parallel, delayed
 
 from dynsr.data import Trajectory
 from dynsr.discovery.result import Discovery
@@ -31,6 +30,7 @@ from dynsr.fit import (
     residual_noise,
     structure_bits,
 )
+from dynsr.jobs import spread
 
 # The bump (1 - s^2)^4 and three of its derivatives vanish at the ends of its window, so that the
 # trapezoidal rule integrates it to the fourth order of an even step.
@@ -92,10 +92,9 @@ def bootstrap(
         coefficients = np.linalg.lstsq(whole.values.T, whole.y, rcond=None)[0]
         noise = residual_noise([whole.y - coefficients @ whole.values], whole.y)
         bits = term_bits(exprs, noise)
-        draws = Parallel(n_jobs=jobs)(
-            delayed(_fit_member)(blocks, noise, bits, child) for child in sequence.spawn(members)
-        )
-        result[state] = _summarise(exprs, np.array(list(draws)), level)
+        calls = [(blocks, noise, bits, child) for child in sequence.spawn(members)]
+        draws = dict(spread(_fit_member, calls, jobs))
+        result[state] = _summarise(exprs, np.array([draws[i] for i in range(members)]), level)
     return result
 
 

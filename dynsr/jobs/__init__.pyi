@@ -1,4 +1,4 @@
-from .pool import Task, run_tasks
+from .pool import Task, run_tasks, spread
 from .progress import Step, Watch, best_equation
 from .store import (
     MANIFEST,
@@ -27,6 +27,7 @@ __all__ = [
     "read_manifest",
     "read_record",
     "run_tasks",
+    "spread",
     "to_plain",
     "write_bytes",
     "write_json",

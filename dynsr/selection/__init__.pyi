@@ -1,5 +1,4 @@
 from .pick import (
-    SELECTION,
     Pick,
     SelectionSettings,
     explains_all,
@@ -10,7 +9,6 @@ from .pick import (
 from .systems import compare_systems
 
 __all__ = [
-    "SELECTION",
     "Pick",
     "SelectionSettings",
     "compare_systems",
