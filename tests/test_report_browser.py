@@ -91,7 +91,13 @@ def pages(tmp_path_factory):
         settings={"seed": 0, "methods": ["sindy"], "scheme": {"x": "central4"}},
     )
     runs = [record(s, text, r) for s, some in PRINTED.items() for r, text in enumerate(some[2:], 1)]
-    settings = {"seed": 5, "engine": "embedded", "quick": True, "version": "0.1.0"}
+    settings = {
+        "seed": 5,
+        "engine": "embedded",
+        "quick": True,
+        "recorded_steps": False,
+        "version": "0.1.0",
+    }
     texts = {
         "discovery": render_discovery(found),
         "replication": render_replication(
