@@ -72,20 +72,14 @@ class Protocol:
     printed_start: tuple[float, ...] | None = None
 
 
+def _split(basis: str) -> tuple[str, ...]:
+    return tuple(basis.split(", "))
+
+
 PROTOCOLS = (
     Protocol(
         SYSTEMS["lotka-volterra"],
-        basis=(
-            "x",
-            "y",
-            "x*y",
-            "sin(x)",
-            "sin(y)",
-            "cos(x)",
-            "cos(y)",
-            "1",
-            "1.5*x - x*y",
-        ),
+        basis=_split("x, y, x*y, sin(x), sin(y), cos(x), cos(y), 1, 1.5*x - x*y"),
         optimizer="ADMM",
         settings={"lambda": 0.1, "rho": 2.0},
         iterations=10_000,
@@ -101,15 +95,9 @@ PROTOCOLS = (
     ),
     Protocol(
         SYSTEMS["pendulum"],
-        basis=(
-            "theta1",
-            "theta2",
-            "sin(theta1)",
-            "cos(theta2)",
-            "cos(theta1)",
-            "sin(theta2)",
-            "cos(theta1)*sin(theta2)",
-            "1",
+        basis=_split(
+            "theta1, theta2, sin(theta1), cos(theta2), cos(theta1), sin(theta2), "
+            "cos(theta1)*sin(theta2), 1"
         ),
         optimizer="SR3",
         settings={"lambda": 0.01, "nu": 1.0},
@@ -128,34 +116,11 @@ PROTOCOLS = (
     ),
     Protocol(
         SYSTEMS["cart-pole"],
-        basis=(
-            "1",
-            "w",
-            "x",
-            "y",
-            "z",
-            "y^2",
-            "z^2",
-            "y^3",
-            "z^3",
-            "y^4",
-            "z^4",
-            "sin(w)",
-            "cos(w)",
-            "sin(w)*y",
-            "sin(w)*z",
-            "sin(w)*y^2",
-            "sin(w)*z^2",
-            "cos(w)^2",
-            "cos(w)*sin(w)",
-            "cos(w)*sin(w)*y",
-            "cos(w)*sin(w)*z",
-            "cos(w)*sin(w)*y^2",
-            "cos(w)*sin(w)*z^2",
-            "F",
-            "cos(w)*F",
-            "sin(w)*F",
-            "-(cos(w)*F + 19.62*sin(w) + cos(w)*sin(w)*y^2) / (2 - cos(w)^2)",
+        basis=_split(
+            "1, w, x, y, z, y^2, z^2, y^3, z^3, y^4, z^4, sin(w), cos(w), sin(w)*y, "
+            "sin(w)*z, sin(w)*y^2, sin(w)*z^2, cos(w)^2, cos(w)*sin(w), cos(w)*sin(w)*y, "
+            "cos(w)*sin(w)*z, cos(w)*sin(w)*y^2, cos(w)*sin(w)*z^2, F, cos(w)*F, sin(w)*F, "
+            "-(cos(w)*F + 19.62*sin(w) + cos(w)*sin(w)*y^2) / (2 - cos(w)^2)"
         ),
         optimizer="SR3",
         settings={"lambda": 0.01, "nu": 1.0},
