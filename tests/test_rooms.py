@@ -5,6 +5,8 @@ A file may import files of its own room by their full names; of another room, wh
 """
 
 import ast
+import inspect
+import re
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from importlib import import_module
@@ -225,3 +227,27 @@ def test_no_module_shares_a_name_with_what_its_room_exports(room):
     for name in getattr(door, "__all__", ()):
         assert not isinstance(getattr(door, name), ModuleType)
     assert files.isdisjoint(dynsr.__all__) or room == "cli"
+
+
+def described(name: str, function: object, text: str) -> list[str]:
+    """Give the parameters of a callable that its text does not name."""
+    parameters = inspect.signature(function).parameters.values()
+    named = [p.name for p in parameters if p.kind is not p.VAR_KEYWORD and p.name != "self"]
+    return [f"{name}: {n}" for n in named if not re.search(rf"\b{re.escape(n)}\b", text)]
+
+
+@pytest.mark.parametrize("name", [n for n in dynsr.__all__ if callable(getattr(dynsr, n))])
+def test_every_parameter_of_what_is_public_is_described(name):
+    """Docstrings of public functions, classes and their methods name each parameter."""
+    public = getattr(dynsr, name)
+    missing = []
+    if not (inspect.isclass(public) and issubclass(public, Exception)):
+        missing += described(name, public, public.__doc__ or "")
+    for own, method in vars(public).items() if inspect.isclass(public) else ():
+        function = getattr(method, "__func__", method)
+        if not own.startswith("_") and inspect.isfunction(function):
+            # What a method of the base says holds for those that do the same.
+            said = [getattr(base, own, None) for base in public.__mro__]
+            text = " ".join(inspect.getdoc(f) or "" for f in said if f is not None)
+            missing += described(f"{name}.{own}", getattr(public, own), text)
+    assert missing == []

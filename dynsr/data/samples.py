@@ -25,6 +25,10 @@ class Samples:
     t : (n,) times in seconds of the rows.
     noise : typical error of ``y`` (one standard deviation, state units per second); None when
         nobody has estimated it.
+
+    >>> t = np.arange(3.0)
+    >>> len(Samples(t[:, None], -2 * t, ("x",), "x", "given", t))
+    3
     """
 
     X: np.ndarray

@@ -28,6 +28,7 @@ class System:
     train, test : (start, end) of the two time spans in seconds.
     target : the state whose equation is sought when one is; the last state by default.
     step : seconds between samples.
+    description : what it is, in a few words.
 
     Raises InputError when names clash, lengths differ or an expression has an unknown name.
 
@@ -144,7 +145,7 @@ class System:
         return self.states.index(state)
 
     def with_rhs(self, state: str, expr: sympy.Expr) -> System:
-        """Give the same system with the right-hand side of one state replaced.
+        """Give the same system with ``expr`` as the right-hand side of one state.
 
         Raises InputError when there is no such state or the expression has an unknown name.
         """

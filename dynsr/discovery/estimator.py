@@ -115,7 +115,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         return [score_candidate(tidy(c.expr), samples, c.source) for c in snapped]
 
     def predict(self, X: Any) -> np.ndarray:
-        """Evaluate the formula, (n,); where it has no finite value the number nearest to one."""
+        """Evaluate the formula on (n, p) ``X``, (n,); where it is not finite the nearest number."""
         check_is_fitted(self, "expr_")
         X = validate_data(self, X, dtype=np.float64, reset=False)
         columns = {name: X[:, j] for j, name in enumerate(self.names_)}

@@ -46,10 +46,22 @@ _FORMAT = "dynsr discovery 1"
 class Discovery:
     """The equations found for the states of a system, with everything that led to them.
 
-    ``equations`` state -> right-hand side (SymPy); ``front`` state -> all formulas found, from
-    simple to accurate; ``errors`` state -> (value, standard error) of its constants in order;
-    ``explanation`` state -> why this equation was chosen, in words; ``complete`` is False when
-    Ctrl-C ended the searches and these are the best formulas so far. ``engine`` integrates them.
+    Parameters
+    ----------
+    equations : state -> right-hand side, state units per second.
+    errors : state -> (value, standard error) of its constants in order.
+    front : state -> all formulas found, from simple to accurate.
+    explanation : state -> why this equation was chosen, in words.
+    trajectories : the data; empty where they are not there.
+    inputs : input name -> expression in ``t`` where it is known.
+    settings : how it was found: methods, preset, seed, scheme, engines, and every setting.
+    seconds : wall time.
+    complete : False when Ctrl-C ended the searches and these are the best formulas so far.
+    engine : what integrates the equations.
+
+    >>> x = sympy.Symbol("x")
+    >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
+    array([0.1353])
     """
 
     equations: dict[str, sympy.Expr]
@@ -95,7 +107,10 @@ class Discovery:
         return [self.trajectories[0].index(state) for state in self.equations]
 
     def inputs_at(self, times: np.ndarray, run: Trajectory | None = None) -> dict[str, Any]:
-        """Inputs as they were in the data; states without an equation are read from there."""
+        """Inputs at (n,) ``times`` in seconds, as they were in a ``run``, by default the first.
+
+        States without an equation are read from there too.
+        """
         given: dict[str, Any] = dict(self.inputs)
         source = run or (self.trajectories[0] if self.trajectories else None)
         for name in arguments_of(self.equations):
@@ -177,8 +192,12 @@ class Discovery:
     ) -> HybridModel:
         """Train networks on the residuals of the slopes.
 
-        The parameters are those of :func:`dynsr.discovery.hybrid.fit_hybrid`. Raises InputError
-        when the data are not there, MissingExtra when torch is not installed.
+        Parameters
+        ----------
+        width, epochs, rate, seed : neurons in each hidden layer, passes over the samples, rate of
+            Adam at the start, and what all chance comes from.
+
+        Raises InputError when the data are not there, MissingExtra when torch is not installed.
         """
         need("torch", "torch", "a hybrid model")
         from dynsr.discovery.hybrid import fit_hybrid
@@ -231,7 +250,10 @@ class Discovery:
 
     @classmethod
     def load(cls, path: str | Path) -> Discovery:
-        """Read a saved discovery; nothing in the file is ever run. Raises InputError."""
+        """Read a discovery from the JSON file at ``path``; nothing in it is ever run.
+
+        Raises InputError when there is no such file or it holds something else.
+        """
         try:
             record = json.loads(Path(path).read_text("utf-8"))
         except OSError as error:

@@ -52,6 +52,9 @@ class Score:
         paper's protocol was asked for and the system is one of the paper's.
     seconds : time that the search took.
     origin : where the numbers come from (engine and versions).
+
+    >>> Score("decay", "sindy", 0, "x", sympy.Symbol("x"), 0.5, 2.0).losses
+    {'equation_rmse': 0.5, 'trajectory_loss': 2.0}
     """
 
     system: str

@@ -42,6 +42,9 @@ class DiscoverySettings:
     rows : samples of a state at most; of more rows, evenly spaced ones are taken.
     slopes : how the data choose the scheme of their slopes.
     selection : how one equation a state is chosen, constants are fitted and systems compared.
+
+    >>> DiscoverySettings(rows=2000).selection.compared
+    5
     """
 
     rows: int = 4000

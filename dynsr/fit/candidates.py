@@ -18,9 +18,15 @@ from dynsr.expression import complexity, evaluate
 class Candidate:
     """One formula found for a target.
 
-    ``loss`` is its RMSE on the samples (state units per second); ``complexity`` its description
-    length in bits, :func:`dynsr.expression.complexity`; ``source`` the stage that found it, with
-    how after a colon.
+    Parameters
+    ----------
+    expr : the formula.
+    loss : its RMSE on the samples, state units per second.
+    complexity : its description length in bits, :func:`dynsr.expression.complexity`.
+    source : the stage that found it, with how after a colon.
+
+    >>> Candidate(2 * sympy.Symbol("x"), loss=0.1, complexity=4.0, source="polynomial").expr
+    2*x
     """
 
     expr: sympy.Expr
@@ -58,8 +64,9 @@ def _text(expr: sympy.Expr) -> str:
 class ParetoFront:
     """Candidates of which none is both simpler and better than another, simplest first.
 
-    ``leaders`` holds the most accurate candidate of every source, those that others beat too, so
-    that it can be seen what each stage of a search came to.
+    ``candidates`` are those that it is made of, in any order; ``leaders`` holds the most
+    accurate candidate of every source, those that others beat too, so that it can be seen what
+    each stage of a search came to.
 
     >>> a = Candidate(sympy.Symbol("x"), 1.0, 1.0)
     >>> b = Candidate(sympy.Symbol("y"), 2.0, 2.0)
@@ -104,7 +111,7 @@ class ParetoFront:
         return ParetoFront((*self.candidates, *self.leaders, *candidates))
 
     def merge(self, other: ParetoFront) -> ParetoFront:
-        """Give the front of both fronts' candidates."""
+        """Give the front of the candidates of this one and an ``other``."""
         return self.add(*other.candidates, *other.leaders)
 
     @property

@@ -279,7 +279,7 @@ class RationalSearch(AbstractMethod):
         return front
 
     def find(self, samples: Samples) -> Iterator[list[Candidate]]:
-        """Yield the best formulas of every size, after each search."""
+        """Yield the best formulas for the samples of every size, after each search."""
         if np.ptp(samples.y) == 0:
             yield [score_candidate(sympy.Float(float(samples.y[0])), samples, self.name)]
             return

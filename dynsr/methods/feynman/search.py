@@ -248,7 +248,10 @@ class DynAIFeynman(AbstractMethod):
         return context.front
 
     def choose(self, front: ParetoFront, samples: Samples) -> Candidate:
-        """Give the member to report, by ``selection``; ValueError on an empty front."""
+        """Give the member of a front to report, by ``selection`` and the samples it was found on.
+
+        Raises ValueError on an empty front.
+        """
         return front.best_fit if self.selection == "lowest error" else choose(front, samples)
 
     def _solve(self, samples: Samples, context: Context) -> list[Candidate]:
