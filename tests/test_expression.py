@@ -44,9 +44,28 @@ def test_what_is_no_expression_is_refused_in_one_line(text: str):
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
 
 
-def test_huge_powers_do_not_fill_the_memory():
-    """9^9^9 is read at once, as a float, where exact arithmetic would need 370 million digits."""
-    assert parse("9**9**9").is_Float
+@pytest.mark.parametrize(
+    "text",
+    [
+        "9**9**9",
+        "9**9**9**9",
+        "((((10**64)**64)**64)**64)**64",
+        "10**10**8 * x",
+        "x + 1e308*10",
+        "sinh(sinh(sinh(9.0)))",
+        "exp(1e10)",
+    ],
+)
+def test_numbers_beyond_float64_are_refused_at_once(text: str):
+    """Exact arithmetic would need 370 million digits for 9^9^9, and has no end for the tower."""
+    with pytest.raises(InputError, match="beyond what float64 holds"):
+        parse(text)
+
+
+def test_large_powers_that_float64_holds_are_read():
+    """Up to the largest float64, powers are read to rounding."""
+    assert float(parse("2**1000")) == 2.0**1000
+    assert float(parse("10**-300*x").subs(sympy.Symbol("x"), 1)) == pytest.approx(1e-300)
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))

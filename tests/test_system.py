@@ -64,3 +64,10 @@ def test_unknown_names_list_what_there_is():
         find_system("pendulumm")
     with pytest.raises(InputError, match="theta1, theta2"):
         SYSTEMS["pendulum"].index("theta3")
+
+
+def test_a_parameter_is_a_number_and_never_text():
+    """Text in a parameter's place is refused by name, and none of it is run."""
+    for value in ("__import__('os').getcwd()", "1", float("nan"), None):
+        with pytest.raises(InputError, match=r"parameter .k. is .*; give a finite number"):
+            System.from_strings({"x": "k*x"}, parameters={"k": value})

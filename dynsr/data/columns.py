@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.data.trajectory import Trajectory
+from dynsr.data.trajectory import Trajectory, refuse_mask
 from dynsr.errors import InputError, need
 
 _HEAD_BYTES = 1 << 16
@@ -175,6 +175,7 @@ def _load_mapping(arrays: Mapping[str, Any], label: str) -> Columns:
     for key, value in arrays.items():
         if key in labels:
             continue
+        refuse_mask(value)
         array = np.asarray(value)
         if array.ndim == 1:
             names.append(str(key))
@@ -224,6 +225,8 @@ def beside(t: Any, x: Any) -> np.ndarray:
     >>> beside([0.0, 1.0], [2.0, 3.0]).tolist()
     [[0.0, 2.0], [1.0, 3.0]]
     """
+    for given in (t, x):
+        refuse_mask(given)
     try:
         t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
     except (TypeError, ValueError):
@@ -234,6 +237,7 @@ def beside(t: Any, x: Any) -> np.ndarray:
 
 
 def _load_array(array: np.ndarray, label: str) -> Columns:
+    refuse_mask(array)
     if array.dtype.names:
         return _load_mapping({name: array[name] for name in array.dtype.names}, label)
     if array.ndim != 2:

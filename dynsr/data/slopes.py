@@ -149,6 +149,12 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
         rows, slope = difference(t, x, scheme)
         return Smooth(rows, x[rows], slope)
     if match := _SAVGOL.fullmatch(scheme):
+        window, degree = int(match[1]), int(match[2])
+        if window % 2 == 0 or not degree < window <= len(t):
+            raise InputError(
+                f"scheme {scheme!r} does not fit {len(t)} rows; give an odd window of at most that "
+                "many, larger than the degree"
+            )
         return _savgol(t, x, int(match[1]), int(match[2]))
     known = ", ".join([*SCHEMES, "savgol(WINDOW,DEGREE)", "spline", "total-variation"])
     raise InputError(f"unknown scheme {scheme!r}; the schemes are: {known}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -113,15 +114,21 @@ class System:
         >>> System.from_strings({"x": "s*(y-x)", "y": "-y"}, parameters={"s": 10.0}).states
         ('x', 'y')
         """
-        values = {
-            sympy.Symbol(check_name(k, "parameter")): v for k, v in (parameters or {}).items()
-        }
+        values: dict[sympy.Symbol, sympy.Expr] = {}
+        for key, value in (parameters or {}).items():
+            if not isinstance(value, numbers.Real) or not math.isfinite(value):
+                raise InputError(f"parameter {key!r} is {value!r}; give a finite number")
+            values[sympy.Symbol(check_name(key, "parameter"))] = (
+                sympy.Integer(int(value))
+                if isinstance(value, numbers.Integral)
+                else sympy.Float(float(value))
+            )
         names = [*equations, *(inputs or {}), *(parameters or {}), "t"]
         for state in equations:
             check_name(state, "state")
 
         def read(text: str, allowed: Sequence[str]) -> sympy.Expr:
-            return parse(text, allowed).subs({k: sympy.sympify(v) for k, v in values.items()})
+            return parse(text, allowed).subs(values)
 
         return cls(
             name=name,

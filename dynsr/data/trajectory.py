@@ -12,6 +12,21 @@ from dynsr.errors import InputError
 from dynsr.expression import check_name
 
 
+def refuse_mask(values: Any) -> None:
+    """Raise InputError when values of an array are masked: what stands below a mask is no data.
+
+    >>> refuse_mask(np.ma.masked_array([1.0, -99.0], mask=[False, True]))
+    Traceback (most recent call last):
+    ...
+    dynsr.errors.InputError: 1 of 2 values are masked; drop those rows, or fill them in
+    """
+    count = int(np.sum(np.ma.getmaskarray(values))) if isinstance(values, np.ma.MaskedArray) else 0
+    if count:
+        raise InputError(
+            f"{count} of {values.size} values are masked; drop those rows, or fill them in"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """States (and inputs) of one run of a system.
@@ -40,6 +55,8 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         """Bring the fields to float64 and check them."""
+        for given in (self.t, self.x, self.inputs):
+            refuse_mask(given)
         t = np.asarray(self.t, dtype=float)
         x = np.asarray(self.x, dtype=float)
         u = np.asarray(self.inputs, dtype=float)

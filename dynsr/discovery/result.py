@@ -258,7 +258,7 @@ class Discovery:
             record = json.loads(Path(path).read_text("utf-8"))
         except OSError as error:
             raise InputError(f"cannot read {str(path)!r} ({error.strerror}); name a file") from None
-        except ValueError:
+        except (ValueError, RecursionError):
             raise InputError(f"{str(path)!r} is no whole JSON file; save it again") from None
         if not isinstance(record, dict) or record.get("format") != _FORMAT:
             raise InputError(f"{str(path)!r} is no saved discovery; give one that save() wrote")

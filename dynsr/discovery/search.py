@@ -23,12 +23,19 @@ from dynsr.data import (
 )
 from dynsr.discovery.prediction import name_engines
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.tasks import Found, collect_best, pick_tasks, plan_tasks, search_tasks
+from dynsr.discovery.tasks import (
+    Found,
+    check_found,
+    collect_best,
+    pick_tasks,
+    plan_tasks,
+    search_tasks,
+)
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, share_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, compile_numpy, to_text
 from dynsr.fit import Candidate, ParetoFront, is_noisy, polish, read_inputs, tidy
-from dynsr.jobs import RunFolder, Step, Watch, fingerprint, run_tasks, to_plain
+from dynsr.jobs import RunFolder, Step, Watch, check_jobs, fingerprint, run_tasks, to_plain
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, choose_methods
 from dynsr.selection import Pick, SelectionSettings, compare_systems
 
@@ -106,6 +113,7 @@ def discover(
     {'x': -0.5*x}
     """
     began = time.monotonic()
+    jobs = check_jobs(jobs)
     chosen, workers = find_engine(engine), effective_n_jobs(jobs)
     shared = share_engine(chosen, workers)
     runs, drives = take_trajectories(data, inputs)
@@ -139,7 +147,14 @@ def discover(
     samples = {s: problem.samples(s, training) for s in states}
     with Watch(progress, plan_tasks(states, methods), workers) as watch:
         try:
-            searched = run_tasks(search_tasks(samples, methods, seed, key), folder, jobs, watch)
+            searched = run_tasks(
+                search_tasks(samples, methods, seed, key),
+                folder,
+                jobs,
+                watch,
+                finished=lambda found: not found.error,
+            )
+            failures = check_found(searched, states)
             pools = _pool(searched, states)
             choices = run_tasks(
                 pick_tasks(pools, samples, held_back, given, settings.selection, key),
@@ -148,7 +163,8 @@ def discover(
                 watch,
             )
             notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
-            found = problem.fit({c.pick.state: c.pick for c in choices}, pools, notes)
+            said = {s: failures[s] + notes for s in states}
+            found = problem.fit({c.pick.state: c.pick for c in choices}, pools, said)
         except KeyboardInterrupt:
             best = collect_best(watch, samples, given)
             if best is None:
@@ -244,7 +260,10 @@ class _Problem:
         )
 
     def fit(
-        self, picks: Mapping[str, Pick], pools: Mapping[str, list[Candidate]], notes: str
+        self,
+        picks: Mapping[str, Pick],
+        pools: Mapping[str, list[Candidate]],
+        notes: Mapping[str, str],
     ) -> Discovery:
         """Compare whole systems, fit the constants of the best to all data, and explain it."""
         picked = {s: self.known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()}
@@ -262,7 +281,7 @@ class _Problem:
             errors=fitted.errors,
             front={s: _whole_front(pools[s], p) for s, p in picks.items()},
             explanation={
-                s: p.explanation + _why(system[s], picked[s]) + notes for s, p in picks.items()
+                s: p.explanation + _why(system[s], picked[s]) + notes[s] for s, p in picks.items()
             },
         )
 

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import sympy
 
+from dynsr import errors
 from dynsr.data import Samples, Trajectory
 from dynsr.discovery.result import Discovery
 from dynsr.fit import Candidate, ParetoFront, choose, tidy
@@ -28,12 +29,22 @@ _USUAL_SEARCH, _USUAL_PICK = 10.0, 6.0
 
 @dataclass(frozen=True)
 class Found:
-    """What one method found for one state: its formulas, and the seconds that it took."""
+    """What one method found for one state.
+
+    Parameters
+    ----------
+    target, method : the state and the method's name.
+    candidates : its formulas.
+    seconds : wall time.
+    error, kind : what ended the method in words, and the name of that exception; "" if nothing.
+    """
 
     target: str
     method: str
     candidates: tuple[Candidate, ...]
     seconds: float
+    error: str = ""
+    kind: str = ""
 
     @cached_property
     def front(self) -> ParetoFront:
@@ -43,7 +54,7 @@ class Found:
     @property
     def summary(self) -> str:
         """The best of them in a few words."""
-        return best_equation(self.front)
+        return f"failed: {self.error}" if self.error else best_equation(self.front)
 
 
 @dataclass(frozen=True)
@@ -65,13 +76,36 @@ def search_one(
     sequence: np.random.SeedSequence,
     report: Report = silent,
 ) -> Found:
-    """Search one target with one method."""
+    """Search one target with one method; a method that fails takes no other one with it."""
     began = time.monotonic()
     trivial = trivial_candidates(samples)
     found = [c for c in trivial if explains_all(c, samples)]
+    error = kind = ""
     if not found:
-        found = list(method.search(samples, np.random.default_rng(sequence), report))
-    return Found(samples.target, method.name, (*trivial, *found), time.monotonic() - began)
+        try:
+            found = list(method.search(samples, np.random.default_rng(sequence), report))
+        except Exception as failure:
+            error, kind = " ".join(str(failure).split())[:500], type(failure).__name__
+    taken = time.monotonic() - began
+    return Found(samples.target, method.name, (*trivial, *found), taken, error, kind)
+
+
+def check_found(searched: Sequence[Found], states: Sequence[str]) -> dict[str, str]:
+    """Say for every state which methods failed, "" where none did.
+
+    Raises what ended the first of them where all methods of a state failed.
+    """
+    said = {}
+    for state in states:
+        own = [found for found in searched if found.target == state]
+        failed = [found for found in own if found.error]
+        if failed and len(failed) == len(own):
+            raise getattr(errors, failed[0].kind, RuntimeError)(failed[0].error)
+        said[state] = "".join(
+            f" Without {found.method}, which failed ({found.kind}: {found.error})."
+            for found in failed
+        )
+    return said
 
 
 def pick_one(

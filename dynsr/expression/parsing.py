@@ -22,6 +22,8 @@ _FUNCTION_ALIASES = {
 }
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
 _MAX_LENGTH = 100_000
+# Of e: exp of more is no float64.
+_LARGEST_EXPONENT = 709.0
 _MAX_DEPTH = 200
 
 
@@ -92,6 +94,26 @@ def _check_symbols(found: set[str], allowed: frozenset[str] | None, shown: str) 
 
 
 def _convert(node: ast.AST, allowed: frozenset[str] | None, shown: str, depth: int) -> sympy.Expr:
+    """Convert a node; every number on the way is one that float64 holds."""
+    result = _convert_node(node, allowed, shown, depth)
+    if result.is_Number and not _is_representable(result):
+        raise InputError(f"a number in {shown!r} is beyond what float64 holds; write it smaller")
+    return result
+
+
+def _is_representable(number: sympy.Expr) -> bool:
+    # 1/0 is no number but a value that a formula may have: it is infinite wherever it is evaluated.
+    if number in (sympy.oo, -sympy.oo, sympy.nan):
+        return True
+    try:
+        return math.isfinite(float(number))
+    except OverflowError:
+        return False
+
+
+def _convert_node(
+    node: ast.AST, allowed: frozenset[str] | None, shown: str, depth: int
+) -> sympy.Expr:
     if depth > _MAX_DEPTH:
         # A long sum nests to the left; only a tower of other operators gets this deep.
         if not (isinstance(node, ast.BinOp) and isinstance(node.op, (ast.Add, ast.Sub))):
@@ -115,7 +137,7 @@ def _convert(node: ast.AST, allowed: frozenset[str] | None, shown: str, depth: i
             a = _convert(left, allowed, shown, depth + 1)
             b = _convert(right, allowed, shown, depth + 1)
             return (
-                _power(a, b)
+                _power(a, b, shown)
                 if isinstance(op, ast.Pow)
                 else OPERATORS[_BINARY[type(op)]].sympy(a, b)
             )
@@ -153,8 +175,11 @@ def _symbol(name: str, allowed: frozenset[str] | None, shown: str) -> sympy.Expr
     return sympy.Symbol(check_name(name))
 
 
-def _power(base: sympy.Expr, exponent: sympy.Expr) -> sympy.Expr:
-    # 9**9**9 in exact integers would fill the memory; floats overflow harmlessly instead.
-    if base.is_Number and exponent.is_Number and abs(exponent) > 64:
-        return sympy.Float(base) ** sympy.Float(exponent)
+def _power(base: sympy.Expr, exponent: sympy.Expr, shown: str) -> sympy.Expr:
+    if base.is_Number and exponent.is_Number and base != 0:
+        # 9**9**9 would fill the memory in exact integers, and 9.0**9**9**9 take for ever.
+        if abs(float(exponent) * math.log(abs(float(base)))) > _LARGEST_EXPONENT:
+            raise InputError(f"a power in {shown!r} is beyond what float64 holds; write it smaller")
+        if abs(exponent) > 64:
+            return sympy.Float(base) ** sympy.Float(exponent)
     return base**exponent

@@ -156,7 +156,7 @@ def _fit_and_gain(
     """Weighted least squares, and how much each column lowers the sum of squares."""
     # The triangular factor has the same right singular vectors at a fraction of the size.
     q, triangle = np.linalg.qr(columns * root[:, None])
-    u, s, vt = np.linalg.svd(triangle)
+    u, s, vt = np.linalg.svd(triangle, full_matrices=False)
     inverse = np.where(s > 1e-12 * s[0], 1 / np.maximum(s, 1e-300), 0.0)
     coefficients = vt.T @ (inverse * (u.T @ (q.T @ (y * root))))
     variance = np.square(vt.T * inverse).sum(axis=1)

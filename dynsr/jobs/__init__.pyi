@@ -1,4 +1,4 @@
-from .pool import Task, run_tasks, spread
+from .pool import Task, check_jobs, run_tasks, spread
 from .progress import Step, Watch, best_equation
 from .store import (
     MANIFEST,
@@ -22,6 +22,7 @@ __all__ = [
     "Task",
     "Watch",
     "best_equation",
+    "check_jobs",
     "fingerprint",
     "from_plain",
     "read_manifest",

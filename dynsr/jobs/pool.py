@@ -20,7 +20,7 @@ from joblib.externals.loky.backend import resource_tracker
 from joblib.externals.loky.process_executor import BrokenProcessPool
 from joblib.parallel import BACKENDS, get_active_backend
 
-from dynsr.errors import DynsrError
+from dynsr.errors import DynsrError, InputError
 from dynsr.jobs.progress import Reporter, Watch
 from dynsr.jobs.store import RunFolder
 
@@ -51,6 +51,21 @@ class Task:
     key: str = ""
     seconds: float = 10.0
     failed: Callable[[str], Any] | None = None
+
+
+def check_jobs(jobs: int | None) -> int:
+    """Give a number of jobs as joblib takes it, -1 for one a core.
+
+    Raises InputError when it is neither -1, None nor a whole number from 1 up.
+
+    >>> check_jobs(None), check_jobs(2)
+    (-1, 2)
+    """
+    if jobs is None or jobs == -1:
+        return -1
+    if int(jobs) != jobs or jobs < 1:
+        raise InputError(f"jobs {jobs} must be a whole number from 1 up, or -1 for one a core")
+    return int(jobs)
 
 
 def run_tasks(

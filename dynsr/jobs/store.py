@@ -226,7 +226,7 @@ def read_manifest(folder: Path, work: str) -> dict[str, Any]:
         settings = found["settings"]
         if found["format"] == _format(work) and isinstance(settings, dict):
             return {**settings}
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         pass
     raise RecordError(f"{path} is damaged or no manifest of a dynsr {work}")
 

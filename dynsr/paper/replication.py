@@ -22,7 +22,7 @@ from dynsr.data import SYSTEMS, Samples, System, find_system, make_samples
 from dynsr.engines import find_engine, training_trajectory
 from dynsr.errors import InputError
 from dynsr.expression import to_text
-from dynsr.jobs import RunFolder, Step, Task, Watch, fingerprint, run_tasks, to_plain
+from dynsr.jobs import RunFolder, Step, Task, Watch, check_jobs, fingerprint, run_tasks, to_plain
 from dynsr.methods import PAPER_METHODS, AbstractMethod, Progress, Report, silent
 from dynsr.paper.page import write_results
 from dynsr.paper.protocol import (
@@ -251,7 +251,7 @@ def replicate(
     cells = _cells(systems, methods, _check_runs(runs, quick))
     preset = "quick" if quick else "paper"
     plan = Plan(_check_seed(seed), preset, engine, make, recorded_steps)
-    jobs = _check_jobs(jobs)
+    jobs = check_jobs(jobs)
     find_engine(engine)
     if recorded_steps:
         check_replays(engine)
@@ -319,11 +319,3 @@ def _check_seed(seed: int) -> int:
     if int(seed) != seed or seed < 0:
         raise InputError(f"seed {seed} must be a whole number from 0 up")
     return int(seed)
-
-
-def _check_jobs(jobs: int | None) -> int:
-    if jobs is None or jobs == -1:
-        return -1
-    if int(jobs) != jobs or jobs < 1:
-        raise InputError(f"jobs {jobs} must be a whole number from 1 up, or -1 for one a core")
-    return int(jobs)

@@ -1,0 +1,119 @@
+"""Data and settings that are small, odd or broken end in an answer or in one line."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from dynsr.data.reading import take_trajectories
+from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.search import discover
+from dynsr.errors import EngineError, InputError
+from dynsr.fit.linear import eliminate
+from dynsr.methods.base import AbstractMethod
+from dynsr.methods.rational import RationalSearch
+
+QUICK = RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1)
+
+
+@dataclass(frozen=True)
+class Failing(AbstractMethod):
+    """A method that ends in an exception of its own."""
+
+    error: Exception = ArithmeticError("the ground\n gave way")
+    name = "failing"
+
+    def search(self, samples, rng, report=None):
+        """Fail."""
+        raise self.error
+
+
+def decay(rows: int = 60):
+    """Give x = 2 exp(-t/2)."""
+    t = np.linspace(0, 6, rows)
+    return t, 2 * np.exp(-t / 2)[:, None]
+
+
+@pytest.mark.parametrize("states", [1, 2, 3])
+@pytest.mark.parametrize("rows", [8, 13, 21, 30])
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_few_rows_give_an_answer_and_never_a_fault(rows, states):
+    """Tables with fewer rows than a library has terms are searched by every quick method."""
+    t = np.arange(float(rows))
+    x = np.column_stack([30 + 20 * np.sin(t / 1.6 + j) for j in range(states)])
+    found = discover((t, x), preset="quick", jobs=1)
+    assert len(found.equations) == states
+    assert not any("failed" in why for why in found.explanation.values())
+
+
+def test_elimination_with_fewer_rows_than_columns_explains_them_all():
+    """With 4 rows and 9 columns the first fits are exact, and every size follows."""
+    rng = np.random.default_rng(0)
+    columns, y = rng.normal(size=(4, 9)), rng.normal(size=4)
+    fits = list(eliminate(columns, y))
+    assert [len(kept) for kept, _ in fits] == list(range(9, 0, -1))
+    for kept, coefficients in fits[:6]:
+        np.testing.assert_allclose(columns[:, list(kept)] @ coefficients, y, atol=1e-9)
+
+
+def test_a_method_that_fails_is_a_note_and_not_the_end():
+    """The other method's equation comes, and the explanation says who failed and of what."""
+    found = discover(decay(), method=[QUICK, Failing()], jobs=1)
+    assert str(found.equations["x"]) == "-0.5*x"
+    assert "failing, which failed (ArithmeticError: the ground gave way)" in found.explanation["x"]
+
+
+def test_a_failure_is_tried_again_and_a_good_end_is_kept(tmp_path):
+    """The record of a failed search is no result: the same call searches again."""
+    for _ in range(2):
+        found = discover(decay(), method=[QUICK, Failing()], jobs=1, out=tmp_path)
+        assert "which failed" in found.explanation["x"]
+
+
+@pytest.mark.parametrize(
+    "error", [InputError("12 rows are too few; give 20"), EngineError("Julia ended")]
+)
+def test_where_every_method_fails_its_own_error_comes(error):
+    """The error keeps its kind, and so its exit code, and its one line."""
+    with pytest.raises(type(error), match=str(error)):
+        discover(decay(), method=Failing(error), jobs=1)
+
+
+@pytest.mark.parametrize("jobs", [0, -2, 1.5])
+def test_an_impossible_number_of_jobs_is_refused(jobs):
+    """The line names the number."""
+    with pytest.raises(InputError, match=f"jobs {jobs} must be a whole number"):
+        discover(decay(), method=QUICK, jobs=jobs)
+
+
+@pytest.mark.parametrize("scheme", ["savgol(4,2)", "savgol(5,9)", "savgol(999,2)"])
+def test_a_smoother_that_does_not_fit_is_refused(scheme):
+    """Even windows, degrees as large as the window, and windows longer than the data."""
+    with pytest.raises(InputError, match=r"does not fit \d+ rows; give an odd window"):
+        discover(decay(), method=QUICK, jobs=1, scheme=scheme)
+
+
+def test_masked_values_are_refused_and_never_data():
+    """Wherever a masked array comes in, the values below its mask do not."""
+    t, x = decay()
+    masked = np.ma.masked_array(x, mask=np.zeros_like(x, dtype=bool))
+    masked[7, 0] = np.ma.masked
+    for make in (
+        lambda: take_trajectories((t, masked)),
+        lambda: take_trajectories({"t": t, "x": masked[:, 0]}),
+        lambda: take_trajectories(np.ma.column_stack([t, masked])),
+        lambda: Trajectory(t, masked, ("x",)),
+    ):
+        with pytest.raises(InputError, match="masked; drop those rows"):
+            make()
+    whole = np.ma.masked_array(x, mask=np.zeros_like(x, dtype=bool))
+    assert take_trajectories((t, whole))[0][0].x[7, 0] == x[7, 0]
+
+
+def test_a_result_nested_without_end_is_refused(tmp_path):
+    """JSON a hundred thousand lists deep is one line, not the end of the stack."""
+    path = tmp_path / "deep.json"
+    path.write_text("[" * 100_000 + "]" * 100_000)
+    with pytest.raises(InputError, match="no whole JSON"):
+        Discovery.load(path)
