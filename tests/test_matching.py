@@ -144,3 +144,16 @@ def test_free_constants_keep_the_structure():
     template, values = free_constants(parse("2.5*x**2.0 + x/3 + sin(2.5*x)"), "c")
     assert sorted(values.values()) == [2.5, 2.5]
     assert template.subs(values) == sympy.sympify(parse("2.5*x**2 + x/3 + sin(2.5*x)"))
+
+
+def test_standard_errors_are_as_large_as_the_spread_of_the_constants():
+    """Over 60 draws of Gaussian noise the stated error is the constants' spread, to a fifth."""
+    t, rng = np.linspace(0.0, 8.0, 161), np.random.default_rng(0)
+    fits = []
+    for _ in range(60):
+        x = np.exp(-0.5 * t) + 1.0 + rng.normal(0.0, 0.02, len(t))
+        run = Trajectory(t, x[:, None], ("x",))
+        fits.append(match_trajectories({"x": parse("0.5 - 0.5*x")}, [run]).errors["x"])
+    values, errors = np.array(fits).transpose(2, 0, 1)
+    ratio = values.std(axis=0, ddof=1) / errors.mean(axis=0)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.2)

@@ -144,7 +144,13 @@ class Shooting:
         return constants + shared, starts + own.T
 
     def standard_errors(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """(P,) sandwich estimate; without free starts misses of one window are correlated."""
+        """(P,) standard errors of the constants by the sandwich A^-1 B A^-1 (Huber 1981, 6.3).
+
+        With residuals z in units of their robust size, the score of the Cauchy loss is
+        psi = z / (1 + z^2): B sums its squares over rows, and A = mean(psi') sum x x', with
+        psi' = (1 - z^2) / (1 + z^2)^2 averaged over each state. Without free starts misses of one
+        window are correlated, and B takes the sum of a window for one row.
+        """
         misses, by_constant, by_start = self.linearise(constants, starts)
         unit = self.unit(misses)[:, None]
         weights = _by_lane(cauchy_weights(misses, unit) / unit**2)
@@ -158,7 +164,12 @@ class Shooting:
         # Columns of like size keep the pseudo-inverse from dropping a small constant.
         scale = np.sqrt(np.einsum("wrp,wr,wrp->p", by_constant, weights, by_constant))
         scaled = by_constant / np.maximum(scale, 1e-300)
-        bread = np.linalg.pinv(np.einsum("wrp,wr,wrq->pq", scaled, weights, scaled))
+        square = (misses / unit) ** 2
+        curvature = np.mean((1 - square) / (1 + square) ** 2, axis=(0, 2))[:, None]
+        # Below a tenth the misses are no noise about a fit, and no curvature is left to divide by.
+        level = np.maximum(curvature, 0.1) / unit**2
+        expected = _by_lane(np.broadcast_to(level, misses.shape))
+        bread = np.linalg.pinv(np.einsum("wrp,wr,wrq->pq", scaled, expected, scaled))
         pulls = scaled * (weights * flat)[..., None]
         if not self.free and len(pulls) > len(constants):
             pulls = pulls.sum(axis=1, keepdims=True)
