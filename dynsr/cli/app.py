@@ -47,32 +47,20 @@ def _dynsr(
 
 _DATA, _DISCOVERY, _PAPER, _CARE = "Systems and data", "Discovery", "The paper", "Care"
 
-app.command(rich_help_panel=_DATA, epilog="Example: dynsr systems pendulum")(data.systems)
-app.command(
-    rich_help_panel=_DATA, epilog="Example: dynsr generate lorenz -o l.csv --noise 0.01 --seed 1"
-)(data.generate)
-app.command(
-    rich_help_panel=_DATA, epilog="Example: dynsr simulate pendulum --x0 0.5,0 --span 0,20 -o p.csv"
-)(data.simulate)
-app.command(rich_help_panel=_DISCOVERY, epilog="Example: dynsr discover l.csv --out lorenz")(
-    discovery.discover
-)
-app.command(
-    rich_help_panel=_DISCOVERY, epilog="Example: dynsr score lorenz/discovery.json other.csv"
-)(results.score)
-app.command(
-    rich_help_panel=_DISCOVERY, epilog="Example: dynsr report lorenz/discovery.json -o report.html"
-)(results.report)
-app.command(
-    rich_help_panel=_PAPER, epilog="Example: dynsr replicate --systems pendulum --methods sindy"
-)(paper.replicate)
-app.command(rich_help_panel=_PAPER, epilog="Example: dynsr audit --json")(paper.audit)
-app.command(rich_help_panel=_CARE, epilog="Example: dynsr crosscheck")(checks.crosscheck)
-app.command(
-    rich_help_panel=_CARE,
-    epilog="Example: dynsr benchmark recovery --systems lorenz --noise 0,0.01",
-)(benchmarks.benchmark)
-app.command(rich_help_panel=_CARE, epilog="Example: dynsr doctor --install")(checks.doctor)
+for _panel, _command, _example in (
+    (_DATA, data.systems, "systems pendulum"),
+    (_DATA, data.generate, "generate lorenz -o l.csv --noise 0.01 --seed 1"),
+    (_DATA, data.simulate, "simulate pendulum --x0 0.5,0 --span 0,20 -o p.csv"),
+    (_DISCOVERY, discovery.discover, "discover l.csv --out lorenz"),
+    (_DISCOVERY, results.score, "score lorenz/discovery.json other.csv"),
+    (_DISCOVERY, results.report, "report lorenz/discovery.json -o report.html"),
+    (_PAPER, paper.replicate, "replicate --systems pendulum --methods sindy"),
+    (_PAPER, paper.audit, "audit --json"),
+    (_CARE, checks.crosscheck, "crosscheck"),
+    (_CARE, benchmarks.benchmark, "benchmark recovery --systems lorenz --noise 0,0.01"),
+    (_CARE, checks.doctor, "doctor --install"),
+):
+    app.command(rich_help_panel=_panel, epilog=f"Example: dynsr {_example}")(_command)
 
 
 def main() -> None:

@@ -9,7 +9,6 @@ import json
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import typer
@@ -107,12 +106,7 @@ class Notes:
         warnings.showwarning = self._hear
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Listen no more."""
         warnings.showwarning = self._before
 

@@ -147,21 +147,12 @@ def discover(
     samples = {s: problem.samples(s, training) for s in states}
     with Watch(progress, plan_tasks(states, methods), workers) as watch:
         try:
-            searched = run_tasks(
-                search_tasks(samples, methods, seed, key),
-                folder,
-                jobs,
-                watch,
-                finished=lambda found: not found.error,
-            )
+            tasks = search_tasks(samples, methods, seed, key)
+            searched = run_tasks(tasks, folder, jobs, watch, finished=lambda found: not found.error)
             failures = check_found(searched, states)
             pools = _pool(searched, states)
-            choices = run_tasks(
-                pick_tasks(pools, samples, held_back, given, settings.selection, key),
-                folder,
-                jobs,
-                watch,
-            )
+            tasks = pick_tasks(pools, samples, held_back, given, settings.selection, key)
+            choices = run_tasks(tasks, folder, jobs, watch)
             notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
             said = {s: failures[s] + notes for s in states}
             found = problem.fit({c.pick.state: c.pick for c in choices}, pools, said)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import keyword
 import math
+import sys
 import warnings
 from collections.abc import Iterable
 
@@ -22,6 +23,7 @@ _FUNCTION_ALIASES = {
 }
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
 _MAX_LENGTH = 100_000
+_LARGEST = sympy.Float(sys.float_info.max)
 # Of e: exp of more is no float64.
 _LARGEST_EXPONENT = 709.0
 _MAX_DEPTH = 200
@@ -96,19 +98,10 @@ def _check_symbols(found: set[str], allowed: frozenset[str] | None, shown: str) 
 def _convert(node: ast.AST, allowed: frozenset[str] | None, shown: str, depth: int) -> sympy.Expr:
     """Convert a node; every number on the way is one that float64 holds."""
     result = _convert_node(node, allowed, shown, depth)
-    if result.is_Number and not _is_representable(result):
+    # 1/0 is no number but a value that a formula may have: infinite wherever it is evaluated.
+    if result.is_Number and result.is_finite and abs(result) > _LARGEST:
         raise InputError(f"a number in {shown!r} is beyond what float64 holds; write it smaller")
     return result
-
-
-def _is_representable(number: sympy.Expr) -> bool:
-    # 1/0 is no number but a value that a formula may have: it is infinite wherever it is evaluated.
-    if number in (sympy.oo, -sympy.oo, sympy.nan):
-        return True
-    try:
-        return math.isfinite(float(number))
-    except OverflowError:
-        return False
 
 
 def _convert_node(
