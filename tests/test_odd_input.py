@@ -35,8 +35,8 @@ def decay(rows: int = 60):
     return t, 2 * np.exp(-t / 2)[:, None]
 
 
-@pytest.mark.parametrize("states", [1, 2, 3])
-@pytest.mark.parametrize("rows", [8, 13, 21, 30])
+@pytest.mark.parametrize("states", [1, 3])
+@pytest.mark.parametrize("rows", [8, 21])
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_few_rows_give_an_answer_and_never_a_fault(rows, states):
     """Tables with fewer rows than a library has terms are searched by every quick method."""
