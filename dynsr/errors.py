@@ -40,6 +40,15 @@ class DynsrWarning(UserWarning):
     """The input was usable only after a change, or looks wrong; the message names it."""
 
 
+def one_line(message: object) -> str:
+    r"""Give a message or an exception's words with all white space as single spaces.
+
+    >>> one_line("too\n   few rows")
+    'too few rows'
+    """
+    return " ".join(str(message).split())
+
+
 def need(module: str, extra: str, user: str) -> None:
     """Check that an optional package is installed, without importing it.
 

@@ -1,6 +1,7 @@
 """Data and settings that are small, odd or broken end in an answer or in one line."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
 from dynsr.errors import EngineError, InputError
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import ParetoFront, score_candidate
 from dynsr.fit.linear import eliminate
 from dynsr.methods.base import AbstractMethod
 from dynsr.methods.rational import RationalSearch
@@ -69,6 +72,44 @@ def test_a_failure_is_tried_again_and_a_good_end_is_kept(tmp_path):
     for _ in range(2):
         found = discover(decay(), method=[QUICK, Failing()], jobs=1, out=tmp_path)
         assert "which failed" in found.explanation["x"]
+
+
+@dataclass(frozen=True)
+class FailingOnce(AbstractMethod):
+    """A method that fails the first time, and then has the one right formula."""
+
+    mark: Path
+    name = "failing-once"
+
+    def search(self, samples, rng, report=None):
+        """Fail while the mark is not there, and leave it."""
+        if not self.mark.exists():
+            self.mark.touch()
+            raise ArithmeticError("not yet")
+        return ParetoFront([score_candidate(parse("-0.5*x"), samples, self.name)])
+
+
+@dataclass(frozen=True)
+class Poor(AbstractMethod):
+    """A method that finds one formula, of another law."""
+
+    name = "poor"
+
+    def search(self, samples, rng, report=None):
+        """Give exp(-x) alone."""
+        return ParetoFront([score_candidate(parse("exp(-x)"), samples, self.name)])
+
+
+def test_a_choice_made_without_a_failed_method_is_made_again_once_it_succeeds(tmp_path):
+    """What the method finds the second time competes; the choice of the first does not stay."""
+    methods = [Poor(), FailingOnce(tmp_path / "mark")]
+    first = discover(decay(), method=methods, jobs=1, out=tmp_path / "out")
+    again = discover(decay(), method=methods, jobs=1, out=tmp_path / "out")
+    assert str(first.equations["x"]) != "-0.5*x"
+    assert "failing-once, which failed" in first.explanation["x"]
+    assert "failed" not in again.explanation["x"]
+    assert any(c.source == "failing-once" for c in again.front["x"].leaders)
+    assert str(again.equations["x"]) == "-0.5*x"
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from dynsr.errors import DynsrError, DynsrWarning
+from dynsr.errors import DynsrError, DynsrWarning, one_line
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -68,7 +68,7 @@ class CommandGroup(TyperGroup):
 
 
 def _end(reason: object, code: int) -> int:
-    typer.echo("error: " + " ".join(str(reason).split()), err=True)
+    typer.echo("error: " + one_line(reason), err=True)
     return code
 
 
@@ -93,7 +93,7 @@ def _warnings_as_lines() -> Iterator[None]:
 
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
         if issubclass(category, DynsrWarning) or os.environ.get("DYNSR_DEBUG"):
-            typer.echo("warning: " + " ".join(str(message).split()), err=True)
+            typer.echo("warning: " + one_line(message), err=True)
 
     with warnings.catch_warnings():
         warnings.simplefilter("default" if os.environ.get("DYNSR_DEBUG") else "ignore")

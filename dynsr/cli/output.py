@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from typing_extensions import Self
 
-from dynsr.errors import DynsrWarning
+from dynsr.errors import DynsrWarning, one_line
 
 _WIDE = 160
 
@@ -114,5 +114,5 @@ class Notes:
         self, message: Warning | str, category: type[Warning], *where: Any, **more: Any
     ) -> None:
         if issubclass(category, DynsrWarning):
-            self.warned.append(" ".join(str(message).split()))
+            self.warned.append(one_line(message))
         self._before(message, category, *where, **more)

@@ -151,8 +151,11 @@ def discover(
             searched = run_tasks(tasks, folder, jobs, watch, finished=lambda found: not found.error)
             failures = check_found(searched, states)
             pools = _pool(searched, states)
-            tasks = pick_tasks(pools, samples, held_back, given, settings.selection, key)
-            choices = run_tasks(tasks, folder, jobs, watch)
+            tasks = pick_tasks(pools, samples, held_back, given, settings.selection, failures, key)
+            # A choice among other formulas, since another method had failed, is none among these.
+            choices = run_tasks(
+                tasks, folder, jobs, watch, finished=lambda c: c.failures == failures[c.pick.state]
+            )
             notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
             said = {s: failures[s] + notes for s in states}
             found = problem.fit({c.pick.state: c.pick for c in choices}, pools, said)

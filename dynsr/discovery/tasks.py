@@ -59,10 +59,18 @@ class Found:
 
 @dataclass(frozen=True)
 class Choice:
-    """The equation chosen for a state, and the seconds that the choice took."""
+    """The equation chosen for a state.
+
+    Parameters
+    ----------
+    pick : the choice.
+    seconds : wall time.
+    failures : which methods it had to do without, in words; "" for none.
+    """
 
     pick: Pick
     seconds: float
+    failures: str = ""
 
     @property
     def summary(self) -> str:
@@ -85,7 +93,7 @@ def search_one(
         try:
             found = list(method.search(samples, np.random.default_rng(sequence), report))
         except Exception as failure:
-            error, kind = " ".join(str(failure).split())[:500], type(failure).__name__
+            error, kind = errors.one_line(failure)[:500], type(failure).__name__
     taken = time.monotonic() - began
     return Found(samples.target, method.name, (*trivial, *found), taken, error, kind)
 
@@ -114,13 +122,14 @@ def pick_one(
     held_back: Sequence[Trajectory],
     known: sympy.Expr,
     settings: SelectionSettings,
+    failures: str,
     report: Report = silent,
 ) -> Choice:
     """Choose the equation of one target."""
     began = time.monotonic()
     report(Progress("choosing", 0, None, ParetoFront(pool)))
     pick = pick_equation(samples.target, pool, samples, held_back, known, settings)
-    return Choice(pick, time.monotonic() - began)
+    return Choice(pick, time.monotonic() - began, failures)
 
 
 def plan_tasks(states: Sequence[str], methods: Mapping[str, AbstractMethod]) -> dict[str, float]:
@@ -151,6 +160,7 @@ def pick_tasks(
     held_back: Sequence[Trajectory],
     known: Mapping[str, sympy.Expr],
     settings: SelectionSettings,
+    failures: Mapping[str, str],
     key: str,
 ) -> list[Task]:
     """Give a task for every state that chooses among the formulas found for it."""
@@ -159,7 +169,14 @@ def pick_tasks(
             _pick_name(state),
             f"choice of {state}'",
             pick_one,
-            (pool, samples[state], held_back, known.get(state, sympy.S.Zero), settings),
+            (
+                pool,
+                samples[state],
+                held_back,
+                known.get(state, sympy.S.Zero),
+                settings,
+                failures[state],
+            ),
             Choice,
             key,
         )

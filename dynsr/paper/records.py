@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
 import sympy
@@ -87,5 +87,5 @@ def describe_settings(method: Any) -> dict[str, Any]:
     """
     if not is_dataclass(method):
         return {"name": str(getattr(method, "name", type(method).__name__))}
-    settings: dict[str, Any] = to_plain({f.name: getattr(method, f.name) for f in fields(method)})
+    settings: dict[str, Any] = to_plain(method)
     return settings

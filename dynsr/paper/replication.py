@@ -20,7 +20,7 @@ from joblib import effective_n_jobs
 from dynsr import __version__
 from dynsr.data import SYSTEMS, Samples, System, find_system, make_samples
 from dynsr.engines import find_engine, training_trajectory
-from dynsr.errors import InputError
+from dynsr.errors import InputError, one_line
 from dynsr.expression import to_text
 from dynsr.jobs import RunFolder, Step, Task, Watch, check_jobs, fingerprint, run_tasks, to_plain
 from dynsr.methods import PAPER_METHODS, AbstractMethod, Progress, Report, silent
@@ -178,8 +178,7 @@ def _search(cell: Cell, plan: Plan, report: Report) -> dict[str, Any]:
 
 
 def _one_line(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}"[:500]
+    return f"{type(error).__name__}: {one_line(error)}"[:500]
 
 
 RUNS, QUICK_RUNS = 5, 2
