@@ -360,12 +360,15 @@ def test_doctor():
 
 
 def test_doctor_fails_on_what_is_needed(monkeypatch):
-    """Something needed that is missing makes exit code 2, after the whole table."""
+    """What is needed and missing is exit code 2, what fails 1, each after the whole table."""
     import dynsr.checks
 
     broken = dynsr.checks.doctor.Check("numpy", "missing", "not installed", "pip install numpy")
     monkeypatch.setattr(dynsr.checks, "examine", lambda: [broken])
     assert "pip install numpy" in run("doctor", code=2).stdout
+    still = dynsr.checks.doctor.Check("julia: engine", "fails", "no start", "mend it", False)
+    monkeypatch.setattr(dynsr.checks, "examine", lambda: [broken, still])
+    assert "mend it" in run("doctor", code=1).stdout
 
 
 def test_crosscheck(monkeypatch):
@@ -384,8 +387,9 @@ def test_crosscheck(monkeypatch):
 
 def test_benchmarks_are_listed():
     """Without a name the benchmarks are listed."""
-    (one,) = json.loads(run("benchmark", "--json").stdout)
-    assert one["name"] == "recovery" and "recovery" in run("benchmark").stdout
+    rows = json.loads(run("benchmark", "--json").stdout)
+    assert [row["name"] for row in rows] == ["recovery", "zoo", "FILE.json"]
+    assert all(row["name"] in run("benchmark").stdout for row in rows)
 
 
 @pytest.mark.parametrize(
@@ -407,3 +411,29 @@ def test_shell_completion(typed, offered):
     }
     result = CliRunner().invoke(app, [], prog_name="dynsr", env=environment)
     assert result.stdout.split() == [offered]
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("--states ", ["t", "x_speed", "y", "xx"]),
+        ("--states y,x", ["y,x_speed", "y,xx"]),
+        ("--states x,x_", ["x,x_speed"]),
+        ("--time t", ["t"]),
+        ("--trajectory xx", ["xx"]),
+        ("--json --inputs y", ["y"]),
+        ("--scheme central4", ["central4"]),
+    ],
+)
+def test_the_shell_completes_the_columns_of_the_file(tmp_path, typed, offered):
+    """Options that name columns offer those of the file on the line, after a comma the next."""
+    file = tmp_path / "data.csv"
+    file.write_text("t,x_speed,y,xx\n" + "".join(f"{i},{i},{i},{i}\n" for i in range(5)))
+    line = f"dynsr discover {file} {typed}"
+    environment = {"_DYNSR_COMPLETE": "complete_bash", "COMP_WORDS": line}
+    environment["COMP_CWORD"] = str(len(line.split(" ")) - 1)
+    result = CliRunner().invoke(app, [], prog_name="dynsr", env=environment)
+    assert result.stdout.split() == offered
+    environment["COMP_WORDS"] = line.replace("data.csv", "none.csv")
+    result = CliRunner().invoke(app, [], prog_name="dynsr", env=environment)
+    assert result.stdout.split() == (offered if "scheme" in typed else [])

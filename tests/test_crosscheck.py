@@ -2,10 +2,12 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from dynsr.checks import implicit
 from dynsr.checks.crosschecks import (
     SECTIONS,
     CrosscheckRow,
@@ -13,6 +15,7 @@ from dynsr.checks.crosschecks import (
     coefficient_difference,
     crosscheck,
 )
+from dynsr.data.system import CART_POLE
 from dynsr.engines.base import SparseProblem, SparseSolution
 from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.errors import EngineError, EngineUnavailable, InputError
@@ -93,6 +96,59 @@ def test_a_difference_at_the_limit_agrees_and_one_above_does_not():
         "differs",
         "absent",
     ]
+
+
+def test_who_finds_the_law_of_the_cart_pole_is_told_right_or_wrong():
+    """From exact slopes both threshold methods have its five terms; from differences, neither."""
+    rows = crosscheck(["cart-pole", "pendulum"], ["embedded"], ["implicit"])
+    told = {(row.ours, row.subject): row for row in rows if row.verdict != "absent"}
+    found = {
+        (who, scheme): row
+        for (name, subject), row in told.items()
+        for who in ("embedded STLSQ", "ensemble of STLSQ", "SINDyPI")
+        for scheme in ("exact slopes", "forward differences")
+        if name.endswith(who) and subject.endswith(scheme)
+    }
+    assert len(found) == len(told) >= 4 and {row.system for row in rows} == {"cart-pole"}
+    for who in ("embedded STLSQ", "ensemble of STLSQ"):
+        exact, rough = found[who, "exact slopes"], found[who, "forward differences"]
+        assert exact.verdict == "right" and exact.difference < 1e-13
+        assert exact.worst == "5 terms where the law has 5"
+        assert rough.verdict == "wrong" and rough.difference > 0.1
+    # L1 leaves the law's terms with shrunken coefficients, and more terms in differences.
+    for (who, scheme), row in found.items():
+        if who == "SINDyPI":
+            assert row.verdict == "wrong"
+            assert row.worst.startswith("5 ") == (scheme == "exact slopes")
+
+
+def test_the_law_is_a_relation_of_the_functions_given():
+    """Written by hand, it has no miss over either span; a changed coefficient has one."""
+    count = len(implicit.FUNCTIONS)
+    law = np.zeros(2 * count)
+    for place, text, value in [
+        *((0, "1", 2.0), (0, "cos(w)^2", -1.0), (count, "F", 1.0)),
+        *((count, "y^2*sin(w)", 1.0), (count, "cos(w)*sin(w)", 9.81)),
+    ]:
+        law[place + implicit.FUNCTIONS.index(text)] = value
+    assert np.count_nonzero(law) == implicit.TERMS_OF_THE_LAW
+    for span in (CART_POLE.train, CART_POLE.test):
+        assert implicit.pose(span, exact=True).miss(law) < 1e-14
+    assert implicit.pose(CART_POLE.test, exact=True).miss(law * np.where(law == 2, 1.01, 1)) > 1e-3
+    assert implicit.pose(CART_POLE.train, exact=False).scheme == "forward differences"
+
+
+def test_a_peer_that_is_wrong_is_no_disagreement():
+    """Held to a law, a program is right or wrong; the chance of its draws is put back."""
+    row = CrosscheckRow("s", "y", "t", "a", "the law", 1, 2.0, 1e-6, judged=True)
+    assert row.verdict == "wrong" and replace(row, difference=1e-7).verdict == "right"
+    assert replace(row, difference=None).verdict == "absent"
+    state = np.random.get_state()[1].tolist()  # noqa: NPY002
+    with implicit._seeded():
+        first = np.random.rand()  # noqa: NPY002
+    with implicit._seeded():
+        assert np.random.rand() == first  # noqa: NPY002
+    assert np.random.get_state()[1].tolist() == state  # noqa: NPY002
 
 
 def test_unknown_names_are_refused():

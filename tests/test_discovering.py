@@ -123,6 +123,10 @@ class Found:
     inputs = {}
     seconds = 0.25
     complete = True
+    verdict = None
+    constants = {}
+    details = {}
+    ensemble = {}
 
     def __init__(self, settings):
         """Keep the settings."""
@@ -162,18 +166,43 @@ def test_options_reach_the_search(tmp_path, seen):
     path = decay(tmp_path / "data.csv", u=np.sin(T), v=np.cos(T))
     words = ["discover", path, "--states", "x,v", "--inputs", "u", "--inputs", "F=2*t"]
     words += ["--method", "sindy", "--preset", "quick", "--targets", "x", "--seed", 7, "-j", 1]
-    words += ["--scheme", "central4"]
+    words += ["--scheme", "central4", "--functions", "exp,/", "--max-complexity", 40]
+    words += ["--terms", "x*v", "--constraint", "x: v < 0", "--conserved", "x+v"]
+    words += [
+        "--nonnegative",
+        "x,v",
+        "--time-budget",
+        60,
+        "--no-snap",
+        "--order",
+        2,
+        "--explicit-time",
+    ]
+    words += ["--units", "x=m,t=s", "--ensemble"]
     words += ["--known", "x'=-0.1*x", "--out", tmp_path / "kept", "--json"]
     found = json.loads(run(*words).stdout)
     (data,) = seen.pop("data")
     assert data.states == ("x", "v") and data.input_names == ("u",)
     assert seen == {
+        "functions": ["exp", "/"],
+        "max_complexity": 40.0,
+        "terms": ["x*v"],
+        "constraints": ["x: v < 0"],
+        "conserved": ["x+v"],
+        "nonnegative": ["x", "v"],
+        "time_budget": 60.0,
+        "units": "x=m,t=s",
+        "ensemble": True,
         "method": "sindy",
         "preset": "quick",
         "scheme": "central4",
         "targets": ["x"],
         "inputs": {"F": "2*t"},
         "known": {"x": "-0.1*x"},
+        "snap": False,
+        "order": 2,
+        "explicit_time": True,
+        "discrete": False,
         "seed": 7,
         "jobs": 1,
         "engine": "embedded",
@@ -255,8 +284,9 @@ def test_json_keeps_nothing_unasked(tmp_path, monkeypatch, seen):
     assert seen["data"][0].input_names == ("F",) and set(seen["inputs"]) == {"F"}
 
 
-def test_the_papers_loss_is_its_own_systems_alone(seen):
+def test_the_papers_loss_is_its_own_systems_alone(tmp_path, monkeypatch, seen):
     """A known system that the paper lacks has the general losses, in JSON and in the table."""
+    monkeypatch.chdir(tmp_path)
     found = json.loads(run("discover", "--system", "lorenz", "-q", "--json").stdout)
     for scores in found["scores"]["truth"].values():
         assert set(scores) == {"equation_rmse", "trajectory_loss"}

@@ -27,7 +27,7 @@ def same(expr, text):
 @pytest.fixture(scope="module")
 def decay():
     """Two coupled linear states, solved in closed form: a cheap system to search."""
-    t = np.linspace(0, 6, 301)
+    t = np.linspace(0, 6, 121)
     x = np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * t + np.exp(-0.5 * t)])
     return t, x
 
@@ -44,10 +44,10 @@ def test_every_state_gets_its_equation_with_round_constants(found):
 
 
 def test_the_choice_is_explained(found):
-    """The explanation names the equation, its bits and its error on held-back data."""
-    assert "y' = " in found.explanation["y"]
-    assert "bits" in found.explanation["y"]
-    assert "held-back" in found.explanation["y"]
+    """The explanation is of the printed equation, in plain words; bits are in the details."""
+    assert found.explanation["y"].startswith("y' = x - 0.5*y: law; ")
+    assert "bits" not in found.explanation["y"]
+    assert "bits" in found.details["y"] and "held-back" in found.details["y"]
 
 
 def test_the_number_of_jobs_does_not_change_the_result(decay, found):
@@ -69,7 +69,7 @@ def test_a_state_whose_slope_is_a_column_needs_no_search():
 @pytest.mark.parametrize("system", [LOTKA_VOLTERRA, PENDULUM], ids=lambda s: s.name)
 def test_the_papers_small_systems_are_found_exactly(system):
     """From the paper's training data alone every equation and constant comes out as it is."""
-    result = discover(training_trajectory(system), method="rational", jobs=2)
+    result = discover(training_trajectory(system), method="rational", jobs=1)
     for state, truth in zip(system.states, system.rhs, strict=True):
         assert same(result.equations[state], truth)
 
@@ -79,7 +79,7 @@ def test_the_papers_small_systems_are_found_exactly(system):
 def test_the_bias_of_clean_slopes_is_not_followed(tolerance):
     """However exact the data are, no long formula is built on what the differences miss."""
     data = simulate(LOTKA_VOLTERRA, t=np.arange(1000) * 0.01, reltol=tolerance, abstol=1e-12)
-    result = discover(data, method="rational", preset="quick", jobs=2)
+    result = discover(data, method="rational", preset="quick", jobs=1)
     for state, truth in zip(LOTKA_VOLTERRA.states, LOTKA_VOLTERRA.rhs, strict=True):
         assert same(result.equations[state], truth)
 
@@ -88,7 +88,7 @@ def test_the_bias_of_clean_slopes_is_not_followed(tolerance):
 def test_the_cart_pole_is_found_exactly_with_its_force_as_input():
     """The rational form of the cart's acceleration is found with F given as an expression."""
     data = training_trajectory(CART_POLE)
-    result = discover(data, method="rational", targets=["x", "z"], jobs=2)
+    result = discover(data, method="rational", targets=["x", "z"], jobs=1)
     assert same(result.equations["x"], "z")
     assert same(result.equations["z"], CART_POLE.rhs[3])
 
@@ -96,9 +96,9 @@ def test_the_cart_pole_is_found_exactly_with_its_force_as_input():
 @pytest.mark.slow
 def test_lorenz_with_noise_is_found_within_two_percent():
     """With 1 % noise on the states all seven constants of Lorenz are within 2 %."""
-    clean = simulate(LORENZ, t=np.arange(2000) * 0.01, reltol=1e-9, abstol=1e-9)
+    clean = simulate(LORENZ, t=np.arange(500) * 0.01, reltol=1e-9, abstol=1e-9)
     noisy = add_noise(clean, 0.01, np.random.default_rng(0))
-    result = discover(noisy, method="rational", jobs=2)
+    result = discover(noisy, method="rational", jobs=1)
     x, y, z = sympy.symbols("x y z")
     truth = {
         "x": {x: -10, y: 10},
@@ -183,7 +183,7 @@ def test_a_damaged_record_is_done_again(decay, found, tmp_path):
     discover(decay, method=QUICK, jobs=1, out=tmp_path)
     for path in (tmp_path / "records").iterdir():
         path.write_text(path.read_text()[: -len(path.read_text()) // 2])
-    with pytest.warns(RecordWarning, match="no whole record .*; computing it again"):
+    with pytest.warns(RecordWarning, match="no whole JSON file; computing it again"):
         again = discover(decay, method=QUICK, jobs=1, out=tmp_path)
     assert again.equations == found.equations
 
@@ -220,5 +220,5 @@ def test_a_relative_folder_is_that_of_the_caller(decay, tmp_path, monkeypatch):
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
         monkeypatch.chdir(tmp_path / name)
-        discover(decay, method="rational", preset="quick", jobs=2, out="kept")
+        discover(decay, method=QUICK, jobs=2, out="kept")
     assert list((tmp_path / "second" / "kept" / "records").glob("search-*"))

@@ -128,7 +128,8 @@ def test_the_page_says_how_it_was_made(found, page):
 def test_a_notebook_shows_equations_and_reasons(found):
     """As HTML: formula, text and reason of each state, escaped; as LaTeX: one display."""
     shown = found._repr_html_()
-    assert shown.count("<math>") == 2 and "y' = -1*x" in html.unescape(shown)
+    assert "$\\displaystyle \\dot{x} = y$" in shown and "y' = -1*x" in html.unescape(shown)
+    assert shown.count("<tr>") == 3
     assert "because &lt;it&gt; is shorter" in shown
     assert found._repr_latex_().startswith("$$\n\\begin{aligned}\n\\dot{x} &= y")
 

@@ -80,11 +80,34 @@ def test_what_is_missing_comes_with_its_remedy(monkeypatch):
     """Without Julia, a row says so and how to mend it, and all is well nevertheless."""
     missing = EngineUnavailable("Julia is not set up yet; run dynsr doctor --install")
     use_engine(monkeypatch, missing)
+    monkeypatch.setattr(doctor, "is_configured", lambda: False)
     checks = doctor.examine(["julia"])
     row = by_name(checks)["julia: engine"]
     assert (row.state, row.remedy) == ("missing", "dynsr doctor --install")
     assert row.detail == "Julia is not set up yet" and not row.required
     assert doctor.is_healthy(checks)
+
+
+@pytest.mark.parametrize("starts", [True, False])
+def test_a_julia_that_is_set_up_and_does_not_start_fails(monkeypatch, starts):
+    """A program that is not there and a start that breaks off are failures, and dynsr is ill."""
+    engine = EmbeddedEngine()
+    problem = EngineUnavailable("Julia does not start: SystemError; give another project")
+
+    def refuse(*_):
+        raise problem
+
+    monkeypatch.setattr(engine, "integrate", refuse)
+    monkeypatch.setattr(engine, "regress", refuse)
+    monkeypatch.setattr(engine, "versions", refuse)
+    monkeypatch.setattr(doctor, "is_configured", lambda: True)
+    use_engine(monkeypatch, engine if starts else problem)
+    rows = [c for c in doctor.examine(["julia"]) if c.name.startswith("julia: ")]
+    wanted = ["julia: integration", "julia: regression"] if starts else ["julia: engine"]
+    assert [row.name for row in rows[: len(wanted)]] == wanted
+    assert {row.state for row in rows[: len(wanted)]} == {"fails"}
+    assert rows[0].remedy == "give another project"
+    assert not doctor.is_healthy(rows)
 
 
 def test_a_missing_package_is_named_with_the_line_that_installs_it(monkeypatch):

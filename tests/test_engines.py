@@ -13,7 +13,9 @@ import pytest
 from dynsr.checks.crosschecks import coefficient_difference
 from dynsr.data.system import CART_POLE, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM, System
 from dynsr.engines.base import AbstractEngine, InitialValueProblem, SparseProblem
+from dynsr.engines.drives import Drive
 from dynsr.engines.julia import setup as julia_setup
+from dynsr.engines.julia.diffeqpy import DiffeqpyEngine
 from dynsr.engines.registry import ENGINES, find_engine
 from dynsr.errors import EngineUnavailable, InputError
 from dynsr.expression.parsing import parse
@@ -30,12 +32,17 @@ RECORDS = [*sparse_records("2021"), *sparse_records("current")]
 
 
 def find_or_skip(name: str) -> AbstractEngine:
-    """Give an engine; where it is not set up, skip or fail as DYNSR_REQUIRE_JULIA says."""
+    """Give an engine; where it is not set up, skip or fail as DYNSR_REQUIRE_JULIA says.
+
+    diffeqpy is no engine of dynsr's and brings all of DifferentialEquations.jl along: it has
+    DYNSR_REQUIRE_DIFFEQPY for itself.
+    """
+    variable = f"DYNSR_REQUIRE_{name.upper()}"
     try:
-        return find_engine(name)
+        return DiffeqpyEngine() if name == "diffeqpy" else find_engine(name)
     except EngineUnavailable as problem:
-        if os.environ.get("DYNSR_REQUIRE_JULIA") == "1":
-            pytest.fail(f"DYNSR_REQUIRE_JULIA is 1, but {problem}")
+        if os.environ.get(variable) == "1":
+            pytest.fail(f"{variable} is 1, but {problem}")
         pytest.skip(str(problem))
 
 
@@ -43,6 +50,15 @@ def find_or_skip(name: str) -> AbstractEngine:
 def engine(request):
     """Give each engine in turn."""
     return find_or_skip(request.param)
+
+
+@pytest.fixture(scope="module", params=[*ENGINES, "diffeqpy"])
+def integrator(request):
+    """Give each engine in turn, and diffeqpy, which integrates only."""
+    found = find_or_skip(request.param)
+    yield found
+    if request.param == "diffeqpy":
+        found.close()
 
 
 def read_golden(system: System, case: str) -> np.ndarray:
@@ -64,56 +80,86 @@ def pose(text: str, x0: float, t, **settings) -> InitialValueProblem:
         ("train_saveat0.1_tight", {"reltol": 1e-10, "abstol": 1e-10}, 1e-8),
     ],
 )
-def test_states_are_those_of_tsit5(engine: AbstractEngine, system, case, tolerances, limit):
+def test_states_are_those_of_tsit5(integrator: AbstractEngine, system, case, tolerances, limit):
     """States at default and tight tolerances are those that OrdinaryDiffEqTsit5 saved."""
     golden = read_golden(system, case)
     problem = InitialValueProblem(
         system.closed_rhs(), system.states, golden[0, 1:], golden[:, 0], **tolerances
     )
-    solved = engine.integrate(problem)
+    solved = integrator.integrate(problem)
     assert solved.success and solved.message == ""
     assert np.abs(solved.x - golden[:, 1:]).max() < limit
 
 
 @BY_SYSTEM
-def test_as_many_steps_are_taken_as_by_tsit5(engine: AbstractEngine, system):
+def test_as_many_steps_are_taken_as_by_tsit5(integrator: AbstractEngine, system):
     """Over the training span, the accepted steps are as many as OrdinaryDiffEqTsit5 took."""
     golden = read_golden(system, "train_steps_default")
     problem = InitialValueProblem(
         system.closed_rhs(), system.states, np.array(system.x0), np.array([0.0, 10.0])
     )
-    assert engine.integrate(problem).accepted == len(golden) - 1
+    assert integrator.integrate(problem).accepted == len(golden) - 1
 
 
-def test_a_known_solution_is_met(engine: AbstractEngine):
+def test_a_known_solution_is_met(integrator: AbstractEngine):
     """dx/dt = -x + sin t has a closed form, which tight tolerances reach at uneven times."""
     t = np.array([0.5, 0.6, 1.7, 5.0])
     exact = (np.sin(t) - np.cos(t)) / 2 + np.exp(-t)
-    solved = engine.integrate(pose("sin(t) - x", float(exact[0]), t, reltol=1e-11, abstol=1e-11))
+    solved = integrator.integrate(
+        pose("sin(t) - x", float(exact[0]), t, reltol=1e-11, abstol=1e-11)
+    )
     assert np.abs(solved.x[:, 0] - exact).max() < 1e-9
 
 
-def test_a_divergence_is_a_result(engine: AbstractEngine):
+def test_measured_inputs_are_integrated(engine: AbstractEngine):
+    """x' = u + 2v, of pieces, has a closed form; a narrow pulse is met for its stops alone."""
+    bend = Drive("u", np.array([0.0, 1.0]), np.array([[3.0, 0.0], [0.0, 0.0], [0.0, 3.0]]))
+    ramp = Drive("v", np.array([0.0]), np.array([[1.0], [0.0]]))
+    settings = {"reltol": 1e-10, "abstol": 1e-10}
+    problem = InitialValueProblem(
+        (parse("u + 2*v", ["u", "v"]),),
+        ("x",),
+        [0.0],
+        np.array([0.0, 1.0, 2.0]),
+        **settings,
+        drives=(bend, ramp),
+        stops=np.array([0.25, 1.0, 1.75]),
+    )
+    assert np.abs(engine.integrate(problem).x[:, 0] - [0.0, 2.0, 8.0]).max() < 1e-9
+    pulse = Drive("u", np.array([0.0, 50.0, 50.01]), np.array([[0.0, 100.0, 0.0]]))
+    rest = InitialValueProblem(
+        (parse("u", ["u"]),),
+        ("x",),
+        [0.0],
+        np.array([0.0, 100.0]),
+        **settings,
+        drives=(pulse,),
+        stops=np.array([50.0, 50.01]),
+    )
+    assert abs(engine.integrate(rest).x[-1, 0] - 1.0) < 1e-6
+
+
+def test_a_divergence_is_a_result(integrator: AbstractEngine):
     """dx/dt = x^2 ends at t = 1: states up to there, NaN from there on, and no exception."""
-    solved = engine.integrate(pose("x^2", 1.0, [0.0, 0.5, 2.0, 3.0], reltol=1e-8, abstol=1e-8))
+    solved = integrator.integrate(pose("x^2", 1.0, [0.0, 0.5, 2.0, 3.0], reltol=1e-8, abstol=1e-8))
     assert not solved.success and solved.message
     assert abs(solved.x[1, 0] - 2.0) < 1e-6
     assert np.isnan(solved.x[2:]).all()
 
 
-def test_leaving_the_real_numbers_is_a_divergence(engine: AbstractEngine):
+def test_leaving_the_real_numbers_is_a_divergence(integrator: AbstractEngine):
     """A square root of a negative state ends the solution like any divergence."""
-    solved = engine.integrate(pose("-sqrt(x - 0.5)", 0.4, [0.0, 1.0]))
+    solved = integrator.integrate(pose("-sqrt(x - 0.5)", 0.4, [0.0, 1.0]))
     assert not solved.success and solved.x[0, 0] == 0.4 and np.isnan(solved.x[1, 0])
 
 
-def test_limits_of_steps_and_time_end_a_solution(engine: AbstractEngine):
+def test_limits_of_steps_and_time_end_a_solution(integrator: AbstractEngine):
     """A solution that needs more steps or seconds than allowed is NaN from there on."""
     waves = pose("50*cos(50*t)", 0.0, [0.0, 1000.0], max_steps=50)
-    solved = engine.integrate(waves)
+    solved = integrator.integrate(waves)
     assert not solved.success and solved.accepted + solved.rejected <= 51
     hurried = replace(waves, max_steps=10**8, max_seconds=1e-6, reltol=1e-9, abstol=1e-9)
-    assert not engine.integrate(hurried).success
+    assert not integrator.integrate(hurried).success
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda r: f"{r.problem.release} {r.title}")
@@ -168,13 +214,13 @@ def test_settings_that_do_not_exist_are_refused(engine: AbstractEngine):
         engine.regress(SparseProblem(one, one[0], "SR3", {"rho": 1.0}))
 
 
-def test_a_closed_engine_starts_again(engine: AbstractEngine):
+def test_a_closed_engine_starts_again(integrator: AbstractEngine):
     """After it is closed, an engine answers as before and names its parts."""
     problem = pose("-x", 1.0, [0.0, 1.0])
-    before = engine.integrate(problem).x
-    engine.close()
-    assert np.array_equal(engine.integrate(problem).x, before)
-    assert len(engine.versions()) >= 3
+    before = integrator.integrate(problem).x
+    integrator.close()
+    assert np.array_equal(integrator.integrate(problem).x, before)
+    assert len(integrator.versions()) >= 3
 
 
 @pytest.mark.slow

@@ -1,12 +1,18 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from dynsr.cli.app import app
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.result import Discovery
+from dynsr.discovery.search import discover
 from dynsr.discovery.uncertainty import bootstrap, intervals
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.report.discovery import render_discovery
 
 
 @pytest.fixture(scope="module")
@@ -51,3 +57,38 @@ def test_data_are_needed(noisy, tmp_path):
     loaded = Discovery.load(noisy.save(tmp_path / "d.json"))
     with pytest.raises(InputError, match="data are not here"):
         bootstrap(loaded)
+
+
+def test_a_discovery_with_an_ensemble(tmp_path):
+    """Asked for, it stands in the result, the saved file, the report, and what the shell prints."""
+    t = np.linspace(0, 4, 200)
+    data = np.column_stack([t, np.exp(-t) + np.random.default_rng(0).normal(0, 1e-3, 200)])
+    quick = {"method": "sindy", "preset": "quick", "jobs": 1}
+    found = discover((data[:, 0], data[:, 1]), ensemble=20, **quick)
+    (term,) = [one for one in found.ensemble["x"] if one.term == "x"]
+    assert term.probability > 0.9 and -1.2 < term.low < -1 < term.high < -0.8
+    again = Discovery.load(found.save(tmp_path / "found.json"))
+    assert again.ensemble == found.ensemble
+    page = render_discovery(found)
+    assert "An ensemble of fits" in page
+    assert "An ensemble of fits" not in render_discovery(replace(found, ensemble={}))
+    np.savetxt(tmp_path / "decay.csv", data, header="t,x", comments="", delimiter=",")
+    words = [*("--method", "sindy", "--preset", "quick", "-j", "1"), "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, ["discover", str(tmp_path / "decay.csv"), "--ensemble", *words])
+    assert done.exit_code == 0 and "x', ensemble: x: 100%, -1.0" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"ensemble": 1}, "must be True, or a number of draws"),
+        ({"ensemble": "yes"}, "must be True, or a number of draws"),
+        ({"ensemble": True, "discrete": True}, "a map has none"),
+        ({"ensemble": True}, "20 rows are too few for an ensemble"),
+    ],
+)
+def test_an_ensemble_that_cannot_be_is_refused_before_the_search(asked, said):
+    """A wrong number, a map and few rows are one line each, and no method runs."""
+    t = np.linspace(0, 1, 20)
+    with pytest.raises(InputError, match=said):
+        discover((t, np.exp(-t)), method=None, **asked)

@@ -8,7 +8,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from dynsr.discovery.estimator import DynsrRegressor
+from dynsr.discovery.estimator import DynsrRegressor, _repeated
 from dynsr.errors import InputError
 from dynsr.methods.rational import RationalSearch
 
@@ -66,3 +66,44 @@ def test_unknown_settings_are_one_line(planted, settings):
     """An unknown setting is an input error when fitted."""
     with pytest.raises(InputError, match="unknown"):
         DynsrRegressor(**settings).fit(*planted)
+
+
+@pytest.mark.slow
+def test_the_default_finds_a_product_of_functions():
+    """exp(-x0) sin(3 x1) is exact beside columns that play no part: the default is "auto"."""
+    X = np.random.default_rng(2).uniform(-2, 2, (200, 4))
+    model = DynsrRegressor().fit(X, np.exp(-X[:, 0]) * np.sin(3 * X[:, 1]))
+    x0, x1 = sympy.symbols("x0 x1")
+    assert sympy.simplify(model.expr_ - sympy.exp(-x0) * sympy.sin(3 * x1)) == 0
+    assert model.method == "auto"
+
+
+def test_the_front_is_a_frame(planted):
+    """equations_ lists every formula; sympy, latex and predict take its rows."""
+    model = DynsrRegressor(method=SMALL).fit(*planted)
+    table = model.equations_
+    columns = ["complexity", "loss", "score", "equation", "sympy_format", "source"]
+    assert list(table.columns) == columns and len(table) == len(model.front_)
+    assert np.all(np.diff(table.complexity) > 0) and np.all(np.diff(table.loss) < 0)
+    X, y = planted
+    for k, row in table.iterrows():
+        assert row.sympy_format == model.sympy(k) == model.front_[k].expr
+        assert np.mean((model.predict(X, k) - y) ** 2) == pytest.approx(row.loss, abs=1e-25)
+    assert model.sympy() == model.expr_ and model.latex() == "3 a b - 2 b"
+    with pytest.raises(InputError, match="index 99 is none"):
+        model.sympy(99)
+
+
+def test_weights_count_rows():
+    """Rows of weight 0 are as absent, whole weights as repeated rows, fractions in proportion."""
+    rng = np.random.default_rng(0)
+    x = np.sort(rng.uniform(0, 2, 120))
+    y = np.where(x < 1, 2 * x, 5 * x)
+    left = DynsrRegressor(method=SMALL).fit(x[:, None], y, sample_weight=(x < 1) * 0.3)
+    right = DynsrRegressor(method=SMALL).fit(x[:, None], y, sample_weight=(x >= 1) * 7)
+    assert str(left.expr_) == "2*x0" and str(right.expr_) == "5*x0"
+    odd = rng.uniform(0.5, 1.5, 120)
+    counts = np.bincount(_repeated(odd), minlength=120)
+    assert counts.sum() == 960 and np.max(np.abs(counts - 8 * odd / odd.mean())) <= 1
+    with pytest.raises(ValueError, match="at least one non-zero"):
+        left.fit(x[:, None], y, sample_weight=0 * x)

@@ -8,7 +8,15 @@ from dynsr.data.system import CART_POLE
 from dynsr.discovery.prediction import predict
 from dynsr.engines.simulation import simulate
 from dynsr.errors import InputError
-from dynsr.expression.export import to_julia, to_latex, to_mathml, to_numpy, to_python
+from dynsr.expression.export import (
+    call_names,
+    to_julia,
+    to_latex,
+    to_mathml,
+    to_numpy,
+    to_python,
+    with_signs,
+)
 from dynsr.expression.parsing import parse
 
 EQUATIONS = dict(zip(CART_POLE.states, CART_POLE.rhs, strict=True))
@@ -120,3 +128,80 @@ def test_each_term_of_an_equation_is_an_element_of_its_own():
     assert terms[1].startswith('<mo form="infix">+') and terms[2].startswith('<mo form="infix">−')
     for text in (terms[0], *("<math>" + term for term in terms[1:])):
         ElementTree.fromstring(text.replace("&InvisibleTimes;", "").replace("&ExponentialE;", "e"))
+
+
+@pytest.mark.parametrize("name", ["F", "u", "state", "math", "end", "self", "rhs"])
+@pytest.mark.parametrize("value", [0.7, lambda t: 0.5 + 0.1 * t])
+def test_inputs_are_called_alike_in_every_export(name, value):
+    """By place or by the same name, as a number or a function of time: each gives the same."""
+    import torch
+
+    from dynsr.discovery.hybrid import EquationModule
+
+    equations = {"x": parse(f"2*{name} - x*k")}
+    called = call_names(equations)[name]
+    space: dict = {}
+    exec(to_python(equations), space)
+    module = EquationModule(equations)
+    for function in (space["rhs"], to_numpy(equations)):
+        for found in (
+            function(2.0, np.array([3.0]), *((value, 2.0) if name < "k" else (2.0, value))),
+            function(2.0, np.array([3.0]), **{called: value, "k": 2.0}),
+        ):
+            assert np.allclose(found, [2 * 0.7 - 6.0])
+    found = module(2.0, torch.tensor([3.0], dtype=torch.float64), **{called: value, "k": 2.0})
+    assert np.allclose(found.detach().numpy(), [2 * 0.7 - 6.0])
+    assert f"p.{called} isa Number ? p.{called} : p.{called}(t)" in to_julia(equations)
+
+
+def test_an_input_that_is_missing_or_too_much_is_named():
+    """A call with too few or unknown inputs says which there are."""
+    rhs = to_numpy({"x": parse("F + G")})
+    with pytest.raises(TypeError, match="input 'G' is missing"):
+        rhs(0.0, np.array([1.0]), F=1.0)
+    with pytest.raises(TypeError, match="the inputs are: F, G"):
+        rhs(0.0, np.array([1.0]), F=1.0, G=2.0, H=3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "truth"),
+    [
+        ("-0.3*v/sqrt(v**2)", lambda v: -0.3 * np.sign(v)),
+        ("v**2*v/sqrt(v**2) - v", lambda v: v * np.abs(v) - v),
+        ("2*v/abs(v)", lambda v: 2 * np.sign(v)),
+        ("v**2/(v**2)**0.5", np.abs),
+        ("(v - 1)/sqrt((v - 1)**2)", lambda v: np.sign(v - 1)),
+        ("sqrt(9*v**2)*v", lambda v: 3 * np.abs(v) * v),
+    ],
+)
+def test_exports_divide_by_nothing_that_the_formula_does_not(text, truth):
+    """Friction written as a quotient of roots is a sign: at rest it is 0 and no error."""
+    import torch
+
+    from dynsr.discovery.hybrid import EquationModule
+
+    equations = {"v": parse(text)}
+    space: dict = {}
+    exec(to_python(equations), space)
+    module = EquationModule(equations)
+    for v in (-1.5, 0.0, 1.0, 2.0):
+        assert space["rhs"](0.0, [v])[0] == pytest.approx(truth(v), abs=1e-15)
+        assert to_numpy(equations)(0.0, np.array([v]))[0] == pytest.approx(truth(v), abs=1e-15)
+        found = module(0.0, torch.tensor([v], dtype=torch.float64))
+        assert found.item() == pytest.approx(truth(v), abs=1e-15)
+    assert " / " not in to_julia(equations)
+
+
+def test_a_division_of_the_formula_stays():
+    """What divides by a size that may be 0 in truth still does."""
+    assert "Abs(v)" in str(with_signs(parse("1/abs(v)")))
+    assert with_signs(parse("v/abs(v)**3")) == parse("sign(v)/abs(v)**2")
+
+
+def test_code_says_what_the_time_is_counted_in():
+    """A unit that is known stands in a comment of every export; one that is not, nowhere."""
+    equations = {"x": parse("-x")}
+    for write in (to_python, to_julia):
+        assert "# t is in days\n" in write(equations, time_unit="days")
+        assert "t is in" not in write(equations)
+    assert to_latex(equations, "days").startswith("% time in days\n")

@@ -139,9 +139,9 @@ def test_rounding_a_constant_makes_it_cheaper():
         "sqrt(x)*log(y)/y**3",
         "x**0.5 + x**-1.5 + x**(1/3) + 2**x",
         "exp(-x/y)*tanh(x)*abs(y) + asin(x/9) + sign(-y)",
-        "log(-x) + sqrt(-1)",
+        sympy.log(-x) + sympy.I,
         "5",
-        "1/(x - x)",
+        sympy.zoo,
     ],
 )
 def test_walked_and_compiled_values_agree(text):

@@ -4,7 +4,7 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.result import Discovery
-from dynsr.errors import InputError
+from dynsr.errors import EngineError, InputError
 from dynsr.expression.evaluation import evaluate
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import ParetoFront, rmse
@@ -87,5 +87,14 @@ def test_a_model_that_diverges_says_when():
     square = {"x": parse("x^2")}
     model = Discovery(square, {"x": ()}, {}, {}, (run,)).hybrid(epochs=2)
     assert model.simulate().x[-1, 0] == pytest.approx(10.0, rel=1e-3)
-    with pytest.raises(InputError, match=r"no solution at t = 1\.1; shorten"):
+    with pytest.raises(EngineError, match=r"no solution at t = 1.*ends at t = 1, x = .*shorten"):
         model.simulate(t=np.linspace(0.0, 2.0, 21))
+
+
+def test_a_model_is_not_integrated_beyond_its_measured_input():
+    """What the input was after the last row is not known, so a later time is refused."""
+    t = np.linspace(0.0, 3.0, 61)
+    run = Trajectory(t, np.exp(-t)[:, None], ("x",), np.zeros((61, 1)), ("u",))
+    model = Discovery({"x": parse("u - x")}, {"x": ()}, {}, {}, (run,)).hybrid(epochs=2)
+    with pytest.raises(InputError, match=r"'u' was measured from t = 0 to 3, and t = 4 lies"):
+        model.simulate(t=np.linspace(0.0, 4.0, 5))

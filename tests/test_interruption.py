@@ -25,7 +25,7 @@ ENDLESS = GeneticAlgorithm(population=30, iterations=10**7)
 @pytest.fixture(scope="module")
 def decay():
     """Two coupled linear states in closed form."""
-    t = np.linspace(0, 6, 301)
+    t = np.linspace(0, 6, 121)
     return t, np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * (1 + t)])
 
 
@@ -125,7 +125,7 @@ def test_a_folder_belongs_to_one_discovery(decay, tmp_path):
         ({"seed": 1}, "holds results with seed 0, not 1; give another folder"),
         ({"targets": "all"}, "with targets x, not x, y"),
         ({"method": [QUICK, "sindy"]}, "with methods rational, not rational, sindy"),
-        ({"data": (t, 1.01 * x)}, "with data 301 rows of x, y, .*, not 301 rows of"),
+        ({"data": (t, 1.01 * x)}, "with data 121 rows of x, y, .*, not 121 rows of"),
         ({"method": RationalSearch(costs=(2,), max_terms=2)}, "other options; give another folder"),
     ):
         asked = {"data": decay, "method": QUICK, "targets": "x", **changes}
@@ -140,7 +140,7 @@ import numpy as np
 from dynsr.discovery.search import discover
 from dynsr.methods.rational import RationalSearch
 from dynsr.methods.genetic import GeneticAlgorithm
-t = np.linspace(0, 6, 301)
+t = np.linspace(0, 6, 121)
 x = np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * (1 + t)])
 quick = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
 methods = [quick, GeneticAlgorithm(population=60, iterations=40)]

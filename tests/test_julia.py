@@ -7,24 +7,32 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dynsr.data.system import CART_POLE, PENDULUM
+from dynsr.discovery.prediction import predict
 from dynsr.engines.base import InitialValueProblem, SparseProblem
+from dynsr.engines.drives import Drive
+from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.engines.julia import engine as julia
 from dynsr.engines.julia import process as worker_process
+from dynsr.engines.julia import shared
 from dynsr.engines.julia import worker as julia_worker
+from dynsr.engines.julia.diffeqpy import DiffeqpyEngine
 from dynsr.engines.julia.engine import JuliaEngine
 from dynsr.engines.julia.setup import find_sources
 from dynsr.engines.simulation import simulate
 from dynsr.errors import EngineError, EngineUnavailable
 from dynsr.expression.parsing import parse
+from dynsr.jobs.budget import TimeUp, time_limit
 
 FAKE = Path(__file__).parent / "fake_julia"
-DIE, HANG, RAISE, CHATTER, NOT_FINITE, WRONG_SHAPE = 13, 14, 15, 16, 17, 18
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="the stand-in is a POSIX program")
+DIE, HANG, RAISE, CHATTER, NOT_FINITE, WRONG_SHAPE, CRASH = 13, 14, 15, 16, 17, 18, 19
 LINE = SparseProblem(np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 2.0]]), np.array([0.0, 2.0, 4.0]))
 
 
@@ -41,7 +49,7 @@ def fake_julia(tmp_path_factory):
     """Put the stand-in for juliacall on the path, as a Julia of the user's own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(FAKE))
-        patch.setenv("PYTHON_JULIACALL_EXE", sys.executable)
+        patch.setenv("PYTHON_JULIACALL_EXE", str(FAKE / "julia"))
         patch.setenv("PYTHON_JULIACALL_PROJECT", str(tmp_path_factory.mktemp("project")))
         yield
 
@@ -78,6 +86,39 @@ def test_a_system_simulates_on_the_engine(engine, system):
     assert here.origin["versions"]["juliacall"] == "0.0-fake"
 
 
+def test_measured_inputs_travel_to_julia_and_back(engine):
+    """Two inputs of different pieces, and stops inside the span, give what the embedded one has."""
+    t = np.linspace(0.0, 2.0, 9)
+    bend = Drive("v", np.array([0.0, 0.7]), np.array([[3.0, 0.0], [0.0, 1.0], [0.0, 1.47]]))
+    ramp = Drive("u", np.array([0.0]), np.array([[1.0], [0.5]]))
+    problem = InitialValueProblem(
+        (parse("v - x*u", ["x", "u", "v"]), parse("x + t", ["x", "t"])),
+        ("x", "y"),
+        [1.0, 0.0],
+        t,
+        1e-11,
+        1e-11,
+        drives=(bend, ramp),
+        stops=np.array([0.0, 0.7, 0.7, 1.3, 2.0]),
+    )
+    there, here = engine.integrate(problem), EmbeddedEngine().integrate(problem)
+    assert there.success and np.abs(there.x - here.x).max() < 1e-8
+    assert there.accepted == 40 * 10
+    with pytest.raises(EngineError, match="diffeqpy integrates no measured inputs"):
+        DiffeqpyEngine.integrate(DiffeqpyEngine.__new__(DiffeqpyEngine), problem)
+
+
+def test_a_prediction_with_a_measured_input_asks_julia(engine):
+    """States, values of the input and the origin name it; they are those of the embedded engine."""
+    t = np.linspace(0.0, 3.0, 31)
+    asked = ({"x": parse("u - x", ["x", "u"])}, [1.0], t, {"u": np.sin(2 * t)})
+    there, here = predict(*asked, engine), predict(*asked)
+    assert there.origin["engine"] == "julia (on measured inputs)"
+    assert here.origin["engine"] == "embedded (Tsit5 on measured inputs)"
+    assert np.abs(there.x - here.x).max() < 1e-7
+    assert np.array_equal(there.inputs, here.inputs)
+
+
 def test_regressions_travel_to_julia_and_back(engine):
     """Library, settings and coefficients pass unharmed; -1 iterations mean an empty search."""
     solution = engine.regress(LINE)
@@ -103,6 +144,15 @@ def test_a_crash_is_an_error_and_the_next_call_works(engine):
         engine.integrate(decay(DIE))
     assert engine.integrate(decay()).success
     assert process_of(engine) != before
+
+
+def test_the_words_of_a_crash_are_its_cause_and_not_its_stack(engine):
+    """Of sixty lines of a stack none is told; the line that names the fault is."""
+    with pytest.raises(EngineError) as caught:
+        engine.integrate(decay(CRASH))
+    words = str(caught.value)
+    assert words.endswith("its last words: [7] signal 11 (1): Segmentation fault")
+    assert "SIGSEGV" in words and "unknown function" not in words
 
 
 def test_a_worker_killed_between_calls_is_replaced(engine):
@@ -169,7 +219,9 @@ def test_a_julia_that_does_not_start_is_unavailable(engine, monkeypatch):
     engine.close()
     with pytest.raises(EngineUnavailable, match=r"PythonCall.jl did not start properly") as caught:
         engine.integrate(decay())
-    assert "\n" not in str(caught.value) and "Project.toml" in str(caught.value)
+    words = str(caught.value)
+    assert words.startswith('Julia does not start: SystemError: opening file "/depot/logs": Read-o')
+    assert "\n" not in words and "Project.toml" in words and "deep_" not in words
     monkeypatch.delenv("FAKE_JULIA_START")
     assert engine.integrate(decay()).success
 
@@ -214,6 +266,64 @@ def test_an_engine_travels_as_settings(engine):
     assert copy.start_seconds == 60.0 and copy._process is None
 
 
+@pytest.fixture
+def guest(engine, monkeypatch):
+    """Give an engine that asks the one above, as in a process which that one's process started."""
+    monkeypatch.setenv(shared.VARIABLE, "")
+    engine.share()
+    monkeypatch.setattr(shared.os, "getppid", os.getpid)
+    guest = JuliaEngine(start_seconds=60.0)
+    yield guest
+    guest.close()
+    engine._host = None
+
+
+def test_a_process_asks_the_julia_of_the_one_that_started_it(engine, guest):
+    """One process answers both engines, at the same time too, and errors arrive as they are."""
+    one = process_of(engine)
+    assert process_of(guest) == one and isinstance(guest._process, shared.Guest)
+    assert guest.regress(LINE).coefficients.round(9).tolist() == [0.0, 2.0]
+    with ThreadPoolExecutor(2) as threads:
+        solved = list(threads.map(lambda e: e.integrate(decay()).success, [engine, guest] * 20))
+    assert len(solved) == 40 and all(solved)
+    with pytest.raises(EngineError, match=r"^UndefVarError: `foo` not defined$"):
+        guest.integrate(decay(RAISE))
+    with pytest.raises(EngineError, match="SIGSEGV"):
+        guest.integrate(decay(CRASH))
+    assert guest.integrate(decay()).success and process_of(guest) == process_of(engine) != one
+
+
+def test_a_guest_that_gives_up_ends_what_it_asked_for(engine, guest, monkeypatch):
+    """Julia is not held by a call that nobody waits for: the next one answers at once."""
+    assert guest.integrate(decay()).success
+    busy = process_of(engine)
+    monkeypatch.setattr(julia, "GRACE_SECONDS", 60.0)
+    start = time.monotonic()
+    with time_limit(time.time() + 0.7), pytest.raises(TimeUp):
+        guest.integrate(decay(HANG))
+    assert engine.integrate(decay()).success
+    assert time.monotonic() - start < 20 and process_of(engine) != busy
+    assert guest.integrate(decay()).success and process_of(guest) == process_of(engine)
+
+
+def test_why_julia_does_not_start_reaches_a_guest(engine, guest, monkeypatch):
+    """The line and the kind of error are the same on both sides of the line."""
+    engine.close()
+    monkeypatch.setenv("FAKE_JULIA_START", "fail")
+    with pytest.raises(EngineUnavailable, match=r"^Julia does not start: SystemError: .*Project"):
+        guest.integrate(decay())
+
+
+def test_without_a_host_a_process_starts_its_own(fake_julia, monkeypatch):
+    """Where the variable names another process, or one that is gone, nothing is shared."""
+    engine = JuliaEngine(start_seconds=60.0)
+    for value in ("", "1 00 @nowhere", f"{os.getppid()} 00 @nowhere", f"{os.getppid()} x"):
+        monkeypatch.setenv(shared.VARIABLE, value)
+        assert engine.integrate(decay()).success
+        assert isinstance(engine._process, worker_process.WorkerProcess)
+        engine.close()
+
+
 def test_time_without_end_is_a_limit_too(engine):
     """No limit in seconds reaches Julia as a finite number."""
     assert engine.integrate(decay(max_seconds=float("inf"))).success
@@ -227,12 +337,43 @@ def test_a_failing_warm_up_leaves_the_question_open():
 
     stages: list[str] = []
     session = julia_worker.Session(stages.append)
-    session._calls["regress"] = fail
-    session.warm_up({"call": "regress"})
-    session.warm_up({"call": "regress"})
-    assert stages == ["compiling regress, once a session"]
+    session._calls["integrate"] = fail
+    session.warm_up({"call": "integrate"}, {})
+    session.warm_up({"call": "integrate"}, {})
+    assert stages == ["compiling integrate, once a session"]
     with pytest.raises(RuntimeError, match="singular"):
-        session.answer({"call": "regress"}, {})
+        session.answer({"call": "integrate"}, {})
+
+
+def test_what_is_compiled_ahead_is_what_is_asked(fake_julia, monkeypatch, tmp_path):
+    """An implicit search with two thresholds is warmed by such a one, and each kind only once."""
+    log = tmp_path / "calls"
+    monkeypatch.setenv("FAKE_JULIA_LOG", str(log))
+    engine = JuliaEngine(start_seconds=60.0)
+    two = {"threshold": (0.1, 0.2)}
+    implicit = SparseProblem(LINE.theta, LINE.dx, "ADMM", two, implicit=True)
+    for problem in (LINE, LINE, implicit):
+        engine.regress(problem)
+    engine.close()
+    calls = [line.split()[0] for line in log.read_text().splitlines()]
+    assert calls == ["include"] + ["regress-explicit-1"] * 3 + ["regress-implicit-2"] * 2
+    stages: list[str] = []
+    session = julia_worker.Session(stages.append)
+    session._calls["regress"] = lambda *_: None
+    header = {"call": "regress", "optimizer": "SR3", "release": "2021", "proximal": "hard"}
+    for kind in (False, True, False):
+        session.warm_up({**header, "implicit": kind}, {"weights": np.array([0.1])})
+    assert stages == [
+        "compiling regress explicit SR3 2021 hard, once a session",
+        "compiling regress implicit SR3 2021 hard, once a session",
+    ]
+
+
+def test_the_stage_of_the_start_says_what_is_done_with_packages(fake_julia, monkeypatch):
+    """With an own project none are installed, and none are announced to be."""
+    assert "installed" not in julia_worker._announce_packages()
+    monkeypatch.delenv("PYTHON_JULIACALL_PROJECT")
+    assert "installed" in julia_worker._announce_packages()
 
 
 def test_why_diffeqpy_does_not_load_is_told(monkeypatch):
@@ -243,7 +384,23 @@ def test_why_diffeqpy_does_not_load_is_told(monkeypatch):
 
     monkeypatch.setattr(julia_worker, "_load_diffeqpy", fail)
     with pytest.raises(RuntimeError, match="no network"):
-        julia_worker.Session(print).warm_up({"call": "diffeqpy"})
+        julia_worker.Session(print).warm_up({"call": "diffeqpy"}, {})
+
+
+@pytest.mark.parametrize(("held", "done"), [("ours", "import"), ("other", "include")])
+def test_the_package_is_loaded_where_the_project_holds_it(
+    fake_julia, monkeypatch, tmp_path, held, done
+):
+    """A project that holds this very package loads it compiled; any other includes its file."""
+    log, other = tmp_path / "calls", tmp_path / "DynSR.jl"
+    other.write_text("module DynSR end")
+    ours = find_sources() / "src" / "DynSR.jl"
+    monkeypatch.setenv("FAKE_JULIA_LOG", str(log))
+    monkeypatch.setenv("FAKE_JULIA_PACKAGE", str(ours if held == "ours" else other))
+    engine = JuliaEngine(start_seconds=60.0)
+    assert engine.versions()["juliacall"]
+    engine.close()
+    assert [line.split()[0] for line in log.read_text().splitlines()] == [done]
 
 
 def test_the_worker_knows_no_torch(engine):
@@ -261,8 +418,9 @@ def test_the_stand_in_takes_what_julia_takes():
     spec = importlib.util.spec_from_file_location("stand_in", FAKE / "juliacall" / "__init__.py")
     stand_in = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(stand_in)
-    for name, function in (("integrate", stand_in._integrate), ("regress", stand_in._regress)):
-        text = (find_sources() / "src" / f"{name}.jl").read_text()
+    for name in ("integrate", "integrate_driven", "regress"):
+        function = getattr(stand_in, f"_{name}")
+        text = (find_sources() / "src" / f"{name.partition('_')[0]}.jl").read_text()
         (arguments,) = re.findall(rf"^function {name}\(([^)]*)\)", text, re.MULTILINE)
         in_julia = [word for word in re.split(r"[,\s]+", arguments) if word]
         assert list(inspect.signature(function).parameters) == in_julia

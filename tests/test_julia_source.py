@@ -1,5 +1,6 @@
 import math
 import re
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import tree_sitter_julia
 from tree_sitter import Language, Parser
 
 from dynsr.data.system import SYSTEMS
+from dynsr.engines.base import Optimizer, Release
 from dynsr.engines.julia.setup import find_sources
 from dynsr.engines.julia.source import write_julia, write_slopes
+from dynsr.engines.julia.worker import _IS_PACKAGE
 from dynsr.errors import InputError
 from dynsr.expression.evaluation import compile_numpy
 from dynsr.expression.operators import FUNCTIONS
@@ -43,6 +46,8 @@ def slopes_in_python(source: str):
 def test_the_grammar_finds_a_fault():
     """The parser used below does reject what is not Julia."""
     assert faults_of("function f(x) x + ") and not faults_of("f(x) = x + 1")
+    # What the worker itself says to Julia.
+    assert not faults_of(_IS_PACKAGE) and not faults_of("import DynSR")
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
@@ -51,10 +56,43 @@ def test_every_julia_file_parses(path):
     assert faults_of(path.read_text()) == []
 
 
+def test_the_solver_gets_one_type_for_every_right_hand_side():
+    """What ODEProblem is given is built as Slopes, whose one field is an abstract Function."""
+    text = (find_sources() / "src" / "integrate.jl").read_text()
+    assert re.search(r"^struct Slopes\n    call::Function\nend$", text, re.MULTILINE)
+    made = re.findall(r"^    (\w+) = Slopes\(compile\(source\)\)$", text, re.MULTILINE)
+    assert [name for name in made if f"run_tsit5, {name}," not in text] == [] and len(made) == 2
+    (given,) = re.findall(r"ODEProblem\((\w+),", text)
+    assert re.search(rf"^function run_tsit5\(\s+{given},", text, re.MULTILINE)
+
+
+def test_what_is_compiled_ahead_is_every_kind_of_call():
+    """The workload names each optimizer, release and proximal operator, and evaluates no text."""
+    text = (find_sources() / "src" / "workload.jl").read_text()
+    named = set(re.findall(r'"([\w-]*)"', text))
+    releases = {"", *get_args(Release)}
+    assert set(get_args(Optimizer)) | releases | {"hard", "soft"} <= named
+    code = re.sub(r"#.*|^\".*\"$", "", text, flags=re.MULTILINE)
+    assert not re.search(r"\b(compile|integrate|integrate_driven|eval)\(", code)
+    assert len(re.findall(r"run_tsit5\(\s*Slopes\(", code)) == 2 and "versions" in code
+
+
+def test_the_workload_belongs_to_the_package_alone():
+    """Included into a project that is not ours, the module asks for no PrecompileTools."""
+    sources = {p.name: p.read_text() for p in (find_sources() / "src").glob("*.jl")}
+    users = [name for name, text in sources.items() if "using PrecompileTools" in text]
+    assert users == ["workload.jl"]
+    assert (
+        'if Base.PkgId(@__MODULE__).uuid !== nothing\n    include("workload.jl")\nend'
+        in sources["DynSR.jl"]
+    )
+
+
 def test_the_julia_folder_is_complete():
     """The module includes every source file beside it, and nothing that is missing."""
     names = {path.name for path in FILES}
     assert {"DynSR.jl", "integrate.jl", "regress.jl", "release2021.jl", "runtests.jl"} <= names
+    assert "workload.jl" in names
     module = (find_sources() / "src" / "DynSR.jl").read_text()
     included = set(re.findall(r'include\("(.+?)"\)', module))
     assert included == {p.name for p in (find_sources() / "src").glob("*.jl")} - {"DynSR.jl"}

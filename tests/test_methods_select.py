@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,7 @@ def test_one_default_preset(name):
     assert make_method(name) == make_method(name, DEFAULT_PRESET)
     assert choose_methods(name) == {name: make_method(name, DEFAULT_PRESET)}
     assert DynsrRegressor().preset == DEFAULT_PRESET
-    assert dynsr.discover.__kwdefaults__["preset"] == DEFAULT_PRESET
+    assert signature(dynsr.discover).parameters["preset"].default == DEFAULT_PRESET
 
 
 def test_changes_replace_single_settings():

@@ -88,3 +88,10 @@ def test_the_more_forecasts_the_finer_the_choice():
     near, short = (RankedCandidate(None, bits, miss) for bits, miss in ((90.0, 0.03), (60.0, 0.04)))
     assert rank_candidates([near, short], 8)[0] is short
     assert rank_candidates([near, short], 800)[0] is near
+
+
+def test_one_wrong_equation_does_not_bend_the_constants_of_the_others(exact):
+    """Beside a line for the predators, the prey's equation keeps its constants to two percent."""
+    wrong = {"x": parse("1.4*x - 0.9*x*y"), "y": parse("0.3*x - 0.3*y")}
+    found = polish(wrong, [with_noise(exact)], {}, {}, {})
+    assert sorted(v for v, _ in found.errors["x"]) == pytest.approx([-1.0, 1.5], rel=0.02)

@@ -96,15 +96,15 @@ def test_a_terminal_shows_every_running_search(monkeypatch, total):
     with SearchProgress() as progress:
         long = replace(search(), task="search-x-ga", title="x' by ga", best="x + " * 100)
         progress(step(75, 1, "a", (search("brute force [1]", total), long)))
-        progress._bar.refresh()
+        progress._lines.bar.refresh()
         progress.say("one line [2]")
         drawn = screen.getvalue()
         assert "brute force [1]" in drawn and "one line [2]" in drawn and "2*x*[y]" in drawn
         assert "1 of 4 tasks" in drawn and "1:15" in drawn and "about 1:05 left" in drawn
         assert "x + x + x" in drawn and "…" in drawn
-        assert len(progress._bar.tasks) == 3
+        assert len(progress._lines.bar.tasks) == 3
         progress(step(80, 2, "b", (search(),)))
-        assert len(progress._bar.tasks) == 2
+        assert len(progress._lines.bar.tasks) == 2
         progress(step(90, 4, "b"))
-        progress._bar.refresh()
+        progress._lines.bar.refresh()
     assert "finishing" in screen.getvalue()

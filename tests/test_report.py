@@ -84,7 +84,7 @@ def test_the_report_shows_every_formula_and_where_it_comes_from(records):
     failed = [*records, replace(records[0], run=9, status="failed", error="a < b & c")]
     page = Page(render_replication(failed, SETTINGS))
     assert page.tables == ["table1", "appendix_ga_lotka-volterra", "appendix_sindy_pendulum",
-                           "appendix_ga_cart-pole"]  # fmt: skip
+                           "appendix_ga_cart-pole", "made_by"]  # fmt: skip
     words = " ".join(page.text)
     for entry in records:
         assert entry.expression in words
@@ -113,6 +113,7 @@ def test_what_users_name_is_escaped():
         losses=table,
         formulas=[table],
         stages=[table],
+        made=[table],
         recorded_steps=False,
         pictures=[Picture("<svg></svg>", '"' + evil)],
         facts=[(evil, evil)],
@@ -126,7 +127,7 @@ def test_results_are_written_as_files(records, tmp_path):
     assert all(path.stat().st_size > 50 for path in paths)
     names = {str(path.relative_to(tmp_path)) for path in paths}
     assert {"report.html", "figure1.png", "figure1.pdf", "tables/table1.tex"} <= names
-    assert len(names) == 3 + 3 * 4
+    assert len(names) == 3 + 3 * 5
     before = {path: path.read_bytes() for path in paths}
     assert write_results(tmp_path, records, SETTINGS) == paths
     assert {path: path.read_bytes() for path in paths} == before
@@ -157,8 +158,8 @@ def test_the_report_names_the_stage_of_each_run_and_what_the_others_came_to(reco
     found = record("pendulum", "theta1", method="dynaifeynman", source="polynomial", stages=STAGES)
     runs = [*records, found, replace(found, run=2)]
     page = Page(render_replication(runs, SETTINGS))
-    assert page.tables[-1] == "stages_dynaifeynman_pendulum"
-    table = next(t for t in all_tables(runs) if t.name == page.tables[-1])
+    assert page.tables[-2] == "stages_dynaifeynman_pendulum"
+    table = next(t for t in all_tables(runs) if t.name == page.tables[-2])
     assert [row[:3] for row in table.rows] == [
         ("polynomial", 2, "1, 1"),
         ("network", 2, "0, 0"),

@@ -68,7 +68,7 @@ def test_the_appendix_holds_every_formula_with_its_losses(records):
     """One table a system and method; its rows are the records, in the order of the runs."""
     tables = all_tables(records)
     assert [t.name for t in tables] == ["table1", "appendix_ga_lotka-volterra",
-                                        "appendix_ga_cart-pole"]  # fmt: skip
+                                        "appendix_ga_cart-pole", "made_by"]  # fmt: skip
     rows = tables[2].to_records()
     assert [r["Formula"] for r in rows] == PRINTED["cart-pole"]
     assert rows[3]["As printed"] == pytest.approx(0.301, abs=1e-3)

@@ -1,9 +1,13 @@
+import importlib.util
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from dynsr.data import PAPER_SYSTEMS, take_trajectories
+from dynsr.engines import simulate
 
 ROOT = Path(__file__).parent.parent
 SCRIPTS = ("table1", "table2", "figure1", "appendix_ga", "appendix_dynaifeynman", "appendix_sindy")
@@ -50,3 +54,76 @@ def test_table_2_is_printed_and_written(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "bitstring length" in done.stdout
     assert "| iterations | 100 | 40 | 100 |" in (tmp_path / "tables" / "table2.md").read_text()
+
+
+def test_pages_hold_what_their_blocks_print(tmp_path):
+    """Blocks run in order and share names; an old output gives way, and prose stays."""
+    page = tmp_path / "page.md"
+    page.write_text("A\n\n```python\nx = 2\n```\n\nB\n\n```python\nprint(x + 1)\n```\n\nC\n")
+    for _ in range(2):
+        done = subprocess.run([sys.executable, ROOT / "scripts" / "pages", page], check=True)
+        assert done.returncode == 0
+        shown = "```python\nprint(x + 1)\n```\n\n```text\n3\n```\n\nC\n"
+        assert page.read_text() == f"A\n\n```python\nx = 2\n```\n\nB\n\n{shown}"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the scripts are of a POSIX shell")
+@pytest.mark.parametrize("installed", [True, False])
+@pytest.mark.parametrize("arguments", [("--quick",), ("--engine", "julia"), ("--engine=julia",)])
+def test_a_replication_in_julia_sets_julia_up_first(tmp_path, arguments, installed):
+    """Where juliacall is missing it is installed, then Julia; without that engine nothing is."""
+    log, python = tmp_path / "log", tmp_path / "bin" / "python"
+    python.parent.mkdir()
+    found = 0 if installed else 1
+    python.write_text(
+        f'#!/bin/sh\n[ "$1" = -c ] && exit {found}\nshift 1\necho "$*" | cut -d" " -f1-3 >> {log}\n'
+    )
+    python.chmod(0o755)
+    environment = {**os.environ, "VIRTUAL_ENV": str(tmp_path), "DYNSR_USE_ACTIVE_ENV": "1"}
+    subprocess.run([ROOT / "scripts" / "replicate", *arguments], env=environment, check=True)
+    calls = log.read_text().splitlines()
+    assert calls.pop().startswith(f"dynsr replicate {arguments[0]}")
+    if "julia" not in " ".join(arguments):
+        assert calls == []
+    else:
+        assert calls == [*([] if installed else ["pip install --quiet"]), "dynsr doctor --install"]
+
+
+@pytest.mark.parametrize("julia", ["stand-in", "real"])
+def test_data_of_sciml_are_those_of_the_embedded_engine(julia, tmp_path):
+    """Written with diffeqpy alone, three tables hold what the embedded engine integrates."""
+    path = ROOT
+    environment = dict(os.environ)
+    if julia == "stand-in":
+        # diffeqpy finds Julia by its folder on the path.
+        path = os.pathsep.join([str(ROOT / "tests" / "fake_julia"), str(ROOT)])
+        environment["PATH"] = os.pathsep.join(["/opt/julia/bin", os.environ["PATH"]])
+    elif importlib.util.find_spec("diffeqpy") is None:
+        if os.environ.get("DYNSR_REQUIRE_DIFFEQPY") == "1":
+            pytest.fail("DYNSR_REQUIRE_DIFFEQPY is 1, but diffeqpy is not installed")
+        pytest.skip("diffeqpy is not installed")
+    tight = ["--reltol", "1e-10", "--abstol", "1e-10"]
+    done = subprocess.run(
+        [sys.executable, ROOT / "scripts" / "sciml_data.py", *tight, "--out", tmp_path],
+        capture_output=True,
+        text=True,
+        env={**environment, "PYTHONPATH": str(path)},
+    )
+    assert done.returncode == 0, done.stderr
+    for system in PAPER_SYSTEMS:
+        (run,), _ = take_trajectories(tmp_path / f"{system.name}.csv", system.inputs)
+        assert run.states == system.states and len(run) == 1002
+        own = simulate(system, t=run.t, reltol=1e-12, abstol=1e-12)
+        assert abs(run.x - own.x).max() < 1e-6
+        assert abs(run.inputs - own.inputs).max(initial=0.0) < 1e-12
+
+
+def test_records_are_the_published_tables():
+    """21 years, hares at their most in 1903 and lynx a year later; 14 days, most in bed: 298."""
+    folder = ROOT / "docs" / "records"
+    rows = [line.split(",") for line in (folder / "hare-lynx.csv").read_text().splitlines()[1:]]
+    assert [int(year) for year, _, _ in rows] == list(range(1900, 1921))
+    assert max(rows, key=lambda row: float(row[1]))[:2] == ["1903", "77.4"]
+    assert max(rows, key=lambda row: float(row[2])) == ["1904", "36.3", "59.4"]
+    beds = [int(line.split(",")[1]) for line in (folder / "influenza.csv").read_text().split()[1:]]
+    assert len(beds) == 14 and max(beds) == beds[5] == 298

@@ -16,6 +16,7 @@ from dynsr.methods.base import Progress
 from dynsr.methods.feynman.search import DIRECT_STAGES, STAGES, DynAIFeynman
 from dynsr.methods.feynman.stages.domain_change import DomainChange
 from dynsr.methods.feynman.stages.polynomial import Polynomial
+from dynsr.methods.rational import RationalSearch
 
 _QUICK = DynAIFeynman(
     stages=("polynomial", "brute force", "refinement"), candidates=5000, exact_values=None
@@ -182,7 +183,8 @@ def test_the_source_of_a_formula_names_the_stage_that_found_it():
     """Every member of the front says its stage, alone or before a colon."""
     clean = _samples("sin(a*b) + 0.1*a^3", 150)
     samples = replace(clean, y=clean.y + 0.01 * _rng().normal(size=150))
-    method = DynAIFeynman(epochs=20, agreement=0, candidates=5000)
+    sums = RationalSearch(costs=(2,), rounds=1)
+    method = DynAIFeynman(epochs=20, agreement=0, candidates=1000, rational=sums)
     front = method.search(samples, _rng())
     found = {candidate.source.partition(":")[0] for candidate in front}
     assert found <= {*STAGES, "mean"} and len(found) > 1
@@ -201,9 +203,14 @@ def test_values_that_may_be_exact_have_stages_of_their_own(scheme, first):
     noisy = clean.y + 0.01 * _rng().normal(size=100)
     samples = replace(clean, y=noisy, scheme=scheme)
     seen: list[str] = []
-    method = DynAIFeynman(stages=DIRECT_STAGES, candidates=2000)
-    method.search(samples, _rng(), lambda progress: seen.append(progress.stage))
-    assert tuple(dict.fromkeys(seen))[:4] == first
+
+    def note(progress: Progress) -> None:
+        seen.append(progress.stage)
+        if len(set(seen)) == len(first):
+            raise KeyboardInterrupt
+
+    DynAIFeynman(stages=DIRECT_STAGES, candidates=2000).search(samples, _rng(), note)
+    assert tuple(dict.fromkeys(seen)) == first
 
 
 @pytest.mark.slow

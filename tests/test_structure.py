@@ -1,4 +1,4 @@
-from dataclasses import replace
+"""Claims about which terms measured states ask for."""
 
 import numpy as np
 import pytest
@@ -8,16 +8,15 @@ from dynsr.benchmarks.noise import compare_formulas
 from dynsr.data.system import LOTKA_VOLTERRA, PENDULUM
 from dynsr.engines.simulation import add_noise, training_trajectory
 from dynsr.expression.parsing import parse
+from dynsr.fit.collocation import CollocationFit, Measurements
 from dynsr.fit.description import structure_bits
-from dynsr.fit.noise import independent_rows
 from dynsr.methods.library import MonomialLibrary
-from dynsr.selection.systems import (
-    SystemComparison,
-    compare_systems,
+from dynsr.selection.changes import (
+    drop_least,
     promising_changes,
-    swap_everywhere,
-    toggle_factors,
 )
+from dynsr.selection.comparison import COMPARISON, SystemComparison
+from dynsr.selection.systems import SystemChoice, compare_systems, explore
 
 WRONG = {
     "a term too many": "0.06*theta1*theta2^2 - 0.09*theta2 - 10*sin(theta1)",
@@ -26,65 +25,101 @@ WRONG = {
 
 
 def noisy(system, level, seed=0):
-    """Training data with noise."""
-    return add_noise(training_trajectory(system), level, np.random.default_rng(seed))
+    """Training data with noise, smoothed."""
+    run = add_noise(training_trajectory(system), level, np.random.default_rng(seed))
+    return Measurements.of([run], {}, COMPARISON.rows)
+
+
+@pytest.fixture(scope="module")
+def swings():
+    """A damped pendulum at 5 % noise."""
+    return noisy(PENDULUM, 0.05)
 
 
 @pytest.mark.parametrize("start", WRONG.values(), ids=WRONG)
-def test_terms_come_right_on_the_states(start):
+def test_terms_come_right_on_the_states(swings, start):
     """From a wrong neighbour the damped pendulum is found at 5 % noise, its constants to 2 %."""
     exprs = {"theta1": parse("theta2"), "theta2": parse(start)}
-    found = compare_systems(exprs, {}, [noisy(PENDULUM, 0.05)])
-    assert found["theta1"] == parse("theta2")
-    same, off = compare_formulas(found["theta2"], PENDULUM.rhs[1])
+    found = compare_systems(exprs, {}, swings)
+    assert found.exprs["theta1"] == parse("theta2")
+    same, off = compare_formulas(found.exprs["theta2"], PENDULUM.rhs[1])
     assert same and off < 0.02
+    assert found.explains(COMPARISON)
+
+
+def test_what_leaves_more_than_noise_explains_nothing(swings):
+    """Undamped, the best fit of a pendulum misses by more than the noise."""
+    fit = SystemComparison(swings.mesh(("theta1", "theta2"))).fit(
+        {"theta1": parse("theta2"), "theta2": parse("-9.7*sin(theta1)")}
+    )
+    assert not SystemChoice(fit.exprs, fit).explains(COMPARISON)
 
 
 def test_the_true_form_stays_as_it_was_given():
     """Nothing beats the true terms of Lotka-Volterra at 5 % noise; its snapped numbers stay."""
     exprs = dict(zip(LOTKA_VOLTERRA.states, map(sympy.expand, LOTKA_VOLTERRA.rhs), strict=True))
-    assert compare_systems(exprs, {}, [noisy(LOTKA_VOLTERRA, 0.05)]) == exprs
+    assert compare_systems(exprs, {}, noisy(LOTKA_VOLTERRA, 0.05)).exprs == exprs
 
 
-def test_alternatives_are_tried():
+def test_alternatives_are_tried(swings):
     """A cubic in the place of the sine gives way to a formula of the front, its constants off."""
     exprs = {"theta1": parse("theta2"), "theta2": parse("1.2*theta1^3 - 9.5*theta1 - 0.08*theta2")}
     alternatives = {"theta2": [parse("-0.05*theta2 - 9.4*sin(theta1)")]}
-    found = compare_systems(exprs, alternatives, [noisy(PENDULUM, 0.05)])
-    same, off = compare_formulas(found["theta2"], PENDULUM.rhs[1])
+    found = compare_systems(exprs, alternatives, swings)
+    same, off = compare_formulas(found.exprs["theta2"], PENDULUM.rhs[1])
     assert same and off < 0.02
 
 
-def test_what_cannot_be_compared_comes_back():
-    """Clean data, a state without an equation and a system that diverges change nothing."""
-    run = noisy(PENDULUM, 0.05)
+def test_sums_of_terms_are_found_along_the_states(swings):
+    """With nothing given, gravity and damping alone are the best sum, beside smoothed angles."""
+    same, off = compare_formulas(explore("theta2", swings, COMPARISON)[0], PENDULUM.rhs[1])
+    assert same and off < 0.1
+
+
+def test_what_cannot_be_compared_comes_back(swings):
+    """Clean data, and equations without values, change nothing; no fit is claimed for them."""
     wrong = {"theta1": parse("theta2"), "theta2": parse("-9.7*sin(theta1)")}
-    assert compare_systems(wrong, {}, [noisy(PENDULUM, 1e-4)]) == wrong
-    alone = {"theta2": wrong["theta2"]}
-    assert compare_systems(alone, {}, [run]) == alone
-    wild = {"theta1": parse("theta2"), "theta2": parse("exp(exp(9*theta1^2))")}
-    assert compare_systems(wild, {}, [run]) == wild
+    wild = {**wrong, "theta2": parse("exp(exp(9*theta1^2))")}
+    for exprs, data in ((wrong, noisy(PENDULUM, 1e-4)), (wild, swings)):
+        found = compare_systems(exprs, {}, data)
+        assert found.exprs == exprs and found.fit is None
 
 
-def test_the_linearised_fit_foresees_the_fit():
-    """The change expected first is the missing damping, and its bits are those that a fit finds."""
-    run = noisy(PENDULUM, 0.05)
-    sigma = 0.05 * training_trajectory(PENDULUM).x.std(axis=0)
-    comparison = SystemComparison([run], {}, sigma, 60)
+def test_a_state_alone_is_compared_beside_the_measured_others(swings):
+    """The pendulum's damping comes back where only its second equation is sought."""
+    found = compare_systems({"theta2": parse("-9.7*sin(theta1)")}, {}, swings)
+    same, off = compare_formulas(found.exprs["theta2"], PENDULUM.rhs[1])
+    assert same and off < 0.1
+
+
+def test_the_linearised_fit_foresees_what_is_missing(swings):
+    """Far from the truth, the change expected first is the missing damping."""
+    comparison = SystemComparison(swings.mesh(("theta1", "theta2")))
     fit = comparison.fit({"theta1": parse("theta2"), "theta2": parse("-9.7*sin(theta1)")})
-    comparison = comparison.with_rows(independent_rows(fit.misses))
-    fit = replace(fit, bits=comparison.bits(fit))
+    first = promising_changes(comparison, fit)[0]
+    assert first.state == "theta2" and compare_formulas(first.expr, PENDULUM.rhs[1])[0]
+
+
+def test_the_linearised_fit_foresees_the_fit(swings):
+    """A term too many is expected to save the bits that a fit without it saves, within 10 %."""
+    comparison = SystemComparison(swings.mesh(("theta1", "theta2")))
+    start = {
+        "theta1": parse("theta2"),
+        "theta2": parse("0.06*theta1*theta2^2 - 0.09*theta2 - 9.7*sin(theta1)"),
+    }
+    fit = comparison.fit(start)
     first = promising_changes(comparison, fit)[0]
     assert first.state == "theta2" and compare_formulas(first.expr, PENDULUM.rhs[1])[0]
     found = comparison.fit({**fit.exprs, "theta2": first.expr}, fit)
     assert found.bits - fit.bits == pytest.approx(first.bits, rel=0.1)
 
 
-def test_white_misses_count_as_they_are():
-    """White noise has as many independent rows as it has rows; runs of ten have a tenth."""
-    white = np.random.default_rng(0).normal(size=(1000, 2, 3))
-    assert independent_rows(white) == pytest.approx(3000, rel=0.05)
-    assert independent_rows(np.repeat(white, 10, axis=0)) == pytest.approx(3000, rel=0.05)
+def test_what_is_missed_least_is_dropped(swings):
+    """Of gravity, damping and a cube that is not there, the cube goes."""
+    comparison = SystemComparison(swings.mesh(("theta1", "theta2")))
+    start = parse("0.01*theta2^3 - 0.1*theta2 - 9.7*sin(theta1)")
+    fit = comparison.fit({"theta1": parse("theta2"), "theta2": start})
+    assert compare_formulas(drop_least(fit, "theta2"), PENDULUM.rhs[1])[0]
 
 
 def test_directions():
@@ -98,17 +133,6 @@ def test_directions():
     assert len(MonomialLibrary(limit=400).for_names("abcde")) == 116 + 200
 
 
-def test_one_edit_away():
-    """A sine swaps with its argument everywhere, and a term gains or loses one factor."""
-    x, y = sympy.symbols("x y")
-    assert swap_everywhere(x * sympy.cos(x)) == [sympy.sin(x) * sympy.cos(x)]
-    assert toggle_factors(parse("2*y*sin(x)*cos(x)"), [sympy.cos(x)]) == [parse("2*y*sin(x)")]
-    assert toggle_factors(parse("(x + 2)/(y + 1)"), [y]) == [
-        parse("(x + 2*y)/(y + 1)"),
-        parse("(x*y + 2)/(y + 1)"),
-    ]
-
-
 def test_a_second_term_of_one_form_costs_what_the_first_did():
     """Constants count as one kind of symbol, never as each other: two sines are two terms."""
     one, two = parse("2.5*sin(1.5*x)"), parse("2.5*sin(1.5*x) + 0.5*sin(3.5*x)")
@@ -116,3 +140,10 @@ def test_a_second_term_of_one_form_costs_what_the_first_did():
     assert structure_bits(one) == pytest.approx(6 * np.log2(4))
     assert structure_bits(two) == pytest.approx(13 * np.log2(5))
     assert structure_bits(parse("2.5*x + 0.1*y")) == structure_bits(parse("7.5*x - 3.25*y"))
+
+
+def test_what_the_data_say_nothing_of_has_no_error_bars():
+    """A constant that moves no state is known to no digit; the others to one over the root."""
+    x, none = sympy.Symbol("x"), np.empty((0, 1))
+    fit = CollocationFit({"x": x}, np.ones(2), none, none, np.ones(1), np.diag([4.0, 0.0]))
+    assert fit.errors.tolist() == [0.5, np.inf]

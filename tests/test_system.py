@@ -28,6 +28,9 @@ def test_a_system_is_read_from_strings_with_parameters():
         ({"x": "x"}, {"target": "y"}),
         ({"x": "x"}, {"inputs": {"x": "t"}}),
         ({"x": "x + u"}, {"inputs": {"u": "x"}}),
+        ({"x": "-x"}, {"parameters": {"x": 3.0}}),
+        ({"x": "-t*x"}, {"parameters": {"t": 3.0}}),
+        ({"x": "u - x"}, {"inputs": {"u": "t"}, "parameters": {"u": 3.0}}),
     ],
 )
 def test_a_system_that_does_not_hold_together_is_refused(equations: dict, settings: dict):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SOURCES = ("DynSR.jl", "integrate.jl", "regress.jl", "release2021.jl")
+SOURCES = ("DynSR.jl", "integrate.jl", "regress.jl", "release2021.jl", "workload.jl")
 
 
 @pytest.fixture(scope="module")
@@ -45,30 +45,54 @@ def run_in(site: Path, code: str, folder: Path) -> str:
 def test_the_wheel_holds_all_that_dynsr_needs_at_run_time(wheel):
     """Julia's sources, the list of its packages, the marker of types and the recorded answers."""
     names = set(zipfile.ZipFile(wheel).namelist())
-    wanted = {f"dynsr/julia/src/{name}" for name in SOURCES}
-    wanted |= {"dynsr/juliapkg.json", "dynsr/julia/Project.toml", "dynsr/py.typed"}
+    wanted = {f"dynsr_julia/src/{name}" for name in SOURCES}
+    wanted |= {f"dynsr_julia/{name}" for name in ("juliapkg.json", "Project.toml")} | {
+        "dynsr/py.typed"
+    }
     assert wanted <= names
     here = {p.relative_to(ROOT).as_posix() for p in (ROOT / "dynsr").rglob("*") if p.is_file()}
     assert {n for n in here if "__pycache__" not in n} <= names
 
 
 def test_an_installed_dynsr_finds_julias_sources(installed, tmp_path):
-    """Away from the checkout, the engine finds the julia folder inside the package."""
+    """Away from the checkout, the engine finds the folder beside the package."""
     code = "from dynsr.engines.julia.setup import find_sources; print(find_sources())"
     found = Path(run_in(installed, code, tmp_path))
-    assert found == installed / "dynsr" / "julia"
+    assert found == installed / "dynsr_julia"
     assert all((found / "src" / name).is_file() for name in SOURCES)
 
 
 def test_juliapkg_would_find_the_list_of_packages(installed, tmp_path):
-    """The list lies where juliapkg looks: beside __init__ of a package on the path."""
+    """The list lies where juliapkg looks: in one folder, directly below a place of the path."""
     code = (
-        "import dynsr, json, pathlib; "
-        "path = pathlib.Path(dynsr.__file__).with_name('juliapkg.json'); "
+        "import json, pathlib, sys; "
+        "found = {f for p in sys.path for f in pathlib.Path(p).glob('dynsr*/juliapkg.json')}; "
+        "(path,) = found; "
         "print(*sorted(json.loads(path.read_text())['packages']))"
     )
     found = run_in(installed, code, tmp_path)
-    assert found == "DataDrivenDiffEq DataDrivenSparse OrdinaryDiffEqTsit5 PythonCall"
+    assert found == "DataDrivenDiffEq DataDrivenSparse DynSR OrdinaryDiffEqTsit5 PythonCall"
+
+
+def test_a_checkout_has_one_list_of_packages():
+    """An editable install leaves no copy beside it, whose path would contradict the first."""
+    found = {file for path in sys.path for file in Path(path or ".").glob("*/juliapkg.json")}
+    assert [file.resolve() for file in found] == [ROOT / "julia" / "juliapkg.json"]
+
+
+@pytest.mark.parametrize("where", ["checkout", "wheel"])
+def test_juliapkg_develops_the_julia_package(installed, where):
+    """The path of its entry, taken from the list's folder, holds the package of that name."""
+    import json
+    import re
+
+    package = ROOT / "julia" if where == "checkout" else installed / "dynsr_julia"
+    listed = json.loads((package / "juliapkg.json").read_text())["packages"]["DynSR"]
+    assert listed["dev"] is True
+    project = (package / listed["path"] / "Project.toml").read_text()
+    assert re.search(r'^name = "DynSR"$', project, re.MULTILINE)
+    assert f'\nuuid = "{listed["uuid"]}"' in project
+    assert (package / listed["path"] / "src" / "DynSR.jl").is_file()
 
 
 def test_an_installed_dynsr_integrates(installed, tmp_path):
@@ -85,7 +109,7 @@ def test_the_lists_of_julia_packages_agree():
     import json
     import re
 
-    listed = json.loads((ROOT / "dynsr" / "juliapkg.json").read_text())
+    listed = json.loads((ROOT / "julia" / "juliapkg.json").read_text())
     project = (ROOT / "julia" / "Project.toml").read_text()
     for name in ("DataDrivenDiffEq", "DataDrivenSparse", "OrdinaryDiffEqTsit5"):
         entry = listed["packages"][name]

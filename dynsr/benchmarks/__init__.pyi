@@ -1,7 +1,21 @@
 from .noise import Recovery, Search, measure_recovery
+from .zoo.catalogue import find_animals
+from .zoo.conditions import draw_conditions
+from .zoo.running import ZooRecord, make_methods, run_zoo, score_table, verdict_table
+from .zoo.suite import read_suite
+from .zoo.system import ZooSystem
 
 __all__ = [
     "Recovery",
     "Search",
+    "ZooRecord",
+    "ZooSystem",
+    "draw_conditions",
+    "find_animals",
+    "make_methods",
     "measure_recovery",
+    "read_suite",
+    "run_zoo",
+    "score_table",
+    "verdict_table",
 ]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dynsr.checks.implicit import implicit_rows
 from dynsr.checks.trajectories import CrosscheckRow, absent, trajectory_rows
 from dynsr.engines import ENGINES, AbstractEngine, DiffeqpyEngine, SparseProblem, find_engine
 from dynsr.errors import EngineError, EngineUnavailable, InputError, MissingExtra, need
@@ -257,6 +258,7 @@ SECTIONS: dict[str, Section] = {
     "records": record_rows,
     "corrected": corrected_rows,
     "pysindy": pysindy_rows,
+    "implicit": implicit_rows,
 }
 
 PROGRAMS: dict[str, Callable[[], AbstractEngine]] = {"diffeqpy": DiffeqpyEngine}

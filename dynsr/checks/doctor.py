@@ -13,7 +13,14 @@ import sympy
 from packaging.requirements import Requirement
 
 from dynsr import __version__
-from dynsr.engines import ENGINES, AbstractEngine, InitialValueProblem, SparseProblem, find_engine
+from dynsr.engines import (
+    ENGINES,
+    AbstractEngine,
+    InitialValueProblem,
+    SparseProblem,
+    find_engine,
+    is_configured,
+)
 from dynsr.engines import install as install_julia
 from dynsr.errors import EngineError, EngineUnavailable
 
@@ -124,7 +131,8 @@ def _examine_engine(name: str) -> Iterator[Check]:
     try:
         engine = find_engine(name)
     except EngineUnavailable as problem:
-        yield Check(f"{name}: engine", MISSING, *_split_remedy(str(problem)), required)
+        state = FAILS if name == "julia" and is_configured() else MISSING
+        yield Check(f"{name}: engine", state, *_split_remedy(str(problem)), required)
         return
     for verb, attempt in (("integration", _try_integration), ("regression", _try_regression)):
         yield _examine_verb(f"{name}: {verb}", engine, attempt, required)
@@ -141,7 +149,8 @@ def _examine_verb(
         start = time.perf_counter()
         gap = attempt(engine)
     except EngineUnavailable as problem:
-        return Check(name, MISSING, *_split_remedy(str(problem)), required)
+        # It is set up, or it would not have been tried.
+        return Check(name, FAILS, *_split_remedy(str(problem)), required)
     except EngineError as problem:
         return Check(name, FAILS, str(problem), "", required)
     seconds = time.perf_counter() - start

@@ -38,8 +38,9 @@ class CrosscheckRow:
         trajectories; None where one side is absent.
     limit : up to which difference the two agree.
     worst : where the largest difference occurred, or why a side is absent.
+    judged : whether a program is held to the truth, which is no matter of agreement.
 
-    ``verdict`` is one of agrees, differs, absent.
+    ``verdict`` is one of agrees, differs, absent, and right or wrong for one that is judged.
 
     >>> CrosscheckRow("records", "pendulum", "states", "embedded", "scipy", 9, 1e-9, 1e-8).verdict
     'agrees'
@@ -54,6 +55,7 @@ class CrosscheckRow:
     difference: float | None
     limit: float
     worst: str = ""
+    judged: bool = False
     verdict: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -61,7 +63,8 @@ class CrosscheckRow:
         if self.difference is None:
             verdict = "absent"
         else:
-            verdict = "agrees" if self.difference <= self.limit else "differs"
+            words = ("right", "wrong") if self.judged else ("agrees", "differs")
+            verdict = words[not self.difference <= self.limit]
         object.__setattr__(self, "verdict", verdict)
 
 

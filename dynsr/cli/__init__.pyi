@@ -1,4 +1,4 @@
-from .app import main
+from .start import main
 
 __all__ = [
     "main",

@@ -5,14 +5,13 @@ Exit codes: 0 done, 2 bad input or an absent engine, 130 ended by Ctrl-C.
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated
 
 import typer
 
 from dynsr import __version__
 from dynsr.cli import benchmarks, checks, data, discovery, paper, results
-from dynsr.cli.group import INTERRUPTED, CommandGroup
+from dynsr.cli.group import CommandGroup
 
 app = typer.Typer(
     name="dynsr",
@@ -61,12 +60,3 @@ for _panel, _command, _example in (
     (_CARE, checks.doctor, "doctor --install"),
 ):
     app.command(rich_help_panel=_panel, epilog=f"Example: dynsr {_example}")(_command)
-
-
-def main() -> None:
-    """Run the command line that the shell gave."""
-    try:
-        app()
-    except KeyboardInterrupt:  # before the command itself began
-        typer.echo("error: interrupted", err=True)
-        sys.exit(INTERRUPTED)

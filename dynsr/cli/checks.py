@@ -25,12 +25,13 @@ def crosscheck(
 ) -> None:
     """Compare engines with recorded answers and other programs: a verdict a row.
 
-    Runs with whatever is installed and says what it left out; exit code 2 when a row differs.
+    Runs with whatever is installed and says what it left out; exit code 2 when a row differs. Other
+    programs that are held to a known law are right or wrong, which changes no exit code.
     """
     from dynsr.checks import crosscheck as run
 
     asked = {"systems": systems, "engines": engines, "sections": sections, "extra": extra}
-    chosen = {name: options.read_names(value) for name, value in asked.items() if value}
+    chosen = {n: options.read_names(v, f"--{n}") for n, v in asked.items() if v}
     rows = run(**chosen)  # type: ignore[arg-type] # only what was asked for is given
     if json:
         output.print_json(rows)
@@ -50,7 +51,8 @@ def doctor(
 ) -> None:
     """Say what is installed, what works, what is missing, and the line that mends it.
 
-    Exit code 2 when something that dynsr needs is missing or fails.
+    Exit code 1 when something that is there or set up fails, 2 when something that dynsr needs is
+    missing.
     """
     from dynsr.checks import examine, is_healthy
     from dynsr.checks import install as set_up
@@ -63,5 +65,7 @@ def doctor(
     else:
         rows = [(check.name, check.state, check.detail, check.remedy) for check in found]
         output.print_table("Doctor", ("what", "state", "detail", "what mends it"), rows)
+    if any(check.state == "fails" for check in found):
+        raise typer.Exit(1)
     if not is_healthy(found):
         raise typer.Exit(BAD_INPUT)

@@ -34,7 +34,7 @@ def load_table(
     table = read_trajectories(
         list(files) if len(files) > 1 else files[0],
         time_column,
-        options.read_names(states),
+        options.read_names(states, "--states"),
         inputs,
         trajectory,
     )
@@ -286,10 +286,15 @@ def simulate(
 
     Without --out the table goes to stdout.
     """
+    from dynsr.engines import refuse_idle
     from dynsr.engines import simulate as integrate
 
     if model and (model.endswith(".json") or Path(model).exists()):
         found = load_discovery(Path(model))
+        if found.is_map:
+            refuse_idle(engine, "a map is iterated")
+            _deliver_map(found, inputs, x0, span, dt, out, json)
+            return
         system = _discovered_system(found, Path(model).stem, inputs, x0)
         engine = engine or str(found.engine)
     else:
@@ -298,6 +303,21 @@ def simulate(
     start = options.read_numbers(x0, "--x0", len(system.states))
     made = integrate(system, start, times, reltol, abstol, engine or DEFAULT_ENGINE)
     deliver(made, out, json, {"system": system.name})
+
+
+def _deliver_map(
+    found: Discovery,
+    inputs: Sequence[str] | None,
+    x0: str | None,
+    span: str | None,
+    dt: float | None,
+    out: Path | None,
+    json: bool,
+) -> None:
+    """Iterate a saved map, a row a step of 1 unless --dt says otherwise."""
+    system = _discovered_system(found, "map", inputs, x0)
+    times = choose_times(system, span, 1.0 if dt is None else dt)
+    deliver(found.simulate(system.x0, times, system.inputs), out, json, {"system": system.name})
 
 
 def _discovered_system(

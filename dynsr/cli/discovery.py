@@ -16,7 +16,7 @@ from dynsr.cli import options, output
 from dynsr.cli.data import load_table, read_equations, split_inputs
 from dynsr.cli.output import Notes
 from dynsr.cli.progress import SearchProgress
-from dynsr.cli.results import keep, score_discovery, summarise
+from dynsr.cli.results import check_keeping, keep, score_discovery, summarise
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
 from dynsr.methods import AUTO, DEFAULT_PRESET, PAPER_METHODS
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 # Name in the scores -> heading, what it means.
 _SCORES = {
     "slope_rmse": ("slopes off by", "error of the equation against the slopes of the data"),
+    "step_rmse": ("step off by", "error of the map over one row"),
     "forecast": ("forecast off by", "median miss of short forecasts, 1 = the state's spread"),
     "trajectory_rmse": ("run off by", "error of one integration over the whole data"),
     "equation_rmse": ("true slopes off by", "error against the true equation on the test span"),
@@ -37,42 +38,81 @@ _SCORES = {
 }
 
 
+# Level of a verdict -> title and colour of the frame around the equations.
+_FRAMES = {
+    "law": ("Law", "green"),
+    "approximation": ("Approximation", "yellow"),
+    "not found": ("Not found", "red"),
+}
+
+
 def show_discovery(
     found: Discovery,
     scores: Mapping[str, Any],
     told: Mapping[str, Sequence[str]],
     quiet: bool = False,
+    details: bool = False,
 ) -> None:
-    """Print the equations, then why they were chosen, how they score and what was assumed.
+    """Print the verdict, the equations and constants, reasons, scores and what was assumed.
 
-    Quiet, the equations are all there is.
+    Quiet, the equations are all there is; with details, how formulas compared in bits comes too.
     """
-    screen = output.console()
-    lines = list(_equations(found))
-    if screen.is_terminal and not quiet:
-        block = Text("\n".join(lines), style="bold")
-        heading = "Equations" if found.complete else "Equations so far"
-        screen.print(Panel(block, title=heading, border_style="green", expand=False))
-    else:
-        typer.echo("\n".join(lines))
+    from dynsr.discovery import write_lines
+
+    lines = write_lines(found.equations, found.settings)
     if quiet:
+        typer.echo("\n".join(lines))
         return
+    _print_equations(found, lines)
     for state, words in found.explanation.items():
-        line = words if words.startswith(f"{state}' =") else f"{state}: {words}"
-        screen.print(Text(line), soft_wrap=not screen.is_terminal)
+        _say(words.strip() if words.startswith((f"{state}' =", " ")) else f"{state}: {words}")
+    _print_constants(found)
+    for state, own in found.ensemble.items():
+        _say(f"{state}', ensemble: " + "; ".join(one.text for one in own))
+    for words in found.details.values() if details else ():
+        _say(words)
     if scores:
         _print_scores(scores)
     for kind, items in told.items():
         for item in items:
-            screen.print(Text(f"{kind}: {item}", style="dim"), soft_wrap=not screen.is_terminal)
+            _say(f"{kind}: {item}", "dim")
 
 
-def _equations(found: Discovery) -> Iterator[str]:
-    from dynsr.expression import shown
-    from dynsr.fit import tidy
+def _say(words: str, style: str = "") -> None:
+    screen = output.console()
+    screen.print(Text(words, style=style), soft_wrap=not screen.is_terminal)
 
-    for state, expr in found.equations.items():
-        yield f"{state}' = {shown(tidy(expr))}"
+
+def _print_equations(found: Discovery, lines: Sequence[str]) -> None:
+    """Print the verdict and below it the equations, on a terminal in a frame."""
+    screen = output.console()
+    title, colour = _FRAMES.get(found.verdict.level if found.verdict else "", ("Equations", "blue"))
+    title = title if found.complete else f"{title}, so far"
+    if found.verdict is not None:
+        _say(found.heading, f"bold {colour}" if screen.is_terminal else "")
+    if screen.is_terminal:
+        block = Text("\n".join(lines), style="bold")
+        screen.print(Panel(block, title=title, border_style=colour, expand=False))
+    else:
+        typer.echo("\n".join(lines))
+
+
+def _print_constants(found: Discovery) -> None:
+    """Print the constants in the order of the formulas, each with its interval."""
+    rows = [(state, one) for state, own in found.constants.items() for one in own]
+    if not rows:
+        return
+    units = found.coefficient_units() if "column_units" in found.settings else {}
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    left = ("", "constant of", "unit")
+    for heading in (*left[:2], "value", "fitted", "95 % interval", *(left[2:] if units else ())):
+        table.add_column(heading, justify="left" if heading in left else "right")
+    for state, one in rows:
+        cells = (f"{state}'", one.of, f"{one.value:.6g}", one.fitted_text, one.interval_text)
+        table.add_row(*cells, *([units[state].get(one.of, "")] if units else []))
+    screen = output.console()
+    screen.print()
+    screen.print(table)
 
 
 def by_state(scores: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -146,6 +186,7 @@ def discover(
             "--targets",
             "--target",
             help="States to find; all by default.",
+            autocompletion=options.complete_column,
             rich_help_panel=options.SEARCH,
         ),
     ] = None,
@@ -161,9 +202,58 @@ def discover(
         typer.Option(
             help="How slopes are made: auto (the data choose), forward, central4, ...; forward by "
             "default with preset paper, else auto.",
+            autocompletion=options.complete_scheme,
             rich_help_panel=options.SEARCH,
         ),
     ] = None,
+    snap: Annotated[
+        bool,
+        typer.Option(
+            "--snap/--no-snap",
+            help="Take simple numbers for constants where the data allow it, or leave them as "
+            "fitted.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = True,
+    order: Annotated[
+        options.Names,
+        typer.Option(
+            help="2 for equations x'' = f(x, x', ...), of all states or of one: x=2.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
+    explicit_time: Annotated[
+        bool,
+        typer.Option(
+            "--explicit-time",
+            help="Let equations hold the time t.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = False,
+    discrete: Annotated[
+        bool,
+        typer.Option(
+            "--map",
+            help="Find a map x[n+1] = f(x[n]) from row to row instead of slopes.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = False,
+    functions: options.Functions = None,
+    max_complexity: options.MaxComplexity = None,
+    terms: options.Terms = None,
+    constraints: options.Constraint = None,
+    conserved: options.Conserved = None,
+    nonnegative: options.Nonnegative = None,
+    units: options.Units = None,
+    time_budget: options.TimeBudget = None,
+    ensemble: Annotated[
+        bool,
+        typer.Option(
+            "--ensemble",
+            help="Say how often each term is kept in fits to data drawn with replacement.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = False,
     seed: options.Seed = 0,
     jobs: options.Jobs = -1,
     engine: options.Engine = DEFAULT_ENGINE,
@@ -176,6 +266,14 @@ def discover(
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
+    details: Annotated[
+        bool,
+        typer.Option(
+            "--details",
+            help="Say too how the formulas compared in bits.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -206,9 +304,22 @@ def discover(
                 method=_choose_methods(method, preset, system),
                 preset=preset,
                 scheme=scheme,
-                targets=options.read_names(targets) or "all",
+                targets=options.read_names(targets, "--targets") or "all",
                 inputs=formulas or None,
                 known=read_equations(known) if known else None,
+                snap=snap,
+                order=options.read_orders(order),
+                explicit_time=explicit_time,
+                discrete=discrete,
+                functions=options.read_functions(functions),
+                max_complexity=max_complexity,
+                terms=options.read_names(terms) or (),
+                constraints=options.read_names(constraints),
+                conserved=options.read_names(conserved) or (),
+                nonnegative=options.read_names(nonnegative) or (),
+                units=units,
+                time_budget=time_budget,
+                ensemble=ensemble,
                 seed=seed,
                 jobs=jobs,
                 engine=engine,
@@ -218,7 +329,7 @@ def discover(
     if json:
         output.print_json({**summarise(found), "scores": scores, "files": saved, **notes.told})
     else:
-        show_discovery(found, scores, notes.told, quiet)
+        show_discovery(found, scores, notes.told, quiet, details)
     if not quiet:
         show_files(found, saved, folder)
 
@@ -271,6 +382,7 @@ def _search_in(
     for folder in folders:
         if folder is not None:
             output.make_folder(folder)
+            check_keeping(folder)
         if taken is not None:
             progress.say(f"{str(taken).partition(';')[0]}; this one goes to {str(folder)!r}")
         try:

@@ -1,6 +1,7 @@
 """The command group: what ends a command, as an exit code and one line on stderr.
 
-0 done, 2 bad input or an absent engine, 130 ended by Ctrl-C, 1 a fault of dynsr itself.
+0 done, 2 bad input or an absent engine, 130 ended by Ctrl-C, 143 by SIGTERM, 1 a fault of dynsr
+itself.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from dynsr.errors import DynsrError, DynsrWarning, one_line
 
 BAD_INPUT = 2
 INTERRUPTED = 130
+TERMINATED = 143
 # typer may carry its own copy of click, so click's errors are found through typer's.
 _CLICK_ERROR: type[Exception] = typer.BadParameter.__mro__[2]
 
@@ -32,20 +34,9 @@ class CommandGroup(TyperGroup):
     def main(self, *args: Any, **options: Any) -> NoReturn:
         """Run the command line and exit with its code."""
         options["standalone_mode"] = False
-        with _warnings_as_lines(), _noted_interrupts() as interrupts:
+        with _warnings_as_lines(), _orderly_end(), _noted_interrupts() as interrupts:
             code = self._run(args, options)
-        sys.exit(INTERRUPTED if interrupts and code == 0 else code)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command chosen; it ends quietly when the reader of its output is gone."""
-        try:
-            result = super().invoke(ctx)
-            sys.stdout.flush()
-            return result
-        except BrokenPipeError:
-            # Python flushes stdout once more at its end, which must not fail again.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return None
+        sys.exit(INTERRUPTED if interrupts and code == 0 else _flush(code))
 
     def _run(self, args: tuple[Any, ...], options: dict[str, Any]) -> int:
         try:
@@ -58,6 +49,11 @@ class CommandGroup(TyperGroup):
             return _end(error, BAD_INPUT)
         except _CLICK_ERROR as error:
             return _end_usage(error)
+        except SystemExit as end:
+            # Where the reader of the output has enough, click and rich end with 1, we never.
+            return 0 if end.code == 1 else int(end.code or 0)
+        except BrokenPipeError:
+            return 0
         except OSError as error:
             where = f" {str(error.filename)!r}" if error.filename else ""
             return _end(f"cannot use{where}: {error.strerror or error}", BAD_INPUT)
@@ -65,6 +61,18 @@ class CommandGroup(TyperGroup):
             return _end("out of memory; give fewer rows or a smaller search", BAD_INPUT)
         except Exception as error:
             return _end_fault(error)
+
+
+def _flush(code: int) -> int:
+    """Write what is left of the output; gives the exit code, which says if that cannot be done."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        # Python flushes once more at its end, which must not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            return _end(f"cannot write the output: {error.strerror}", BAD_INPUT)
+    return code
 
 
 def _end(reason: object, code: int) -> int:
@@ -100,6 +108,29 @@ def _warnings_as_lines() -> Iterator[None]:
         warnings.simplefilter("always", DynsrWarning)
         warnings.showwarning = show
         yield
+
+
+@contextmanager
+def _orderly_end() -> Iterator[None]:
+    """Let SIGTERM end workers and temporary folders too, as Ctrl-C does."""
+
+    def end(number: int, frame: FrameType | None) -> NoReturn:
+        signal.signal(number, signal.SIG_DFL)
+        # Whatever was being written is not finished, so that this goes around Python's buffers.
+        os.write(2, b"error: terminated\n")
+        raise SystemExit(TERMINATED)
+
+    ours = (
+        threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    )
+    if ours:
+        signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _end_at_once() -> NoReturn:

@@ -40,6 +40,38 @@ def complete_engine(incomplete: str) -> list[str]:
     return [name for name in ENGINES if name.startswith(incomplete)]
 
 
+def complete_column(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Offer the columns of the files that stand on the line; after a comma the next one."""
+    # While a line is unfinished, files are among the arguments that have no place yet.
+    files = (*(ctx.params.get("files") or ()), *ctx.args)
+    found = [name for file in files for name in _columns_of(Path(file))]
+    done, comma, start = incomplete.rpartition(",")
+    taken = done.split(",")
+    return [
+        f"{done}{comma}{name}"
+        for name in dict.fromkeys(found)
+        if name.startswith(start) and name not in taken
+    ]
+
+
+def _columns_of(file: Path) -> tuple[str, ...]:
+    from dynsr.data import read_names_only
+    from dynsr.errors import InputError
+
+    try:
+        return read_names_only(file)
+    except (InputError, OSError, ValueError):  # the command itself will say so
+        return ()
+
+
+def complete_scheme(incomplete: str) -> list[str]:
+    """Offer the schemes of slopes to the shell."""
+    from dynsr.data import SCHEMES
+
+    names = ("auto", *SCHEMES, "gp", "savgol(11,3)", "spline", "total-variation")
+    return [name for name in names if name.startswith(incomplete)]
+
+
 Json = Annotated[
     bool, typer.Option("--json", help="Print JSON alone on stdout.", rich_help_panel=OUTPUT)
 ]
@@ -89,22 +121,37 @@ OutFile = Annotated[
 Names = list[str] | None
 
 TimeColumn = Annotated[
-    str | None, typer.Option("--time", help="Time column.", rich_help_panel=DATA)
+    str | None,
+    typer.Option(
+        "--time", help="Time column.", autocompletion=complete_column, rich_help_panel=DATA
+    ),
 ]
 StateColumns = Annotated[
-    Names, typer.Option("--states", help="State columns: x,y.", rich_help_panel=DATA)
+    Names,
+    typer.Option(
+        "--states",
+        help="State columns: x,y.",
+        autocompletion=complete_column,
+        rich_help_panel=DATA,
+    ),
 ]
 Inputs = Annotated[
     Names,
     typer.Option(
         "--inputs",
         help='Input columns, or expressions in t: u or "F=0.5*sin(6*t)".',
+        autocompletion=complete_column,
         rich_help_panel=DATA,
     ),
 ]
 TrajectoryColumn = Annotated[
     str | None,
-    typer.Option("--trajectory", help="Column that names trajectories.", rich_help_panel=DATA),
+    typer.Option(
+        "--trajectory",
+        help="Column that names trajectories.",
+        autocompletion=complete_column,
+        rich_help_panel=DATA,
+    ),
 ]
 MethodName = Annotated[
     str,
@@ -121,6 +168,73 @@ Preset = Annotated[
         help=f"{describe_presets()}.", autocompletion=complete_preset, rich_help_panel=SEARCH
     ),
 ]
+
+SAY = "Your say"
+Functions = Annotated[
+    str | None,
+    typer.Option(
+        help="Functions that equations may hold: exp,sqrt; none for sums and ratios of powers. "
+        "Operators too: +,* leaves out /, and ** adds powers like x**0.7.",
+        rich_help_panel=SAY,
+    ),
+]
+MaxComplexity = Annotated[
+    float | None,
+    typer.Option(
+        help="Most bits of an equation, each fitted constant counted as one symbol.",
+        rich_help_panel=SAY,
+    ),
+]
+Terms = Annotated[
+    Names,
+    typer.Option(
+        "--terms",
+        "--term",
+        help='Terms of your own to try: "x*y/(1+x)".',
+        rich_help_panel=SAY,
+    ),
+]
+Constraint = Annotated[
+    Names,
+    typer.Option(
+        "--constraints",
+        "--constraint",
+        help='Sign of a term, or none: "x: x*y < 0", "x: x**2 = 0".',
+        rich_help_panel=SAY,
+    ),
+]
+Conserved = Annotated[
+    Names,
+    typer.Option(help="Sums of states that do not change: S+I+R.", rich_help_panel=SAY),
+]
+Nonnegative = Annotated[
+    Names,
+    typer.Option(help="States that never fall below 0: x,y.", rich_help_panel=SAY),
+]
+Units = Annotated[
+    str | None,
+    typer.Option(
+        help="Units in which equations must make sense: x=m,v=m/s,t=s; or columns, for those in "
+        "brackets in the names of the columns.",
+        rich_help_panel=SAY,
+    ),
+]
+TimeBudget = Annotated[
+    float | None,
+    typer.Option(help="Seconds after which the best found so far is taken.", rich_help_panel=SAY),
+]
+
+
+def read_functions(text: str | None) -> list[str] | None:
+    """Read names of functions and operators; an empty list for "" and "none".
+
+    >>> read_functions("exp, sqrt"), read_functions("none"), read_functions(None)
+    (['exp', 'sqrt'], [], None)
+    """
+    if text is None:
+        return None
+    names = text.replace(",", " ").split()
+    return [] if names == ["none"] else names
 
 
 def read_numbers(text: str | None, option: str, count: int | None = None) -> list[float] | None:
@@ -144,12 +258,41 @@ def read_numbers(text: str | None, option: str, count: int | None = None) -> lis
     return numbers
 
 
-def read_names(values: Sequence[str] | None) -> list[str] | None:
+def read_names(values: Sequence[str] | None, option: str = "") -> list[str] | None:
     """Split repeated or comma-separated names; None where the option was not given.
+
+    Raises InputError, with the name of the ``option`` if it is given, where no name is left.
 
     >>> read_names(["x,y", "z"])
     ['x', 'y', 'z']
     """
     if not values:
         return None
-    return [part.strip() for value in values for part in value.split(",") if part.strip()]
+    names = [part.strip() for value in values for part in value.split(",") if part.strip()]
+    if option and not names:
+        from dynsr.errors import InputError
+
+        raise InputError(f"{option} names nothing; name at least one, or leave the option out")
+    return names
+
+
+def read_orders(values: Sequence[str] | None) -> int | dict[str, int]:
+    """Read ``2``, or ``x=2,y=1``, as the order of all equations or of each; 1 without any.
+
+    Raises InputError that names what is no order.
+
+    >>> read_orders(["2"]), read_orders(["x=2", "y=1"]), read_orders(None)
+    (2, {'x': 2, 'y': 1}, 1)
+    """
+    from dynsr.errors import InputError
+
+    names = read_names(values) or ["1"]
+    pairs = [name.rpartition("=") for name in names]
+    for text, (_, _, number) in zip(names, pairs, strict=True):
+        if number.strip() not in ("1", "2"):
+            raise InputError(f"--order {text!r} must end in 1 or 2; write 2, or x=2 for one state")
+    if len(pairs) > 1 and not all(state for state, _, _ in pairs):
+        raise InputError(f"--order {','.join(names)!r} mixes all states with single ones")
+    if not pairs[0][0]:
+        return int(pairs[0][2])
+    return {state.strip(): int(number) for state, _, number in pairs}

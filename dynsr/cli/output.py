@@ -6,6 +6,7 @@ Notes say what was guessed and what was warned of in a run, at once and again at
 from __future__ import annotations
 
 import json
+import sys
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -30,7 +31,8 @@ def print_json(value: Any) -> None:
     """Print a value as JSON, alone on stdout."""
     from dynsr.jobs import to_plain
 
-    typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=False, allow_nan=False))
+    plain = (getattr(sys.stdout, "encoding", None) or "").lower().replace("-", "") != "utf8"
+    typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=plain, allow_nan=False))
 
 
 def print_table(
@@ -69,7 +71,7 @@ def make_folder(path: Path) -> Path:
 
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".dynsr-writable"
+        probe = path / ".dynsr-writable.part"
         probe.touch()
         probe.unlink()
     except OSError as error:

@@ -53,8 +53,8 @@ def replicate(
     try:
         with SearchProgress(quiet) as progress:
             found = run(
-                systems=options.read_names(systems) or PAPER_NAMES,
-                methods=options.read_names(methods) or PAPER_METHODS,
+                systems=options.read_names(systems, "--systems") or PAPER_NAMES,
+                methods=options.read_names(methods, "--methods") or PAPER_METHODS,
                 runs=runs,
                 seed=seed,
                 jobs=jobs,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +20,14 @@ if TYPE_CHECKING:
 DiscoveryFile = Annotated[
     Path, typer.Argument(metavar="DISCOVERY.json", help="A discovery that was saved.")
 ]
+
+
+def check_keeping(folder: Path) -> None:
+    """Raise InputError when :func:`keep` would replace a file that dynsr did not write."""
+    from dynsr.data import PAGE_MARK, RECORD_MARK, check_replaceable
+
+    check_replaceable(folder / "discovery.json", RECORD_MARK)
+    check_replaceable(folder / "report.html", PAGE_MARK)
 
 
 def keep(found: Discovery, folder: Path | None) -> list[Path]:
@@ -64,12 +73,26 @@ def score_discovery(
 
 
 def summarise(found: Discovery) -> dict[str, Any]:
-    """Give what a program wants of a discovery: equations, fronts, provenance."""
+    """Give what a program wants of a discovery: equations, verdict, constants, provenance."""
+    from dynsr.discovery import write_lines
+
     return {
+        "kind": found.settings.get("kind", "flow"),
         "equations": found.equations,
+        "text": write_lines(found.equations, found.settings),
+        "verdict": found.verdict
+        and {
+            "system": found.verdict.level,
+            "reason": found.verdict.reason,
+            "span": found.verdict.span,
+            "states": found.verdict.states,
+        },
+        "constants": found.constants,
         "errors": found.errors,
         "front": {state: front.candidates for state, front in found.front.items()},
         "explanation": found.explanation,
+        "details": found.details,
+        "ensemble": found.ensemble,
         "inputs": found.inputs,
         "settings": found.settings,
         "seconds": found.seconds,
@@ -109,10 +132,14 @@ def score(
     if json:
         output.print_json(scores)
         return
-    from dynsr.jobs import to_plain
-
-    rows = list(flatten(to_plain(scores)))
+    rows = [(name, _told(value)) for name, value in flatten(scores)]
     output.print_table(f"{model} on {', '.join(map(str, files))}", ("score", "value"), rows)
+
+
+def _told(value: Any) -> Any:
+    """Give a value for a table; one that is not finite as a word."""
+    finite = not isinstance(value, float) or math.isfinite(value)
+    return value if finite and value is not None else "diverges"
 
 
 def _say_to(json: bool) -> Callable[[str], None]:
@@ -154,14 +181,14 @@ def report(
 
 def _report_replication(folder: Path, out: Path | None, json: bool) -> None:
     from dynsr.cli.paper import deliver_results, load_results
-    from dynsr.jobs import write_text
+    from dynsr.data import PAGE_MARK, write_own
     from dynsr.paper import render_replication
 
     records, settings = load_results(folder)
     if out is None:
         deliver_results(folder, records, settings, json)
         return
-    write_text(out, render_replication(records, settings))
+    write_own(out, render_replication(records, settings), PAGE_MARK)
     if json:
         output.print_json({"report": out})
     else:

@@ -1,27 +1,73 @@
 from .catalogue import DEFINITIONS, find_definition
-from .reading import read_trajectories, split_held_back, take_trajectories, write_csv
-from .samples import SCHEMES, Samples, make_samples
-from .slopes import SlopeSettings, choose_samples, measurement_noise, robust_scale
+from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
+from .columns import read_names_only
+from .noise_model import StateNoise, measurement_noise, robust_scale
+from .reading import (
+    column_units,
+    in_unit,
+    read_trajectories,
+    sample_input,
+    split_held_back,
+    take_trajectories,
+    write_csv,
+)
+from .samples import SCHEMES, Samples, join_samples, make_samples
+from .slopes import SlopeSettings, choose_samples
+from .smoothing import SmoothedTrajectory, estimate_noise, smooth
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
+from .times import check_time_unit
 from .trajectory import Trajectory
+from .velocity import add_velocities, choose_second_samples
+from .weak import weak_form
+from .writing import (
+    PAGE_MARK,
+    RECORD_MARK,
+    check_replaceable,
+    write_bytes,
+    write_own,
+    write_text,
+)
 
 __all__ = [
     "DEFINITIONS",
+    "PAGE_MARK",
     "PAPER_SYSTEMS",
+    "RECORD_MARK",
     "SCHEMES",
     "SYSTEMS",
+    "Cause",
+    "DiagnosisSettings",
     "Samples",
     "SlopeSettings",
+    "SmoothedTrajectory",
+    "StateNoise",
     "System",
     "Trajectory",
+    "add_velocities",
+    "check_replaceable",
+    "check_time_unit",
     "choose_samples",
+    "choose_second_samples",
+    "column_units",
+    "diagnose",
+    "estimate_noise",
     "find_definition",
     "find_system",
+    "in_unit",
+    "join_samples",
     "make_samples",
     "measurement_noise",
+    "near_rows_leave_open",
+    "read_names_only",
     "read_trajectories",
     "robust_scale",
+    "sample_input",
+    "smooth",
     "split_held_back",
     "take_trajectories",
+    "weak_form",
+    "write_bytes",
     "write_csv",
+    "write_own",
+    "write_text",
 ]

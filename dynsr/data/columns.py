@@ -6,9 +6,11 @@ import codecs
 import gzip
 import io
 import os
+import re
 import warnings
-import zipfile
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -16,15 +18,20 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.data.trajectory import Trajectory, refuse_mask
+from dynsr.data.trajectory import Trajectory, as_floats, as_times, refuse_mask
 from dynsr.errors import InputError, need
 
 _HEAD_BYTES = 1 << 16
+_HEAD_LINES = 20
+_LONGEST_HEAD = 1 << 24
+_LINE_END = re.compile(r"\r\n|\n|\r")
 _HEAD_ROWS = 200
 # In order of preference where several read the sample equally well.
 _DELIMITERS = ("\t", ";", "|", ",", r"\s+")
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MAGIC = {b"PK\x03\x04": "a zip or Excel file", b"\x89PNG": "a picture", b"%PDF": "a PDF"}
+# A unit in brackets or after a blank bracket: "x [m/s]", "theta (rad)".
+_UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
 # Array of names in an archive -> the matrix whose columns they name.
 _LABELS = {"states": "x", "input_names": "inputs", "columns": "data"}
 
@@ -41,6 +48,7 @@ class Columns:
     notes : what was noticed on reading, a sentence each.
     named : whether the names are the source's own.
     inputs : names of the columns that the source declares to be inputs.
+    time_unit : what the first column is counted in where that is known to be the time.
     """
 
     names: tuple[str, ...]
@@ -49,11 +57,14 @@ class Columns:
     notes: tuple[str, ...] = ()
     named: bool = True
     inputs: tuple[str, ...] = ()
+    time_unit: str = ""
 
     def __post_init__(self) -> None:
         """Check that there are columns of one length, each with a name of its own."""
         if not self.names:
             raise InputError(f"{self.label} holds no columns; it needs times and states")
+        if not len(self.values[0]):
+            raise InputError(f"{self.label} holds no rows; it needs rows of times and states")
         for name, value in zip(self.names, self.values, strict=True):
             if name and self.names.count(name) > 1:
                 raise InputError(f"column name {name!r} is used twice in {self.label}; rename one")
@@ -77,27 +88,54 @@ def load_columns(source: Any) -> Columns:
     >>> load_columns({"t": [0, 1], "x": [2.0, 3.0]}).names
     ('t', 'x')
     """
-    import narwhals
-
     if isinstance(source, (str, os.PathLike)):
         return _load_file(Path(source))
     if isinstance(source, Trajectory):
         values = (source.t, *source.columns.T)
         return Columns(
-            ("t", *source.names), values, "the trajectory", inputs=tuple(source.input_names)
+            ("t", *source.names),
+            values,
+            "the trajectory",
+            inputs=tuple(source.input_names),
+            time_unit=source.time_unit,
         )
     if isinstance(source, Mapping):
         return _load_mapping(source, "the mapping")
-    if narwhals.dependencies.is_into_dataframe(source):
+    if _is_frame(source):
         return _load_frame(source, "the data frame")
     if isinstance(source, tuple) and len(source) == 2:
-        return _load_array(beside(*source), "the arrays")
+        table, unit = beside(*source)
+        return replace(_load_array(table, "the arrays"), time_unit=unit)
     if isinstance(source, np.ndarray):
         return _load_array(source, "the array")
     raise InputError(
         f"cannot read data from a {type(source).__name__}; "
         "give a file, a data frame, a (t, x) pair of arrays, a mapping of columns or a Trajectory"
     )
+
+
+def read_names_only(path: Path) -> tuple[str, ...]:
+    """Give the names of the columns of a file; of delimited text only its first lines are read.
+
+    Parameters
+    ----------
+    path : the file.
+
+    Raises InputError when it cannot be read.
+    """
+    if path.suffix.lower() in (".parquet", ".pq", ".npz", ".npy"):
+        return load_columns(path).names
+    _check_file(path)
+    head, cut = _read_head(path)
+    encoding = "utf-16" if head.startswith(_UTF16) else "utf-8-sig"
+    return tuple(_find_header(path.name, head, cut, encoding).names)
+
+
+def _is_frame(source: Any) -> bool:
+    import narwhals
+
+    known = narwhals.from_native(source, pass_through=True)
+    return isinstance(known, (narwhals.DataFrame, narwhals.LazyFrame))
 
 
 def _load_file(path: Path) -> Columns:
@@ -112,13 +150,14 @@ def _load_file(path: Path) -> Columns:
             return _load_array(np.load(path, allow_pickle=False), path.name)
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, TypeError, AttributeError) as error:
+    except Exception as error:  # zip, zlib, NumPy and tokenize each have their own
         kind = "array file" if suffix == ".npy" else "npz archive"
         raise _unreadable(path, kind, error) from None
     return _load_mapping(arrays, path.name)
 
 
 def _check_file(path: Path) -> None:
+    """Raise InputError, with the reason, when a path is no file with something in it."""
     if path.is_dir():
         raise InputError(f"{str(path)!r} is a directory; give a file with the trajectory in it")
     if not path.exists():
@@ -155,10 +194,19 @@ def _load_frame(source: Any, label: str) -> Columns:
     import narwhals
 
     index = getattr(source, "index", None)
-    if any(name is not None for name in getattr(index, "names", ())):
+    named = [name for name in getattr(index, "names", ()) if name is not None]
+    if clash := [name for name in named if name in source.columns]:
+        raise InputError(
+            f"{clash[0]!r} is the index and a column of {label}; drop or rename one of the two"
+        )
+    if not named and _is_time_index(index) and "time" not in source.columns:
+        source, named = source.rename_axis(index="time"), ["time"]
+    if named:
         source = source.reset_index()  # pandas: a named index is a column too
     try:
-        frame = narwhals.from_native(source, eager_only=True)
+        frame = narwhals.from_native(source)
+        if isinstance(frame, narwhals.LazyFrame):
+            frame = frame.collect()
     except narwhals.exceptions.DuplicateError:
         names = [str(name) for name in source.columns]
         twice = next(name for name in names if names.count(name) > 1)
@@ -167,29 +215,46 @@ def _load_frame(source: Any, label: str) -> Columns:
     return Columns(tuple(map(str, frame.columns)), values, label)
 
 
+def _is_time_index(index: Any) -> bool:
+    """Whether the index of a frame of pandas holds dates, durations or rising fractions."""
+    kind = getattr(getattr(index, "dtype", None), "kind", "")
+    return kind in ("m", "M") or (kind == "f" and bool(index.is_monotonic_increasing))
+
+
 def _load_mapping(arrays: Mapping[str, Any], label: str) -> Columns:
     """Spread matrices over columns; an array of strings names the columns of the one before."""
     labels = {k: tuple(map(str, v)) for k, v in arrays.items() if _is_text(v) and k in _LABELS}
     names: list[str] = []
     values: list[np.ndarray] = []
+    single = [k for k, v in arrays.items() if isinstance(v, np.ndarray) and v.ndim == 0]
     for key, value in arrays.items():
-        if key in labels:
+        if key in labels or key in single:
             continue
         refuse_mask(value)
-        array = np.asarray(value)
+        try:
+            array = np.asarray(value)
+        except ValueError:
+            raise InputError(f"{key!r} of {label} has rows of different lengths") from None
         if array.ndim == 1:
             names.append(str(key))
             values.append(_plain(array))
         elif array.ndim == 2:
             names += _matrix_names(str(key), array, labels)
             values += [_plain(column) for column in array.T]
-        elif array.ndim > 2:
+        elif array.ndim == 0:
+            raise InputError(
+                f"{key!r} of {label} is a {type(value).__name__}, not a column; "
+                "give one value a row"
+            )
+        else:
             raise InputError(
                 f"array {key!r} of {label} has {array.ndim} dimensions; "
                 "give one column (n,) or a table (n, k), one row a time"
             )
-    inputs = labels.get("input_names", ())
-    return Columns(tuple(names), tuple(values), label, inputs=tuple(n for n in inputs if n))
+    inputs = tuple(name for name in labels.get("input_names", ()) if name)
+    # Such as the step or a parameter beside the columns of an archive.
+    notes = (f"{', '.join(map(repr, single))} of {label} is no column; left out",) if single else ()
+    return Columns(tuple(names), tuple(values), label, notes, inputs=inputs)
 
 
 def _matrix_names(
@@ -202,48 +267,81 @@ def _matrix_names(
 
 
 def _is_text(value: Any) -> bool:
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        return False
     return array.ndim == 1 and array.dtype.kind in "US"
 
 
 def _plain(array: np.ndarray) -> np.ndarray:
-    """Give numbers as float64 and everything else as objects."""
-    if array.dtype.kind == "M":
+    """Give numbers as float64, dates and durations as they are, and all else as objects."""
+    if array.dtype.kind in "mM":
+        refuse_mask(array)
         return array
-    if array.dtype.kind == "c":
-        raise InputError(
-            "the data holds complex numbers; give real and imaginary values as two columns"
-        )
-    return array.astype(float) if array.dtype.kind in "fiub" else array.astype(object)
+    return as_floats(array, "the data") if array.dtype.kind in "fiubc" else array.astype(object)
 
 
-def beside(t: Any, x: Any) -> np.ndarray:
+def bare_name(name: str) -> str:
+    """Give the name of a column without a unit in brackets behind it.
+
+    >>> bare_name("theta (rad)")
+    'theta'
+    """
+    return _UNIT.sub("", name).strip()
+
+
+def bracketed_unit(name: str) -> str:
+    """Give the unit in brackets behind the name of a column; "" where there is none.
+
+    >>> bracketed_unit("v [m/s]")
+    'm/s'
+    """
+    found = _UNIT.search(name)
+    return "" if found is None else found[0].strip().strip("[]()").strip()
+
+
+def beside(t: Any, x: Any) -> tuple[np.ndarray, str]:
     """Put times (n,) and states (n,) or (n, k) beside each other as one array (n, 1 + k).
 
-    Raises InputError when they are no numbers or their shapes do not fit.
+    Gives it with the unit of the times, "" where they are plain numbers. Raises InputError when
+    they are no numbers or their shapes do not fit.
 
-    >>> beside([0.0, 1.0], [2.0, 3.0]).tolist()
+    >>> beside([0.0, 1.0], [2.0, 3.0])[0].tolist()
     [[0.0, 2.0], [1.0, 3.0]]
     """
-    for given in (t, x):
-        refuse_mask(given)
-    try:
-        t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("t and x must be arrays of numbers; give (t, x) or a file") from None
+    t, unit = as_times(t, "t")
+    x = as_floats(x, "x")
     if t.ndim != 1 or x.ndim not in (1, 2) or len(x) != len(t):
         raise InputError(f"t {t.shape} and x {x.shape} do not fit; give t (n,) and x (n, k)")
-    return np.column_stack([t, x])
+    return np.column_stack([t, x]), unit
+
+
+def with_times(columns: Columns, t: Any) -> Columns:
+    """Give columns with times that stand apart from them as their first one, ``t``.
+
+    Parameters
+    ----------
+    columns : those of a source without times.
+    t : (n,) the times.
+
+    Raises InputError when there is a column ``t`` already or the lengths differ.
+    """
+    if "t" in columns.names:
+        raise InputError(f"{columns.label} has a column 't'; drop it, or leave time= out")
+    t, unit = as_times(t, "time")
+    names, values = ("t", *columns.names), (t, *columns.values)  # noqa: PD011
+    return replace(columns, names=names, values=values, time_unit=unit)
 
 
 def _load_array(array: np.ndarray, label: str) -> Columns:
     refuse_mask(array)
     if array.dtype.names:
         return _load_mapping({name: array[name] for name in array.dtype.names}, label)
-    if array.ndim != 2:
+    if array.ndim != 2 or array.shape[1] == 1:
         raise InputError(
-            f"{label} has shape {array.shape}; give (n, 1 + k) with the time as first column, "
-            "or pass the times as time="
+            f"{label} has shape {array.shape} and so no times; give them too: (t, x), time=t, or "
+            "an array (n, 1 + k) whose first column they are"
         )
     names = generated_names(array.shape[1])
     return Columns(names, tuple(_plain(c) for c in array.T), label, named=False)
@@ -260,22 +358,32 @@ def generated_names(count: int) -> tuple[str, ...]:
 
 def _load_delimited(path: Path) -> Columns:
     """Read a table of delimited text; every cell that is no number stays as text."""
-    head = _read_head(path)
+    head, cut = _read_head(path)
     try:
-        return _load_text(path, head, "utf-16" if head.startswith(_UTF16) else "utf-8-sig")
+        encoding = "utf-16" if head.startswith(_UTF16) else "utf-8-sig"
+        return _load_text(path, head, cut, encoding)
     except UnicodeDecodeError:
         # A few letters of a header are all that tells the encoding of a table of numbers, too few
         # for charset-normalizer: it reads a Latin-1 "é" as Arabic and "µm" as Big5.
         note = f"{path.name!r} is not UTF-8; it was read as Latin-1, so check the names"
-        return replace(_load_text(path, head, "latin-1"), notes=(note,))
+        return replace(_load_text(path, head, cut, "latin-1"), notes=(note,))
 
 
-def _read_head(path: Path) -> bytes:
-    opener: Any = gzip.open if path.suffix.lower() == ".gz" else open
+def _opener(path: Path) -> Any:
+    return gzip.open if path.suffix.lower() == ".gz" else open
+
+
+def _read_head(path: Path) -> tuple[bytes, bool]:
+    """Read the first lines of a file, and say whether the last of them may be cut."""
     try:
-        with opener(path, "rb") as file:
+        with _opener(path)(path, "rb") as file:
             head: bytes = file.read(_HEAD_BYTES)
-    except (OSError, EOFError) as error:
+            cut = len(head) == _HEAD_BYTES
+            # The lines of a table with thousands of columns are long.
+            while cut and max(map(head.count, (b"\n", b"\r"))) < _HEAD_LINES:
+                more = file.read(_HEAD_BYTES)
+                head, cut = head + more, len(more) == _HEAD_BYTES and len(head) < _LONGEST_HEAD
+    except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"cannot read {str(path)!r}: {reason}") from None
     for magic, kind in _MAGIC.items():
@@ -286,30 +394,54 @@ def _read_head(path: Path) -> bytes:
         raise InputError(
             f"{path.name!r} is binary, not text; give CSV, TSV, Parquet (.parquet) or .npz"
         )
-    return head
+    return head, cut
 
 
-def _load_text(path: Path, head: bytes, encoding: str) -> Columns:
-    lines = head.decode(encoding, errors="replace").splitlines()
-    if len(head) == _HEAD_BYTES:
-        lines.pop()  # it may be cut
+@dataclass(frozen=True)
+class _Header:
+    """What the first lines of a text tell.
+
+    ``names`` are those of the columns, if any; ``above`` says that they stand in a comment.
+    ``first`` is the first line that is no comment, ``skip`` the lines above the numbers.
+    """
+
+    names: list[str]
+    first: str
+    skip: int
+    delimiter: str
+    decimal: str
+    above: bool
+
+
+def _find_header(label: str, head: bytes, cut: bool, encoding: str) -> _Header:
+    # Not splitlines(), for which a form feed or U+0085 ends a line too.
+    lines = _LINE_END.split(head.decode(encoding, errors="replace"))
+    if cut:
+        lines.pop()
     rows = [j for j, line in enumerate(lines) if line.strip() and line.lstrip()[0] != "#"]
     if not rows:
-        raise InputError(f"{path.name!r} holds no rows; it needs rows of times and states")
+        raise InputError(f"{label!r} holds no rows; it needs rows of times and states")
     # A first row may be the header, so that the next ones show how cells are written.
     sample = [lines[j] for j in rows[1 : 1 + _HEAD_ROWS]] or [lines[rows[0]]]
     delimiter, decimal = _guess_dialect(sample)
     names, skip = _find_names(lines[rows[0]], delimiter, decimal), rows[0] + 1
     if names and len(rows) == 1:
-        raise InputError(f"{path.name!r} has a header but no rows; it needs times and states")
-    if not names:
+        raise InputError(f"{label!r} has a header but no rows; it needs times and states")
+    above = not names
+    if above:
         skip = rows[0]
-        above = [line.lstrip("# ") for line in lines[:skip] if line.strip(" #")]
-        names = _find_names(above[-1], delimiter, decimal) if above else []
-    frame = _parse_rows(path, delimiter, decimal, skiprows=skip, encoding=encoding)
-    if skip == rows[0] and len(names) != frame.shape[1]:
+        comments = [line.lstrip("# ") for line in lines[:skip] if line.strip(" #")]
+        names = _find_names(comments[-1], delimiter, decimal) if comments else []
+    return _Header(names, lines[rows[0]], skip, delimiter, decimal, above)
+
+
+def _load_text(path: Path, head: bytes, cut: bool, encoding: str) -> Columns:
+    header = _find_header(path.name, head, cut, encoding)
+    names = header.names
+    frame = _parse_file(path, header.skip, encoding, header.delimiter, header.decimal)
+    if header.above and len(names) != frame.shape[1]:
         names = []  # a comment that is no header
-    _check_width(names, frame, path.name, lines[rows[0]])
+    _check_width(names, frame, path.name, header.first)
     # A delimiter at the end of each row makes a nameless column without a value.
     kept = [
         (name, _plain(frame[j].to_numpy()))
@@ -318,6 +450,32 @@ def _load_text(path: Path, head: bytes, encoding: str) -> Columns:
     ]
     found, values = zip(*kept, strict=True)
     return Columns(found, values, path.name, named=bool(names))
+
+
+def _parse_file(path: Path, skip: int, encoding: str, delimiter: str, decimal: str) -> Any:
+    """Parse a file from a line on; raises InputError when a row of it is lost."""
+
+    @contextmanager
+    def open_there() -> Iterator[Any]:
+        with _opener(path)(path, "rt", encoding=encoding) as file:
+            # pandas itself would join lines that it skips where a comment holds a quotation mark.
+            for _ in range(skip):
+                file.readline()
+            yield file
+
+    try:
+        with open_there() as file:
+            count = sum(bool(line.strip()) and line.lstrip()[0] != "#" for line in file)
+        with open_there() as file:
+            frame = _parse_rows(file, delimiter, decimal, label=repr(path.name))
+    except (OSError, EOFError, zlib.error) as error:
+        raise _unreadable(path, "table", error) from None
+    if len(frame) < count:
+        raise InputError(
+            f"only {len(frame)} of {count} rows of {path.name!r} could be told apart; "
+            "remove quotation marks and odd characters from them"
+        )
+    return frame
 
 
 def _guess_dialect(sample: Sequence[str]) -> tuple[str, str]:
@@ -362,11 +520,12 @@ def _check_width(names: Sequence[str], frame: Any, label: str, first: str) -> No
         )
 
 
-def _parse_rows(source: Path | Sequence[str], delimiter: str, decimal: str, **options: Any) -> Any:
-    """Parse a file, or lines, as a pandas frame whose columns are numbered from 0."""
+def _parse_rows(
+    source: Any, delimiter: str, decimal: str, label: str = "the first rows", **options: Any
+) -> Any:
+    """Parse an open file, or lines, as a pandas frame whose columns are numbered from 0."""
     import pandas
 
-    label = repr(source.name) if isinstance(source, Path) else "the first rows"
     if tuple(map(int, pandas.__version__.split(".")[:2])) < (3, 1):
         # From pandas 3.1 on numbers are rounded correctly, and asking for it is deprecated.
         options["float_precision"] = "round_trip"
@@ -375,7 +534,7 @@ def _parse_rows(source: Path | Sequence[str], delimiter: str, decimal: str, **op
             # A column of numbers and text is refused later, with the cell.
             warnings.simplefilter("ignore", pandas.errors.DtypeWarning)
             return pandas.read_csv(
-                source if isinstance(source, Path) else io.StringIO("\n".join(source)),
+                io.StringIO("\n".join(source)) if isinstance(source, list) else source,
                 sep=delimiter,
                 decimal=decimal,
                 header=None,

@@ -16,14 +16,20 @@ from typing import Any
 import numpy as np
 import sympy
 
-from dynsr.data.columns import Columns, beside, load_columns
-from dynsr.data.roles import Roles, clean_name, guess_roles
-from dynsr.data.table_checks import check_rows, check_values, thin, to_numbers
-from dynsr.data.trajectory import Trajectory
+from dynsr.data.columns import Columns, beside, bracketed_unit, load_columns, with_times
+from dynsr.data.grouping import group_rows
+from dynsr.data.roles import Roles, clean_name, find_time, guess_roles
+from dynsr.data.table_checks import check_rows, check_values, thin, to_numbers, to_times
+from dynsr.data.times import convert_times
+from dynsr.data.trajectory import Trajectory, as_floats
+from dynsr.data.writing import write_own
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name, compile_numpy, parse
 
 MAX_ROWS = 200_000
+# Steps that differ by a larger share of the longest are uneven.
+_UNEVEN = 1e-3
+_UNITS = {"s": "seconds", "min": "minutes", "h": "hours"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +42,7 @@ class Table:
 
 def read_trajectories(
     source: Any,
-    time: str | np.ndarray | None = None,
+    time: str | Sequence[Any] | np.ndarray | None = None,
     states: Sequence[str] | str | None = None,
     inputs: Sequence[str] | Mapping[str, str] | str | None = None,
     trajectory: str | None = None,
@@ -68,15 +74,53 @@ def read_trajectories(
     """
     if isinstance(source, list):
         return _read_list(source, time, states, inputs, trajectory, max_rows)
-    if isinstance(time, (np.ndarray, list, tuple)):
-        source, time = (np.asarray(time), source), None
-    columns = _with_names(load_columns(source), states)
+    if time is not None and not isinstance(time, str):
+        columns, time = _load_beside(source, time), "t"
+    else:
+        columns = load_columns(source)
+    columns = _with_names(columns, states)
     for note in columns.notes:
         warnings.warn(note, DynsrWarning, stacklevel=2)
     named, formulas = _split_inputs(inputs)
-    roles = guess_roles(columns, time, _listed(states), named, formulas, trajectory)
-    runs = _cut(columns, roles, formulas, max_rows)
-    return Table(runs, f"{columns.label}: {describe(runs, roles, formulas)}")
+    time = find_time(columns, time)
+    t, unit = to_times(columns.values[columns.names.index(time)], time, columns.label)
+    unit = columns.time_unit or unit
+    if isinstance(source, np.ndarray) and not columns.named:
+        _check_first_column(t, columns.label)
+    roles = guess_roles(columns, time, t, _listed(states), named, formulas, trajectory)
+    runs = _cut(columns, roles, t, unit, formulas, max_rows)
+    return _told(runs, f"{columns.label}: {describe(runs, roles, formulas)}")
+
+
+def _load_beside(source: Any, t: Any) -> Columns:
+    """Load the columns of a source without times, and the times beside them."""
+    if isinstance(source, (str, os.PathLike, Mapping)) or hasattr(source, "columns"):
+        return with_times(load_columns(source), t)
+    return load_columns((t, source))
+
+
+def _check_first_column(t: np.ndarray, label: str) -> None:
+    """Refuse an array whose first column is no time; warn where it may be a state."""
+    groups = group_rows(None, t)
+    steps = np.concatenate([np.diff(t[rows]) for rows in groups.values()] or [np.empty(0)])
+    if np.any(steps <= 0):
+        raise InputError(
+            f"the first column of {label} does not increase, so that it is no time; give the "
+            "times too: (t, x), or time=t"
+        )
+    if steps.size and np.ptp(steps) > _UNEVEN * np.max(steps):
+        warnings.warn(
+            f"the first column of {label} was taken for the time, in uneven steps of "
+            f"{steps.min():.3g} to {steps.max():.3g}; if it is a state, give the times too: (t, x)",
+            DynsrWarning,
+            stacklevel=3,
+        )
+
+
+def _told(runs: Sequence[Trajectory], guess: str) -> Table:
+    """Let each trajectory hold how its columns were understood."""
+    told = [replace(run, origin={**run.origin, "columns": guess}) for run in runs]
+    return Table(told, guess)
 
 
 def _read_list(sources: list[Any], *arguments: Any) -> Table:
@@ -85,14 +129,55 @@ def _read_list(sources: list[Any], *arguments: Any) -> Table:
     *options, max_rows = arguments
     share = max(max_rows // len(sources), 1)
     tables = [read_trajectories(source, *options, max_rows=share) for source in sources]
-    runs = [run for table in tables for run in table.trajectories]
+    runs = _in_one_unit([run for table in tables for run in table.trajectories])
     for run in runs[1:]:
         if run.states != runs[0].states or run.input_names != runs[0].input_names:
             raise InputError(
                 f"the trajectories have different columns ({', '.join(runs[0].names)} and "
                 f"{', '.join(run.names)}); give all the same columns"
             )
-    return Table(runs, "; ".join(dict.fromkeys(table.guess for table in tables)))
+    return _told(runs, "; ".join(dict.fromkeys(table.guess for table in tables)))
+
+
+def _in_one_unit(runs: list[Trajectory]) -> list[Trajectory]:
+    """Count all times in the unit of the first trajectory; raise InputError where that fails."""
+    unit = runs[0].time_unit
+    others = [run.time_unit for run in runs if bool(run.time_unit) != bool(unit)]
+    if others:
+        raise InputError(
+            f"times are counted in {unit or 'no unit'} and in {others[0] or 'no unit'}; give all "
+            "trajectories the same"
+        )
+    return in_unit(runs, unit)
+
+
+def in_unit(runs: Sequence[Trajectory], unit: str) -> list[Trajectory]:
+    """Give trajectories whose times are counted in a unit; those of no unit stay as they are.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    unit : "s", "min", "h", "days" or "years"; "" leaves all as they are.
+
+    Raises InputError where a unit cannot be brought to it.
+
+    >>> day = Trajectory([0.0, 1.0], [[1.0], [2.0]], ("x",), origin={"time_unit": "days"})
+    >>> in_unit([day], "h")[0].t.tolist()
+    [0.0, 24.0]
+    """
+    found = []
+    for run in runs:
+        if not unit or not run.time_unit:
+            found.append(run)
+            continue
+        t = convert_times(run.t, run.time_unit, unit)
+        if t is None:
+            raise InputError(
+                f"times are counted in {unit} and in {run.time_unit}; give all trajectories the "
+                "same"
+            )
+        found.append(replace(run, t=t, origin={**run.origin, "time_unit": unit}))
+    return found
 
 
 def _listed(names: Sequence[str] | str | None) -> list[str] | None:
@@ -135,18 +220,28 @@ def _split_inputs(
 
 
 def _cut(
-    columns: Columns, roles: Roles, formulas: Mapping[str, str], max_rows: int
+    columns: Columns,
+    roles: Roles,
+    t: np.ndarray,
+    unit: str,
+    formulas: Mapping[str, str],
+    max_rows: int,
 ) -> list[Trajectory]:
     by_name = dict(zip(columns.names, columns.values, strict=True))
     wanted = [*roles.states, *roles.inputs]
-    t = to_numbers(by_name[roles.time], roles.time, columns.label, time=True)
     data = [to_numbers(by_name[name], name, columns.label) for name in wanted]
-    groups = _groups(by_name.get(roles.trajectory) if roles.trajectory else None, t)
+    groups = group_rows(by_name.get(roles.trajectory) if roles.trajectory else None, t)
     check_rows(t, roles.time, groups, columns.label)
     check_values(data, wanted, roles, columns.label)
     table = np.column_stack(data)
     functions = compile_numpy([parse(text, ["t"]) for text in formulas.values()], ["t"])
-    count, origin = len(roles.states), {"source": columns.label}
+    count = len(roles.states)
+    units = {roles.renamed[name]: text for name in wanted if (text := bracketed_unit(name))}
+    origin = {
+        "source": columns.label,
+        **({"time_unit": unit} if unit else {}),
+        **({"units": units} if units else {}),
+    }
     names = [roles.renamed[name] for name in wanted]
     runs = []
     for rows in thin(groups, len(t), max_rows, columns.label):
@@ -177,31 +272,28 @@ def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, st
         )
 
 
-def _groups(labels: np.ndarray | None, t: np.ndarray) -> dict[str, np.ndarray]:
-    """Rows of each trajectory, in order of appearance; one that starts again is a new one."""
-    if labels is not None:
-        text = np.array([str(label) for label in labels])
-        _, first, inverse = np.unique(text, return_index=True, return_inverse=True)
-        return {text[first[g]]: np.flatnonzero(inverse == g) for g in np.argsort(first)}
-    starts = np.flatnonzero((np.diff(t) < 0) & (t[1:] == t[0])) + 1
-    pieces = np.split(np.arange(len(t)), starts)
-    return {str(i + 1): piece for i, piece in enumerate(pieces)}
-
-
 def describe(runs: Sequence[Trajectory], roles: Roles, formulas: Mapping[str, str]) -> str:
     """Say how the columns were understood: times, states, inputs, and what is not used."""
     total = sum(len(run) for run in runs)
     many = f"{len(runs)} trajectories" + (
         f" named by {roles.trajectory!r}" if roles.trajectory else ", each starting the time again"
     )
-    head = f"time {roles.time!r}, " + (f"{many}, " if len(runs) > 1 else "")
+    unit = runs[0].time_unit
+    counted = f" in {_UNITS.get(unit, unit)}" if unit else ""
+    head = f"time {roles.time!r}{counted}, " + (f"{many}, " if len(runs) > 1 else "")
     first, last = min(run.t[0] for run in runs), max(run.t[-1] for run in runs)
     clauses = [f"{head}{total} rows from {first:g} to {last:g} {_spacing(runs)}"]
     clauses.append(f"states {', '.join(roles.renamed[name] for name in roles.states)}")
-    inputs = [roles.renamed[name] for name in roles.inputs]
+    inputs = [roles.renamed[name] for name in roles.inputs if name not in roles.parameters]
     inputs += [f"{name} = {text}" for name, text in formulas.items()]
     if inputs:
         clauses.append(f"inputs {', '.join(inputs)}")
+    if roles.parameters:
+        names = ", ".join(roles.renamed[name] for name in roles.parameters)
+        clauses.append(f"constant within each trajectory, so taken for parameters: {names}")
+    if roles.labels:
+        names = ", ".join(map(repr, roles.labels))
+        clauses.append(f"taken for labels of trajectories, not used: {names}")
     if roles.ignored:
         clauses.append(f"not used: {', '.join(map(repr, roles.ignored))}")
     return "; ".join(clauses)
@@ -211,7 +303,7 @@ def _spacing(runs: Sequence[Trajectory]) -> str:
     steps = np.concatenate([np.diff(run.t) for run in runs])
     low, high = float(steps.min()), float(steps.max())
     # Times written with few digits differ in their last one.
-    if high - low <= 1e-3 * high:
+    if high - low <= _UNEVEN * high:
         return f"every {float(np.median(steps)):.4g}"
     return f"in uneven steps of {low:.3g} to {high:.3g}"
 
@@ -226,7 +318,8 @@ def write_csv(
     trajectories : one or many; many get a first column ``trajectory`` that counts from 1.
     path : the file, delimited by tabs when its name ends in .tsv, else by commas.
 
-    Raises InputError when the file cannot be written or the trajectories have different columns.
+    The file appears whole or not at all. Raises InputError when it cannot be written, when what
+    stands there is no table of times and states, or the trajectories have different columns.
     """
     import pandas
 
@@ -242,28 +335,40 @@ def write_csv(
             frame.insert(0, "trajectory", number)
         frames.append(frame)
     target = Path(path)
-    try:
-        pandas.concat(frames).to_csv(
-            target, index=False, sep="\t" if target.suffix.lower() == ".tsv" else ","
-        )
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"cannot write {str(path)!r}: {reason}; choose another file") from None
+    mark = "\t" if target.suffix.lower() == ".tsv" else ","
+    text = pandas.concat(frames).to_csv(index=False, sep=mark, lineterminator="\n")
+    write_own(target, text, lambda head: _is_own_table(head, mark), folders=False)
+
+
+def _is_own_table(head: str, mark: str) -> bool:
+    """Whether a file begins as one of ours: its columns begin with the time and are variables."""
+    names = head.partition("\n")[0].rstrip("\r").split(mark)
+    return names[: 2 if names[0] == "trajectory" else 1][-1] == "t" and all(
+        name.isidentifier() for name in names
+    )
 
 
 _FEWEST_ROWS = 8
 
 
 def take_trajectories(
-    data: Any, inputs: Mapping[str, Any] | Sequence[str] | None = None
+    data: Any,
+    inputs: Mapping[str, Any] | Sequence[str] | str | None = None,
+    time: str | Sequence[Any] | np.ndarray | None = None,
+    states: Sequence[str] | str | None = None,
+    trajectory: str | None = None,
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
     Parameters
     ----------
-    data : a Trajectory, a list of them, ``(t, x)`` arrays or a list of such pairs, or a source of
+    data : a Trajectory, a list of them, ``(t, x)`` arrays or a list of such pairs, a
+        :class:`dynsr.data.reading.Table`, or a source of
         :func:`dynsr.data.reading.read_trajectories`.
-    inputs : names of columns that are inputs, or input name -> expression in ``t``.
+    inputs : names of columns that are inputs, or expressions such as "F=sin(t)"; or input name ->
+        expression in ``t``, function of one time, or values at the times, (n,) or a list of one
+        such array a trajectory.
+    time, states, trajectory : as for :func:`dynsr.data.reading.read_trajectories`.
 
     Raises InputError when nothing usable is there.
 
@@ -271,9 +376,12 @@ def take_trajectories(
     >>> runs[0].names, inputs
     (('x', 'F'), {'F': sin(t)})
     """
-    named = inputs if isinstance(inputs, Mapping) else {}
-    columns = [] if inputs is None or isinstance(inputs, Mapping) else list(inputs)
-    runs = [_as_inputs(run, columns) for run in _read(data)]
+    columns, named = _sort_inputs(inputs)
+    if time is not None or states is not None or trajectory is not None:
+        runs = _read_columns(data, columns, time, states, trajectory)
+    else:
+        runs = _read(data, columns)
+    runs = [_as_inputs(run, columns or []) for run in runs]
     if not runs:
         raise InputError("there is no trajectory in the data; give at least one")
     if any(run.names != runs[0].names for run in runs):
@@ -284,11 +392,26 @@ def take_trajectories(
             f"{len(short)} rows are too few to find equations in; "
             f"give at least {_FEWEST_ROWS} a trajectory"
         )
-    drives = {check_name(name, "input"): parse(e, ["t"]) for name, e in named.items()}
+    given = {name: value for name, value in named.items() if not _is_formula(value)}
+    drives = {check_name(n, "input"): parse(e, ["t"]) for n, e in named.items() if n not in given}
+    runs = [_with_values(run, given, i, len(runs)) for i, run in enumerate(runs)]
     return [_with_drives(run, drives) for run in runs], drives
 
 
-def _read(data: Any) -> list[Trajectory]:
+def _sort_inputs(
+    inputs: Mapping[str, Any] | Sequence[str] | str | None,
+) -> tuple[list[str] | None, dict[str, Any]]:
+    """Tell inputs that are columns from those that are given beside the data."""
+    return (None, dict(inputs)) if isinstance(inputs, Mapping) else _split_inputs(inputs)
+
+
+def _is_formula(value: Any) -> bool:
+    return isinstance(value, (str, sympy.Basic, int, float))
+
+
+def _read(data: Any, inputs: Sequence[str] | None) -> list[Trajectory]:
+    if isinstance(data, Table):
+        return data.trajectories
     if isinstance(data, Trajectory):
         return [data]
     if isinstance(data, (list, tuple)) and data and all(isinstance(d, Trajectory) for d in data):
@@ -296,16 +419,31 @@ def _read(data: Any) -> list[Trajectory]:
     if isinstance(data, tuple) and len(data) == 2 and not isinstance(data[0], str):
         return [_from_arrays(*data)]
     if isinstance(data, list) and data and all(isinstance(d, tuple) for d in data):
-        return [_from_arrays(*pair) for pair in data]
+        return _in_one_unit([_from_arrays(*pair) for pair in data])
+    return read_trajectories(data, inputs=inputs).trajectories
 
-    return read_trajectories(data).trajectories
+
+def _read_columns(
+    data: Any,
+    inputs: Sequence[str] | None,
+    time: str | Sequence[Any] | np.ndarray | None,
+    states: Sequence[str] | str | None,
+    trajectory: str | None,
+) -> list[Trajectory]:
+    """Read trajectories whose columns the caller names."""
+    data = data.trajectories if isinstance(data, Table) else data
+    apart = time is not None and not isinstance(time, str)
+    if apart and states is None and isinstance(data, np.ndarray) and not data.dtype.names:
+        return [_from_arrays(time, data)]
+    return read_trajectories(data, time, states, inputs, trajectory).trajectories
 
 
 def _from_arrays(t: Any, x: Any) -> Trajectory:
-    table = beside(t, x)
+    table, unit = beside(t, x)
     count = table.shape[1] - 1
     names = ("x", "y", "z")[:count] if count <= 3 else tuple(f"x{i + 1}" for i in range(count))
-    return Trajectory(table[:, 0], table[:, 1:], names)
+    origin = {"time_unit": unit} if unit else {}
+    return Trajectory(table[:, 0], table[:, 1:], names, origin=origin)
 
 
 def _as_inputs(run: Trajectory, columns: Sequence[str]) -> Trajectory:
@@ -322,6 +460,90 @@ def _as_inputs(run: Trajectory, columns: Sequence[str]) -> Trajectory:
     extra = run.x[:, [run.index(name) for name in moved]]
     inputs = np.column_stack([run.inputs, extra])
     return Trajectory(run.t, x, tuple(kept), inputs, (*run.input_names, *moved), run.origin)
+
+
+def column_units(run: Trajectory, units: Mapping[str, str] | str | None) -> dict[str, str] | None:
+    """Give the units of columns as the caller says, and that of the time where the data tell it.
+
+    Parameters
+    ----------
+    run : a trajectory.
+    units : column, or "t", -> unit; "columns" for those in the names of the columns; or lines such
+        as "x=m, t=s"; None for none.
+
+    Raises InputError when they cannot be read or the columns say none.
+    """
+    if units is None:
+        return None
+    if units == "columns":
+        given = dict(run.origin.get("units", {}))
+        if not given:
+            raise InputError(
+                "no column has a unit in its name, such as 'x [m]'; name them: x=m,t=s"
+            )
+    elif isinstance(units, str):
+        pairs = [pair.partition("=") for pair in units.split(",") if pair.strip()]
+        given = {name.strip(): text.strip() for name, _, text in pairs}
+    else:
+        given = {str(name): str(text) for name, text in units.items()}
+    return {**({"t": run.time_unit} if run.time_unit else {}), **given}
+
+
+def _with_values(run: Trajectory, given: Mapping[str, Any], number: int, count: int) -> Trajectory:
+    """Put inputs that are functions of the time or values beside the columns of one of the runs."""
+    for name, value in given.items():
+        if check_name(name, "input") in run.names:
+            raise InputError(f"input {name!r} is a column already; give it another name")
+        own = value[number] if _is_list_for(value, count) else value
+        column = sample_input(name, own, run.t)
+        inputs = np.column_stack([run.inputs, column])
+        run = replace(run, inputs=inputs, input_names=(*run.input_names, name))
+    return run
+
+
+def _is_list_for(value: Any, count: int) -> bool:
+    """Whether an input is a list of one array a trajectory."""
+    return (
+        isinstance(value, (list, tuple))
+        and len(value) == count
+        and all(callable(own) or np.ndim(own) == 1 for own in value)
+    )
+
+
+def sample_input(name: str, value: Any, t: np.ndarray) -> np.ndarray:
+    """Give the values of an input at times.
+
+    Parameters
+    ----------
+    name : what a message calls it.
+    value : a function of one time or of all of them, or the (n,) values.
+    t : (n,) times.
+
+    Raises InputError when they do not fit the times or are not finite.
+
+    >>> sample_input("F", lambda t: 2 * t, np.array([0.0, 1.0])).tolist()
+    [0.0, 2.0]
+    """
+    found = value
+    if callable(value):
+        try:
+            found = np.asarray(value(t), dtype=float)
+        except (TypeError, ValueError):  # a function of one time
+            found = None
+        if found is None or found.shape != t.shape:
+            found = [value(one) for one in t.tolist()]
+    found = as_floats(found, f"input {name!r}")
+    if found.shape != t.shape:
+        raise InputError(
+            f"input {name!r} has shape {found.shape} but there are {len(t)} times; give one value "
+            "a time, an expression in t, or a function of t"
+        )
+    bad = np.flatnonzero(~np.isfinite(found))
+    if bad.size:
+        raise InputError(
+            f"input {name!r} is {found[bad[0]]} at t = {t[bad[0]]:g}; it must be finite"
+        )
+    return found
 
 
 def _with_drives(run: Trajectory, drives: Mapping[str, sympy.Expr]) -> Trajectory:

@@ -10,20 +10,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynsr.data.columns import Columns
+from dynsr.data.columns import Columns, bare_name
+from dynsr.data.grouping import guess_grouping
+from dynsr.data.times import read_times, unit_in_name
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name
 
 _TIME = re.compile(
     r"t|time|times|timestamps?|datetime|date|sec|secs|seconds?|zeit|temps", re.IGNORECASE
 )
-_TRAJECTORY = re.compile(
-    r"(traj(ectory)?|run|trial|episode|experiment|series|replicate|sample|group)(_?(id|no|nr))?|id",
-    re.IGNORECASE,
-)
 _INPUT = re.compile(r"(f|force|forcing)|(input|control|forcing)s?_?\w*|u_?\d*", re.IGNORECASE)
-# A unit in brackets or after a blank bracket: "x [m/s]", "theta (rad)".
-_UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
+
+
+_MANY = 30
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,9 @@ class Roles:
     """Columns by their role, under their names in the source.
 
     ``renamed`` gives every state and input the name that it has in formulas; ``ignored`` are
-    columns that no role was found for; ``chosen`` says that the caller named the states.
+    columns that no role was found for; ``chosen`` says that the caller named the states;
+    ``parameters`` are those inputs that were taken for such since they are constant within each
+    trajectory, and ``labels`` what only tells trajectories apart beside ``trajectory``.
     """
 
     time: str
@@ -41,11 +42,14 @@ class Roles:
     renamed: Mapping[str, str] = field(default_factory=dict)
     ignored: tuple[str, ...] = ()
     chosen: bool = False
+    parameters: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
 
 
 def guess_roles(
     columns: Columns,
-    time: str | None,
+    time: str,
+    t: np.ndarray,
     states: Sequence[str] | None,
     inputs: Sequence[str] | None,
     formulas: Mapping[str, str],
@@ -56,36 +60,52 @@ def guess_roles(
     Parameters
     ----------
     columns : the columns of the source.
-    time, states, inputs, trajectory : names in the source or in formulas; None where guessed.
+    time : name of the time column in the source, as :func:`find_time` gives it.
+    t : (n,) its numbers.
+    states, inputs, trajectory : names in the source or in formulas; None where guessed.
     formulas : inputs that are expressions in ``t``, by name.
 
     Raises InputError that lists the columns when one that was named is not there, when no column
     can be the time, or when no column is left for a state.
     """
-    time = _find(time, columns, "time") if time else _guess_time(columns)
     if trajectory:
         trajectory = _find(trajectory, columns, "trajectory")
-    elif states is None or not any(_TRAJECTORY.fullmatch(name) for name in states):
-        trajectory = _guess_trajectory(columns, time)
-    others = [name for name in columns.names if name not in (time, trajectory)]
     known = None if inputs is None else [_find(name, columns, "input") for name in inputs]
     chosen = None if states is None else [_find(name, columns, "state") for name in states]
+    said = {time, *(chosen or []), *(known or []), *columns.inputs}
+    candidates = [name for name in columns.names if name not in said]
+    grouping = guess_grouping(columns, t, candidates, trajectory or None)
+    others = [name for name in columns.names if name not in (time, grouping.trajectory)]
+    apart = (*grouping.labels, *grouping.parameters)
+    parameters: tuple[str, ...] = ()
     if known is None:
         free = [n for n in others if n not in (chosen or []) and clean_name(n) not in formulas]
-        known = _guess_inputs(free, columns, chosen)
+        known = _guess_inputs([n for n in free if n not in apart], columns, chosen)
+        if chosen is None:
+            parameters = tuple(n for n in grouping.parameters if n in free)
+            known += parameters
     if chosen is None:
         given = [n for n in others if clean_name(n) in formulas or _is_row_number(n, columns)]
-        chosen = [n for n in others if n not in known and n not in given]
+        chosen = [n for n in others if n not in (*known, *given, *apart)]
     _check_roles(time, chosen, known, columns)
+    if states is None and len(chosen) + len(known) > _MANY:
+        warnings.warn(
+            f"{columns.label} has {len(chosen)} states, and a search grows with the square of "
+            "their number; name those that matter (--states)",
+            DynsrWarning,
+            stacklevel=4,
+        )
     used = [*chosen, *known]
     return Roles(
         time,
         tuple(chosen),
         tuple(known),
-        trajectory,
+        grouping.trajectory,
         _rename(used, formulas),
-        tuple(name for name in others if name not in used),
+        tuple(name for name in others if name not in (*used, *grouping.labels)),
         states is not None,
+        parameters,
+        tuple(name for name in grouping.labels if name not in used),
     )
 
 
@@ -113,8 +133,10 @@ def _find(name: str, columns: Columns, role: str) -> str:
     """Find a column by its name in the source or by the name it gets in formulas."""
     if name in columns.names:
         return name
+    # A name that looks the same may be written otherwise, as the micro sign is.
+    alike = unicodedata.normalize("NFKC", name)
     for original in columns.names:
-        if clean_name(original) == name:
+        if clean_name(original) == name or unicodedata.normalize("NFKC", original) == alike:
             return original
     raise InputError(
         f"no column {name!r} for the {role} in {columns.label}; "
@@ -122,40 +144,38 @@ def _find(name: str, columns: Columns, role: str) -> str:
     )
 
 
-def _bare(name: str) -> str:
-    return _UNIT.sub("", name).strip()
+def find_time(columns: Columns, time: str | None) -> str:
+    """Give the column of the times: as the caller said, or else by its name and its values.
 
+    Parameters
+    ----------
+    columns : the columns of the source.
+    time : its name in the source or in formulas; None to guess it.
 
-def _guess_time(columns: Columns) -> str:
+    Raises InputError that lists the columns when it is not there or none can be the time.
+    """
+    if time:
+        return _find(time, columns, "time")
     for name in columns.names:
-        if _TIME.fullmatch(_bare(name)) or re.fullmatch(r"(t|time)_\w+", name, re.IGNORECASE):
+        if _TIME.fullmatch(bare_name(name)) or re.fullmatch(r"(t|time)_\w+", name, re.IGNORECASE):
             return name
     if not columns.named:
         return columns.names[0]
     for name, values in zip(columns.names, columns.values, strict=True):
-        if values.dtype.kind == "M":
+        if values.dtype.kind in "mM" or (
+            values.dtype.kind == "O" and read_times(values) is not None
+        ):
             return name
         rising = values.dtype.kind == "f" and len(values) > 1 and bool(np.all(np.diff(values) > 0))
         if rising and name:
             return name
+    counted = [name for name in columns.names if unit_in_name(name)]
+    if len(counted) == 1:
+        return counted[0]
     raise InputError(
         f"no column of {columns.label} looks like the time (columns: {_shown(columns.names)}); "
         "name it, e.g. --time seconds, or add a column t"
     )
-
-
-def _guess_trajectory(columns: Columns, time: str) -> str | None:
-    """Find the column that names trajectories: by its name, with few values, each in one run."""
-    for name, values in zip(columns.names, columns.values, strict=True):
-        if name == time or not _TRAJECTORY.fullmatch(_bare(name)):
-            continue
-        text = values.dtype.kind == "O"
-        if not text and not (np.isfinite(values).all() and np.all(values == np.round(values))):
-            continue
-        distinct = len(set(map(str, values))) if text else len(np.unique(values))
-        if distinct * 5 <= len(values):
-            return name
-    return None
 
 
 def _guess_inputs(
@@ -164,9 +184,9 @@ def _guess_inputs(
     found = [name for name in names if name in columns.inputs]
     if found or (states is not None and set(names) == set(columns.inputs)):
         return found
-    fits = [name for name in names if _INPUT.fullmatch(_bare(name))]
-    if {_bare(name).lower() for name in names} & {"v", "w"}:  # u beside v or w is a state
-        fits = [name for name in fits if _bare(name).lower() != "u"]
+    fits = [name for name in names if _INPUT.fullmatch(bare_name(name))]
+    if {bare_name(name).lower() for name in names} & {"v", "w"}:  # u beside v or w is a state
+        fits = [name for name in fits if bare_name(name).lower() != "u"]
     return fits if len(fits) < len(names) or states is not None else []
 
 
@@ -181,11 +201,12 @@ def clean_name(name: str) -> str:
 
     Units in brackets go, other signs become underscores, and names of functions get a number.
 
-    >>> [clean_name(name) for name in ("theta (rad)", "x-1", "sin", "2nd")]
-    ['theta', 'x_1', 'sin_1', 'x2nd']
+    >>> [clean_name(name) for name in ("theta (rad)", "x-1", "sin", "2nd", "inf_")]
+    ['theta', 'x_1', 'sin_1', 'x2nd', 'inf_']
     """
-    text = unicodedata.normalize("NFKC", _bare(name) or name)
-    text = re.sub(r"_{2,}", "_", re.sub(r"\W", "_", text)).strip("_") or "x"
+    text = unicodedata.normalize("NFKC", bare_name(name) or name)
+    if not text.isidentifier():
+        text = re.sub(r"_{2,}", "_", re.sub(r"\W", "_", text)).strip("_") or "x"
     if not text.isidentifier():
         text = f"x{text}"
     try:

@@ -25,6 +25,8 @@ class Samples:
     t : (n,) times in seconds of the rows.
     noise : typical error of ``y`` (one standard deviation, state units per second); None when
         nobody has estimated it.
+    layers : whether the states pass fast layers; large terms cancel each other on the other rows.
+    slope_sd : (n,) error of each of ``y``, by the scheme that made them; None when it tells none.
 
     >>> t = np.arange(3.0)
     >>> len(Samples(t[:, None], -2 * t, ("x",), "x", "given", t))
@@ -38,6 +40,8 @@ class Samples:
     scheme: str
     t: np.ndarray
     noise: float | None = None
+    slope_sd: np.ndarray | None = None
+    layers: bool = False
 
     def __len__(self) -> int:
         """Count the rows."""
@@ -50,7 +54,8 @@ class Samples:
 
     def select(self, rows: slice | np.ndarray) -> Samples:
         """Give the samples of some rows."""
-        return replace(self, X=self.X[rows], y=self.y[rows], t=self.t[rows])
+        sd = None if self.slope_sd is None else self.slope_sd[rows]
+        return replace(self, X=self.X[rows], y=self.y[rows], t=self.t[rows], slope_sd=sd)
 
 
 # The difference schemes; the number of a central one is its order in the step.
@@ -158,14 +163,16 @@ def make_samples(
     for run in runs:
         rows, slopes = difference(run.t, run.x[:, run.index(target)], scheme)
         pieces.append(Samples(run.columns[rows], slopes, run.names, target, scheme, run.t[rows]))
-    return join(pieces)
+    return join_samples(pieces)
 
 
-def join(pieces: Sequence[Samples]) -> Samples:
+def join_samples(pieces: Sequence[Samples]) -> Samples:
     """Put samples of the same columns and target below each other."""
+    errors = [piece.slope_sd for piece in pieces if piece.slope_sd is not None]
     return replace(
         pieces[0],
         X=np.concatenate([piece.X for piece in pieces]),
         y=np.concatenate([piece.y for piece in pieces]),
         t=np.concatenate([piece.t for piece in pieces]),
+        slope_sd=np.concatenate(errors) if len(errors) == len(pieces) else None,
     )

@@ -6,56 +6,46 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 
+from dynsr.data.noise_model import interpolation_residuals, measurement_noise, robust_scale
 from dynsr.data.samples import (
     SCHEMES,
     Samples,
-    barycentric_weights,
     central_weights,
     difference,
-    join,
+    join_samples,
 )
-from dynsr.data.trajectory import Trajectory
+from dynsr.data.smoothing import SmoothColumn, estimate_noise, smooth_values
+from dynsr.data.trajectory import Trajectory, as_floats
 from dynsr.errors import InputError, need
 
 _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
-_MAD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """One column made smooth: the rows that have a slope, and the values and slopes there."""
+    """One column made smooth: the rows that have a slope, and the values and slopes there.
+
+    ``slope_sd`` holds the standard deviations of the slopes where the scheme knows them.
+    """
 
     rows: slice
     x: np.ndarray
     slope: np.ndarray
+    slope_sd: np.ndarray | None = None
 
 
-def robust_scale(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
-    """Give 1.4826 times the median of |values|: the standard deviation of normal values.
-
-    >>> float(robust_scale(np.array([-1.0, 1.0, 100.0])))
-    1.4826
-    """
-    return np.asarray(_MAD * np.median(np.abs(values), axis=axis))
-
-
-def interpolation_residuals(t: np.ndarray, x: np.ndarray, order: int) -> np.ndarray:
-    """Miss of each point from the polynomial through its ``order`` neighbours, per unit noise."""
-    _, weights = barycentric_weights(np.lib.stride_tricks.sliding_window_view(t, order + 1))
-    weights /= weights[:, [order // 2]]
-    values = np.lib.stride_tricks.sliding_window_view(x, order + 1, axis=0)
-    misses = np.einsum("ij,i...j->i...", weights, values)
-    norm = np.linalg.norm(weights, axis=1)
-    return misses / norm.reshape(-1, *[1] * (x.ndim - 1))
-
-
-def local_polynomial(t: np.ndarray, window: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
+def local_polynomial(
+    t: np.ndarray, window: int, degree: int, derivatives: tuple[int, ...] = (0, 1)
+) -> tuple[np.ndarray, ...]:
     """Weights (rows, window) for value and slope at the middle of every window of times.
+
+    ``derivatives`` are their orders: 0 is the value, 1 the slope, 2 the second derivative.
 
     Even times have one row of weights. They are scipy.signal.savgol_coeffs', which knows even
     times only and works with monomials: at 129 times and degree 6 its weights err by 2e-6, these
@@ -70,16 +60,16 @@ def local_polynomial(t: np.ndarray, window: int, degree: int) -> tuple[np.ndarra
     # Legendre polynomials keep the normal equations well conditioned up to degree 6.
     basis = legendre.legvander(offset / scale, degree)
     gram = np.einsum("nwi,nwj->nij", basis, basis)
-    at_middle = np.stack([legendre.legvander(np.zeros(1), degree)[0], _legendre_slopes(degree)])
-    picked = np.linalg.solve(gram, np.broadcast_to(at_middle.T, (len(gram), degree + 1, 2)))
+    at_middle = np.column_stack([_legendre_at_0(degree, order) for order in derivatives])
+    picked = np.linalg.solve(gram, np.broadcast_to(at_middle, (len(gram), *at_middle.shape)))
     weights = np.einsum("nwi,nik->knw", basis, picked)
-    return weights[0], weights[1] / scale
+    return tuple(w / scale**order for w, order in zip(weights, derivatives, strict=True))
 
 
-def _legendre_slopes(degree: int) -> np.ndarray:
-    """Slope of every Legendre polynomial up to a degree, at 0."""
-    slopes = [legendre.Legendre.basis(j).deriv()(0.0) if j else 0.0 for j in range(degree + 1)]
-    return np.array(slopes)
+def _legendre_at_0(degree: int, order: int) -> np.ndarray:
+    """Derivative of an order of every Legendre polynomial up to a degree, at 0."""
+    bases = [legendre.Legendre.basis(j) for j in range(degree + 1)]
+    return np.array([b.deriv(order)(0.0) if order else b(0.0) for b in bases])
 
 
 def _savgol(t: np.ndarray, x: np.ndarray, window: int, degree: int) -> Smooth:
@@ -125,6 +115,26 @@ def _total_variation(t: np.ndarray, x: np.ndarray) -> Smooth:
     return Smooth(rows, values[rows], slope[rows])
 
 
+def _gaussian_process(t: np.ndarray, x: np.ndarray) -> Smooth:
+    """Smooth by a Gaussian process; ends that tell next to nothing of the slope are left out."""
+    whole = _process_smooth(t.tobytes(), x.tobytes())
+    sd, slope = whole.slope_sd, whole.slope
+    told = np.flatnonzero(sd <= np.maximum(2 * np.median(sd), 0.2 * np.abs(slope)))
+    most = len(t) // 10
+    start = min(int(told[0]), most) if len(told) else 0
+    stop = max(int(told[-1]) + 1, len(t) - most) if len(told) else len(t)
+    rows = slice(start, stop)
+    return Smooth(rows, whole.x[rows], slope[rows], sd[rows])
+
+
+@lru_cache(maxsize=32)
+def _process_smooth(times: bytes, values: bytes) -> SmoothColumn:
+    """Smooth each column once, though the samples of every target want all of them."""
+    t, x = np.frombuffer(times), np.frombuffer(values)
+    noise = estimate_noise([Trajectory(t, x[:, None], ("x",))])[0]
+    return smooth_values(t, x, noise)
+
+
 def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     """Differentiate one column by a named scheme.
 
@@ -132,8 +142,8 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     ----------
     t : (n,) times in seconds, strictly increasing.
     x : (n,) values of one state.
-    scheme : "forward", "backward", "central2" to "central8", "savgol(WINDOW,DEGREE)", "spline" or
-        "total-variation".
+    scheme : "forward", "backward", "central2" to "central8", "savgol(WINDOW,DEGREE)", "gp" (a
+        Gaussian process), "spline" or "total-variation".
 
     Raises InputError on any other name, and when there are too few rows for a difference.
 
@@ -143,6 +153,10 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     """
     if scheme == "spline":
         return _spline(t, x)
+    if scheme == "gp":
+        if len(t) < 4:
+            raise InputError(f"{len(t)} rows are too few for scheme 'gp'; give at least 4")
+        return _gaussian_process(t, x)
     if scheme == "total-variation":
         return _total_variation(t, x)
     if scheme in SCHEMES:
@@ -156,7 +170,7 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
                 "many, larger than the degree"
             )
         return _savgol(t, x, int(match[1]), int(match[2]))
-    known = ", ".join([*SCHEMES, "savgol(WINDOW,DEGREE)", "spline", "total-variation"])
+    known = ", ".join([*SCHEMES, "savgol(WINDOW,DEGREE)", "gp", "spline", "total-variation"])
     raise InputError(f"unknown scheme {scheme!r}; the schemes are: {known}")
 
 
@@ -176,8 +190,19 @@ class SlopeSettings:
     windows : odd numbers of rows of the local polynomials tried.
     degrees : even degrees of the local polynomials tried; an odd one has the slopes of the even
         one above it.
+    processed : up to so many rows a Gaussian process competes with the local polynomials; it
+        weighs less and costs more the more rows there are.
+    prefer : a local polynomial is preferred when its mean squared miss of left-out rows is less
+        than this share of the process's; values are foretold as well by curves whose slopes differ.
+    capped : most standard deviations that a miss counts there.
     reference : a window of little bias is at most this share of the one best for the values.
     biased : a share of bias in given slopes from which on they are warned about.
+    steep : data have layers where the slopes (RMS) are this many times larger than those that
+        ``quantile`` of the rows stay below.
+    unresolved, exact : shares of a row's slope, and of the slope that ``quantile`` of the rows stay
+        below, above which a central difference is wrong and below which it is exact.
+    calm, told : the share of rows that must be exact, and the share of their slopes (the median)
+        that their errors may be, for the rows without slopes in layers to be left out.
     """
 
     clean: float = 1e-5
@@ -185,8 +210,16 @@ class SlopeSettings:
     quantile: float = 0.8
     windows: tuple[int, ...] = (5, 7, 9, 13, 17, 23, 31, 41, 55, 73, 97, 129)
     degrees: tuple[int, ...] = (2, 4, 6)
+    processed: int = 600
+    prefer: float = 0.9
+    capped: float = 4.0
     reference: float = 0.7
     biased: float = 0.01
+    steep: float = 10.0
+    unresolved: float = 1e-3
+    exact: float = 1e-6
+    calm: float = 0.8
+    told: float = 1e-4
 
 
 _SETTINGS = SlopeSettings()
@@ -202,27 +235,6 @@ class Choice:
 
     scheme: str
     noise: float
-
-
-def measurement_noise(trajectory: Trajectory) -> np.ndarray:
-    """Estimate the standard deviation of measurement noise of every state, (k,), state units.
-
-    Each point is compared with the polynomial through its neighbours (a high-order difference);
-    the median absolute miss, scaled for the normal law, is noise plus what the polynomial cannot
-    follow, so the smallest over orders 2 to 8 is taken. Times may be uneven.
-
-    >>> t = np.linspace(0, 10, 500)
-    >>> noisy = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, 500)
-    >>> bool(0.008 < measurement_noise(Trajectory(t, noisy[:, None], ("x",)))[0] < 0.012)
-    True
-    """
-    orders = [order for order in (2, 4, 6, 8) if len(trajectory) > order + 2]
-    if not orders:
-        raise InputError(f"{len(trajectory)} rows are too few to estimate noise; give at least 5")
-    found = [
-        robust_scale(interpolation_residuals(trajectory.t, trajectory.x, o), axis=0) for o in orders
-    ]
-    return np.min(found, axis=0)
 
 
 def choose_scheme(
@@ -245,11 +257,77 @@ def choose_scheme(
     """
     step = float(np.median(np.diff(t)))
     slopes = np.diff(x) / np.diff(t)
+    if find_layers(t, x, settings) is not None:
+        return Choice("central8", sigma / step)
     size = float(np.sqrt(np.mean(slopes**2))) or 1.0
     central = _choose_central(t, x, sigma, size, settings)
     if sigma / step <= settings.clean * size or len(t) < 2 * settings.windows[0]:
         return central
-    return _choose_smoother(t, x, sigma, settings)
+    best = _choose_smoother(t, x, sigma, settings)
+    return best if len(t) > settings.processed else _compare_process(t, x, best, settings)
+
+
+def _compare_process(t: np.ndarray, x: np.ndarray, best: Choice, settings: SlopeSettings) -> Choice:
+    """Take a Gaussian process unless the local polynomial foretells left-out rows better.
+
+    Mallows' estimate of a local polynomial's error sees no bias that its reference has too, which
+    is most of it where rows are few; what is foretold of a row from all others is seen.
+    """
+    whole = _process_smooth(t.tobytes(), x.tobytes())
+    match = _SAVGOL.fullmatch(best.scheme)
+    assert match
+    window = int(match[1])
+    other = smooth_column(t, x, best.scheme)
+    value, _ = local_polynomial(t, window, int(match[2]))
+    theirs = (x[other.rows] - other.x) / (1 - value[:, window // 2])
+    mine = ((x - whole.x) / np.maximum(1 - whole.leverage, 1e-3))[other.rows]
+    kept = ~whole.outlier[other.rows]
+    scale = np.hypot(whole.noise, whole.x_sd)[other.rows]
+    # Errors are capped: one row must not decide.
+    misses = [np.minimum(np.abs(e / scale)[kept], settings.capped) for e in (mine, theirs)]
+    if np.mean(misses[1] ** 2) < settings.prefer * np.mean(misses[0] ** 2):
+        return best
+    sd = smooth_column(t, x, "gp").slope_sd
+    assert sd is not None
+    return Choice("gp", float(np.sqrt(np.mean(np.square(sd)))))
+
+
+def find_layers(
+    t: np.ndarray, x: np.ndarray, settings: SlopeSettings = _SETTINGS
+) -> np.ndarray | None:
+    """Say which rows of an eighth-order difference lie in layers that are passed between two rows.
+
+    A relaxation oscillator rests, and then jumps about as fast as it is sampled. A difference
+    across a jump is wrong, and larger than all others. Where the slopes of the other rows are
+    exact, they hold the law. The error of a row is estimated by the difference of sixth order.
+
+    Parameters
+    ----------
+    t : (n,) times in seconds, strictly increasing.
+    x : (n,) values of one state.
+    settings : when a slope is too wrong, and what is exact.
+
+    Gives (n - 8,), all False where the jumps are resolved; None where there are none, and for fewer
+    than 30 rows.
+
+    >>> t = np.linspace(0.0, 10.0, 500)
+    >>> jump = np.tanh(1000 * (t - 5)) + 0.01 * np.sin(t)
+    >>> t[4:-4][find_layers(t, jump)].round(1).tolist()
+    [4.9, 4.9, 5.0, 5.0, 5.0, 5.0, 5.1, 5.1]
+    """
+    if len(t) < 30:
+        return None
+    slopes = smooth_column(t, x, "central8").slope
+    errors, sizes = np.abs(slopes - smooth_column(t, x, "central6").slope[1:-1]), np.abs(slopes)
+    usual = np.quantile(sizes, settings.quantile)
+    wrong = errors > settings.unresolved * (sizes + usual)
+    calm = errors <= settings.exact * (sizes + usual)
+    steep = np.mean(sizes**2) > (settings.steep * usual) ** 2
+    if not steep or np.mean(calm) < settings.calm:
+        return None
+    if np.median(errors[calm]) > settings.told * np.median(sizes[calm]):
+        return None
+    return ~calm if wrong.any() else wrong
 
 
 def _choose_central(
@@ -362,14 +440,16 @@ def choose_samples(
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
     given = _own_slopes(runs, target, slopes, settings)
+    resolve = scheme == "auto" and slopes is None
     # The longest trajectory decides for all: noise and step belong to the instrument.
     longest = max(runs, key=len)
     choices = {state: _choose(longest, state, scheme, settings) for state in runs[0].states}
     pieces = []
     for run, own in zip(runs, given, strict=True):
         fitting = choices if run is longest else _fitting(run, choices, settings)
-        pieces.append(_combine(run, target, fitting, own))
-    return replace(join(pieces), scheme=pieces[runs.index(longest)].scheme)
+        piece = _combine(run, target, fitting, own)
+        pieces.append(_without_layers(piece, run, settings) if resolve else piece)
+    return replace(join_samples(pieces), scheme=pieces[runs.index(longest)].scheme)
 
 
 def _choose(trajectory: Trajectory, state: str, scheme: str, settings: SlopeSettings) -> Choice:
@@ -416,7 +496,21 @@ def _combine(
     choice = choices[target] if own is None else Choice("given", _spread(own[start:stop] - slope))
     y = slope if own is None else own[start:stop]
     t = trajectory.t[start:stop]
-    return Samples(columns, y, trajectory.names, target, choice.scheme, t, choice.noise)
+    sd = mine.slope_sd if own is None else None
+    if sd is not None:
+        sd = sd[start - mine.rows.start : stop - mine.rows.start]
+    return Samples(columns, y, trajectory.names, target, choice.scheme, t, choice.noise, sd)
+
+
+def _without_layers(samples: Samples, trajectory: Trajectory, settings: SlopeSettings) -> Samples:
+    """Leave the rows out that lie in layers; they have a state but no slope."""
+    x = trajectory.x[:, trajectory.index(samples.target)]
+    layers = find_layers(trajectory.t, x, settings) if samples.scheme == "central8" else None
+    if layers is None:
+        return samples
+    times = trajectory.t[4:-4][layers]
+    kept = samples.select(np.flatnonzero(~np.isin(samples.t, times)))
+    return replace(kept, layers=True)
 
 
 def _spread(values: np.ndarray) -> float:
@@ -432,7 +526,7 @@ def _own_slopes(
     if slopes is None:
         return [None] * len(runs)
     single = isinstance(slopes, np.ndarray) and slopes.ndim == 1
-    given = [np.asarray(own, dtype=float) for own in ([slopes] if single else slopes)]
+    given = [as_floats(own, f"slopes of {target}") for own in ([slopes] if single else slopes)]
     if [len(own) for own in given] != [len(run) for run in runs]:
         raise InputError(
             f"own slopes of {target} have {[len(own) for own in given]} rows but the trajectories "

@@ -109,26 +109,28 @@ class System:
         parameters : name -> the number that it stands for in the equations.
         name, train, test, step, target, description : as the fields of System.
 
-        Raises InputError when an expression cannot be read or the fields do not fit each other.
+        Raises InputError when an expression cannot be read, a parameter has the name of a state, an
+        input or ``t``, or the fields do not fit each other.
 
         >>> System.from_strings({"x": "s*(y-x)", "y": "-y"}, parameters={"s": 10.0}).states
         ('x', 'y')
         """
-        values: dict[sympy.Symbol, sympy.Expr] = {}
+        values: dict[str, float] = {}
         for key, value in (parameters or {}).items():
             if not isinstance(value, numbers.Real) or not math.isfinite(value):
                 raise InputError(f"parameter {key!r} is {value!r}; give a finite number")
-            values[sympy.Symbol(check_name(key, "parameter"))] = (
-                sympy.Integer(int(value))
-                if isinstance(value, numbers.Integral)
-                else sympy.Float(float(value))
-            )
+            if key in (*equations, *(inputs or {}), "t"):
+                raise InputError(
+                    f"parameter {key!r} is named as a state, an input or the time t; rename it"
+                )
+            exact = isinstance(value, numbers.Integral)
+            values[check_name(key, "parameter")] = int(value) if exact else float(value)
         names = [*equations, *(inputs or {}), *(parameters or {}), "t"]
         for state in equations:
             check_name(state, "state")
 
         def read(text: str, allowed: Sequence[str]) -> sympy.Expr:
-            return parse(text, allowed).subs(values)
+            return parse(text, allowed, values)
 
         return cls(
             name=name,

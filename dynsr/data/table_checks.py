@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
 
 from dynsr.data.roles import Roles
+from dynsr.data.times import count_times, read_compact_dates, read_times, unit_in_name
+from dynsr.data.trajectory import as_floats
 from dynsr.errors import DynsrWarning, InputError
 
 MIN_ROWS = 10
@@ -16,56 +19,66 @@ _MIN_ROWS_EACH = 5
 _SCALE_RATIO = 1e6
 
 
-def to_numbers(values: np.ndarray, name: str, label: str, time: bool = False) -> np.ndarray:
+def to_numbers(values: np.ndarray, name: str, label: str) -> np.ndarray:
     """Give a column as float64.
 
     Parameters
     ----------
     values : (n,) cells.
     name, label : what a message calls the column and its source.
-    time : whether it is the time, whose dates become seconds from the first one.
 
     Raises InputError that names the first cell which is no number.
     """
     if values.dtype.kind == "f":
         return values
-    if time:
-        dates = _as_dates(values)
-        if dates is not None:
-            return (dates - dates[0]) / np.timedelta64(1, "s")
     if values.dtype.kind == "M":
         raise InputError(f"column {name!r} of {label} holds dates; only the time may be a date")
-    numbers = np.empty(len(values))
-    for row, cell in enumerate(values):
-        number = _as_number(cell)
-        if number is None:
-            raise InputError(
-                f"column {name!r} of {label} holds the text {str(cell)[:40]!r} in row {row + 1}; "
-                "give numbers, or leave the column out"
-            )
-        numbers[row] = number
-    return numbers
+    if values.dtype.kind == "m" or all(isinstance(cell, timedelta) for cell in values):
+        return as_floats(values, f"column {name!r} of {label}")
+    numbers = [_as_number(cell) for cell in values]
+    if None in numbers:
+        row = numbers.index(None)
+        many = len(set(map(str, values))) < len(values) and all(n is None for n in numbers)
+        remedy = f", or say --trajectory {name} if it tells trajectories apart" if many else ""
+        raise InputError(
+            f"column {name!r} of {label} holds the text {str(values[row])[:40]!r} in row "
+            f"{row + 1}; give numbers, or leave the column out{remedy}"
+        )
+    return np.array(numbers, dtype=float)
+
+
+def to_times(values: np.ndarray, name: str, label: str) -> tuple[np.ndarray, str]:
+    """Give the column of the times as float64 with its unit, "" where nothing says it.
+
+    Parameters
+    ----------
+    values : (n,) cells: numbers, dates or durations.
+    name, label : what a message calls the column and its source; the name may say the unit.
+
+    Raises InputError that names the first cell which is no time.
+    """
+    numbers = values.dtype.kind == "f" or (
+        values.dtype.kind == "O" and _as_number(values[0]) is not None
+    )
+    if numbers:
+        dates = read_compact_dates(to_numbers(values, name, label), name)
+    else:
+        dates = read_times(values)
+    if dates is not None:
+        return count_times(dates)
+    if values.dtype.kind == "O" and not numbers:
+        raise InputError(
+            f"time {name!r} of {label} holds {str(values[0])[:40]!r} in row 1; give numbers, or "
+            "dates such as 2024-12-31"
+        )
+    return to_numbers(values, name, label), unit_in_name(name)
 
 
 def _as_number(cell: Any) -> float | None:
     try:
         return np.nan if cell is None else float(cell)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
-
-
-def _as_dates(values: np.ndarray) -> np.ndarray | None:
-    if values.dtype.kind == "M":
-        return values
-    if _as_number(values[0]) is not None:
-        return None
-    import pandas
-
-    try:
-        dates = pandas.to_datetime(values, format="ISO8601", utc=True)
-    except (ValueError, TypeError):
-        return None
-    return dates.tz_localize(None).to_numpy()
 
 
 def check_rows(t: np.ndarray, time: str, groups: Mapping[str, np.ndarray], label: str) -> None:
@@ -73,7 +86,7 @@ def check_rows(t: np.ndarray, time: str, groups: Mapping[str, np.ndarray], label
 
     Parameters
     ----------
-    t : (n,) times in seconds.
+    t : (n,) times.
     time, label : what a message calls the column and its source.
     groups : trajectory -> its rows.
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
 
+from dynsr.data.times import check_time_unit, count_times
 from dynsr.errors import InputError
 from dynsr.expression import check_name
 
@@ -20,11 +22,89 @@ def refuse_mask(values: Any) -> None:
     ...
     dynsr.errors.InputError: 1 of 2 values are masked; drop those rows, or fill them in
     """
-    count = int(np.sum(np.ma.getmaskarray(values))) if isinstance(values, np.ma.MaskedArray) else 0
+    if not isinstance(values, np.ma.MaskedArray):
+        return
+    parts = [values[name] for name in values.dtype.names or ()] or [values]
+    count = sum(int(np.sum(np.ma.getmaskarray(part))) for part in parts)
     if count:
         raise InputError(
             f"{count} of {values.size} values are masked; drop those rows, or fill them in"
         )
+
+
+def as_times(values: Any, what: str) -> tuple[np.ndarray, str]:
+    """Give times as float64, and the unit in which dates and durations are counted.
+
+    Parameters
+    ----------
+    values : an array, or what makes one.
+    what : what a message calls them.
+
+    Raises InputError where :func:`as_floats` does. Plain numbers have no unit.
+
+    >>> as_times(np.array(["2024-01-01", "2024-01-02"], dtype="datetime64[D]"), "t")
+    (array([0., 1.]), 'days')
+    """
+    refuse_mask(values)
+    try:
+        array = np.asarray(values)
+        array = _as_one_kind(array) if array.dtype.kind == "O" else array
+    except (TypeError, ValueError):
+        return as_floats(values, what), ""
+    if array.dtype.kind in "mM" and array.ndim == 1 and array.size:
+        return count_times(array)
+    return as_floats(array, what), ""
+
+
+def as_floats(values: Any, what: str) -> np.ndarray:
+    """Give values as float64 without a loss: durations as seconds.
+
+    Parameters
+    ----------
+    values : an array, or what makes one.
+    what : what a message calls them.
+
+    Raises InputError when values are masked, complex, integers that float64 does not hold, or no
+    numbers.
+
+    >>> as_floats(np.array([0, 1500], dtype="timedelta64[ms]"), "t").tolist()
+    [0.0, 1.5]
+    """
+    refuse_mask(values)
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind == "O":
+            array = _as_one_kind(array)
+        if array.dtype.kind == "c":
+            raise InputError(f"{what} holds complex numbers; give real and imaginary parts apart")
+        if array.dtype.kind == "M":
+            raise InputError(f"{what} holds dates; only the time may be a date")
+        if array.dtype.kind == "m":
+            return np.asarray(array / np.timedelta64(1, "s"), dtype=float)
+        found = np.asarray(array, dtype=float)
+    except InputError:
+        raise
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{what} holds what are no numbers; give numbers") from None
+    if array.dtype.kind in "iu" and np.any(np.abs(found) > 2**53):
+        if any(int(a) != int(b) for a, b in zip(array.flat, found.flat, strict=True)):
+            raise InputError(
+                f"{what} holds whole numbers of more than 16 digits, which float64 would round; "
+                "subtract the first one"
+            )
+    return found
+
+
+def _as_one_kind(array: np.ndarray) -> np.ndarray:
+    """Give objects that are all durations, dates or complex numbers as an array of that kind."""
+    cells = list(array.flat)
+    if cells and all(isinstance(cell, (timedelta, np.timedelta64)) for cell in cells):
+        return np.array(cells, dtype="timedelta64[ns]").reshape(array.shape)
+    if cells and all(isinstance(cell, datetime) and cell.tzinfo is None for cell in cells):
+        return np.array(cells, dtype="datetime64[us]").reshape(array.shape)
+    if any(isinstance(cell, complex) for cell in cells):
+        return array.astype(complex)
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +113,13 @@ class Trajectory:
 
     Parameters
     ----------
-    t : (n,) times in seconds, strictly increasing.
+    t : (n,) times, strictly increasing; dates and durations are counted in a unit of the size of
+        their steps, which :attr:`time_unit` then says.
     x : (n, k) states in the system's own units.
     states : the k names of the columns of ``x``.
     inputs : (n, m) known inputs at the same times; empty by default.
     input_names : the m names of the columns of ``inputs``.
-    origin : where it came from: engine, version, tolerances.
+    origin : where it came from: engine, version, tolerances, unit of the times.
 
     Raises InputError, naming the row, when times do not increase or a value is not finite.
 
@@ -55,11 +136,9 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         """Bring the fields to float64 and check them."""
-        for given in (self.t, self.x, self.inputs):
-            refuse_mask(given)
-        t = np.asarray(self.t, dtype=float)
-        x = np.asarray(self.x, dtype=float)
-        u = np.asarray(self.inputs, dtype=float)
+        t, unit = as_times(self.t, "t")
+        x = as_floats(self.x, "x")
+        u = as_floats(self.inputs, "inputs")
         states, input_names = tuple(self.states), tuple(self.input_names)
         if not input_names:
             u = np.empty((len(t), 0))
@@ -79,10 +158,17 @@ class Trajectory:
         for key, value in (("t", t), ("x", x), ("inputs", u), ("states", states)):
             object.__setattr__(self, key, value)
         object.__setattr__(self, "input_names", input_names)
+        if unit:
+            object.__setattr__(self, "origin", {**self.origin, "time_unit": unit})
 
     def __len__(self) -> int:
         """Count the rows."""
         return len(self.t)
+
+    @property
+    def time_unit(self) -> str:
+        """The unit of the times: "s", "min", "h", "days", "years" or such; "" where unknown."""
+        return check_time_unit(self.origin.get("time_unit", ""))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,5 +1,8 @@
 from .estimator import DynsrRegressor
+from .maps import inputs_in, iterate, pair_rows, write_map_mathml
+from .orders import write_lines
 from .prediction import predict
+from .problem import DiscoverySettings
 from .result import Discovery
 from .scoring import (
     Score,
@@ -8,19 +11,30 @@ from .scoring import (
     trajectory_loss,
     trajectory_losses,
 )
-from .search import DiscoverySettings, discover
+from .search import discover
+from .trajectory_estimator import TrajectoryRegressor
 from .uncertainty import bootstrap
+from .verdict import StateVerdict, Verdict, VerdictSettings
 
 __all__ = [
     "Discovery",
     "DiscoverySettings",
     "DynsrRegressor",
     "Score",
+    "StateVerdict",
+    "TrajectoryRegressor",
+    "Verdict",
+    "VerdictSettings",
     "bootstrap",
     "discover",
     "equation_rmse",
+    "inputs_in",
+    "iterate",
+    "pair_rows",
     "predict",
     "score_expressions",
     "trajectory_loss",
     "trajectory_losses",
+    "write_lines",
+    "write_map_mathml",
 ]

@@ -4,21 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import sympy
 import torch
-from scipy.integrate import solve_ivp
 
 from dynsr.data import Samples, Trajectory, choose_samples, robust_scale
+from dynsr.discovery.prediction import Measured
+from dynsr.engines import Motion, follow
 from dynsr.errors import InputError
-from dynsr.expression import arguments_of, compile_numpy, evaluate, to_text
+from dynsr.expression import (
+    arguments_of,
+    call_names,
+    compile_scalar,
+    evaluate,
+    take_inputs,
+    to_text,
+    with_signs,
+)
 from dynsr.fit import ParetoFront, free_constants
 from dynsr.methods import AbstractMethod, make_method
 
 
 class EquationModule(torch.nn.Module):
-    """dx/dt of a system: ``module(t, state, **inputs)`` with state (..., k) gives (..., k).
+    """dx/dt of a system: ``module(t, state, inputs...)`` with state (..., k) gives (..., k).
 
     Every float is a parameter (float64, trainable); whole numbers and fractions are structure.
     """
@@ -28,11 +38,12 @@ class EquationModule(torch.nn.Module):
         super().__init__()
         self.states = tuple(equations)
         self.inputs = arguments_of(equations)
+        self._calls = call_names(equations)
         symbols: list[sympy.Symbol] = []
         values: list[float] = []
         self._templates = []
         for state, expr in equations.items():
-            template, found = free_constants(expr, f"constant_{state}_")
+            template, found = free_constants(with_signs(expr), f"constant_{state}_")
             symbols += found
             values += found.values()
             self._templates.append(template)
@@ -43,24 +54,26 @@ class EquationModule(torch.nn.Module):
         self._function = sympy.lambdify([*names, *symbols], self._templates, functions, cse=True)
 
     def forward(
-        self, t: torch.Tensor | float, state: torch.Tensor, **inputs: torch.Tensor
+        self,
+        t: torch.Tensor | float,
+        state: torch.Tensor,
+        *given: torch.Tensor | float | Callable[..., Any],
+        **inputs: torch.Tensor | float | Callable[..., Any],
     ) -> torch.Tensor:
-        """Give dx/dt, (..., k) in state units a second.
+        """Give dx/dt, (..., k) in state units a unit of time.
 
         Parameters
         ----------
-        t : the time, or times (...,), in seconds.
+        t : the time, or times (...,).
         state : (..., k) states.
-        inputs : name -> (...,) values of each input.
+        given, inputs : each input by its place, in the order of the alphabet, or by name: (...,)
+            values, or a function of ``t`` that gives them.
 
         Raises TypeError when an input is missing.
         """
         columns = list(state.unbind(-1))
-        missing = [name for name in self.inputs if name not in inputs]
-        if missing:
-            raise TypeError(f"input {missing[0]!r} is missing")
-        given = [inputs[name] for name in self.inputs]
-        found = self._function(*columns, t, *given, *self.constants)
+        values = take_inputs(self._calls, t, given, inputs)
+        found = self._function(*columns, t, *values, *self.constants)
         rows = [torch.as_tensor(f, dtype=state.dtype).expand_as(columns[0]) for f in found]
         return torch.stack(rows, dim=-1)
 
@@ -128,56 +141,55 @@ class HybridModel:
         x0: Sequence[float] | np.ndarray | None = None,
         t: Sequence[float] | np.ndarray | None = None,
     ) -> Trajectory:
-        """Integrate equations and networks by SciPy's DOP853, by default over the first trajectory.
+        """Integrate equations and networks, by default over the first trajectory.
 
-        No engine integrates them, since a network does not cross the seam. Inputs are those of the
-        first trajectory, linear between its times.
+        The embedded engine does, adaptively, since a network does not cross the seam. Inputs are
+        those of the first trajectory, a cubic spline between its rows, which no step passes over.
 
         Parameters
         ----------
         x0 : (k,) start states in the order of the data.
         t : (n,) increasing times in seconds.
 
-        Raises InputError when the solution diverges, or an equation is missing.
+        Raises InputError when an equation is missing or a time lies beyond the measured inputs, and
+        EngineError, with time and state, where the solution ends before the last time.
         """
         run = self.trajectories[0]
         times = run.t if t is None else np.asarray(t, dtype=float)
         order = [run.index(state) for state in self.equations]
         start = run.x[0] if x0 is None else np.asarray(x0, dtype=float)
-        rhs = self._field(run, order)
-        with np.errstate(all="ignore"):
-            solved = solve_ivp(
-                rhs, times[[0, -1]], start, "DOP853", times, rtol=_RELTOL, atol=_ABSTOL
-            )
-        if not solved.success or not np.all(np.isfinite(solved.y)):
-            lost = times[min(len(solved.t), len(times) - 1)]
-            raise InputError(f"the model has no solution at t = {lost:g}; shorten the time span")
-        return Trajectory(times, solved.y.T, run.states, origin={"integrator": "SciPy DOP853"})
+        slopes = self._field(run, order, times)
+        motion = Motion("the model", run.states, slopes, run.t if run.input_names else np.empty(0))
+        found, how = follow(motion, start, times, _RELTOL, _ABSTOL)
+        return Trajectory(times, found, run.states, origin={"engine": f"embedded ({how})"})
 
     def _field(
-        self, run: Trajectory, order: Sequence[int]
-    ) -> Callable[[float, np.ndarray], np.ndarray]:
+        self, run: Trajectory, order: Sequence[int], times: np.ndarray
+    ) -> Callable[..., list[float]]:
         missing = [s for s in run.states if s not in self.equations]
         if missing:
             raise InputError(f"the equation of {missing[0]!r} is missing; discover all states")
-        exact = compile_numpy(list(self.equations.values()), [*run.names, "t"])
-        drives = compile_numpy(list(self.inputs.values()), ["t"])
-        known = list(self.inputs)
+        exact = compile_scalar(list(self.equations.values()), [*run.names, "t"])
+        drives = [self._drive(run, i, times) for i in range(len(run.input_names))]
 
-        def rhs(t: float, x: np.ndarray) -> np.ndarray:
-            given = dict(zip(known, drives(np.array([t])), strict=True)) if known else {}
-            inputs = [
-                given.get(name, np.interp(t, run.t, run.inputs[:, i]))
-                for i, name in enumerate(run.input_names)
-            ]
-            row = np.array([*x, *inputs], dtype=float)
-            slope = np.empty(len(x))
-            slope[list(order)] = exact(np.append(row, t))
-            for state, place in zip(self.equations, order, strict=True):
-                slope[place] += self.residuals[state].evaluate(row[None])[0]
-            return slope
+        def slopes(*at: float) -> list[float]:
+            row = [*at[:-1], *[drive(at[-1]) for drive in drives]]
+            columns, found = np.array(row)[None], [0.0] * len(order)
+            for state, place, slope in zip(self.equations, order, exact(*row, at[-1]), strict=True):
+                found[place] = slope + float(self.residuals[state].evaluate(columns)[0])
+            return found
 
-        return rhs
+        return slopes
+
+    def _drive(self, run: Trajectory, place: int, times: np.ndarray) -> Callable[[float], float]:
+        """Give an input as a function of one time."""
+        name = run.input_names[place]
+        if name in self.inputs:
+            known = compile_scalar([self.inputs[name]], ["t"])
+            return lambda t: known(t)[0]
+        measured = Measured(name, run.t, run.inputs[:, place])
+        measured.check_covers(times)
+        return measured.drive().compile()
 
     def residual_samples(self, state: str) -> Samples:
         """Give the residuals of a state's slopes as the network sees them, without the noise.

@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import sympy
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import PPoly, make_interp_spline
 
-from dynsr.data import System, Trajectory
-from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, simulate
+from dynsr.data import System, Trajectory, sample_input
+from dynsr.engines import (
+    DEFAULT_ENGINE,
+    DRIVEN,
+    EXPLICIT,
+    AbstractEngine,
+    Drive,
+    InitialValueProblem,
+    find_engine,
+    is_embedded,
+    rows_of,
+    simulate,
+    simulate_driven,
+)
 from dynsr.errors import InputError
 from dynsr.expression import as_float_tree, parse
-from dynsr.fit import Flow, Windows
 from dynsr.methods import AbstractMethod
 
 _RELTOL, _ABSTOL = 1e-8, 1e-10
+# States below this are integrated with an absolute tolerance of their own size.
+_TINY = 1e-6
+# Times outside the rows by this share of their span are rounded ones.
+_SLACK = 1e-9
+# A function of the time is read off at so many times at least, and so often between two.
+_SAMPLES, _FEWEST_PARTS = 2000, 4
 # What integrates where inputs, or states without an equation, are read from measurements.
-MEASURED = "embedded (Runge-Kutta 4 on measured inputs)"
+MEASURED = f"embedded ({EXPLICIT} {DRIVEN})"
 
 
 def predict(
@@ -35,13 +54,17 @@ def predict(
     equations : state -> right-hand side in the states, the inputs and ``t``; state units a second.
     x0 : (k,) start states in the order of the equations.
     t : (n,) increasing times in seconds.
-    inputs : name -> expression in ``t``, or (n,) values at the times. With such values the embedded
-        Runge-Kutta 4 integrates, whatever the engine, since no array of inputs crosses the seam;
-        the origin of the trajectory says so.
+    inputs : name -> expression in ``t``, function of one time, (n,) values at the times, or
+        :class:`Measured` values at times of their own. Between values runs a cubic spline, and no
+        step passes over a value.
+        An engine that takes no measured inputs gives way to the embedded one; the origin of the
+        trajectory says which integrated.
     engine : "embedded", "julia" or an engine.
 
-    Raises InputError when a state or input is missing or the engine is unknown, EngineUnavailable
-    when it is absent, EngineError when the solution diverges.
+    Every integration is adaptive, with a relative error of 1e-8 a step, and implicit where the
+    explicit method needs too many steps. Raises InputError when a state or input is missing, a time
+    lies beyond the measured values or the engine is unknown, EngineUnavailable when it is absent,
+    and EngineError, with time and state, where the solution ends before the last time.
 
     >>> decay = {"x": -2 * sympy.Symbol("x")}
     >>> bool(np.isclose(predict(decay, [1.0], [0.0, 1.0]).x[-1, 0], np.exp(-2)))
@@ -61,8 +84,9 @@ def predict(
     start = np.asarray(x0, dtype=float)
     if start.shape != (len(equations),):
         raise InputError(f"x0 must be {len(equations)} numbers, one a state; it is {x0!r}")
+    abstol = _ABSTOL * _size(start)
     if measured:
-        return _march(equations, start, times, exact, measured)
+        return _follow_measured(equations, start, times, exact, measured, abstol, chosen)
     system = System(
         "found",
         tuple(equations),
@@ -70,54 +94,125 @@ def predict(
         tuple(start),
         exact,
     )
-    return simulate(system, start, times, _RELTOL, _ABSTOL, chosen)
+    return simulate(system, start, times, _RELTOL, abstol, chosen)
 
 
-def _take_measured(given: Mapping[str, Any], times: np.ndarray) -> dict[str, np.ndarray]:
-    measured = {k: np.asarray(v, dtype=float) for k, v in given.items() if _is_array(v)}
-    for name, values in measured.items():
-        if values.shape != times.shape:
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """An input that was measured: (m,) ``values`` at times ``t``, a cubic spline between them.
+
+    Raises InputError when the values do not fit the times or are not finite.
+    """
+
+    name: str
+    t: np.ndarray
+    values: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.values.shape != self.t.shape:
             raise InputError(
-                f"input {name!r} has shape {values.shape} but there are {len(times)} times; "
-                "give one value a time"
+                f"input {self.name!r} has shape {self.values.shape} but there are {len(self.t)} "
+                "times; give one value a time"
             )
+        bad = np.flatnonzero(~np.isfinite(self.values))
+        if bad.size:
+            raise InputError(
+                f"input {self.name!r} is {self.values[bad[0]]} at t = {self.t[bad[0]]:g}; fill it"
+            )
+
+    @cached_property
+    def spline(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Spline through the values."""
+        return make_interp_spline(self.t, self.values, k=min(3, len(self.t) - 1))
+
+    def drive(self) -> Drive:
+        """Give the spline as pieces, which engines take."""
+        pieces = PPoly.from_spline(self.spline)
+        return Drive(self.name, pieces.x[:-1], pieces.c)
+
+    def check_covers(self, times: np.ndarray) -> None:
+        """Raise InputError when a time lies beyond the rows; nothing is known there."""
+        first, last = float(self.t[0]), float(self.t[-1])
+        slack = _SLACK * (last - first)
+        beyond = times[(times < first - slack) | (times > last + slack)]
+        if beyond.size:
+            raise InputError(
+                f"{self.name!r} was measured from t = {first:g} to {last:g}, and t = "
+                f"{beyond[0]:g} lies beyond; stay inside or give it as an input"
+            )
+
+
+def _size(start: np.ndarray) -> float:
+    """What the absolute tolerance is a share of: 1, unless all states are far smaller."""
+    largest = float(np.max(np.abs(start)))
+    return largest if 0 < largest < _TINY else 1.0
+
+
+def _take_measured(given: Mapping[str, Any], times: np.ndarray) -> dict[str, Measured]:
+    measured = {}
+    for name, value in given.items():
+        if isinstance(value, Measured):
+            measured[name] = value
+        elif callable(value) and not isinstance(value, sympy.Basic):
+            measured[name] = _sample(name, value, times)
+        elif not isinstance(value, (str, sympy.Basic, int, float)):
+            measured[name] = Measured(name, times, np.asarray(value, dtype=float))
+        else:
+            continue
+        measured[name].check_covers(times)
     return measured
 
 
-def _is_array(value: Any) -> bool:
-    return not isinstance(value, (str, sympy.Basic, int, float))
+def _sample(name: str, value: Callable[..., Any], times: np.ndarray) -> Measured:
+    """Read a function of the time off at the times and between them."""
+    parts = max(_FEWEST_PARTS, -(-_SAMPLES // len(times)))
+    inner = np.arange(parts) / parts
+    fine = (times[:-1, None] + inner * np.diff(times)[:, None]).ravel()
+    fine = np.append(fine, times[-1])
+    return Measured(name, fine, sample_input(name, value, fine))
 
 
-def _march(
+def _follow_measured(
     equations: Mapping[str, sympy.Expr],
     start: np.ndarray,
     times: np.ndarray,
     exact: Mapping[str, sympy.Expr],
-    measured: Mapping[str, np.ndarray],
+    measured: Mapping[str, Measured],
+    abstol: float,
+    engine: AbstractEngine,
 ) -> Trajectory:
-    """Integrate on the times themselves, inputs interpolated, until halving changes nothing."""
+    """Integrate with splines through the measured inputs; no step passes over a row of theirs."""
     replaced = {sympy.Symbol(k): v for k, v in exact.items()}
-    flow = Flow({s: e.xreplace(replaced) for s, e in equations.items()}, tuple(measured), ())
-    values = np.column_stack(list(measured.values()))
-    spline = make_interp_spline(times, values, k=min(3, len(times) - 1))
-    lanes = np.zeros((len(times), len(equations), 1))
-    windows = Windows(times[:, None], lanes, lambda at: np.vstack([spline(at).T, at]))
-    found = flow.run(windows, start[:, None], np.zeros(0), 1)[:, :, 0]
-    for substeps in (2, 4, 8, 16, 32):
-        finer = flow.run(windows, start[:, None], np.zeros(0), substeps)[:, :, 0]
-        moved = np.nanmax(np.abs(finer - found), initial=0.0)
-        found = finer
-        if moved < 1e-8 * (1 + np.nanmax(np.abs(found), initial=0.0)):
-            break
-    if not np.all(np.isfinite(found)):
-        lost = times[np.flatnonzero(~np.isfinite(found).all(axis=1))[0]]
-        raise InputError(f"the equations have no solution at t = {lost:g}; shorten the time span")
-    origin = {"engine": MEASURED}
-    return Trajectory(times, found, tuple(equations), values, tuple(measured), origin)
+    rhs = [as_float_tree(e.xreplace(replaced)) for e in equations.values()]
+    rows = np.concatenate([times, *(one.t for one in measured.values())])
+    rows = np.concatenate([rows, rows_of(rhs, (times[0], times[-1]))]) if exact else rows
+    inside = rows[(rows >= times[0]) & (rows <= times[-1])]
+    found, how = simulate_driven(
+        InitialValueProblem(
+            tuple(rhs),
+            tuple(equations),
+            start,
+            times,
+            _RELTOL,
+            abstol,
+            drives=tuple(one.drive() for one in measured.values()),
+            stops=inside,
+        ),
+        engine,
+    )
+    values = np.column_stack([one.spline(times) for one in measured.values()])
+    return Trajectory(
+        times, found, tuple(equations), values, tuple(measured), origin={"engine": how}
+    )
 
 
 def name_engines(
-    methods: Iterable[AbstractMethod], engine: AbstractEngine, measured: bool
+    methods: Iterable[AbstractMethod],
+    engine: AbstractEngine,
+    measured: bool,
+    along: bool = False,
+    looked: bool = False,
 ) -> dict[str, str]:
     """Say which engine does what in a discovery, for its record.
 
@@ -126,17 +221,27 @@ def name_engines(
     methods : those that search, each with the engine that it uses, if any.
     engine : the one that was asked for.
     measured : whether the equations read inputs or other states from measurements.
+    along : whether sums of terms were looked for along noisy states.
+    looked : whether the slopes had a first look before the methods.
 
     >>> name_engines([], find_engine("embedded"), False)["simulate"]
     'embedded'
     """
     own = [method.engine for method in methods]
     regress = dict.fromkeys(find_engine(one).name for one in own if one is not None)
+    where = ["along the states"] * along + ["on the slopes"] * (looked or None in own)
     return {
-        **({"search": "none (NumPy on the slopes)"} if None in own else {}),
+        **({"search": f"none (NumPy {' and '.join(where)})"} if where else {}),
         **({"regress": ", ".join(regress)} if regress else {}),
         "fit": "embedded (multiple shooting)",
         "forecast": "embedded (multiple shooting)",
-        "simulate": MEASURED if measured else engine.name,
+        "simulate": _name_simulator(engine, measured),
         "bands": "embedded (a curve for each draw of the constants)",
     }
+
+
+def _name_simulator(engine: AbstractEngine, measured: bool) -> str:
+    if not measured:
+        return engine.name
+    driven = engine.takes_drives and not is_embedded(engine)
+    return f"{engine.name} ({DRIVEN})" if driven else MEASURED

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,25 +11,46 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory, choose_samples, take_trajectories
-from dynsr.discovery.prediction import predict
-from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine
-from dynsr.errors import DynsrError, InputError, need
+from dynsr.data import (
+    Samples,
+    Trajectory,
+    check_time_unit,
+    choose_samples,
+    in_unit,
+    take_trajectories,
+)
+from dynsr.discovery.intervals import Constant, list_constants
+from dynsr.discovery.map_verdict import judge_map
+from dynsr.discovery.maps import (
+    inputs_in,
+    iterate,
+    measure_step_errors,
+    pair_rows,
+    score_map,
+    write_map_latex,
+)
+from dynsr.discovery.orders import form_of, write_lines
+from dynsr.discovery.prediction import Measured, predict
+from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
+from dynsr.discovery.verdict import Verdict, explain, judge
+from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
+from dynsr.errors import EngineError, EngineUnavailable, InputError, need
 from dynsr.expression import (
+    Units,
     arguments_of,
+    bare_term,
     evaluate,
     parse,
+    read_units,
     shown,
     to_julia,
     to_latex,
-    to_mathml,
     to_numpy,
     to_python,
     to_text,
-    to_text_block,
 )
-from dynsr.fit import Candidate, ParetoFront, rmse
-from dynsr.jobs import from_plain, write_json
+from dynsr.fit import Match, Noise, ParetoFront, noise_of, polish, rmse, score_candidate
+from dynsr.jobs import to_plain
 from dynsr.selection import forecast_miss
 
 if TYPE_CHECKING:
@@ -39,7 +59,30 @@ if TYPE_CHECKING:
 
     from dynsr.discovery.hybrid import EquationModule, HybridModel
 
-_FORMAT = "dynsr discovery 1"
+# A measured column that differs from an expression by less than this share was written from it.
+_ROUNDED = 1e-6
+
+
+@dataclass(frozen=True)
+class Inclusion:
+    """One term of an ensemble of fits.
+
+    Parameters
+    ----------
+    term : the term, as text.
+    probability : the share of the fits that keep it.
+    low, high : the ends of the 95 % interval of its coefficient in those fits.
+    """
+
+    term: str
+    probability: float
+    low: float
+    high: float
+
+    @property
+    def text(self) -> str:
+        """The term with its certainty, to be read."""
+        return f"{self.term}: {self.probability:.0%}, {self.low:.4g} to {self.high:.4g}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,14 +93,21 @@ class Discovery:
     ----------
     equations : state -> right-hand side, state units per second.
     errors : state -> (value, standard error) of its constants in order.
+    fitted : state -> what each of these constants was before it became a simple number; an
+        interval lies around that.
+    reach : standard errors that a 95 % interval reaches to either side of the fitted value.
     front : state -> all formulas found, from simple to accurate.
-    explanation : state -> why this equation was chosen, in words.
+    explanation : state -> what is to be thought of this equation, in words.
     trajectories : the data; empty where they are not there.
     inputs : input name -> expression in ``t`` where it is known.
     settings : how it was found: methods, preset, seed, scheme, engines, and every setting.
     seconds : wall time.
     complete : False when Ctrl-C ended the searches and these are the best formulas so far.
     engine : what integrates the equations.
+    verdict : whether the equations are a law, an approximation or not found; None where nobody
+        judged them.
+    details : state -> how its formulas compared in bits, in words.
+    ensemble : state -> the terms of an ensemble, where one was asked for.
 
     >>> x = sympy.Symbol("x")
     >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
@@ -74,6 +124,117 @@ class Discovery:
     seconds: float = 0.0
     complete: bool = True
     engine: str | AbstractEngine = DEFAULT_ENGINE
+    fitted: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    reach: float = 1.96
+    verdict: Verdict | None = None
+    details: Mapping[str, str] = field(default_factory=dict)
+    ensemble: Mapping[str, tuple[Inclusion, ...]] = field(default_factory=dict)
+
+    @property
+    def constants(self) -> dict[str, tuple[Constant, ...]]:
+        """State -> its constants as its printed formula has them, each with its 95 % interval."""
+        return {
+            s: list_constants(e, self.errors.get(s, ()), self.fitted.get(s), self.reach)
+            for s, e in self.equations.items()
+        }
+
+    def coefficient_units(self) -> dict[str, dict[str, str]]:
+        """State -> term -> the unit of its coefficient, in the units that ``discover`` was given.
+
+        Raises InputError when there are none, MissingExtra without pint.
+        """
+        units = self._units()
+        return {
+            state: {
+                shown(term): units.of_coefficient(state, term)
+                for term in map(bare_term, sympy.Add.make_args(expr))
+            }
+            for state, expr in self.equations.items()
+        }
+
+    def unit_faults(self) -> dict[str, str]:
+        """State -> what its equation does that its units do not allow; nothing where all is well.
+
+        Raises InputError when no units were given, MissingExtra without pint.
+        """
+        units = self._units()
+        found = {state: units.fault(expr) for state, expr in self.equations.items()}
+        return {state: fault for state, fault in found.items() if fault}
+
+    def _units(self) -> Units:
+        given = self.settings.get("column_units")
+        if not isinstance(given, Mapping) or not given:
+            raise InputError('the columns have no units; give discover units={"x": "m", "t": "s"}')
+        return read_units(given)
+
+    def with_choice(self, state: str, k: int) -> Discovery:
+        """Adopt another formula of a state's front, fit all constants again and judge again.
+
+        Parameters
+        ----------
+        state : whose equation is to be another one.
+        k : its place in ``front[state]``, simplest first; -1 is the most accurate.
+
+        Raises InputError when the data are not there, or the front has no such formula.
+        """
+        if not self.trajectories:
+            raise InputError("the data are not here; discover again before choosing otherwise")
+        self.trajectories[0].index(state)
+        front = list(self.front.get(state) or ())
+        if not -len(front) <= k < len(front):
+            raise InputError(f"the front of {state} has {len(front)} formulas; k = {k} is none")
+        given = parse(str(self.settings.get("known", {}).get(state, "0")))
+        chosen = {**self.equations, state: given + front[k].expr}
+        if self.is_map:
+            steps = {
+                s: measure_step_errors(e, pair_rows(self.trajectories, s))
+                for s, e in chosen.items()
+            }
+            errors = {s: own for s, (own, _) in steps.items()}
+            fitted = {s: own for s, (_, own) in steps.items()}
+            match = Match(chosen, errors, np.empty(0), True, fitted, self.reach)
+            verdict = judge_map(chosen, self.trajectories, self.front)
+        else:
+            match = polish(chosen, self.trajectories, self.inputs, *self._slopes_of(chosen))
+            verdict = judge(match.exprs, self.trajectories, self.inputs, front=self.front)
+        origin = {s: f" {self._origin(s)}" for s in chosen} | {state: " Chosen by hand."}
+        return replace(
+            self,
+            equations=match.exprs,
+            errors=match.errors,
+            fitted=match.fitted,
+            reach=match.reach,
+            verdict=verdict,
+            explanation={
+                s: explain(s, e, verdict.states[s], self.is_map) + origin[s]
+                for s, e in match.exprs.items()
+            },
+        )
+
+    def _origin(self, state: str) -> str:
+        _, found, rest = self.explanation.get(state, "").partition("Found by ")
+        return found + rest
+
+    def _slopes_of(
+        self, equations: Mapping[str, sympy.Expr]
+    ) -> tuple[dict[str, Samples], dict[str, Noise]]:
+        samples = {s: choose_samples(list(self.trajectories), s) for s in equations}
+        noise = {
+            s: noise_of([*self.front[s], score_candidate(e, samples[s])], samples[s])
+            for s, e in equations.items()
+        }
+        return samples, noise
+
+    @property
+    def time_unit(self) -> str:
+        """The unit of the times, such as "days"; "" where the data did not say it."""
+        # A comment of exported code holds it, and a saved discovery may come from anyone.
+        return check_time_unit(self.settings.get("time_unit", ""))
+
+    @property
+    def is_map(self) -> bool:
+        """Whether the equations are a map ``x[n+1] = f(x[n])`` instead of slopes."""
+        return form_of(self.settings).discrete
 
     def simulate(
         self,
@@ -84,40 +245,56 @@ class Discovery:
     ) -> Trajectory:
         """Integrate the equations; by default from the start and at the times of the data.
 
+        A map is iterated, once for every time after the first.
+
         Parameters
         ----------
         x0 : (k,) start states in the order of the equations.
-        t : (n,) increasing times in seconds.
-        inputs : name -> expression in ``t``, or (n,) values at the times; by default those of the
-            data.
-        engine : "embedded", "julia" or an engine; the discovery's own by default.
+        t : (n,) increasing times, in the unit of the data's.
+        inputs : name -> expression in ``t``, function of one time, or (n,) values at the times; by
+            default those of the data.
+        engine : "embedded", "julia" or an engine; the discovery's own by default. A map has none.
 
-        Raises InputError when something is missing, EngineUnavailable when the engine is absent,
-        EngineError when the solution diverges.
+        Raises InputError when something is missing or a map is given an engine other than the
+        embedded one, EngineUnavailable when the engine is absent, EngineError when the solution
+        diverges.
         """
         if (x0 is None or t is None) and not self.trajectories:
             raise InputError("the data are not here; give x0 and t")
         times = self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
         if x0 is None:
             x0 = self.trajectories[0].select(slice(0, 1)).x[0][self._positions()]
-        given = {**self.inputs_at(times), **(inputs or {})}
+        if self.is_map:
+            refuse_idle(engine, "a map is iterated")
+            own = inputs_in(self.trajectories[0], self.equations) if t is None else self.inputs
+            return iterate(self.equations, x0, times, {**own, **(inputs or {})})
+        given = {**self.inputs_of(), **(inputs or {})}
         return predict(self.equations, x0, times, given, engine or self.engine)
 
     def _positions(self) -> list[int]:
         return [self.trajectories[0].index(state) for state in self.equations]
 
-    def inputs_at(self, times: np.ndarray, run: Trajectory | None = None) -> dict[str, Any]:
-        """Inputs at (n,) ``times`` in seconds, as they were in a ``run``, by default the first.
+    def inputs_of(self, run: Trajectory | None = None) -> dict[str, Any]:
+        """Inputs as they were in a ``run``, by default the first, as :func:`predict` takes them.
 
-        States without an equation are read from there too.
+        States without an equation are read from there too. An input that is known as an expression
+        in ``t`` is that, unless the run measured another one.
         """
-        given: dict[str, Any] = dict(self.inputs)
         source = run or (self.trajectories[0] if self.trajectories else None)
+        given: dict[str, Any] = self._known_inputs([] if source is None else [source])
         for name in arguments_of(self.equations):
             if name not in given and source is not None and name in source.names:
                 column = source.columns[:, source.names.index(name)]
-                given[name] = np.interp(times, source.t, column)
+                given[name] = Measured(name, source.t, column)
         return given
+
+    def _known_inputs(self, runs: Sequence[Trajectory]) -> dict[str, sympy.Expr]:
+        """Inputs as expressions in ``t``, without those of which a run measured other values."""
+        return {
+            name: expr
+            for name, expr in self.inputs.items()
+            if all(_agrees(run, name, expr) for run in runs)
+        }
 
     def score(
         self, data: Any = None, engine: str | AbstractEngine | None = None
@@ -127,7 +304,8 @@ class Discovery:
         ``slope_rmse`` is the error of the right-hand side against the chosen slopes,
         ``forecast`` the median miss of forecasts over 50 rows in units of the state's spread,
         ``trajectory_rmse`` the error of one integration from the first row to the last (inf when
-        it diverges).
+        it diverges). Inputs are those of the data: a column of the data goes before the expression
+        of the discovery. A map is scored by :func:`dynsr.discovery.maps.score_map`.
 
         Parameters
         ----------
@@ -135,21 +313,34 @@ class Discovery:
         engine : what integrates the whole trajectories; the discovery's own by default. The many
             short forecasts are integrated by the embedded one.
 
-        Raises InputError when there are no data, EngineUnavailable when the engine is absent.
+        Raises InputError when there are no data or a map is given an engine other than the embedded
+        one, EngineUnavailable when the engine is absent.
         """
         chosen = find_engine(engine or self.engine)
+        if self.is_map:
+            refuse_idle(engine, "a map is iterated")
         runs = list(self.trajectories) if data is None else take_trajectories(data, self.inputs)[0]
         if not runs:
             raise InputError("the data are not here; give some to score on")
+        runs = in_unit(runs, self.time_unit)
+        if self.is_map:
+            return score_map(self.equations, runs)
+        form = form_of(self.settings)
+        runs = form.prepare(runs)
+        if missing := [n for n in arguments_of(self.equations) if n not in runs[0].names]:
+            raise InputError(
+                f"the equations need the input {missing[0]!r}, which the data do not have; "
+                "give its column"
+            )
         whole = [self._whole(run, chosen) for run in runs]
-        scores = {}
+        known, scores = self._known_inputs(runs), {}
         for state, expr in self.equations.items():
-            samples = choose_samples(runs, state)
+            samples = form.samples(runs, state)
             truth = np.concatenate([run.x[:, run.index(state)] for run in runs])
             position = list(self.equations).index(state)
             scores[state] = {
                 "slope_rmse": rmse(evaluate(expr, _with_time(samples)), samples.y),
-                "forecast": forecast_miss({state: expr}, runs, inputs=self.inputs),
+                "forecast": forecast_miss({state: expr}, runs, inputs=known),
                 "trajectory_rmse": rmse(np.concatenate([w[:, position] for w in whole]), truth),
             }
         return scores
@@ -157,25 +348,44 @@ class Discovery:
     def _whole(self, run: Trajectory, engine: AbstractEngine) -> np.ndarray:
         start = [run.x[0, run.index(state)] for state in self.equations]
         try:
-            return predict(self.equations, start, run.t, self.inputs_at(run.t, run), engine).x
-        except DynsrError:
+            return predict(self.equations, start, run.t, self.inputs_of(run), engine).x
+        except EngineUnavailable:
+            raise
+        except EngineError:
             return np.full((len(run), len(self.equations)), np.nan)
 
     def latex(self) -> str:
         """Write the equations as LaTeX."""
-        return to_latex(self.equations)
+        if self.is_map:
+            return write_map_latex(self.equations)
+        return to_latex(self.equations, self.time_unit)
 
     def to_python(self) -> str:
-        """Write the equations as a Python function for ``scipy.integrate.solve_ivp``."""
-        return to_python(self.equations)
+        """Write the equations as a Python function for ``scipy.integrate.solve_ivp``.
+
+        Inputs are taken as in :meth:`to_numpy`.
+
+        Of a map it is ``step(t, state)``, which gives the next state.
+        """
+        return to_python(self.equations, "step" if self.is_map else "rhs", self.time_unit)
 
     def to_numpy(self) -> Callable[..., np.ndarray]:
-        """Give the right-hand side as a function of arrays."""
+        """Give the right-hand side as a function ``rhs(t, state, inputs...)`` of arrays.
+
+        An input is a function of the time or its value there, by its place, in the order of the
+        alphabet, or by name; :meth:`to_python` and :meth:`to_torch` take it alike, and
+        :meth:`to_julia` in the named tuple ``p``.
+        """
         return to_numpy(self.equations)
 
     def to_julia(self) -> str:
-        """Write the equations as a Julia function for DifferentialEquations.jl."""
-        return to_julia(self.equations)
+        """Write the equations as a Julia function for DifferentialEquations.jl.
+
+        Inputs are functions of the time, or numbers, in the named tuple ``p``.
+
+        Of a map it is ``step!(du, u, p, t)`` for a ``DiscreteProblem``.
+        """
+        return to_julia(self.equations, "step!" if self.is_map else "rhs!", self.time_unit)
 
     def to_torch(self) -> EquationModule:
         """Give the right-hand side as a torch module whose constants can be trained.
@@ -199,6 +409,8 @@ class Discovery:
 
         Raises InputError when the data are not there, MissingExtra when torch is not installed.
         """
+        if self.is_map:
+            raise InputError("a hybrid model corrects slopes; a map has none")
         need("torch", "torch", "a hybrid model")
         from dynsr.discovery.hybrid import fit_hybrid
 
@@ -227,16 +439,20 @@ class Discovery:
         return write_report(self, Path(path))
 
     def save(self, path: str | Path) -> Path:
-        """Write everything but the data as JSON, whole or not at all; gives the path."""
-        write_json(Path(path), self.as_record())
-        return Path(path)
+        """Write everything but the data as JSON, whole or not at all; gives the path.
+
+        Raises InputError when it cannot be written, or a file that is no discovery stands there.
+        """
+        return write_discovery(Path(path), self.as_record())
 
     def as_record(self) -> dict[str, Any]:
         """Give everything but the data as plain values."""
         return {
-            "format": _FORMAT,
+            "format": FORMAT,
             "equations": {s: to_text(e) for s, e in self.equations.items()},
             "errors": {s: [list(pair) for pair in pairs] for s, pairs in self.errors.items()},
+            "fitted": {s: list(values) for s, values in self.fitted.items()},
+            "reach": self.reach,
             "front": {
                 s: [[to_text(c.expr), c.loss, c.complexity, c.source] for c in front]
                 for s, front in self.front.items()
@@ -246,6 +462,9 @@ class Discovery:
             "settings": dict(self.settings),
             "seconds": self.seconds,
             "complete": self.complete,
+            "verdict": to_plain(self.verdict),
+            "details": dict(self.details),
+            **({"ensemble": to_plain(self.ensemble)} if self.ensemble else {}),
         }
 
     @classmethod
@@ -254,60 +473,75 @@ class Discovery:
 
         Raises InputError when there is no such file or it holds something else.
         """
-        try:
-            record = json.loads(Path(path).read_text("utf-8"))
-        except OSError as error:
-            raise InputError(f"cannot read {str(path)!r} ({error.strerror}); name a file") from None
-        except (ValueError, RecursionError):
-            raise InputError(f"{str(path)!r} is no whole JSON file; save it again") from None
-        if not isinstance(record, dict) or record.get("format") != _FORMAT:
-            raise InputError(f"{str(path)!r} is no saved discovery; give one that save() wrote")
-        try:
-            return cls(
-                equations={s: parse(e) for s, e in record["equations"].items()},
-                errors=from_plain(dict[str, tuple[tuple[float, ...], ...]], record["errors"]),
-                front={
-                    s: ParetoFront(Candidate(parse(e), *rest) for e, *rest in front)
-                    for s, front in record["front"].items()
-                },
-                explanation=dict(record["explanation"]),
-                inputs={name: parse(e, ["t"]) for name, e in record["inputs"].items()},
-                settings=dict(record["settings"]),
-                seconds=float(record["seconds"]),
-                complete=bool(record.get("complete", True)),
-                engine=str(record["settings"].get("engine", DEFAULT_ENGINE)),
-            )
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"{str(path)!r} lacks parts of a discovery; save it again") from None
+        further = {
+            "fitted": dict[str, tuple[float, ...]],
+            "reach": float,
+            "details": dict[str, str],
+            "ensemble": dict[str, tuple[Inclusion, ...]],
+        }
+        return cls(**read_discovery(Path(path), **further, verdict=Verdict | None))
 
     def __repr__(self) -> str:
         """Write the equations, one a line."""
-        return to_text_block(self.equations)
+        return "\n".join(write_lines(self.equations, self.settings))
 
     def _repr_latex_(self) -> str:
-        return f"$$\n{self.latex()}\n$$"
+        return f"$$\n{self._write_latex(self.equations)}\n$$"
+
+    def _write_latex(self, equations: Mapping[str, sympy.Expr]) -> str:
+        return (write_map_latex if self.is_map else to_latex)(equations)
 
     def _repr_html_(self) -> str:
+        left = "[n+1]" if self.is_map else "'"
         rows = "".join(
-            f'<tr><td style="text-align:left">{to_mathml(e, s)}'
-            f"<br><code>{escape(s)}' = {escape(shown(e))}</code></td>"
+            f'<tr><td style="text-align:left">${escape(self._latex_line(s))}$'
+            f"<br><code>{escape(s)}{left} = {escape(shown(e))}</code>"
+            f'</td><td style="text-align:left">{escape(self._said_of(s))}</td>'
             f'<td style="text-align:left">{escape(self.explanation.get(s, ""))}</td></tr>'
             for s, e in self.equations.items()
         )
-        return f"<table><tr><th>equation</th><th>why this one</th></tr>{rows}</table>"
+        unit = f"<p>The time is in {escape(self.time_unit)}.</p>" if self.time_unit else ""
+        return (
+            f"<p><b>{escape(self.heading)}</b></p><table><tr><th>equation</th>"
+            f"<th>constants</th><th>why</th></tr>{rows}</table>{unit}"
+        )
+
+    def _latex_line(self, state: str) -> str:
+        """Write the equation of one state as LaTeX that stands in a line."""
+        block = self._write_latex({state: self.equations[state]})
+        return r"\displaystyle " + block.splitlines()[1].replace(" &= ", " = ")
+
+    @property
+    def heading(self) -> str:
+        """The verdict on the system in one sentence."""
+        if self.verdict is None:
+            return "Not judged."
+        return f"{self.verdict.level.capitalize()}: {self.verdict.reason}"
+
+    def _said_of(self, state: str) -> str:
+        return "; ".join(constant.text for constant in self.constants[state])
 
     def __rich__(self) -> RichTable:
         """Give a table for rich terminals."""
         from rich.table import Table
         from rich.text import Text
 
-        table = Table("state", "equation", "why", title="Equations found", show_lines=True)
+        names = ("state", "equation", "constants", "why")
+        table = Table(*names, title=Text(self.heading), show_lines=True)
         for state, expr in self.equations.items():
             why = Text(self.explanation.get(state, ""), style="dim")
-            table.add_row(Text(f"{state}'"), Text(shown(expr), style="bold"), why)
+            said = Text(self._said_of(state))
+            table.add_row(Text(f"{state}'"), Text(shown(expr), style="bold"), said, why)
         return table
+
+
+def _agrees(run: Trajectory, name: str, expr: sympy.Expr) -> bool:
+    """Say whether a run holds no column of that name, or the values of the expression."""
+    if name not in run.names:
+        return True
+    column = run.columns[:, run.names.index(name)]
+    miss = np.abs(column - evaluate(expr, {"t": run.t}))
+    return bool(np.all(miss <= _ROUNDED * np.max(np.abs(column), initial=0.0)))
 
 
 def _with_time(samples: Any) -> dict[str, np.ndarray]:

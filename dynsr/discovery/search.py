@@ -2,70 +2,104 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
-import numpy as np
 import sympy
 from joblib import effective_n_jobs
 
 from dynsr import __version__
 from dynsr.data import (
     Samples,
-    SlopeSettings,
     Trajectory,
-    choose_samples,
-    split_held_back,
+    column_units,
     take_trajectories,
 )
+from dynsr.discovery.asked import check_asked
+from dynsr.discovery.asking import (
+    add_conserved,
+    ask_methods,
+    searched_states,
+    settle,
+)
+from dynsr.discovery.maps import ENGINES
+from dynsr.discovery.orders import Order, read_form
 from dynsr.discovery.prediction import name_engines
+from dynsr.discovery.problem import (
+    DISCOVERY,
+    DiscoverySettings,
+    Problem,
+    Rivals,
+    pool_formulas,
+    with_velocities,
+)
 from dynsr.discovery.result import Discovery
+from dynsr.discovery.scaling import in_fitting_units
 from dynsr.discovery.tasks import (
+    EXPLORATION,
+    FIRST_LOOK,
+    Choice,
     Found,
     check_found,
     collect_best,
+    cut_notes,
+    cut_tasks,
+    explore_tasks,
+    give_turns,
+    look_tasks,
     pick_tasks,
     plan_tasks,
     search_tasks,
+    tasks_of,
 )
-from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, share_engine
+from dynsr.discovery.verdict import explain
+from dynsr.discovery.watching import with_progress
+from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle, share_engine
 from dynsr.errors import InputError
-from dynsr.expression import arguments_of, compile_numpy, to_text
-from dynsr.fit import Candidate, ParetoFront, is_noisy, polish, read_inputs, tidy
-from dynsr.jobs import RunFolder, Step, Watch, check_jobs, fingerprint, run_tasks, to_plain
-from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, choose_methods
-from dynsr.selection import Pick, SelectionSettings, compare_systems
+from dynsr.expression import arguments_of, to_text
+from dynsr.fit import (
+    Candidate,
+    read_inputs,
+)
+from dynsr.jobs import (
+    Budget,
+    RunFolder,
+    Step,
+    Watch,
+    check_jobs,
+    fingerprint,
+    run_tasks,
+    to_plain,
+)
+from dynsr.methods import (
+    AUTO,
+    DEFAULT_PRESET,
+    AbstractMethod,
+    Constraints,
+    choose_methods,
+    read_demands,
+)
+from dynsr.selection import lead_with, rank_by_length
+
+# Rows of a run from which on differences of order 8 leave enough of it.
+_FEWEST = 16
 
 
-@dataclass(frozen=True)
-class DiscoverySettings:
-    """The numbers that decide in a discovery outside its methods; they stand in its record.
-
-    Parameters
-    ----------
-    rows : samples of a state at most; of more rows, evenly spaced ones are taken.
-    slopes : how the data choose the scheme of their slopes.
-    selection : how one equation a state is chosen, constants are fitted and systems compared.
-
-    >>> DiscoverySettings(rows=2000).selection.compared
-    5
-    """
-
-    rows: int = 4000
-    slopes: SlopeSettings = SlopeSettings()
-    selection: SelectionSettings = SelectionSettings()
-
-
+@with_progress
+@in_fitting_units
 def discover(
     data: Any,
     *,
+    time: str | Sequence[Any] | None = None,
+    states: Sequence[str] | str | None = None,
+    trajectory: str | None = None,
     method: str | AbstractMethod | Sequence[str | AbstractMethod] = AUTO,
     preset: str = DEFAULT_PRESET,
     targets: str | Sequence[str] = "all",
-    inputs: Mapping[str, str | sympy.Expr] | Sequence[str] | None = None,
+    inputs: Mapping[str, Any] | Sequence[str] | str | None = None,
     known: Mapping[str, str | sympy.Expr] | None = None,
     seed: int = 0,
     jobs: int = -1,
@@ -73,31 +107,77 @@ def discover(
     scheme: str | None = None,
     slopes: Mapping[str, Any] | None = None,
     out: str | Path | None = None,
-    progress: Callable[[Step], None] | None = None,
-    settings: DiscoverySettings = DiscoverySettings(),
+    progress: Callable[[Step], None] | bool | None = None,
+    snap: bool = True,
+    order: Order = 1,
+    explicit_time: bool = False,
+    discrete: bool = False,
+    settings: DiscoverySettings = DISCOVERY,
+    functions: Sequence[str] | None = None,
+    max_complexity: float | None = None,
+    terms: Sequence[str | sympy.Expr] = (),
+    constraints: Constraints | None = None,
+    conserved: Sequence[str | sympy.Expr] = (),
+    nonnegative: Sequence[str] = (),
+    units: Mapping[str, str] | str | None = None,
+    time_budget: float | None = None,
+    ensemble: bool | int = False,
 ) -> Discovery:
     """Find the equation of every state from trajectories.
 
     Parameters
     ----------
     data : a Trajectory, a list of them, ``(t, x)`` arrays, or what
-        :func:`dynsr.data.reading.read_trajectories` reads: a file, a frame, a mapping.
+        :func:`dynsr.data.reading.read_trajectories` reads or gives: a file, a frame, a mapping.
+    time : name of the time column, or the (n,) times themselves; guessed by default.
+    states : names of the state columns; every other column by default.
+    trajectory : the column whose value names the trajectory that a row belongs to.
     method : "auto", the name of a method, a method with its settings, or several.
     preset : "best", "quick" or "paper".
     targets : the states whose equations are sought; "all" of them by default.
-    inputs : columns that are inputs, or input name -> expression in ``t``.
+    inputs : columns that are inputs, or input name -> expression in ``t``, function of one time,
+        or values at the times.
     known : state -> the part of its equation that is given; the rest is searched.
     seed : all chance comes from it; the result does not depend on ``jobs``.
     jobs : searches at a time; -1 uses every core.
     engine : "embedded", "julia" or an engine: what regresses and integrates. The searches for
         constants on the states stay in the embedded one; the record says which did what
-        (``settings["engines"]``).
+        (``settings["engines"]``). Another engine than that one also follows what was found over
+        the data (``settings["confirmed"]``).
     scheme : how slopes are made; by default forward differences with preset "paper", as there,
         and with the others "auto", which lets the data choose.
     slopes : state -> the user's own slopes, one array (or one a trajectory).
     out : folder that keeps every finished task; the same call on it goes on where it was killed.
-    progress : called with a :class:`Step` as tasks end, and every half second while they run.
+    progress : called with a :class:`Step` as tasks end, and every half second while they run; True
+        shows live lines until the end, as a notebook does by default, and False none.
+    snap : whether constants become simple numbers where the data allow it; False leaves them as
+        fitted. Terms come and go in either case, and exponents stay whole.
+    order : 1, or 2 for ``x'' = f(x, x', ...)``, of all targets or state -> order. The velocity
+        ``x_dot`` is made from the data and is a state of its own, with ``x' = x_dot``.
+    explicit_time : whether equations may hold the time ``t``.
+    discrete : whether to find a map ``x[n+1] = f(x[n])`` from row to row; nothing is
+        differentiated or integrated then, and constants are those of least squares on one step.
     settings : the numbers that decide outside the methods.
+    functions : functions and operators that equations may hold, such as ["exp", "/"]; sums,
+        products and whole powers always may. None leaves the methods their own, [] sums and ratios
+        of powers. See :meth:`dynsr.expression.Vocabulary.read`.
+    max_complexity : most bits of an equation, each fitted constant counted as one symbol
+        (:func:`dynsr.fit.structure_bits`).
+    terms : terms in the columns that every method searches beside its own.
+    constraints : state -> term -> "+", "-" or 0, the sign of its coefficient where the equation is
+        multiplied out; or lines such as "x: x*y < 0".
+    conserved : linear combinations of states that do not change, such as "S + I + R"; the equation
+        of the last state of each follows from the others.
+    nonnegative : states that never fall below 0: their slope at 0 is not negative.
+    units : column, or "t" for the time, -> its unit as pint reads it, such as "m/s"; "columns"
+        takes those in brackets in the names of the columns. No equation then adds what cannot be
+        added, or takes a function of what is no plain number; coefficients carry any unit.
+    time_budget : seconds after which the best found so far is taken. A budget that is hit makes the
+        result depend on the machine; the record says what it ended. One that is not changes
+        nothing.
+    ensemble : True, or a number of draws: how often each term is kept, and the interval of its
+        coefficient, over fits to data drawn with replacement (:func:`dynsr.bootstrap`); it stands
+        in ``found.ensemble``, the report and the shell.
 
     Ctrl-C ends the searches: what they have found is given as a Discovery whose ``complete`` is
     False, and the same call on the same ``out`` goes on from there; with nothing found yet it
@@ -107,29 +187,66 @@ def discover(
     constants are fitted to all of it. Raises InputError when the data cannot be used, ``out``
     holds another discovery or the engine is unknown, EngineUnavailable when it is absent.
 
+    >>> import numpy as np
     >>> t = np.linspace(0, 3, 301)
     >>> found = discover((t, np.exp(-0.5 * t)[:, None]), preset="quick", jobs=1)
     >>> found.equations
     {'x': -0.5*x}
     """
-    began = time.monotonic()
+    began = monotonic()
+    settings = settings if snap else settings.without_snapping()
+    budget = Budget(time_budget)
     jobs = check_jobs(jobs)
     chosen, workers = find_engine(engine), effective_n_jobs(jobs)
     shared = share_engine(chosen, workers)
-    runs, drives = take_trajectories(data, inputs)
-    states = _choose_targets(targets, runs[0])
+    runs, drives = take_trajectories(data, inputs, time, states, trajectory)
+    seed = check_asked(
+        runs[0].states,
+        seed,
+        method=method,
+        targets=targets,
+        known=known,
+        slopes=slopes,
+        scheme=scheme,
+        out=out,
+        progress=progress,
+        settings=settings,
+    )
+    targeted = _choose_targets(targets, runs[0])
+    scheme = scheme or ("forward" if preset == "paper" else "auto")
+    form = read_form(order, explicit_time, discrete, runs[0], targeted, slopes)
+    runs = form.prepare(runs, scheme, settings.slopes)
+    demands = read_demands(
+        runs[0].states,
+        runs[0].names,
+        functions=functions,
+        max_complexity=max_complexity,
+        terms=terms,
+        constraints=constraints,
+        conserved=conserved,
+        nonnegative=nonnegative,
+        units=column_units(runs[0], units),
+    )
+    settings = replace(settings, selection=settle(settings.selection, demands))
+    states = searched_states(form.searched(targeted), demands)
     given = read_inputs(known or {}, (*runs[0].names, "t"))
     for state in given:
         runs[0].index(state)
-    scheme = scheme or ("forward" if preset == "paper" else "auto")
     methods = {n: m.with_engine(shared) for n, m in choose_methods(method, preset).items()}
     for own in (m.engine for m in methods.values() if m.engine is not None):
         share_engine(find_engine(own), workers)
-    problem = _Problem(runs, drives, scheme, slopes or {}, given, settings)
+    if discrete and all(m.engine is None for m in methods.values()):
+        refuse_idle(chosen, "a map is iterated, and no method here solves regressions")
+    methods = ask_methods(methods, demands, given)
+    problem = Problem(runs, drives, scheme, slopes or {}, given, form, settings, demands, budget)
     record: dict[str, Any] = {
         "method": method if isinstance(method, str) else ",".join(methods),
         "methods": list(methods),
         **({"known": {s: to_text(e) for s, e in given.items()}} if given else {}),
+        **form.record,
+        **demands.as_record(),
+        **({} if units is None else {"column_units": column_units(runs[0], units)}),
+        **({} if time_budget is None else {"time_budget": time_budget}),
         "preset": preset,
         "seed": seed,
         "scheme": scheme,
@@ -143,37 +260,36 @@ def discover(
     # A worker that outlives a change of folder must not take a relative path for its own.
     folder = RunFolder(None if out is None else Path(out).absolute())
     key = _claim(folder, problem, states, methods, record)
-    training, held_back = split_held_back(runs)
-    samples = {s: problem.samples(s, training) for s in states}
-    with Watch(progress, plan_tasks(states, methods), workers) as watch:
-        try:
-            tasks = search_tasks(samples, methods, seed, key)
-            searched = run_tasks(tasks, folder, jobs, watch, finished=lambda found: not found.error)
-            failures = check_found(searched, states)
-            pools = _pool(searched, states)
-            tasks = pick_tasks(pools, samples, held_back, given, settings.selection, failures, key)
-            # A choice among other formulas, since another method had failed, is none among these.
-            choices = run_tasks(
-                tasks, folder, jobs, watch, finished=lambda c: c.failures == failures[c.pick.state]
-            )
-            notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
-            said = {s: failures[s] + notes for s in states}
-            found = problem.fit({c.pick.state: c.pick for c in choices}, pools, said)
-        except KeyboardInterrupt:
-            best = collect_best(watch, samples, given)
-            if best is None:
-                raise
-            found = best
+    first = _choose_first(method, preset, problem, chosen)
+    steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first)
+    found, rivals, cut = steps.run(progress if callable(progress) else None, record)
+    if cut:
+        record["ended_by_budget"] = cut
+    if demands.conserved:
+        follow = {s: problem.samples(s, runs) for s, _ in demands.conserved}
+        found = add_conserved(found, demands, follow, runs[0].states)
     record["scheme"] = {s: problem.samples(s, runs).scheme for s in states}
     measured = bool(set(arguments_of(found.equations)) - set(drives))
-    record["engines"] = name_engines(methods.values(), chosen, measured)
+    shown = set(record.get("first_look", ()))
+    ran = [m for n, m in methods.items() if n in record["methods"] and not shown >= set(states)]
+    along = EXPLORATION in first and not shown
+    record["engines"] = name_engines(ran, chosen, measured, along, FIRST_LOOK in first)
+    record["engines"] |= ENGINES if discrete else {}
+    verdict = problem.judge(found, rivals)
     return replace(
         found,
+        verdict=verdict,
+        explanation={
+            s: explain(s, found.equations[s], verdict.states[s], discrete) + why
+            if s in verdict.states
+            else why
+            for s, why in found.explanation.items()
+        },
         trajectories=tuple(runs),
         inputs=drives,
         engine=chosen,
         settings=record,
-        seconds=time.monotonic() - began,
+        seconds=monotonic() - began,
     )
 
 
@@ -189,7 +305,7 @@ def _choose_targets(targets: str | Sequence[str], run: Trajectory) -> tuple[str,
 
 def _claim(
     folder: RunFolder,
-    problem: _Problem,
+    problem: Problem,
     states: Sequence[str],
     methods: Mapping[str, AbstractMethod],
     record: Mapping[str, Any],
@@ -212,93 +328,159 @@ def _claim(
     return key
 
 
-def _pool(searched: Sequence[Found], states: Sequence[str]) -> dict[str, list[Candidate]]:
-    """Put together what all methods found for each state."""
-    pools: dict[str, list[Candidate]] = {state: [] for state in states}
-    for found in searched:
-        pools[found.target] += found.candidates
-    return pools
+def _choose_first(
+    method: str | AbstractMethod | Sequence[str | AbstractMethod],
+    preset: str,
+    problem: Problem,
+    engine: AbstractEngine,
+) -> tuple[str, ...]:
+    """Name what looks at every state before the methods, where these are left to us."""
+    asked = [method] if isinstance(method, (str, AbstractMethod)) else method
+    if preset == "paper" or AUTO not in asked:
+        return ()
+    # Who names an engine wants the methods that regress in it.
+    looked = not problem.form.discrete and engine.name == DEFAULT_ENGINE
+    if problem.measurements is None:
+        return (FIRST_LOOK,) if looked else ()
+    # Few exact rows look as if they were noisy.
+    lengths = [len(run) for run in problem.runs]
+    sparse = sum(lengths) <= problem.settings.selection.look.sparse and min(lengths) > _FEWEST
+    return (FIRST_LOOK, EXPLORATION) if looked and sparse else (EXPLORATION,)
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
-    """The data of one discovery and what is given of their equations."""
+class _Steps:
+    """The steps of one discovery that take time, in tasks."""
 
-    runs: Sequence[Trajectory]
-    inputs: Mapping[str, sympy.Expr]
-    scheme: str
-    slopes: Mapping[str, Any]
-    known: Mapping[str, sympy.Expr]
-    settings: DiscoverySettings
+    problem: Problem
+    states: Sequence[str]
+    methods: Mapping[str, AbstractMethod]
+    seed: int
+    key: str
+    folder: RunFolder
+    jobs: int
+    workers: int
+    first: tuple[str, ...]
 
-    def samples(
-        self, state: str, runs: Sequence[Trajectory], known_left_out: bool = True
-    ) -> Samples:
-        """Make the samples of a state, without the known part, thinned when there are many."""
-        own = self.slopes.get(state)
-        if own is not None and runs is not self.runs:
-            # Own slopes fit the whole trajectories; the searches see all of them.
-            runs = self.runs
-        found = choose_samples(
-            list(runs), state, scheme=self.scheme, slopes=own, settings=self.settings.slopes
-        )
-        rows = self.settings.rows
-        if len(found) > rows:
-            found = found.select(np.linspace(0, len(found) - 1, rows).astype(int))
-        if state not in self.known or not known_left_out:
-            return found
-        given = compile_numpy([self.known[state]], [*found.names, "t"])
-        values = given(np.concatenate([found.X.T, found.t[None]]))[0]
-        return Samples(
-            found.X, found.y - values, found.names, state, found.scheme, found.t, found.noise
-        )
+    def run(
+        self, progress: Callable[[Step], None] | None, record: dict[str, Any]
+    ) -> tuple[Discovery, Rivals | None, list[str]]:
+        """Give the discovery, what came closest to it, and the steps that a budget ended."""
+        problem, states = self.problem, self.states
+        plan = plan_tasks(states, self.methods, self.first)
+        samples: dict[str, Samples] = {}
+        with Watch(progress, plan, self.workers) as watch:
+            try:
+                plain = FIRST_LOOK in self.first
+                if self.first:
+                    samples |= {s: problem.samples(s, problem.runs, plain=plain) for s in states}
+                looked = self._look(watch, samples) if plain else []
+                final = self._end_early(watch, looked, record)
+                open_ = EXPLORATION in self.first and not final
+                explored = self._explore(watch) if open_ else []
+                settled = problem.settle(explored) if explored else None
+                methods = {} if settled is not None else self.methods
+                if settled is not None:
+                    record["methods"] = [EXPLORATION]
+                    watch.skip(tasks_of(states, self.methods, picked=False))
+                training, held_back = problem.split()
+                samples |= {s: problem.samples(s, training) for s in states}
+                rest = {s: own for s, own in samples.items() if s not in final}
+                searched = [*explored, *looked, *self._search(watch, methods, rest)]
+                failures = check_found(searched, states)
+                pools = pool_formulas(searched, samples, problem.demands, problem.known)
+                choices = self._choose(watch, pools, samples, held_back, failures, final)
+                picks = {c.pick.state: c.pick for c in choices}
+                notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
+                said = {s: failures[s] + cut_notes(searched, s) + notes for s in states}
+                found, rivals = problem.fit(picks, pools, said, settled)
+                return found, rivals, [*cut_tasks([*searched, *choices]), *problem.cut]
+            except KeyboardInterrupt:
+                best = collect_best(watch, samples, problem.known)
+                if best is None:
+                    raise
+                return with_velocities(best, problem.form), None, []
 
-    def fit(
+    def _look(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
+        """Have a first look at the slopes of every state."""
+        problem = self.problem
+        tasks = look_tasks(samples, problem.demands, problem.settings.selection.look, self.key)
+        # Workers take longer to start than all of it.
+        return run_tasks(tasks, self.folder, 1, watch)
+
+    def _end_early(
+        self, watch: Watch, looked: Sequence[Found], record: dict[str, Any]
+    ) -> dict[str, Candidate]:
+        """Give the equations that need no search.
+
+        Slopes show some at once. Between distant rows they are too rough for that, and the states
+        themselves decide.
+        """
+        problem = self.problem
+        best = {f.target: f.candidates[0] for f in looked if f.candidates}
+        final = {
+            f.target: best[f.target]
+            for f in looked
+            if f.final
+            and problem.measurements is None
+            and problem.is_allowed(f.target, best[f.target].expr)
+        }
+        if len(final) < len(looked):
+            confirmed = problem.confirm(looked)
+            final |= {s: replace(best[s], expr=expr) for s, expr in confirmed.items()}
+        if final:
+            record["first_look"] = sorted(final)
+            watch.skip([*tasks_of(tuple(final), self.methods), *plan_tasks(final, {}, self.first)])
+        return final
+
+    def _explore(self, watch: Watch) -> list[Found]:
+        """Look for sums of terms along the states."""
+        comparison = self.problem.settings.selection.comparison
+        assert self.problem.measurements is not None
+        tasks = explore_tasks(self.states, self.problem.measurements, comparison, self.key)
+        return run_tasks(tasks, self.folder, self.jobs, watch)
+
+    def _search(
         self,
-        picks: Mapping[str, Pick],
-        pools: Mapping[str, list[Candidate]],
-        notes: Mapping[str, str],
-    ) -> Discovery:
-        """Compare whole systems, fit the constants of the best to all data, and explain it."""
-        picked = {s: self.known.get(s, sympy.S.Zero) + p.candidate.expr for s, p in picks.items()}
-        system = self._compare_systems(picked, picks)
-        fitted = polish(
-            system,
-            self.runs,
-            self.inputs,
-            {s: self.samples(s, self.runs, known_left_out=False) for s in picks},
-            {s: p.noise for s, p in picks.items()},
-            self.settings.selection.fit,
+        watch: Watch,
+        methods: Mapping[str, AbstractMethod],
+        samples: Mapping[str, Samples],
+    ) -> list[Found]:
+        """Search every state with every method."""
+        until = self.problem.budget.until(self.problem.settings.shares.searches)
+        turns = give_turns(self.states, methods, until, self.workers)
+        tasks = search_tasks(samples, methods, self.seed, self.key, turns)
+        return run_tasks(tasks, self.folder, self.jobs, watch, finished=lambda f: not f.error)
+
+    def _choose(
+        self,
+        watch: Watch,
+        pools: Mapping[str, Sequence[Candidate]],
+        samples: Mapping[str, Samples],
+        held_back: Sequence[Trajectory],
+        failures: Mapping[str, str],
+        final: Mapping[str, Candidate],
+    ) -> list[Choice]:
+        """Choose a formula of each state on its slopes; where systems are compared, roughly."""
+        problem = self.problem
+        ended = []
+        for state, candidate in final.items():
+            others = rank_by_length(state, pools[state], samples[state])
+            ended.append(Choice(lead_with(others, candidate, samples[state]), 0.0))
+        pools = {s: pool for s, pool in pools.items() if s not in final}
+        if problem.measurements is not None:
+            picks = [rank_by_length(s, pool, samples[s]) for s, pool in pools.items()]
+            return [Choice(pick, 0.0, failures[pick.state]) for pick in picks]
+        selection, shares = problem.settings.selection, problem.settings.shares
+        until = problem.budget.until(shares.choices)
+        tasks = pick_tasks(
+            pools, samples, held_back, problem.known, selection, failures, self.key, until
         )
-        return Discovery(
-            equations=fitted.exprs,
-            errors=fitted.errors,
-            front={s: _whole_front(pools[s], p) for s, p in picks.items()},
-            explanation={
-                s: p.explanation + _why(system[s], picked[s]) + notes[s] for s, p in picks.items()
-            },
+        # A choice among other formulas, since another method had failed, is none among these.
+        return ended + run_tasks(
+            tasks,
+            self.folder,
+            self.jobs,
+            watch,
+            finished=lambda c: c.failures == failures[c.pick.state],
         )
-
-    def _compare_systems(
-        self, exprs: Mapping[str, sympy.Expr], picks: Mapping[str, Pick]
-    ) -> Mapping[str, sympy.Expr]:
-        """Let whole systems compete on the states where noise makes slopes unsure."""
-        if self.known or not is_noisy(self.runs):
-            return exprs
-        others = {s: [r.candidate.expr for r in p.ranked[1:]] for s, p in picks.items()}
-        return compare_systems(
-            exprs, others, self.runs, self.inputs, self.settings.selection.comparison
-        )
-
-
-def _whole_front(pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
-    """Merge what the methods found with what fitting and snapping made of it."""
-    last = [ranked.candidate for ranked in pick.ranked]
-    return ParetoFront([*pool, *(replace(c, expr=tidy(c.expr)) for c in last)])
-
-
-def _why(system: sympy.Expr, picked: sympy.Expr) -> str:
-    """Say when the states themselves asked for another formula than the slopes did."""
-    if system == picked:
-        return ""
-    return " Fitted to the noisy states themselves, other terms take fewer bits; they were taken."

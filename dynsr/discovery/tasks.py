@@ -5,11 +5,12 @@ When Ctrl-C ends them, what they have found so far is put together.
 
 from __future__ import annotations
 
+import math
 import time
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 import sympy
@@ -17,14 +18,37 @@ import sympy
 from dynsr import errors
 from dynsr.data import Samples, Trajectory
 from dynsr.discovery.result import Discovery
-from dynsr.fit import Candidate, ParetoFront, choose, tidy
-from dynsr.jobs import Task, Watch, best_equation
-from dynsr.methods import AbstractMethod, Progress, Report, silent
-from dynsr.selection import Pick, SelectionSettings, explains_all, pick_equation, trivial_candidates
+from dynsr.fit import Candidate, Measurements, ParetoFront, choose, score_candidate, tidy
+from dynsr.jobs import Task, TimeUp, Turn, Watch, best_equation, finish_by, time_limit
+from dynsr.methods import (
+    AbstractMethod,
+    Demands,
+    Limits,
+    Progress,
+    Report,
+    fit_quadratics,
+    silent,
+)
+from dynsr.selection import (
+    ComparisonSettings,
+    Look,
+    LookSettings,
+    Pick,
+    SelectionSettings,
+    explains_all,
+    explore,
+    look,
+    pick_equation,
+    trivial_candidates,
+)
 
 # Rough seconds of a task on one core, from which the time left is first guessed.
 _USUAL = {"rational": 6.0, "sindy": 4.0, "dynaifeynman": 15.0, "genetic": 10.0}
 _USUAL_SEARCH, _USUAL_PICK = 10.0, 6.0
+# What looks for sums of terms along noisy states, in the names of its tasks.
+EXPLORATION = "states"
+FIRST_LOOK = "look"
+_USUAL_FIRST = {EXPLORATION: 3.0, FIRST_LOOK: 0.3}
 
 
 @dataclass(frozen=True)
@@ -37,6 +61,8 @@ class Found:
     candidates : its formulas.
     seconds : wall time.
     error, kind : what ended the method in words, and the name of that exception; "" if nothing.
+    cut : the time budget ended the search.
+    final : nothing is left to search for this state.
     """
 
     target: str
@@ -45,6 +71,8 @@ class Found:
     seconds: float
     error: str = ""
     kind: str = ""
+    cut: bool = False
+    final: bool = False
 
     @cached_property
     def front(self) -> ParetoFront:
@@ -66,11 +94,13 @@ class Choice:
     pick : the choice.
     seconds : wall time.
     failures : which methods it had to do without, in words; "" for none.
+    cut : the time budget ended it.
     """
 
     pick: Pick
     seconds: float
     failures: str = ""
+    cut: bool = False
 
     @property
     def summary(self) -> str:
@@ -82,6 +112,7 @@ def search_one(
     method: AbstractMethod,
     samples: Samples,
     sequence: np.random.SeedSequence,
+    turn: Turn | None = None,
     report: Report = silent,
 ) -> Found:
     """Search one target with one method; a method that fails takes no other one with it."""
@@ -89,13 +120,90 @@ def search_one(
     trivial = trivial_candidates(samples)
     found = [c for c in trivial if explains_all(c, samples)]
     error = kind = ""
+    cut = False
     if not found:
         try:
-            found = list(method.search(samples, np.random.default_rng(sequence), report))
+            with time_limit(math.inf if turn is None else turn.until()) as clock:
+                report = report if turn is None else clock.through(report)
+                found = list(method.search(samples, np.random.default_rng(sequence), report))
+            cut = clock.over
+        except TimeUp:
+            cut = True
         except Exception as failure:
             error, kind = errors.one_line(failure)[:500], type(failure).__name__
+    if cut:
+        # However little time there was, there is something to choose from.
+        found += fit_quadratics(samples)
     taken = time.monotonic() - began
-    return Found(samples.target, method.name, (*trivial, *found), taken, error, kind)
+    return Found(samples.target, method.name, (*trivial, *found), taken, error, kind, cut)
+
+
+def explore_one(
+    state: str,
+    data: Measurements,
+    settings: ComparisonSettings,
+    report: Report = silent,
+) -> Found:
+    """Look for the sums of terms that follow one state best, along the smoothed states."""
+    began = time.monotonic()
+    exprs = explore(state, data, settings)
+    samples = data.samples(state)
+    named = "sums of terms along the states"
+    candidates = tuple(score_candidate(e, samples, named) for e in exprs)
+    report(Progress("sums of terms", 0, None, ParetoFront(candidates)))
+    return Found(state, EXPLORATION, candidates, time.monotonic() - began)
+
+
+def look_one(
+    samples: Samples, limits: Limits, settings: LookSettings, report: Report = silent
+) -> Found:
+    """Look for a sum or ratio of a few terms that exact slopes leave no doubt of."""
+    began = time.monotonic()
+    trivial = trivial_candidates(samples)
+    found = Look(tuple(c for c in trivial if explains_all(c, samples)), final=True)
+    if not found.candidates:
+        found = look(samples, limits, settings)
+    report(Progress("first look", 0, None, ParetoFront(found.candidates)))
+    taken = time.monotonic() - began
+    pool = (*found.candidates, *trivial)
+    return Found(samples.target, FIRST_LOOK, pool, taken, final=found.final)
+
+
+def look_tasks(
+    samples: Mapping[str, Samples], demands: Demands, settings: LookSettings, key: str
+) -> list[Task]:
+    """Give a task for every state that has a first look at its slopes."""
+    return [
+        Task(
+            _search_name(state, FIRST_LOOK),
+            f"{state}' at a first look",
+            look_one,
+            (own, demands.limits(state), settings),
+            Found,
+            key,
+        )
+        for state, own in samples.items()
+    ]
+
+
+def explore_tasks(
+    states: Sequence[str],
+    data: Measurements,
+    settings: ComparisonSettings,
+    key: str,
+) -> list[Task]:
+    """Give a task for every state that looks for sums of terms along the states."""
+    return [
+        Task(
+            _search_name(state, EXPLORATION),
+            f"{state}' along the states",
+            explore_one,
+            (state, data, settings),
+            Found,
+            key,
+        )
+        for state in states
+    ]
 
 
 def check_found(searched: Sequence[Found], states: Sequence[str]) -> dict[str, str]:
@@ -123,35 +231,125 @@ def pick_one(
     known: sympy.Expr,
     settings: SelectionSettings,
     failures: str,
+    until: float = math.inf,
     report: Report = silent,
 ) -> Choice:
-    """Choose the equation of one target."""
+    """Choose the equation of one target; past the time, by the bits of formulas as they are."""
     began = time.monotonic()
     report(Progress("choosing", 0, None, ParetoFront(pool)))
-    pick = pick_equation(samples.target, pool, samples, held_back, known, settings)
-    return Choice(pick, time.monotonic() - began, failures)
+    shortly = replace(settings, snapped=1, improved=0, compared=1)
+    pick, cut = finish_by(
+        until,
+        lambda: pick_equation(samples.target, pool, samples, held_back, known, settings),
+        lambda: pick_equation(samples.target, pool, samples, (), known, shortly),
+    )
+    return Choice(pick, time.monotonic() - began, failures, cut)
 
 
-def plan_tasks(states: Sequence[str], methods: Mapping[str, AbstractMethod]) -> dict[str, float]:
-    """Give the name of every task to come with its rough seconds."""
-    return {
-        _search_name(s, name): _USUAL.get(name, _USUAL_SEARCH) for s in states for name in methods
-    } | {_pick_name(state): _USUAL_PICK for state in states}
+def plan_tasks(
+    states: Iterable[str], methods: Mapping[str, AbstractMethod], first: Sequence[str] = ()
+) -> dict[str, float]:
+    """Give the name of every task to come with its rough seconds.
+
+    ``first`` names what looks at every state before the methods do.
+    """
+    return (
+        {_search_name(s, name): _USUAL_FIRST[name] for s in states for name in first}
+        | {
+            _search_name(s, name): _USUAL.get(name, _USUAL_SEARCH)
+            for s in states
+            for name in methods
+        }
+        | {_pick_name(state): _USUAL_PICK for state in states}
+    )
+
+
+def tasks_of(
+    states: Sequence[str], methods: Mapping[str, AbstractMethod], picked: bool = True
+) -> list[str]:
+    """Give the names of the searches of some states, and of the choices of their equations."""
+    searches = [_search_name(s, name) for s in states for name in methods]
+    return searches + [_pick_name(s) for s in states if picked]
 
 
 def search_tasks(
-    samples: Mapping[str, Samples], methods: Mapping[str, AbstractMethod], seed: int, key: str
+    samples: Mapping[str, Samples],
+    methods: Mapping[str, AbstractMethod],
+    seed: int,
+    key: str,
+    turns: Mapping[str, Turn] | None = None,
 ) -> list[Task]:
     """Give a task for every state and method; all its chance comes from the seed and the names."""
-    tasks = []
+    tasks, turns = [], turns or {}
     # The longest searches first would be better balanced, but nobody knows them.
     for state, own in samples.items():
         for name, method in methods.items():
             entropy = [seed, zlib.crc32(state.encode()), zlib.crc32(name.encode())]
-            arguments = (method, own, np.random.SeedSequence(entropy))
-            title = f"{state}' by {name}"
-            tasks.append(Task(_search_name(state, name), title, search_one, arguments, Found, key))
+            task = _search_name(state, name)
+            arguments = (method, own, np.random.SeedSequence(entropy), turns.get(task))
+            one = Task(task, f"{state}' by {name}", search_one, arguments, Found, key)
+            tasks.append(replace(one, failed=partial(_died, state, name)))
     return tasks
+
+
+def give_turns(
+    states: Sequence[str], methods: Mapping[str, AbstractMethod], end: float, workers: int
+) -> dict[str, Turn]:
+    """Give the name of every search its turn, by the usual seconds of those behind it.
+
+    Parameters
+    ----------
+    states, methods : what is searched, in this order.
+    end : seconds since the epoch at which the searches must have ended; inf for never.
+    workers : searches at a time.
+    """
+    if math.isinf(end):
+        return {}
+    names = {
+        _search_name(state, name): _USUAL.get(name, _USUAL_SEARCH)
+        for state in states
+        for name in methods
+    }
+    left = math.fsum(names.values())
+    turns = {}
+    for name, seconds in names.items():
+        turns[name] = Turn(end, seconds / left, workers)
+        left -= seconds
+    return turns
+
+
+def cut_notes(searched: Sequence[Found], state: str) -> str:
+    """Say which searches of a state the time budget ended; "" where it ended none.
+
+    Parameters
+    ----------
+    searched : the records of all searches.
+    state : whose equation was searched.
+    """
+    names = [found.method for found in searched if found.target == state and found.cut]
+    return f" The time budget ended {', '.join(names)} early." if names else ""
+
+
+def cut_tasks(records: Sequence[Found | Choice]) -> list[str]:
+    """Give the names of the tasks that the time budget ended.
+
+    Parameters
+    ----------
+    records : of searches and choices.
+    """
+    names = []
+    for record in records:
+        if record.cut:
+            if isinstance(record, Choice):
+                names.append(_pick_name(record.pick.state))
+            else:
+                names.append(_search_name(record.target, record.method))
+    return names
+
+
+def _died(state: str, method: str, reason: str) -> Found:
+    """Give the record of a search whose process died: its method failed, as others may."""
+    return Found(state, method, (), 0.0, reason, "DynsrError")
 
 
 def pick_tasks(
@@ -162,8 +360,9 @@ def pick_tasks(
     settings: SelectionSettings,
     failures: Mapping[str, str],
     key: str,
+    until: float = math.inf,
 ) -> list[Task]:
-    """Give a task for every state that chooses among the formulas found for it."""
+    """Give a task for every state that chooses among the formulas found for it, by a time."""
     return [
         Task(
             _pick_name(state),
@@ -176,6 +375,7 @@ def pick_tasks(
                 known.get(state, sympy.S.Zero),
                 settings,
                 failures[state],
+                until,
             ),
             Choice,
             key,
@@ -224,10 +424,10 @@ def collect_best(
         best = choices[0].candidate if choices else choose(pool, own)
         equations[state] = tidy(known.get(state, sympy.S.Zero) + best.expr)
         fronts[state] = ParetoFront(pool)
-        why[state] = (
-            choices[0].explanation
+        why[state] = f" Found by {best.source or 'search'}" + (
+            "."
             if choices
-            else f"the best so far, found by {best.source or 'search'}; searches that had ended: "
+            else "; the best so far; searches that had ended: "
             f"{len(ended)}, that still ran: {len(stopped)}."
         )
     if not equations:

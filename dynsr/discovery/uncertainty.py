@@ -13,17 +13,18 @@ smoother biases the intervals.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory
-from dynsr.discovery.result import Discovery
+from dynsr.data import Trajectory, weak_form
+from dynsr.discovery.result import Discovery, Inclusion
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy
+from dynsr.expression import compile_numpy, shown
 from dynsr.fit import (
     Noise,
+    ParetoFront,
     constant_bits,
     data_bits,
     eliminate,
@@ -32,9 +33,7 @@ from dynsr.fit import (
 )
 from dynsr.jobs import spread
 
-# The bump (1 - s^2)^4 and three of its derivatives vanish at the ends of its window, so that the
-# trapezoidal rule integrates it to the fourth order of an even step.
-_POWER = 4
+_TOO_FEW = "{} rows are too few for an ensemble; give at least 24"
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def bootstrap(
     seed, jobs : the result depends on the seed, not on the jobs.
 
     A term costs :func:`term_bits`, and a member keeps the terms of least description length.
-    Raises InputError when the data are not there.
+    Raises InputError when the data are not there or the equations are a map.
 
     >>> from dynsr.discovery.search import discover
     >>> t = np.linspace(0, 3, 301)
@@ -80,6 +79,8 @@ def bootstrap(
     """
     if not found.trajectories:
         raise InputError("the data are not here; discover again before asking for an ensemble")
+    if found.is_map:
+        raise InputError("an ensemble fits slopes; a map has none, its errors are of one step")
     if members < 2 or not 0 < level < 1:
         raise InputError(f"{members} members at level {level}; give two or more and 0 < level < 1")
     result = {}
@@ -118,29 +119,18 @@ def _weaken(
     """Give one block for each piece of a trajectory, of the bumps whose middle lies there."""
     evaluated = compile_numpy([*exprs, bottom], [*run.names, "t"])
     *rows, below = evaluated(np.concatenate([run.columns.T, run.t[None]]))
-    values, x = np.array(rows) / below, run.x[:, run.index(state)]
+    values = np.array(rows) / below
     width = max(8, len(run) // pieces)
-    starts = np.arange(0, len(run) - width, max(1, width // 4))
-    if len(starts) < 4:
-        raise InputError(f"{len(run)} rows are too few for an ensemble; give at least 24")
-    index = starts[:, None] + np.arange(width + 1)
-    t = run.t[index]
-    half = (t[:, -1:] - t[:, :1]) / 2
-    s = (t - t[:, :1]) / half - 1
-    bump, slope = (1 - s**2) ** _POWER, -2 * _POWER * s * (1 - s**2) ** (_POWER - 1) / half
-    # The measure makes the integral of the bump 1, so that y is a mean slope.
-    steps = _trapezoid_weights(t)
-    steps /= np.sum(steps * bump, axis=1, keepdims=True)
-    y = -np.einsum("wi,wi,wi->w", steps, slope, x[index])
-    integrals = np.einsum("wi,wi,mwi->mw", steps, bump, values[:, index])
-    owner = np.arange(len(starts)) * pieces // len(starts)
-    return [_Weak(integrals[:, owner == b], y[owner == b]) for b in np.unique(owner)]
-
-
-def _trapezoid_weights(t: np.ndarray) -> np.ndarray:
-    steps = np.diff(t, axis=1)
-    edge = np.zeros((len(t), 1))
-    return (np.hstack([edge, steps]) + np.hstack([steps, edge])) / 2
+    try:
+        weak = weak_form(run, state, [width])
+    except InputError:
+        raise InputError(_TOO_FEW.format(len(run))) from None
+    count = len(weak.y)
+    if count < 4:
+        raise InputError(_TOO_FEW.format(len(run)))
+    owner = np.arange(count) * pieces // count
+    integrals = values @ weak.matrix.T
+    return [_Weak(integrals[:, owner == b], weak.y[owner == b]) for b in np.unique(owner)]
 
 
 def _terms(
@@ -204,3 +194,64 @@ def intervals(terms: Mapping[str, Sequence[Term]]) -> list[tuple[str, str, float
         for state, found in terms.items()
         for term in found
     ]
+
+
+# Draws of an ensemble that is asked for by its name alone.
+MEMBERS = 100
+_FEWEST_ROWS = 24
+# Formulas of the front of at most so many terms more compete with the equation.
+_MORE_TERMS = 2
+
+
+def check_ensemble(ensemble: bool | int, runs: Sequence[Trajectory], discrete: bool) -> int:
+    """Give the draws of an ensemble, 0 for none.
+
+    Parameters
+    ----------
+    ensemble : True, or how many draws.
+    runs : the data.
+    discrete : whether a map is sought.
+
+    Raises InputError where there can be none.
+
+    >>> check_ensemble(True, [], False)
+    100
+    """
+    if ensemble is True or not ensemble:
+        members = MEMBERS if ensemble else 0
+    elif not isinstance(ensemble, int) or ensemble < 2:
+        raise InputError(f"ensemble {ensemble!r} must be True, or a number of draws, 2 or more")
+    else:
+        members = ensemble
+    if members and discrete:
+        raise InputError("an ensemble fits slopes; a map has none, its errors are of one step")
+    short = min(map(len, runs), default=_FEWEST_ROWS)
+    if members and short < _FEWEST_ROWS:
+        raise InputError(_TOO_FEW.format(short))
+    return members
+
+
+def _rivals(expr: sympy.Expr, front: ParetoFront) -> ParetoFront:
+    """Give the formulas of a front that have few more terms than the equation."""
+    most = len(sympy.Add.make_args(sympy.expand(expr))) + _MORE_TERMS
+    return ParetoFront(c for c in front if len(sympy.Add.make_args(sympy.expand(c.expr))) <= most)
+
+
+def with_ensemble(found: Discovery, members: int, seed: int) -> Discovery:
+    """Give a discovery with the terms of an ensemble of fits.
+
+    Parameters
+    ----------
+    found : a discovery that still has its data.
+    members : ensembles drawn; 0 gives the discovery as it is.
+    seed : all chance comes from it.
+    """
+    if not members or not found.complete:
+        return found
+    front = {state: _rivals(found.equations[state], own) for state, own in found.front.items()}
+    terms = bootstrap(replace(found, front=front), members=members, seed=seed)
+    ensemble = {
+        state: tuple(Inclusion(shown(t.expr), t.probability, *t.interval) for t in own)
+        for state, own in terms.items()
+    }
+    return replace(found, ensemble=ensemble)

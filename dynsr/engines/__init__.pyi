@@ -1,3 +1,4 @@
+from .adaptive import EXPLICIT, Motion, follow, rows_of
 from .base import (
     DEFAULT_ABSTOL,
     DEFAULT_RELTOL,
@@ -9,11 +10,20 @@ from .base import (
     SparseProblem,
     SparseSolution,
 )
+from .drives import Drive
 from .embedded import EmbeddedEngine
 from .julia.diffeqpy import DiffeqpyEngine
-from .julia.setup import install
-from .registry import DEFAULT_ENGINE, ENGINES, find_engine, share_engine
-from .simulation import add_noise, simulate, training_trajectory
+from .julia.setup import install, is_configured
+from .registry import (
+    DEFAULT_ENGINE,
+    ENGINES,
+    find_engine,
+    is_embedded,
+    refuse_idle,
+    share_engine,
+    start_engine,
+)
+from .simulation import DRIVEN, add_noise, simulate, simulate_driven, training_trajectory
 from .testing import RecordingEngine
 from .tsit5.single import interpolate, replay_steps
 
@@ -21,12 +31,16 @@ __all__ = [
     "DEFAULT_ABSTOL",
     "DEFAULT_ENGINE",
     "DEFAULT_RELTOL",
+    "DRIVEN",
     "ENGINES",
+    "EXPLICIT",
     "AbstractEngine",
     "DiffeqpyEngine",
+    "Drive",
     "EmbeddedEngine",
     "InitialValueProblem",
     "Integration",
+    "Motion",
     "Optimizer",
     "RecordingEngine",
     "Release",
@@ -34,10 +48,17 @@ __all__ = [
     "SparseSolution",
     "add_noise",
     "find_engine",
+    "follow",
     "install",
     "interpolate",
+    "is_configured",
+    "is_embedded",
+    "refuse_idle",
     "replay_steps",
+    "rows_of",
     "share_engine",
     "simulate",
+    "simulate_driven",
+    "start_engine",
     "training_trajectory",
 ]

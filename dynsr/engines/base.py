@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 import sympy
 
+from dynsr.engines.drives import Drive
 from dynsr.errors import InputError
 from dynsr.expression import parse
 
@@ -29,13 +30,16 @@ class InitialValueProblem:
 
     Parameters
     ----------
-    rhs : k expressions in ``states`` and the time ``t`` alone (inputs already put in).
+    rhs : k expressions in ``states``, the time ``t`` and the names of ``drives`` alone (inputs that
+        are expressions already put in).
     states : the k names.
     x0 : (k,) start state at ``t[0]``.
     t : (n,) times in seconds, strictly increasing, at which to save.
     reltol, abstol : tolerances of the solver; the defaults are DifferentialEquations.jl's.
     max_steps : more steps than this count as divergence.
     max_seconds : so does more time than this.
+    drives : inputs that were measured; for engines that take them.
+    stops : (s,) times in seconds that no step may pass over, where there are drives.
     """
 
     rhs: tuple[sympy.Expr, ...]
@@ -46,6 +50,8 @@ class InitialValueProblem:
     abstol: float = DEFAULT_ABSTOL
     max_steps: int = 100_000
     max_seconds: float = 60.0
+    drives: tuple[Drive, ...] = ()
+    stops: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         """Check shapes, names and tolerances; raises InputError."""
@@ -63,7 +69,7 @@ class InitialValueProblem:
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} {value} must be a positive number")
         for expr in self.rhs:
-            parse(expr, [*self.states, "t"])
+            parse(expr, [*self.states, "t", *(drive.name for drive in self.drives)])
         object.__setattr__(self, "x0", x0)
         object.__setattr__(self, "t", t)
 
@@ -163,10 +169,11 @@ class SparseSolution:
 class AbstractEngine(ABC):
     """Integrates and regresses. The same claims hold for every engine.
 
-    ``name`` is what records call it.
+    ``name`` is what records call it; ``takes_drives`` says whether it integrates measured inputs.
     """
 
     name: str
+    takes_drives: bool = False
 
     def __repr__(self) -> str:
         """Name the engine; the same in every process, as the keys of records need."""
@@ -187,6 +194,9 @@ class AbstractEngine(ABC):
     @abstractmethod
     def versions(self) -> dict[str, str]:
         """Name every part that took part in an answer, with its version."""
+
+    def share(self) -> None:  # noqa: B027 (most engines cost nothing in each process)
+        """Prepare for processes that are started from now on and ask an engine of this name."""
 
     def close(self) -> None:  # noqa: B027 (most engines hold nothing)
         """Give back what the engine holds; it starts again on its next use."""

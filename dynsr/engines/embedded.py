@@ -10,6 +10,7 @@ import scipy
 import sympy
 
 from dynsr import __version__
+from dynsr.engines.adaptive import solve_driven
 from dynsr.engines.base import (
     AbstractEngine,
     InitialValueProblem,
@@ -29,13 +30,16 @@ class EmbeddedEngine(AbstractEngine):
     """
 
     name = "embedded"
+    takes_drives = True
 
     def integrate(self, problem: InitialValueProblem) -> Integration:
         """Solve an initial value problem by :func:`dynsr.engines.tsit5.single.solve`."""
-        return solve(problem)
+        return solve_driven(problem) if problem.drives else solve(problem)
 
     def integrate_all(self, problems: Sequence[InitialValueProblem]) -> list[Integration]:
         """Solve many problems by :func:`dynsr.engines.tsit5.groups.solve_all`."""
+        if any(problem.drives for problem in problems):
+            return [self.integrate(problem) for problem in problems]
         return solve_all(problems)
 
     def regress(self, problem: SparseProblem) -> SparseSolution:

@@ -40,11 +40,54 @@ def find_engine(name: str | AbstractEngine = DEFAULT_ENGINE) -> AbstractEngine:
     raise InputError(f"unknown engine {name!r}; the engines are: {', '.join(ENGINES)}")
 
 
+def start_engine(engine: str | AbstractEngine) -> None:
+    """Start an engine other than the embedded one, so that no work is lost where it does not start.
+
+    Parameters
+    ----------
+    engine : its name, or an engine.
+
+    Raises InputError for an unknown name, EngineUnavailable where it does not start.
+
+    >>> start_engine("embedded")
+    """
+    chosen = find_engine(engine)
+    if not is_embedded(chosen):
+        chosen.versions()
+
+
+def refuse_idle(engine: str | AbstractEngine | None, why: str) -> None:
+    """Refuse an engine other than the embedded one where there is nothing that it could do.
+
+    Parameters
+    ----------
+    engine : its name, an engine, or None.
+    why : why there is nothing, in words.
+
+    Raises InputError, with what to do instead, and as :func:`find_engine` does.
+
+    >>> refuse_idle("embedded", "a map is iterated")
+    """
+    if engine is not None and not is_embedded(chosen := find_engine(engine)):
+        raise InputError(f"{why}: engine {chosen.name!r} has nothing to do; leave it out")
+
+
+def is_embedded(engine: AbstractEngine) -> bool:
+    """Whether an engine is the one that is always there.
+
+    >>> is_embedded(find_engine("embedded"))
+    True
+    """
+    from dynsr.engines.embedded import EmbeddedEngine
+
+    return isinstance(engine, EmbeddedEngine)
+
+
 def share_engine(engine: AbstractEngine, workers: int) -> str | AbstractEngine:
     """Give what stands for an engine in ``workers`` processes.
 
-    A name where :func:`find_engine` gives this very engine for it, so that each process starts its
-    own; else the engine itself, which worker processes get as a copy.
+    A name where :func:`find_engine` gives this very engine for it, so that each process finds its
+    own by it; else the engine itself, which worker processes get as a copy.
 
     Parameters
     ----------
@@ -56,6 +99,8 @@ def share_engine(engine: AbstractEngine, workers: int) -> str | AbstractEngine:
     >>> share_engine(find_engine("embedded"), 4)
     'embedded'
     """
+    if workers > 1:
+        engine.share()
     if _STARTED.get(engine.name) is engine:
         return engine.name
     if workers > 1:

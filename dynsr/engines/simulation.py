@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import sympy
 
 from dynsr.data import System, Trajectory
+from dynsr.engines.adaptive import Motion, describe_end, follow, rows_of
 from dynsr.engines.base import (
     DEFAULT_ABSTOL,
     DEFAULT_RELTOL,
@@ -14,9 +16,15 @@ from dynsr.engines.base import (
     InitialValueProblem,
     Integration,
 )
-from dynsr.engines.registry import DEFAULT_ENGINE, find_engine
+from dynsr.engines.registry import DEFAULT_ENGINE, find_engine, is_embedded
+from dynsr.engines.tsit5.tableau import Slopes
 from dynsr.errors import EngineError, InputError
-from dynsr.expression import compile_numpy
+from dynsr.expression import compile_numpy, compile_scalar
+
+# Integrations that are this many tolerances apart saw different inputs.
+_NEAR = 100.0
+# What an origin says of an integration with inputs that were measured.
+DRIVEN = "on measured inputs"
 
 
 def simulate(
@@ -37,8 +45,13 @@ def simulate(
     reltol, abstol : tolerances of Tsit5.
     engine : "embedded", "julia" or an engine.
 
+    Where the engine runs out of steps the system is stiff, and Radau goes on; where it stepped
+    over something that moves in time alone, such as a narrow pulse from rest, the integration is
+    done again with steps that do not. ``origin["engine"]`` says so.
+
     Raises InputError for a start or times that do not fit and for an unknown engine,
-    EngineUnavailable for an absent one, EngineError for a divergence.
+    EngineUnavailable for an absent one, and EngineError, with time and state, where the solution
+    ends before the last time.
 
     >>> from dynsr.data.system import PENDULUM
     >>> simulate(PENDULUM).x.shape
@@ -50,17 +63,54 @@ def simulate(
     rhs = system.closed_rhs()
     problem = InitialValueProblem(rhs, system.states, start, times, reltol, abstol)
     integration = chosen.integrate(problem)
-    if not integration.success:
-        raise EngineError(_divergence(system, problem, integration))
-    origin = {"system": system.name, "engine": chosen.name, "versions": chosen.versions()}
+    motion = Motion(system.name, system.states, _slopes(problem), _rows(problem))
+    if integration.success:
+        x, also = _see_pulses(motion, problem, integration.x)
+    else:
+        x, also = _go_on(motion, problem, integration)
+    name = f"{chosen.name} ({also})" if also else chosen.name
+    origin = {"system": system.name, "engine": name, "versions": chosen.versions()}
     return Trajectory(
         times,
-        integration.x,
+        x,
         system.states,
         _input_columns(system, times),
         tuple(system.inputs),
         origin={**origin, "reltol": reltol, "abstol": abstol},
     )
+
+
+def simulate_driven(
+    problem: InitialValueProblem, engine: str | AbstractEngine = DEFAULT_ENGINE
+) -> tuple[np.ndarray, str]:
+    """Integrate a problem with measured inputs; gives the states (n, k) and what integrated.
+
+    Parameters
+    ----------
+    problem : the problem with its drives; its limit of steps holds for another engine than the
+        embedded one, where Radau goes on after it.
+    engine : "embedded", "julia" or an engine; the embedded one stands in for one that takes no
+        measured inputs, and is named.
+
+    Raises as :func:`simulate` does.
+
+    >>> from dynsr.engines import Drive
+    >>> ramp = Drive("u", np.array([0.0]), np.array([[1.0], [0.0]]))
+    >>> t = np.array([0.0, 1.0])
+    >>> problem = InitialValueProblem((sympy.Symbol("u"),), ("x",), [0.0], t, drives=(ramp,))
+    >>> x, how = simulate_driven(problem)
+    >>> round(float(x[-1, 0]), 6), how
+    (0.5, 'embedded (Tsit5 on measured inputs)')
+    """
+    chosen, motion = find_engine(engine), Motion.of("the system", problem)
+    if is_embedded(chosen) or not chosen.takes_drives:
+        x, how = follow(motion, problem.x0, problem.t, problem.reltol, problem.abstol)
+        return x, f"embedded ({how} {DRIVEN})"
+    integration = chosen.integrate(problem)
+    if integration.success:
+        return integration.x, f"{chosen.name} ({DRIVEN})"
+    x, also = _go_on(motion, problem, integration)
+    return x, f"{chosen.name} ({DRIVEN}, {also})"
 
 
 def training_trajectory(
@@ -122,8 +172,40 @@ def _input_columns(system: System, times: np.ndarray) -> np.ndarray:
     return compile_numpy(list(system.inputs.values()), ["t"])(times[None]).T
 
 
-def _divergence(system: System, problem: InitialValueProblem, integration: Integration) -> str:
-    lost = np.flatnonzero(~np.isfinite(integration.x).all(axis=1))
-    time = problem.t[lost[0]] if lost.size else problem.t[-1]
-    reason = f": {integration.message}" if integration.message else ""
-    return f"{system.name} has no solution at t = {time:g}{reason}; shorten the time span"
+def _slopes(problem: InitialValueProblem) -> Slopes:
+    return compile_scalar(problem.rhs, [*problem.states, "t"])
+
+
+def _rows(problem: InitialValueProblem) -> np.ndarray:
+    """Times that no step may pass over; none where nothing depends on the time."""
+    if not any(sympy.Symbol("t") in expr.free_symbols for expr in problem.rhs):
+        return np.empty(0)
+    return rows_of(problem.rhs, (float(problem.t[0]), float(problem.t[-1])))
+
+
+def _see_pulses(
+    motion: Motion, problem: InitialValueProblem, x: np.ndarray
+) -> tuple[np.ndarray, str]:
+    """Give the states as they are, unless steps that pass over no row lead far away from them."""
+    if not len(motion.rows):
+        return x, ""
+    seen, how = follow(motion, problem.x0, problem.t, problem.reltol, problem.abstol)
+    near = _NEAR * (problem.abstol + problem.reltol * np.max(np.abs(seen), axis=0))
+    if np.all(np.abs(seen - x) <= near):
+        return x, ""
+    return seen, f"again by {how}, with shorter steps"
+
+
+def _go_on(
+    motion: Motion, problem: InitialValueProblem, integration: Integration
+) -> tuple[np.ndarray, str]:
+    """Integrate by the implicit method from the last row that was reached."""
+    rows = int(np.argmin(np.isfinite(integration.x).all(axis=1)))
+    at, tries = max(rows - 1, 0), integration.accepted + integration.rejected
+    start = integration.x[at] if rows else problem.x0
+    if tries < problem.max_steps:
+        lost, last = problem.t[rows], problem.t[at]
+        raise EngineError(describe_end(motion, lost, last, start, integration.message))
+    x = integration.x.copy()
+    x[at:], how = follow(motion, start, problem.t[at:], problem.reltol, problem.abstol, 0)
+    return x, f"{how} from t = {problem.t[at]:g}"

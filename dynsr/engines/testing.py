@@ -34,6 +34,7 @@ class RecordingEngine(AbstractEngine):
         """Keep nothing yet."""
         self.name = name
         self.base = base or EmbeddedEngine()
+        self.takes_drives = self.base.takes_drives
         self.integrated: list[InitialValueProblem] = []
         self.regressed: list[SparseProblem] = []
 

@@ -1,40 +1,62 @@
 from .bits import LARGEST_IN_FRACTION, REAL_RESOLUTION, complexity, number_bits
+from .dimensions import Units, bare_term, read_units
 from .evaluation import compile_numpy, compile_scalar, evaluate
 from .export import (
     arguments_of,
+    call_names,
     shown,
+    take_inputs,
     to_julia,
     to_latex,
+    to_latex_formula,
     to_mathml,
     to_numpy,
     to_python,
     to_text_block,
+    with_signs,
 )
 from .operators import FUNCTIONS, OPERATORS
 from .parsing import check_name, parse
+from .plausibility import Prior, plausibility_bits
+from .program import compile_columns
+from .ratios import ratio_forms
+from .vocabulary import NAMED_FUNCTIONS, Vocabulary
 from .writing import as_float_tree, round_constants, to_text
 
 __all__ = [
     "FUNCTIONS",
     "LARGEST_IN_FRACTION",
+    "NAMED_FUNCTIONS",
     "OPERATORS",
     "REAL_RESOLUTION",
+    "Prior",
+    "Units",
+    "Vocabulary",
     "arguments_of",
     "as_float_tree",
+    "bare_term",
+    "call_names",
     "check_name",
+    "compile_columns",
     "compile_numpy",
     "compile_scalar",
     "complexity",
     "evaluate",
     "number_bits",
     "parse",
+    "plausibility_bits",
+    "ratio_forms",
+    "read_units",
     "round_constants",
     "shown",
+    "take_inputs",
     "to_julia",
     "to_latex",
+    "to_latex_formula",
     "to_mathml",
     "to_numpy",
     "to_python",
     "to_text",
     "to_text_block",
+    "with_signs",
 ]

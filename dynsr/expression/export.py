@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,6 +15,7 @@ from sympy.printing.pycode import PythonCodePrinter
 from sympy.printing.str import StrPrinter
 
 from dynsr.expression.evaluation import compile_numpy
+from dynsr.expression.parsing import check_name
 from dynsr.expression.writing import as_float_tree
 
 # From here on a number is too long for a fraction of a reader's.
@@ -27,13 +28,99 @@ def arguments_of(equations: Mapping[str, sympy.Expr]) -> tuple[str, ...]:
     return tuple(sorted(used - set(equations) - {"t"}))
 
 
+# Names that the functions written below use themselves, or that their languages keep.
+_JULIA_WORDS = (
+    *("abstract", "baremodule", "begin", "catch", "ccall", "const", "do", "elseif", "end"),
+    *("export", "false", "function", "im", "let", "local", "macro", "module", "mutable"),
+    *("primitive", "quote", "struct", "true", "type", "using", "where"),
+)
+_CALL_NAMES = ("math", "self", "state", "t", *_JULIA_WORDS)
+_JULIA_NAMES = ("du", "u", "p", "t", *_JULIA_WORDS)
+
+
+def call_names(equations: Mapping[str, sympy.Expr]) -> dict[str, str]:
+    """Give input -> the name by which every export takes it; an underscore where its own is kept.
+
+    >>> call_names({"x": sympy.Symbol("u") + sympy.Symbol("state")})
+    {'state': 'state_', 'u': 'u'}
+    """
+    inputs, new = arguments_of(equations), {}
+    for name in inputs:
+        new[name] = _free(name, _CALL_NAMES, (*equations, *inputs))
+    return new
+
+
+def _free(name: str, kept: Sequence[str], others: Sequence[str]) -> str:
+    other = name
+    while other in kept or (other != name and other in others):
+        other += "_"
+    return other
+
+
+def _renamed(
+    equations: Mapping[str, sympy.Expr], kept: Sequence[str]
+) -> tuple[dict[str, sympy.Expr], dict[str, str]]:
+    """Give equations under names that can stand in code beside those ``kept`` for it.
+
+    Beside them stand the inputs: name in the code -> name in a call. Raises InputError when a name
+    could not stand in a formula, and so would not in code.
+    """
+    calls = call_names(equations)
+    names = [*equations, *calls]
+    for name in names:
+        check_name(name)
+    new = {name: _free(calls.get(name, name), kept, names) for name in names}
+    swaps = {sympy.Symbol(a): sympy.Symbol(b) for a, b in new.items() if a != b}
+    return (
+        {new[state]: with_signs(expr).xreplace(swaps) for state, expr in equations.items()},
+        {new[name]: call for name, call in calls.items()},
+    )
+
+
+def with_signs(expr: sympy.Expr) -> sympy.Expr:
+    """Write roots of squares of real numbers as ``abs``, and their quotients as ``sign``.
+
+    ``v/sqrt(v**2)`` is 0/0 at v = 0, where ``sign(v)`` is 0, and ``v**3/sqrt(v**2)`` goes to 0.
+
+    >>> v = sympy.Symbol("v")
+    >>> with_signs(sympy.sqrt(v**2)), with_signs(-v / sympy.sqrt(v**2)), with_signs(v**3 / abs(v))
+    (Abs(v), -sign(v), v**2*sign(v))
+    """
+    if not expr.args:
+        return expr
+    expr = expr.func(*map(with_signs, expr.args))
+    if expr.is_Pow and expr.base.is_Pow and expr.base.exp.is_Integer and expr.base.exp % 2 == 0:
+        power = expr.base.exp * expr.exp
+        half = sympy.nsimplify(expr.exp) if expr.exp.is_Float else expr.exp
+        if half.is_Rational and half.q == 2:
+            return sympy.Abs(expr.base.base) ** sympy.Integer(round(power))
+    return _cancel_signs(expr) if expr.is_Mul else expr
+
+
+def _cancel_signs(product: sympy.Expr) -> sympy.Expr:
+    """Cancel ``b**n * abs(b)**-m`` to what has no division by ``b`` where n is not below m."""
+    powers = product.as_powers_dict()
+    for size in [base for base in powers if base.func is sympy.Abs]:
+        inner = size.args[0]
+        up, down = powers.get(inner, sympy.S.Zero), -powers[size]
+        if not (up.is_Integer and down.is_Integer and down > 0 and up > 0):
+            continue
+        rest = product / inner**up * size**down
+        if up < down:
+            return rest * sympy.sign(inner) ** (up % 2) * size ** (up - down)
+        return rest * inner ** (up - down) * sympy.sign(inner) ** (down % 2)
+    return product
+
+
 class _Latex(LatexPrinter):
     def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
         return super()._print_Float(sympy.Float(f"{float(expr):.6g}"))
 
 
-def to_latex(equations: Mapping[str, sympy.Expr]) -> str:
+def to_latex(equations: Mapping[str, sympy.Expr], time_unit: str = "") -> str:
     r"""Write the equations as a LaTeX ``aligned`` block, constants to six digits.
+
+    A comment above it says what the time is counted in where a ``time_unit`` is given.
 
     >>> print(to_latex({"x": -2 * sympy.Symbol("x")}))
     \begin{aligned}
@@ -45,7 +132,17 @@ def to_latex(equations: Mapping[str, sympy.Expr]) -> str:
         f"\\dot{{{sympy.latex(sympy.Symbol(s))}}} &= {printer.doprint(e)}"
         for s, e in equations.items()
     ]
-    return "\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}"
+    unit = f"% time in {time_unit}\n" if time_unit else ""
+    return unit + "\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}"
+
+
+def to_latex_formula(expr: sympy.Expr) -> str:
+    r"""Write one formula as LaTeX, constants to six digits.
+
+    >>> print(to_latex_formula(sympy.sqrt(sympy.Symbol("x")) / 3))
+    \frac{\sqrt{x}}{3}
+    """
+    return str(_Latex().doprint(expr))
 
 
 class _MathML(MathMLPresentationPrinter):
@@ -111,10 +208,13 @@ class _Python(PythonCodePrinter):
         return repr(float(expr))
 
 
-def to_python(equations: Mapping[str, sympy.Expr], name: str = "rhs") -> str:
+def to_python(equations: Mapping[str, sympy.Expr], name: str = "rhs", time_unit: str = "") -> str:
     """Write a Python function ``rhs(t, state, inputs...)`` for scipy's ``solve_ivp``.
 
-    It needs nothing but Python's ``math``; inputs are functions of ``t``.
+    It needs nothing but Python's ``math``; inputs are functions of ``t``, or numbers. A name that
+    the function uses itself, such as ``state``, gets an underscore. A comment says what ``t`` is
+    counted in where a ``time_unit`` is given. Raises InputError when a name of the equations could
+    not stand in a formula.
 
     >>> print(to_python({"x": -2 * sympy.Symbol("x")}))
     import math
@@ -124,35 +224,64 @@ def to_python(equations: Mapping[str, sympy.Expr], name: str = "rhs") -> str:
         x, = state
         return [-2*x]
     """
-    inputs = arguments_of(equations)
+    equations, inputs = _renamed(equations, _CALL_NAMES)
     printer = _Python({"fully_qualified_modules": True})
     body = ", ".join(printer.doprint(as_float_tree(e)) for e in equations.values())
     names = ", ".join(equations) + ("," if len(equations) == 1 else "")
-    values = "".join(f"    {i} = {i}(t)\n" for i in inputs)
+    values = "".join(f"    {i} = {i}(t) if callable({i}) else {i}\n" for i in inputs)
     head = ", ".join(["t", "state", *inputs])
+    unit = f"    # t is in {time_unit}\n" if time_unit else ""
     return (
-        f"import math\n\n\ndef {name}({head}):\n    {names} = state\n{values}    return [{body}]\n"
+        f"import math\n\n\ndef {name}({head}):\n{unit}    {names} = state\n{values}"
+        f"    return [{body}]\n"
     )
 
 
 def to_numpy(
     equations: Mapping[str, sympy.Expr],
 ) -> Callable[..., np.ndarray]:
-    """Give a function ``rhs(t, state, **inputs)`` of numbers or arrays.
+    """Give a function ``rhs(t, state, inputs...)`` of numbers or arrays.
 
-    ``state`` is (k, ...), inputs are numbers or arrays of shape (...); gives (k, ...).
+    ``state`` is (k, ...); inputs, by their place or by name, are functions of ``t``, numbers or
+    arrays of shape (...); gives (k, ...).
 
     >>> to_numpy({"x": -2 * sympy.Symbol("x")})(0.0, np.array([3.0])).tolist()
     [-6.0]
     """
-    inputs = arguments_of(equations)
-    function = compile_numpy(list(equations.values()), [*equations, "t", *inputs])
+    calls = call_names(equations)
+    rows = [with_signs(expr) for expr in equations.values()]
+    function = compile_numpy(rows, [*equations, "t", *calls])
 
-    def rhs(t: float, state: np.ndarray, **values: float | np.ndarray) -> np.ndarray:
-        rows = np.broadcast_arrays(*np.asarray(state, dtype=float), t, *(values[i] for i in inputs))
+    def rhs(
+        t: float, state: np.ndarray, *given: Any, **named: float | np.ndarray | Callable[..., Any]
+    ) -> np.ndarray:
+        values = take_inputs(calls, t, given, named)
+        rows = np.broadcast_arrays(*np.asarray(state, dtype=float), t, *values)
         return function(np.array(rows, dtype=float))
 
     return rhs
+
+
+def take_inputs(
+    calls: Mapping[str, str], t: Any, given: Sequence[Any], named: Mapping[str, Any]
+) -> list[Any]:
+    """Give the values of inputs at a time, in their order.
+
+    Parameters
+    ----------
+    calls : what :func:`call_names` gave.
+    t : the time.
+    given, named : what a call got by place and by name: functions of ``t``, or values.
+
+    Raises TypeError when one is missing or none of that name is needed.
+    """
+    both = dict(zip(calls.values(), given, strict=False)) | dict(named)
+    if len(given) > len(calls) or set(both) - set(calls.values()):
+        raise TypeError(f"the inputs are: {', '.join(calls.values()) or 'none'}")
+    if missing := [name for name in calls.values() if name not in both]:
+        raise TypeError(f"input {missing[0]!r} is missing")
+    values = [both[name] for name in calls.values()]
+    return [value(t) if callable(value) else value for value in values]
 
 
 class _Julia(JuliaCodePrinter):
@@ -160,10 +289,13 @@ class _Julia(JuliaCodePrinter):
         return repr(float(expr))
 
 
-def to_julia(equations: Mapping[str, sympy.Expr], name: str = "rhs!") -> str:
+def to_julia(equations: Mapping[str, sympy.Expr], name: str = "rhs!", time_unit: str = "") -> str:
     """Write a Julia function ``rhs!(du, u, p, t)`` for DifferentialEquations.jl.
 
-    Inputs are functions of ``t`` in the named tuple ``p``.
+    Inputs are functions of ``t``, or numbers, in the named tuple ``p``. A name that the function or
+    Julia uses itself gets an underscore. A comment says what ``t`` is counted in where a
+    ``time_unit`` is given. Raises InputError when a name of the equations could
+    not stand in a formula.
 
     >>> print(to_julia({"x": -2 * sympy.Symbol("x")}))
     function rhs!(du, u, p, t)
@@ -172,10 +304,11 @@ def to_julia(equations: Mapping[str, sympy.Expr], name: str = "rhs!") -> str:
         return nothing
     end
     """
+    equations, inputs = _renamed(equations, _JULIA_NAMES)
     printer = _Julia({"contract": False})
-    inputs = arguments_of(equations)
     lines = [f"    {state} = u[{i}]" for i, state in enumerate(equations, 1)]
-    lines += [f"    {i} = p.{i}(t)" for i in inputs]
+    lines += [f"    {i} = p.{c} isa Number ? p.{c} : p.{c}(t)" for i, c in inputs.items()]
+    lines = [f"    # t is in {time_unit}"] * bool(time_unit) + lines
     for i, expr in enumerate(equations.values(), 1):
         # On numbers Julia's plain operators serve; SymPy prints the elementwise ones.
         code = printer.doprint(as_float_tree(expr)).replace(".*", "*").replace("./", "/")

@@ -1,4 +1,5 @@
-from .candidates import Candidate, ParetoFront, rmse, score_candidate
+from .candidates import Candidate, ParetoFront, r_squared, rmse, score_candidate
+from .collocation import Collocation, CollocationFit, CollocationSettings, Measurements, Mesh
 from .constants import free_constants, refit, skeleton
 from .description import (
     choose,
@@ -10,6 +11,7 @@ from .description import (
     shift_bits,
     structure_bits,
 )
+from .exact import confirm, simplest_form
 from .flow import Flow, Windows, cut_windows
 from .linear import (
     RatioFit,
@@ -20,16 +22,20 @@ from .linear import (
     linearly_independent,
 )
 from .noise import (
+    FINEST_SLOPES,
     Noise,
     independent_rows,
     is_noisy,
     noise_and_spread,
     noise_of,
     residual_noise,
+    slope_size,
 )
+from .parsimony import collapse
 from .polishing import polish
 from .settings import FitSettings
 from .shooting import (
+    Match,
     Shooting,
     build_shooting,
     choose_substeps,
@@ -41,9 +47,16 @@ from .snapping import one_a_shape, score_snapped, snap_best, tidy
 from .variation import improve, loosen, neighbours, with_floats
 
 __all__ = [
+    "FINEST_SLOPES",
     "Candidate",
+    "Collocation",
+    "CollocationFit",
+    "CollocationSettings",
     "FitSettings",
     "Flow",
+    "Match",
+    "Measurements",
+    "Mesh",
     "Noise",
     "ParetoFront",
     "RatioFit",
@@ -53,6 +66,8 @@ __all__ = [
     "cauchy_weights",
     "choose",
     "choose_substeps",
+    "collapse",
+    "confirm",
     "constant_bits",
     "cut_windows",
     "data_bits",
@@ -75,6 +90,7 @@ __all__ = [
     "one_a_shape",
     "polish",
     "prepare",
+    "r_squared",
     "read_inputs",
     "refit",
     "residual_noise",
@@ -82,7 +98,9 @@ __all__ = [
     "score_candidate",
     "score_snapped",
     "shift_bits",
+    "simplest_form",
     "skeleton",
+    "slope_size",
     "snap_best",
     "structure_bits",
     "tidy",

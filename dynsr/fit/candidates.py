@@ -6,12 +6,17 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import complexity, evaluate
+from dynsr.expression import complexity, evaluate, shown, to_latex_formula
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,33 @@ class ParetoFront:
         """Give one candidate; 0 is the simplest, -1 the most accurate."""
         return self.candidates[index]
 
+    def to_pandas(self) -> pd.DataFrame:
+        """Give the front as a data frame, simplest first.
+
+        ``formula`` as text, its ``bits``, its ``rmse`` on the slopes in state units per second, and
+        ``source``, what found it. The row's number is that of :meth:`__getitem__`.
+
+        >>> ParetoFront([Candidate(sympy.Symbol("x"), 1.0, 2.0, "sindy")]).to_pandas()
+          formula  bits  rmse source
+        0       x   2.0   1.0  sindy
+        """
+        import pandas as pd
+
+        rows = [(shown(c.expr), c.complexity, c.loss, c.source) for c in self.candidates]
+        return pd.DataFrame(rows, columns=["formula", "bits", "rmse", "source"])
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{k}</td><td>{c.complexity:.0f}</td><td>{c.loss:.3g}</td>"
+            f'<td style="text-align:left">${escape(to_latex_formula(c.expr))}$</td>'
+            f'<td style="text-align:left">{escape(c.source)}</td></tr>'
+            for k, c in enumerate(self.candidates)
+        )
+        return (
+            "<table><tr><th>k</th><th>bits</th><th>RMSE</th><th>formula</th><th>found by</th></tr>"
+            f"{rows}</table>"
+        )
+
     def add(self, *candidates: Candidate) -> ParetoFront:
         """Give the front of these candidates and mine."""
         return ParetoFront((*self.candidates, *self.leaders, *candidates))
@@ -134,3 +166,20 @@ class ParetoFront:
         y = np.log2([max(c.loss, 1e-300) for c in self.candidates])
         x, y = (x - x[0]) / (x[-1] - x[0]), (y - y[-1]) / (y[0] - y[-1])
         return self.candidates[int(np.argmax(1 - x - y))]
+
+
+def r_squared(truth: np.ndarray, found: np.ndarray) -> float:
+    """Give the mean over states of R2 = 1 - sum (x - y)^2 / sum (x - mean x)^2, each from -1 up.
+
+    Parameters
+    ----------
+    truth, found : (n, k) states; where ``found`` is not finite, R2 is -1.
+
+    >>> r_squared(np.array([[0.0], [2.0]]), np.array([[0.0], [1.0]]))
+    0.5
+    """
+    missed = np.sum(np.square(found - truth), axis=0)
+    spread = np.sum(np.square(truth - truth.mean(axis=0)), axis=0)
+    with np.errstate(all="ignore"):
+        each = 1 - missed / np.where(spread > 0, spread, np.finfo(float).tiny)
+    return float(np.mean(np.where(np.isfinite(each), np.maximum(each, -1.0), -1.0)))

@@ -137,6 +137,32 @@ class Flow:
 
         return entries, together
 
+    def stiffness(self, windows: Windows, constants: np.ndarray, rows: int = 20) -> float:
+        """Largest |eigenvalue| of the Jacobian times the interval, at measured states.
+
+        Parameters
+        ----------
+        windows : where the states were measured.
+        constants : (P,) values.
+        rows : evenly spaced rows of every window that are looked at.
+
+        An explicit step over an interval for which it is above 2.5 is unstable. 0 where no
+        Jacobian is finite.
+        """
+        entries, evaluate = self._partial
+        k, steps, worst = len(self.rhs), np.diff(windows.t, axis=0), 0.0
+        fixed = np.broadcast_to(constants[:, None], (len(constants), windows.t.shape[1]))
+        for row in np.unique(np.linspace(0, len(steps) - 1, rows).round().astype(int)):
+            at = np.concatenate([windows.x[row], windows.drive(windows.t[row]), fixed])
+            jacobian = np.zeros((windows.t.shape[1], k, k))
+            for (i, j), value in zip(entries, evaluate(at)[k:], strict=True):
+                if j < k:
+                    jacobian[:, i, j] = value
+            finite = np.isfinite(jacobian).all(axis=(1, 2))
+            sizes = np.abs(np.linalg.eigvals(jacobian[finite])).max(axis=1, initial=0.0)
+            worst = max(worst, float(np.max(sizes * steps[row, finite], initial=0.0)))
+        return worst
+
     def run(
         self, windows: Windows, start: np.ndarray, constants: np.ndarray, substeps: int
     ) -> np.ndarray:

@@ -21,6 +21,9 @@ from dynsr.fit.candidates import Candidate
 FINEST_SLOPES = 1e-6
 # Noise above this share of a state's spread makes slopes too unsure to snap constants on them.
 NOISY = 1e-5
+# Slopes of less relative error are exact; misses of more than the other share explain nothing.
+EXACT = 1e-3
+UNEXPLAINED = 0.05
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,16 @@ def residual_noise(
     return Noise(floor, float(independent_rows(best[:, None, None], rows_per_run)[0]))
 
 
+def slope_size(samples: Samples) -> float:
+    """Root mean square of the slopes; 1 where all are 0."""
+    return float(np.sqrt(np.mean(np.square(samples.y)))) or 1.0
+
+
+def is_exact(samples: Samples) -> bool:
+    """Say whether the slopes' own error is known, and below a thousandth of their size."""
+    return samples.noise is not None and samples.noise <= EXACT * slope_size(samples)
+
+
 def residuals(candidate: Candidate, samples: Samples) -> np.ndarray:
     """(n,) y - f(X)."""
     return samples.y - evaluate(candidate.expr, samples.columns)
@@ -89,13 +102,16 @@ def noise_of(candidates: Iterable[Candidate], samples: Samples) -> Noise:
     Errors of plain differences change their sign inside every step of the solver that made the
     states and average out; those of a smoother are correlated over its whole window, beyond the
     runs of their sign, and count half. Slopes that were not given are never surer than a millionth
-    of their size.
+    of their size. Where exact slopes are explained by none of the candidates, what these leave is
+    no noise: the floor is the slopes' own error, and every row counts.
     """
     misses = (residuals(c, samples) for c in candidates)
     if samples.scheme == "given":
         return residual_noise(misses, samples.y)
     noise = residual_noise(misses, samples.y, 2.0 if samples.scheme in SCHEMES else 1.0)
-    size = float(np.sqrt(np.mean(np.square(samples.y))))
+    size = slope_size(samples)
+    if is_exact(samples) and noise.floor > UNEXPLAINED * size:
+        return Noise(max(float(samples.noise or 0.0), FINEST_SLOPES * size), float(len(samples)))
     return Noise(max(noise.floor, FINEST_SLOPES * size), noise.effective_rows)
 
 

@@ -8,16 +8,26 @@ from dataclasses import replace
 
 import numpy as np
 import sympy
+from scipy.special import chdtrc, chdtri
 
 from dynsr.data import Samples, Trajectory
-from dynsr.expression import complexity
-from dynsr.fit.constants import free_constants
+from dynsr.expression import complexity, number_bits
+from dynsr.fit.collocation import AlongFit, Measurements, fit_along
+from dynsr.fit.constants import as_floats, free_constants
 from dynsr.fit.description import data_bits, shift_bits, written_bits, written_constant
-from dynsr.fit.noise import Noise, is_noisy, residual_noise
+from dynsr.fit.noise import NOISY, Noise, is_noisy, noise_and_spread, residual_noise
 from dynsr.fit.settings import FIT, FitSettings
-from dynsr.fit.shooting import Match, match_trajectories, measure_errors
-from dynsr.fit.snapping import simple_numbers, snap, tidy
+from dynsr.fit.shooting import Match, fitted_values, match_trajectories, measure_errors, prepare
+from dynsr.fit.simple import reach, simple_value
+from dynsr.fit.snapping import snap, tidy, usable_numbers
 from dynsr.fit.variation import loosen, with_floats
+from dynsr.fit.whole import StatesFit, fit_states, interval_reach
+
+# Intervals over which no system amplifies the errors of its solver much.
+_SHORT = 100
+
+Data = Sequence[Trajectory] | Measurements
+Fit = StatesFit | AlongFit
 
 
 def polish(
@@ -27,6 +37,8 @@ def polish(
     samples: Mapping[str, Samples],
     noise: Mapping[str, Noise],
     settings: FitSettings = FIT,
+    data: Measurements | None = None,
+    confirmed: Match | None = None,
 ) -> Match:
     """Give the equations with final constants, and the standard error of each of these.
 
@@ -42,28 +54,316 @@ def polish(
     inputs : input name -> expression in ``t``, where it is known.
     samples, noise : state -> its samples, and what cannot be explained in them.
     settings : the numbers that decide.
+    data : the noisy states with their noise and smoothed curves, where they are known.
+    confirmed : the equations as exact states confirmed them, which are final already.
     """
-    noisy = is_noisy(runs)
-    start = {
-        s: loosen(e) if noisy else snap(with_floats(e), samples[s], noise[s], settings)
-        for s, e in exprs.items()
-    }
+    if confirmed is not None:
+        return _with_errors(confirmed, runs, inputs, settings)
+    if data is not None:
+        return _polish_noisy(exprs, data, inputs, settings)
+    if is_noisy(runs):
+        return _polish_noisy(exprs, runs, inputs, settings)
+    start = {s: snap(with_floats(e), samples[s], noise[s], settings) for s, e in exprs.items()}
     match = match_trajectories(start, runs, inputs=inputs, settings=settings)
     if match.success and len(match.misses):
         level = residual_noise([match.misses], np.ones(len(match.misses)))
-        # All simple constants at once: one at a time, correlated ones block each other.
-        simple = match
-        if noisy:
-            simple = match_trajectories(exprs, runs, inputs=inputs, settings=settings)
-        if simple.success and _bits(simple, level) <= _bits(match, level):
-            match = simple
         match = _snap_by_errors(match, runs, inputs, level, settings)
     elif not match.success:
-        match = Match.untouched(exprs if noisy else start)
+        match = Match.untouched(start)
+    if match.success and not settings.snap:
+        match = match_trajectories(_loosen_all(match.exprs), runs, inputs=inputs, settings=settings)
+    return _with_errors(match, runs, inputs, settings)
+
+
+def _with_errors(
+    match: Match,
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> Match:
+    """Round and tidy the equations, and give every constant its standard error."""
     final = {s: tidy(_round_floats(e)) for s, e in match.exprs.items()}
-    loose = {s: e if e.is_Symbol or e == 0 else loosen(e) for s, e in final.items()}
-    errors = measure_errors(loose, runs, inputs, settings)
-    return replace(match, exprs=final, errors=errors)
+    loose = _loosen_all(final)
+    measured = measure_errors(loose, runs, inputs, settings)
+    fitted = fitted_values(loose, runs, inputs, settings)
+    # Errors of the states' solver are no chance: a number that was taken is no less sure than far.
+    errors = {
+        s: tuple(
+            (value, max(error, abs(value - near)))
+            for (value, error), near in zip(pairs, fitted[s], strict=True)
+        )
+        for s, pairs in measured.items()
+    }
+    return replace(match, exprs=final, errors=errors, fitted=fitted)
+
+
+def _plain(data: Data) -> Sequence[Trajectory]:
+    return data.runs if isinstance(data, Measurements) else data
+
+
+def _fit(
+    exprs: Mapping[str, sympy.Expr],
+    data: Data,
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+    near: Fit | None = None,
+) -> Fit | None:
+    """Fit by collocation where smoothed curves are known, else over windows."""
+    if isinstance(data, Measurements) and not isinstance(near, StatesFit):
+        return fit_along(exprs, data, near)
+    assert not isinstance(near, AlongFit)
+    return fit_states(exprs, _plain(data), inputs, settings, near=near)
+
+
+def _polish_noisy(
+    exprs: Mapping[str, sympy.Expr],
+    runs: Data,
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> Match:
+    """Fit all constants to the states, drop terms that do not pay, and take simple numbers."""
+    fit = _fit(_loosen_all(exprs), runs, inputs, settings)
+    if len(exprs) > 1 and (fit is None or not _follows(fit, list(exprs), runs, settings)):
+        # One wrong equation would bend the constants of all: each reads the others off the data.
+        alone = [_polish_noisy({s: e}, runs, inputs, settings) for s, e in exprs.items()]
+        return _together(alone)
+    if fit is None:
+        return _unfollowed(exprs, runs, inputs, settings)
+    fit = _drop_terms(fit, runs, inputs, settings)
+    numbers: list[sympy.Expr] = as_floats(fit.constants)
+    if settings.snap:
+        fit, whole = _whole_numbers(fit, runs, inputs, settings)
+        numbers = _simple_numbers(fit, whole, runs, inputs, settings)
+    final = {s: tidy(e) for s, e in fit.put(numbers).items()}
+    loose = _loosen_all(final)
+    free = _fit(loose, runs, inputs, settings, near=fit) or fit
+    _, values, owners = prepare(loose, _plain(runs), inputs)
+    errors, fitted = free.errors, free.constants
+    if not settings.snap and len(fitted) == len(values):
+        final, values = free.put(as_floats(fitted)), fitted.tolist()
+    if len(fitted) != len(values):
+        return _unfollowed(final, runs, inputs, settings)
+    pairs = list(zip(owners, values, errors.tolist(), fitted.tolist(), strict=True))
+    return Match(
+        final,
+        {s: tuple((v, e) for owner, v, e, _ in pairs if owner == s) for s in exprs},
+        free.misses.transpose(2, 1, 0).ravel(),
+        True,
+        {s: tuple(f for owner, _, _, f in pairs if owner == s) for s in exprs},
+        interval_reach(free.freedom),
+    )
+
+
+def _follows(fit: Fit, states: Sequence[str], runs: Data, settings: FitSettings) -> bool:
+    """Say whether the misses of every state are of the size of its measurement noise."""
+    if isinstance(fit, AlongFit):
+        return bool(np.all(fit.found.mean_squares <= settings.followed**2))
+    runs = _plain(runs)
+    noise, spread = noise_and_spread(runs)
+    columns = [runs[0].index(state) for state in states]
+    # Noise is estimated too; what a clean state misses by less than this share is no fault.
+    sizes = np.maximum(noise, NOISY * spread)[columns]
+    return bool(np.all(fit.sizes <= settings.followed * sizes))
+
+
+def _together(alone: Sequence[Match]) -> Match:
+    """Put the equations together that were fitted one by one."""
+    return Match(
+        {s: e for match in alone for s, e in match.exprs.items()},
+        {s: pairs for match in alone for s, pairs in match.errors.items()},
+        np.concatenate([match.misses for match in alone]),
+        all(match.success for match in alone),
+        {s: values for match in alone for s, values in match.fitted.items()},
+        max(match.reach for match in alone),
+    )
+
+
+def _unfollowed(
+    exprs: Mapping[str, sympy.Expr],
+    runs: Data,
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> Match:
+    """Equations that cannot follow the states stay as they came."""
+    final = {s: tidy(_round_floats(e)) for s, e in exprs.items()}
+    errors = measure_errors(_loosen_all(final), _plain(runs), inputs, settings)
+    fitted = {s: tuple(value for value, _ in pairs) for s, pairs in errors.items()}
+    return replace(Match.untouched(final), errors=errors, fitted=fitted)
+
+
+def _loosen_all(exprs: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
+    """Make coefficients floats; a bare column, q' = v, and 0 are structure."""
+    return {s: e if e.is_Symbol or e == 0 else loosen(e) for s, e in exprs.items()}
+
+
+def _drop_terms(
+    fit: Fit,
+    runs: Data,
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> Fit:
+    """Take out constant after constant that the data do not tell from 0, least sure first.
+
+    A constant goes where the bits that its term saves are more than those that the misses cost by
+    the linearised fit, and the fit without it confirms it.
+    """
+    for _ in range(len(fit.constants)):
+        numbers, errors = as_floats(fit.constants), fit.errors
+        written = [
+            sympy.Float(written_constant(v, e)) for v, e in zip(fit.constants, errors, strict=True)
+        ]
+        before = sum(map(complexity, fit.put(written).values()))
+        gains = {}
+        for i, (value, error) in enumerate(zip(fit.constants, errors, strict=True)):
+            without = fit.put([*written[:i], sympy.S.Zero, *written[i + 1 :]])
+            if any(e.has(sympy.zoo, sympy.nan) for e in without.values()):
+                continue
+            saved = before - sum(map(complexity, without.values()))
+            gains[i] = saved - shift_bits(value, max(error, 1e-300))
+        best = max(gains, key=lambda i: gains[i], default=None)
+        if best is None or gains[best] <= 0:
+            break
+        less = fit.put([*numbers[:best], sympy.S.Zero, *numbers[best + 1 :]])
+        shorter = _fit(_loosen_all(less), runs, inputs, settings, near=fit)
+        surely = settings.surely_zero**2
+        if shorter is None or fit.ratio(shorter) > max(surely, gains[best] * 2 * math.log(2)):
+            break
+        fit = shorter
+    return fit
+
+
+def _whole_numbers(
+    fit: Fit,
+    runs: Data,
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> tuple[Fit, dict[int, sympy.Expr]]:
+    """Give the constants that are whole numbers up to the errors of the states' own solver.
+
+    States made by a solver of loose tolerance follow the law only up to its errors, which a
+    chaotic system amplifies over long windows until noise no longer hides them, so that the fit
+    comes to rest many standard errors beside the law. Over short windows whole numbers, which
+    are used most, are taken where misses rise by less than the share ``settings.solver``. Gives
+    the fit to go on from too: the one over short windows where these numbers need it.
+    """
+    near = [(i, round(float(v))) for i, v in enumerate(fit.constants)]
+    whole = {
+        i: sympy.Integer(n)
+        for i, n in near
+        if n != 0 and abs(n - fit.constants[i]) <= settings.near * abs(n)
+    }
+    near_enough = {i: n for i, n in whole.items() if _distance(fit, i, n) <= reach(n, settings)}
+    if near_enough == whole and (not whole or _allowed(fit, whole, runs, inputs, settings)):
+        return fit, whole
+    shortest = replace(settings, match_longest=_SHORT)
+    short = fit_states(fit.put(as_floats(fit.constants)), _plain(runs), inputs, shortest)
+    if short is None or _allowed(short, whole, runs, inputs, settings):
+        return fit, {}
+    numbers = [whole.get(i, n) for i, n in enumerate(as_floats(short.constants))]
+    again = _fit(short.put(numbers), runs, inputs, settings, near=short)
+    rise = math.inf if again is None else short.ratio(again) / short.misses.size
+    return (short, whole) if rise <= settings.solver else (fit, {})
+
+
+def _allowed(
+    fit: Fit,
+    taken: Mapping[int, sympy.Expr],
+    runs: Data,
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> bool:
+    """Say whether the likelihood ratio allows these numbers together.
+
+    At the level of ``surely_zero`` standard errors, as for terms: most whole numbers are factors 1.
+    """
+    numbers = [taken.get(i, number) for i, number in enumerate(as_floats(fit.constants))]
+    again = _fit(fit.put(numbers), runs, inputs, settings, near=fit)
+    beyond = chdtrc(1, settings.surely_zero**2)
+    return again is not None and fit.ratio(again) <= chdtri(len(taken), beyond)
+
+
+def _simple_numbers(
+    fit: Fit,
+    whole: Mapping[int, sympy.Expr],
+    runs: Data,
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> list[sympy.Expr]:
+    """Give each constant its simple number where one by one and jointly the data allow it.
+
+    Those in ``whole`` have theirs.
+    Constants that have none are fitted again and written with the digits their errors support.
+    """
+    base = fit
+    if whole:
+        held = [whole.get(i, number) for i, number in enumerate(as_floats(fit.constants))]
+        base = _fit(fit.put(held), runs, inputs, settings, near=fit) or fit
+    taken = {**whole, **_simple_together(fit, whole, settings)}
+    while True:
+        floats = as_floats(fit.constants)
+        numbers = [taken.get(i, number) for i, number in enumerate(floats)]
+        again = _fit(fit.put(numbers), runs, inputs, settings, near=fit) if taken else fit
+        more = [i for i in taken if i not in whole]
+        allowed = chdtri(len(more), 1 - settings.joint) if more else math.inf
+        if again is None and not more:
+            again, taken = fit, {}
+        elif again is None or base.ratio(again) > allowed:
+            del taken[max(more, key=lambda i: _distance(fit, i, taken[i]))]
+            continue
+        break
+    rest = iter(zip(again.constants, again.errors, strict=True))
+    return [
+        taken[i] if i in taken else sympy.Float(written_constant(*next(rest)))
+        for i in range(len(fit.constants))
+    ]
+
+
+def _distance(fit: Fit, index: int, number: sympy.Expr) -> float:
+    """Standard errors between a number and the fitted constant at ``index``."""
+    return abs(float(number) - fit.constants[index]) / max(fit.errors[index], 1e-300)
+
+
+def _simple_together(
+    fit: Fit, whole: Mapping[int, sympy.Expr], settings: FitSettings
+) -> dict[int, sympy.Expr]:
+    """Give the constants that stand for simple numbers, as the linearised fit allows together.
+
+    The surest first: once it is known, the others are surer, by their covariance with it.
+    """
+    values, covariance = fit.constants.copy(), fit.covariance.copy()
+    for i, number in whole.items():
+        values, covariance = _know(values, covariance, i, number)
+    taken: dict[int, sympy.Expr] = {}
+    distance = 0.0
+    while np.all(np.isfinite(covariance)):
+        options = []
+        for i in range(len(values)):
+            if i in taken or i in whole:
+                continue
+            error = math.sqrt(max(covariance[i, i], 0.0))
+            number = simple_value(values[i], error, settings)
+            # Whole numbers that are known shift the others: those errors are within theirs.
+            most = settings.surely_zero if whole else reach(number, settings) if number else 0.0
+            if number is None or _distance(fit, i, number) > most:
+                continue
+            z = (float(number) - values[i]) / max(error, 1e-300)
+            if distance + z**2 <= chdtri(len(taken) + 1, 1 - settings.joint):
+                options.append((number_bits(number) + shift_bits(z), i, number, z))
+        if not options:
+            break
+        _, i, number, z = min(options, key=lambda option: option[:2])
+        values, covariance = _know(values, covariance, i, number)
+        taken[i], distance = number, distance + z**2
+    return taken
+
+
+def _know(
+    values: np.ndarray, covariance: np.ndarray, index: int, number: sympy.Expr
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give the constants and their covariance once one of them is known."""
+    column = covariance[:, index] / max(covariance[index, index], 1e-300)
+    moved = values + column * (float(number) - values[index])
+    return moved, covariance - np.outer(column, covariance[index])
 
 
 def _bits(match: Match, level: Noise) -> float:
@@ -105,7 +405,7 @@ def _snap_surest(
     for symbol, (value, error) in zip(values, pairs, strict=True):
         # Integration itself is not surer than the finest; inf costs nothing.
         sure = max(error, settings.finest * abs(value), 1e-300)
-        for simple in simple_numbers(value, settings.near):
+        for simple in usable_numbers(value, sure, settings):
             changed = template.xreplace({**written, symbol: simple})
             if changed.has(sympy.zoo, sympy.nan):
                 continue

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dynsr.expression import Vocabulary
+
 
 @dataclass(frozen=True)
 class FitSettings:
@@ -14,7 +16,8 @@ class FitSettings:
     most_constants : formulas of more constants are neither fitted again nor snapped one by one.
     near : a fraction or decimal is tried for a constant when it lies this close, relative to it.
     tried : simple numbers, fewest expected bits first, that are fitted before one is taken.
-    surely_zero : a constant becomes 0 only where that moves it by fewer standard errors than this.
+    surely_zero : a constant becomes 0, or of noisy data a factor 1, only where that moves it by
+        fewer standard errors than this.
     variation_rounds : how often a formula's best neighbour becomes the formula.
     varied : neighbours, fewest bits first, that are snapped in a round.
     longest : formulas of more bits are not varied: they have too many neighbours.
@@ -24,7 +27,29 @@ class FitSettings:
     match_losses : losses of the fit to the states, each from where the one before ended.
     match_windows : windows of the data at most.
     match_gain : relative gain below which a fit to the states ends.
-    match_seconds : time after which the best constants found so far are taken.
+    match_trials : integrations of trial steps of one loss at most.
+    match_longest : intervals of the longest windows with fitted starts.
+    match_follows : longer windows are taken while misses grow by less than this factor.
+    match_reach : longer windows are tried where their misses are, before the fit, within this
+        factor of those of the shorter ones.
+    followed : misses of a state beyond so many times its noise show a wrong equation; then each
+        state is fitted alone.
+    noisy_width : robust sizes of the misses that are the unit of the Cauchy loss of noisy data;
+        2.385 gives 95 % of the efficiency of least squares under Gaussian noise.
+    snap : whether constants become simple numbers at all; 0, 1 and -1, which change what terms a
+        formula has, are looked at in any case.
+    alike : misses on exact data within this factor are of the same size, and the shorter formula
+        is taken.
+    confirmed : share of the way that states go in ten intervals up to which equations may miss
+        exact states.
+    explained : share of the slopes' size above which misses show that a formula is no law.
+    pinned : relative standard error that denominators above 8 and more than two digits ask for.
+    solver : share of the measurements that the likelihood ratio of whole numbers may come to over
+        short windows of states made by a solver of loose tolerance.
+    sure : probability, given the prior of use, above which a constant is taken for a simple number.
+    within : a simple number lies within so many standard errors of the fitted value.
+    joint : level of the likelihood ratio that all simple numbers together must pass.
+    vocabulary : functions and operators that a varied formula may hold; None allows all.
     """
 
     most_constants: int = 12
@@ -40,7 +65,22 @@ class FitSettings:
     match_losses: tuple[str, ...] = ("linear", "soft_l1", "cauchy")
     match_windows: int = 400
     match_gain: float = 1e-6
-    match_seconds: float = 10.0
+    match_trials: int = 60
+    match_longest: int = 300
+    match_follows: float = 1.15
+    match_reach: float = 3.0
+    followed: float = 3.0
+    noisy_width: float = 2.385
+    snap: bool = True
+    alike: float = 1.25
+    confirmed: float = 3e-6
+    explained: float = 0.01
+    pinned: float = 1e-4
+    solver: float = 0.03
+    sure: float = 0.75
+    within: float = 2.0
+    joint: float = 0.95
+    vocabulary: Vocabulary | None = None
 
 
 FIT = FitSettings()

@@ -5,9 +5,9 @@ Multiple shooting (Bock 1981): shared constants, own starts a window, robust Lev
 
 from __future__ import annotations
 
-import time
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import sympy
@@ -19,9 +19,13 @@ from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
 from dynsr.fit.flow import Flow, Windows, cut_windows
 from dynsr.fit.linear import cauchy_weights
-from dynsr.fit.noise import is_noisy
+from dynsr.fit.noise import independent_rows, is_noisy
 from dynsr.fit.settings import FIT, FitSettings
 
+# Runge-Kutta 4 is stable for |eigenvalue| * step up to about 2.8 (Hairer and Wanner 1996, IV.2).
+_STABLE = 2.5
+# An interval is cut into at most 2^6 stable steps; what is stiffer still diverges.
+_MOST_HALVINGS = 6
 # loss -> (rho(z), rho'(z)) of the squared residual z in units of the misses.
 LOSSES: dict[str, tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]] = {
     "linear": (lambda z: z, np.ones_like),
@@ -65,7 +69,10 @@ class Shooting:
     """Misses of a flow at the rows of all windows, in units of each state's ``spread``.
 
     With ``free`` starts each window begins at a fitted state and is compared with its own first
-    measurement too; otherwise it begins at that measurement.
+    measurement too; otherwise it begins at that measurement. ``spread`` is (k,), or (m + 1, k, W)
+    where each row has its own. ``width`` widens the unit of the weights: at 2.385 a Cauchy fit has
+    95 % of the efficiency of least squares under Gaussian noise (Holland and Welsch 1977); at 1 it
+    trusts the best half of the rows.
     """
 
     flow: Flow
@@ -73,6 +80,7 @@ class Shooting:
     spread: np.ndarray
     free: bool
     substeps: int = 1
+    width: float = 1.0
 
     def misses(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """(rows, k, W) found minus measured; NaN where the flow diverges."""
@@ -80,34 +88,38 @@ class Shooting:
         return self._compare(found)
 
     def _compare(self, found: np.ndarray) -> np.ndarray:
-        return ((found - self.windows.x) / self.spread[:, None])[0 if self.free else 1 :]
+        return ((found - self.windows.x) / self._spreads())[0 if self.free else 1 :]
+
+    def _spreads(self) -> np.ndarray:
+        return self.spread[:, None] if self.spread.ndim == 1 else self.spread
 
     def linearise(
         self, constants: np.ndarray, starts: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Misses, their slopes by the constants (W, rows * k, P) and by the starts (.., k or 0)."""
         found, sensitivity = self.flow.run_sensitive(self.windows, starts, constants, self.substeps)
-        slopes = (sensitivity / self.spread[:, None, None])[0 if self.free else 1 :]
+        slopes = (sensitivity / self._spreads()[..., None, :])[0 if self.free else 1 :]
         lanes = slopes.transpose(3, 0, 1, 2).reshape(starts.shape[1], -1, slopes.shape[2])
         count = len(constants)
         return self._compare(found), lanes[..., :count], lanes[..., count if self.free else None :]
 
     def unit(self, misses: np.ndarray) -> np.ndarray:
-        """(k,) robust size of the misses of every state, never below rounding."""
-        return np.maximum(robust_scale(misses, axis=(0, 2)), 1e-13)
+        """(k,) unit of the weights: ``width`` robust sizes of the misses, not below rounding."""
+        return np.maximum(self.width * robust_scale(misses, axis=(0, 2)), 1e-13)
 
     def minimise(
         self,
         constants: np.ndarray,
         starts: np.ndarray,
         loss: str,
-        deadline: float,
+        trials: float = np.inf,
         most: int = 25,
         gain: float = FIT.match_gain,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Fit constants (P,) and starts (k, W), misses weighed in units of their present size.
 
-        Ends after ``most`` steps, or when one lowers the loss by less than the share ``gain``.
+        Ends after ``most`` steps or ``trials`` integrations of trial steps, or when a step lowers
+        the loss by less than the share ``gain``.
         """
         rho, weigh = LOSSES[loss]
         misses = self.misses(constants, starts)
@@ -121,7 +133,8 @@ class Shooting:
             except FloatingPointError:
                 break
             before = level
-            while damping < 1e8 and time.monotonic() < deadline:
+            while damping < 1e8 and trials > 0:
+                trials -= 1
                 trial = self._try(normal, damping, constants, starts)
                 reached = np.inf if trial is None else _level(rho, self.misses(*trial) / unit)
                 if trial is not None and reached < level:
@@ -144,12 +157,18 @@ class Shooting:
         return constants + shared, starts + own.T
 
     def standard_errors(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """(P,) standard errors of the constants by the sandwich A^-1 B A^-1 (Huber 1981, 6.3).
+        """(P,) standard errors of the constants, roots of the diagonal of :meth:`covariance`."""
+        return np.sqrt(np.maximum(np.diag(self.covariance(constants, starts)), 0))
+
+    def covariance(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """(P, P) covariance of the constants by the sandwich A^-1 B A^-1 (Huber 1981, 6.3).
 
         With residuals z in units of their robust size, the score of the Cauchy loss is
         psi = z / (1 + z^2): B sums its squares over rows, and A = mean(psi') sum x x', with
         psi' = (1 - z^2) / (1 + z^2)^2 averaged over each state. Without free starts misses of one
-        window are correlated, and B takes the sum of a window for one row.
+        window are correlated, and B takes the sum of a window for one row. With free starts each
+        score is divided by 1 - h, h the share of a measurement in its own fit, and the whole is
+        multiplied by how many rows count as one where misses keep their sign longer than noise.
         """
         misses, by_constant, by_start = self.linearise(constants, starts)
         unit = self.unit(misses)[:, None]
@@ -163,7 +182,8 @@ class Shooting:
             by_constant = by_constant - by_start @ eliminated
         # Columns of like size keep the pseudo-inverse from dropping a small constant.
         scale = np.sqrt(np.einsum("wrp,wr,wrp->p", by_constant, weights, by_constant))
-        scaled = by_constant / np.maximum(scale, 1e-300)
+        scale = np.maximum(scale, 1e-300)
+        scaled = by_constant / scale
         square = (misses / unit) ** 2
         curvature = np.mean((1 - square) / (1 + square) ** 2, axis=(0, 2))[:, None]
         # Below a tenth the misses are no noise about a fit, and no curvature is left to divide by.
@@ -171,11 +191,28 @@ class Shooting:
         expected = _by_lane(np.broadcast_to(level, misses.shape))
         bread = np.linalg.pinv(np.einsum("wrp,wr,wrq->pq", scaled, expected, scaled))
         pulls = scaled * (weights * flat)[..., None]
+        if self.free:
+            # A row that the fit leans on misses less than its noise (HC3: MacKinnon, White 1985).
+            own = np.linalg.pinv(normal.own)
+            leaned = np.einsum("wrp,pq,wrq->wr", scaled, bread, scaled)
+            leaned = leaned + np.einsum("wrk,wkl,wrl->wr", by_start, own, by_start) * (
+                weights / np.maximum(expected, 1e-300)
+            )
+            share = np.clip(leaned * expected, 0.0, 0.9)
+            pulls = pulls / (1 - share)[..., None]
         if not self.free and len(pulls) > len(constants):
             pulls = pulls.sum(axis=1, keepdims=True)
         rows = pulls.reshape(-1, pulls.shape[-1])
-        variance = np.diag(bread @ (rows.T @ rows) @ bread)
-        return np.sqrt(np.maximum(variance, 0)) / np.maximum(scale, 1e-300)
+        inflated = self._inflation(misses) if self.free else 1.0
+        found: np.ndarray = inflated * (bread @ (rows.T @ rows) @ bread) / np.outer(scale, scale)
+        return found
+
+    def _inflation(self, misses: np.ndarray) -> float:
+        """Give the rows that count as one of the state whose misses keep their sign longest."""
+        each = misses.shape[0] * misses.shape[2]
+        runs = independent_rows(misses)
+        # White noise itself has fewer runs than n / 2 by chance, by sqrt(n) / 2 at one sigma.
+        return float(np.max(each / np.minimum(runs + 2 * np.sqrt(each), each)))
 
 
 def _by_lane(values: np.ndarray) -> np.ndarray:
@@ -214,13 +251,17 @@ class Match:
     ``errors`` gives for every state its constants in order of appearance as (value, standard
     error); ``misses`` are those of the integrated states, window after window, in units of each
     state's spread, and ``loss`` is the median of their sizes; ``success`` says whether the fit
-    could be done at all.
+    could be done at all. ``fitted`` gives for every state, beside ``errors``, what each constant
+    was before it became a simple number, and ``reach`` how many standard errors a 95 % interval
+    around that reaches to either side.
     """
 
     exprs: dict[str, sympy.Expr]
     errors: dict[str, tuple[tuple[float, float], ...]]
     misses: np.ndarray
     success: bool
+    fitted: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    reach: float = 1.96
 
     @property
     def loss(self) -> float:
@@ -251,7 +292,7 @@ def match_trajectories(
     inputs : input name -> expression in ``t``, where it is known; other inputs are interpolated.
     window : intervals a window; by default 10 for clean data, and for noisy data, where the start
         of each window is fitted too, a tenth of the longest trajectory but 20 to 100.
-    settings : losses, windows, gain and seconds of the fit.
+    settings : losses, windows, gain and trials of the fit.
 
     Integers and rationals are structure and stay. Raises InputError when a state is unknown.
 
@@ -283,15 +324,25 @@ def build_shooting(
     length: int,
     free: bool,
     most: int = FIT.match_windows,
+    deviations: Sequence[np.ndarray] | None = None,
 ) -> Shooting:
-    """Cut the runs into ``most`` windows of ``length`` intervals, starts ``free`` or measured."""
+    """Cut the runs into ``most`` windows of ``length`` intervals, starts ``free`` or measured.
+
+    Misses are in units of each state's spread, or of ``deviations``: for every run the standard
+    deviation (n, columns of the run's states) of the noise of each measurement.
+    """
     columns = [runs[0].index(state) for state in flow.rhs]
     spread = np.std(np.concatenate([run.x for run in runs]), axis=0)[columns]
     drives = drives_of(flow.driven, runs, inputs)
     windows = cut_windows(
         [run.t for run in runs], [run.x[:, columns] for run in runs], drives, length, most
     )
-    return Shooting(flow, windows, np.maximum(spread, 1e-300), free)
+    spread = np.maximum(spread, 1e-300)
+    if deviations is not None:
+        own = [each[:, columns] for each in deviations]
+        cut = cut_windows([run.t for run in runs], own, drives, length, most).x
+        spread = np.maximum(cut, 1e-12 * spread[:, None])
+    return Shooting(flow, windows, spread, free, width=FIT.noisy_width if free else 1.0)
 
 
 def measure_errors(
@@ -324,11 +375,37 @@ def measure_errors(
         with np.errstate(all="ignore"):
             starts = shooting.windows.x[0]
             fixed = replace(fixed, substeps=choose_substeps(fixed, np.empty(0), starts))
-            _, starts = _minimise(fixed, np.empty(0), starts, settings)
+            _, starts = fit_loss(fixed, np.empty(0), starts, settings)
             shooting = replace(shooting, substeps=fixed.substeps)
             errors = _standard_errors(shooting, constants, starts)
     pairs = list(zip(owners, values, errors.tolist(), strict=True))
     return {s: tuple((v, e) for owner, v, e in pairs if owner == s) for s in exprs}
+
+
+def fitted_values(
+    exprs: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings = FIT,
+) -> dict[str, tuple[float, ...]]:
+    """Give what every float of the equations becomes when all are fitted to the states.
+
+    In the order of :func:`measure_errors`; the values themselves where no fit can be done.
+
+    >>> t = np.linspace(0, 1, 51)
+    >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
+    >>> round(fitted_values({"x": sympy.Float(-1.9) * sympy.Symbol("x")}, [decay], {})["x"][0], 6)
+    -2.0
+    """
+    flow, values, owners = prepare(exprs, runs, inputs)
+    if len(values) and min(map(len, runs)) >= 3:
+        free = is_noisy(runs)
+        length = _window_length(runs, free)
+        shooting = build_shooting(flow, runs, inputs, length, free, settings.match_windows)
+        fitted = _fit(shooting, np.array(values), settings)
+        values = values if fitted is None else fitted[0].tolist()
+    pairs = list(zip(owners, values, strict=True))
+    return {s: tuple(value for owner, value in pairs if owner == s) for s in exprs}
 
 
 def read_inputs(
@@ -397,19 +474,19 @@ def _fit(
         shooting = replace(shooting, substeps=choose_substeps(shooting, constants, starts))
         if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
             return None
-        constants, starts = _minimise(shooting, constants, starts, settings)
+        constants, starts = fit_loss(shooting, constants, starts, settings)
         # Along time, so that signs that stay show correlated errors.
         misses = shooting.misses(constants, starts).transpose(2, 1, 0).ravel()
         return constants, _standard_errors(shooting, constants, starts), misses
 
 
-def _minimise(
+def fit_loss(
     shooting: Shooting, constants: np.ndarray, starts: np.ndarray, settings: FitSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    deadline = time.monotonic() + settings.match_seconds
+    """Fit constants (P,) and starts (k, W), each loss from where the one before ended."""
     for loss in settings.match_losses if len(constants) or shooting.free else ():
         constants, starts = shooting.minimise(
-            constants, starts, loss, deadline, gain=settings.match_gain
+            constants, starts, loss, settings.match_trials, gain=settings.match_gain
         )
     return constants, starts
 
@@ -425,15 +502,21 @@ def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarr
 
 
 def choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
-    """Halve the step until that moves the states less than rounding or than their misses."""
-    coarse = shooting.misses(constants, starts)
-    for substeps in (2, 4, 8, 16):
-        fine = replace(shooting, substeps=substeps).misses(constants, starts)
+    """Halve the step until that moves the states less than rounding or than their misses.
+
+    Stiff systems begin with steps short enough to be stable, of which an interval has 64 at most.
+    """
+    stable = shooting.flow.stiffness(shooting.windows, constants) / _STABLE
+    first = 2 ** min(max(math.ceil(math.log2(max(stable, 1.0))), 0), _MOST_HALVINGS)
+    coarse = replace(shooting, substeps=first).misses(constants, starts)
+    substeps = first
+    while substeps < max(16, 2 * first):
+        fine = replace(shooting, substeps=2 * substeps).misses(constants, starts)
         moved = np.nanmax(np.abs(fine - coarse), initial=0.0)
         if moved < 1e-9 or moved < 0.01 * np.nanmedian(np.abs(fine)):
-            return substeps // 2
-        coarse = fine
-    return 16
+            return substeps
+        coarse, substeps = fine, 2 * substeps
+    return substeps
 
 
 def _match(

@@ -48,6 +48,34 @@ def simple_numbers(value: float, near: float = FIT.near) -> list[sympy.Rational]
     return sorted(numbers, key=lambda n: (number_bits(n), n))
 
 
+def usable_numbers(value: float, error: float, settings: FitSettings = FIT) -> list[sympy.Rational]:
+    """Give the simple numbers that a fit of this precision may take for a constant.
+
+    Fractions of denominators above 8, and decimals of more than two digits, ask for a relative
+    error below ``settings.pinned``. Without ``settings.snap`` only 0, 1 and -1 are left, which
+    change the terms of a formula.
+
+    >>> [str(n) for n in usable_numbers(0.9167, 0.01)]
+    ['0', '1', '7/8', '9/10', '23/25']
+    >>> sympy.Rational(11, 12) in usable_numbers(0.916668, 1e-6)
+    True
+    """
+    found = simple_numbers(value, settings.near)
+    if not settings.snap:
+        return [n for n in found if abs(n) <= 1 and n.is_Integer]
+    if error <= settings.pinned * abs(value):
+        return found
+    return [n for n in found if int(n.q) <= 8 or _digits(n) <= 2]
+
+
+def _digits(number: sympy.Rational) -> float:
+    """Count the significant digits of a decimal; inf where it is none."""
+    for digits in range(1, _MOST_DIGITS + 1):
+        if Fraction(f"{float(number):.{digits - 1}e}") == Fraction(int(number.p), int(number.q)):
+            return digits
+    return math.inf
+
+
 @dataclass(frozen=True, eq=False)
 class _Snapper:
     """Snaps the constants of one template, given one noise."""
@@ -114,7 +142,8 @@ class _Snapper:
         now = self._data_bits(values)
         most = now + shift_bits(self.settings.surely_zero)
         for place, i in enumerate(np.flatnonzero(free)):
-            for simple in simple_numbers(values[i], self.settings.near):
+            error = float(np.sqrt(max(covariance[place, place], 0.0)))
+            for simple in usable_numbers(values[i], error, self.settings):
                 moved = values.copy()
                 moved[free] += _follow(covariance[:, place], place, float(simple) - values[i])
                 moved[i] = float(simple)

@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import complexity
+from dynsr.expression import Vocabulary, complexity
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import refit
 from dynsr.fit.description import description_length
@@ -23,14 +23,21 @@ from dynsr.fit.settings import FIT, FitSettings
 from dynsr.fit.snapping import map_numbers, score_snapped
 
 
-def neighbours(expr: sympy.Expr) -> list[sympy.Expr]:
+def neighbours(expr: sympy.Expr, vocabulary: Vocabulary | None = None) -> list[sympy.Expr]:
     """Give the formulas that differ in one place: v for sin(v) or sin(v) for v.
+
+    Parameters
+    ----------
+    expr : the formula.
+    vocabulary : what formulas may hold; None allows everything.
 
     >>> x, y = sympy.symbols("x y")
     >>> [str(n) for n in neighbours(x * y)]
     ['x*sin(y)', 'y*sin(x)']
     """
     found = {n for n in _swap(expr, False) if n != expr}
+    if vocabulary is not None:
+        found = {n for n in found if vocabulary.allows(n)}
     return sorted(found, key=lambda n: (complexity(n), str(n)))
 
 
@@ -59,7 +66,7 @@ def improve(
             break
         mine, *fitted = [
             score_candidate(refit(loosen(e), samples, noise.floor), samples)
-            for e in [best.expr, *neighbours(best.expr)]
+            for e in [best.expr, *neighbours(best.expr, settings.vocabulary)]
         ]
         # Before snapping all constants cost many bits: only such formulas are comparable.
         bound = description_length(mine, samples, noise)

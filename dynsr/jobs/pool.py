@@ -5,26 +5,36 @@ Neither Ctrl-C nor a kill of this process leaves workers behind.
 
 from __future__ import annotations
 
+import ctypes
+import math
+import multiprocessing
+import operator
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
+from multiprocessing.util import Finalize
 from typing import Any
 
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib.externals.loky import reusable_executor
 from joblib.externals.loky.backend import resource_tracker
 from joblib.externals.loky.process_executor import BrokenProcessPool
 from joblib.parallel import BACKENDS, get_active_backend
+from threadpoolctl import threadpool_limits
 
 from dynsr.errors import DynsrError, InputError
 from dynsr.jobs.progress import Reporter, Watch
-from dynsr.jobs.store import RunFolder
+from dynsr.jobs.store import RunFolder, as_read
 
 _WATCH_SECONDS = 1.0
+_SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux
 
 
 @dataclass(frozen=True)
@@ -63,9 +73,25 @@ def check_jobs(jobs: int | None) -> int:
     """
     if jobs is None or jobs == -1:
         return -1
-    if int(jobs) != jobs or jobs < 1:
+    whole = isinstance(jobs, (int, float)) and math.isfinite(jobs) and int(jobs) == jobs
+    if not whole or jobs < 1:
         raise InputError(f"jobs {jobs} must be a whole number from 1 up, or -1 for one a core")
     return int(jobs)
+
+
+def check_seed(seed: Any) -> int:
+    """Give a seed as a whole number from 0 up; raises InputError when it is none.
+
+    >>> check_seed(7)
+    7
+    """
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise InputError(f"seed {str(seed)[:40]} must be a whole number from 0 up")
+    return number
 
 
 def run_tasks(
@@ -88,16 +114,21 @@ def run_tasks(
         ``joblib.parallel_config("dask")`` spreads the tasks over a cluster.
     apart : use processes of their own even for one task at a time.
 
-    A worker that dies takes others with it: then the unfinished tasks run one at a time, which
-    shows whose fault it was. Raises DynsrError for a task whose process dies alone, unless it has
-    a record for that.
+    A worker that dies takes others with it: then what is unfinished is started again. If one dies
+    again, they run one at a time, which shows whose fault it was. Raises DynsrError for a task
+    whose process dies alone, unless it has a record for that.
     """
     records: dict[int, Any] = {}
-    for number, task in enumerate(tasks):
-        record = folder.load(task.name, task.key, task.kind, finished)
-        if record is not None:
-            records[number] = record
-            watch(task.name, task.title, record)
+
+    def look() -> list[int]:
+        """Take what the folder has, and give the numbers of the tasks that have no record."""
+        for number, task in enumerate(tasks):
+            if number not in records:
+                record = folder.load(task.name, task.key, task.kind, finished)
+                if record is not None:
+                    records[number] = record
+                    watch(task.name, task.title, record)
+        return [n for n in range(len(tasks)) if n not in records]
 
     def take(numbers: Sequence[int], jobs: int, apart: bool) -> None:
         calls = [(tasks[n], folder, watch.messages) for n in numbers]
@@ -107,24 +138,23 @@ def run_tasks(
                 records[numbers[i]] = record
                 watch(tasks[numbers[i]].name, tasks[numbers[i]].title, record)
 
-    waiting = [n for n in range(len(tasks)) if n not in records]
-    try:
-        take(waiting, jobs, apart)
-    except BrokenProcessPool:
-        for number in waiting:
-            if number not in records:
-                try:
-                    take([number], 1, True)
-                except BrokenProcessPool:
-                    records[number] = _give_up(tasks[number], folder)
-                    watch(tasks[number].name, tasks[number].title, records[number])
+    # What a worker died of must not come into this process.
+    for again in (False, True):
+        with suppress(BrokenProcessPool):
+            take(look(), jobs, apart or again)
+    for number in look():
+        with suppress(BrokenProcessPool):
+            take([number], 1, True)
+        if number not in records:
+            records[number] = _give_up(tasks[number], folder)
+            watch(tasks[number].name, tasks[number].title, records[number])
     return [records[number] for number in range(len(tasks))]
 
 
 def _do(task: Task, folder: RunFolder, messages: Any) -> Any:
     """Do a task and keep its record; raises KeyboardInterrupt when it was asked to stop."""
-    with closing(Reporter(messages, task.name, task.title)) as report:
-        record = task.work(*task.arguments, report)
+    with threadpool_limits(1), closing(Reporter(messages, task.name, task.title)) as report:
+        record = as_read(task.kind, task.work(*task.arguments, report))
         report.end(record)
         folder.save(task.name, task.key, record)
     return record
@@ -151,11 +181,12 @@ def spread(
     if not calls or (not apart and (jobs == 1 or len(calls) < 2)):
         yield from ((i, work(*call)) for i, call in enumerate(calls))
         return
+    _end_workers_with(os.getpid())
     numbered = [delayed(_run)(i, work, call) for i, call in enumerate(calls)]
     results = None
     try:
         with _shielded():
-            results = _make_pool(jobs, apart)(numbered)
+            results = _make_pool(jobs, apart, len(calls))(numbered)
         # Not "yield from", which would close joblib's generator before its warnings are off.
         for result in results:  # noqa: UP028
             yield result
@@ -168,10 +199,28 @@ def spread(
                 results.close()
 
 
-def _make_pool(jobs: int, apart: bool) -> Parallel:
+@cache
+def _end_workers_with(process: int) -> None:
+    """Have a process of multiprocessing end its workers at its own end, which would wait for them.
+
+    Any other process does so by itself.
+    """
+    if multiprocessing.parent_process() is not None:
+        Finalize(None, _end_workers, exitpriority=100)
+
+
+def _end_workers() -> None:
+    executor = reusable_executor._executor  # noqa: SLF001
+    if executor is not None:
+        executor.shutdown(wait=True, kill_workers=True)
+
+
+def _make_pool(jobs: int, apart: bool, count: int) -> Parallel:
     backend, _ = get_active_backend()
-    options: dict[str, Any] = {"n_jobs": jobs, "batch_size": 1}
-    if apart and effective_n_jobs(jobs) == 1:
+    # A worker without a task would take memory and the time to start.
+    workers = min(effective_n_jobs(jobs), count)
+    options: dict[str, Any] = {"n_jobs": workers, "batch_size": 1}
+    if apart and workers == 1:
         # joblib has no pool of one; of two workers, one is given work at a time.
         options |= {"n_jobs": 2, "pre_dispatch": 1}
     local = type(backend) in (BACKENDS["loky"], BACKENDS["multiprocessing"])
@@ -184,7 +233,9 @@ def _make_pool(jobs: int, apart: bool) -> Parallel:
     # formed in the same order for any number of workers.
     threads = getattr(backend, "inner_max_num_threads", None) or 1
     with parallel_config("loky", inner_max_num_threads=threads):
-        return Parallel(**options, initializer=_belong_to, initargs=(os.getpid(),))
+        # On Linux a child ends with the thread that started it, which may end before the process.
+        lasting = threading.current_thread() is threading.main_thread()
+        return Parallel(**options, initializer=_belong_to, initargs=(os.getpid(), lasting))
 
 
 def _run(index: int, work: Callable[..., Any], call: tuple[Any, ...]) -> Any:
@@ -218,12 +269,18 @@ def _shielded() -> Iterator[None]:
             signal.raise_signal(signal.SIGINT)
 
 
-def _belong_to(parent: int) -> None:
+def _belong_to(parent: int, lasting: bool) -> None:
     """Leave Ctrl-C to the parent of this worker, and end the worker once that is gone.
+
+    ``lasting`` says that the thread which started it lasts as long as the parent.
 
     A search would answer an interrupt with what it has found so far, which is no result here.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if lasting and sys.platform == "linux":
+        # At once, even from within a long call that lets no other thread run.
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
     threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
 
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from _thread import interrupt_main
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Client, Connection, Listener
@@ -22,6 +24,7 @@ from typing_extensions import Self
 
 from dynsr.expression import shown
 from dynsr.fit import ParetoFront, tidy
+from dynsr.jobs.interrupts import heard_again
 from dynsr.methods import Progress
 
 _SECONDS_BETWEEN = 0.5
@@ -35,6 +38,8 @@ _BACKLOG = 64
 _BELIEF = 10.0
 # A task that ends at once had nothing to search and tells nothing of the others.
 _AT_ONCE = 0.3
+# A finaliser has ended by then.
+_SECONDS_UNTIL_AGAIN = 0.02
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,11 @@ def best_equation(front: ParetoFront) -> str:
     return f"{text}  (error {front.knee.loss:.2g})"
 
 
+def _address() -> str | None:
+    """Give an address that ends with its process, where there are such; a socket's file stays."""
+    return f"\0dynsr-{os.getpid()}-{os.urandom(8).hex()}" if sys.platform == "linux" else None
+
+
 class Messages:
     """What running tasks last said, by name; tasks of any process of this machine may say more."""
 
@@ -122,7 +132,7 @@ class Messages:
         """Go to another process as the address of this one, which listens from now on."""
         with self._lock:
             if self._listener is None and not self.closed:
-                self._listener = Listener(backlog=_BACKLOG, authkey=self._key)
+                self._listener = Listener(_address(), backlog=_BACKLOG, authkey=self._key)
                 threading.Thread(target=self._listen, args=(self._listener,), daemon=True).start()
         address = None if self._listener is None else self._listener.address
         return Line, (address, self._key)
@@ -265,12 +275,14 @@ class Watch:
         self._lock, self._over = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._report_on, daemon=True)
         self._handler: Any = None
+        self._hook = ExitStack()
 
     def __enter__(self) -> Self:
         """Begin to report."""
         handler = signal.getsignal(signal.SIGINT)
         if threading.current_thread() is threading.main_thread() and callable(handler):
             self._handler = handler
+            self._hook.enter_context(heard_again(KeyboardInterrupt, self._stop_again))
             signal.signal(signal.SIGINT, self._stop)
         if self.progress is not None:
             self._tell()
@@ -285,16 +297,25 @@ class Watch:
         self.messages.end()
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
+        self._hook.close()
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self.messages.stopped = True
         self._handler(number, frame)
+
+    def _stop_again(self) -> None:
+        threading.Timer(_SECONDS_UNTIL_AGAIN, interrupt_main).start()
 
     def __call__(self, task: str, title: str, record: Any) -> None:
         """Take a task that has ended."""
         self.records[task] = record
         if self.progress is not None:
             self._tell(title, record, getattr(record, "summary", ""))
+
+    def skip(self, tasks: Iterable[str]) -> None:
+        """Take tasks out of the plan that are not needed any more."""
+        gone = set(tasks)
+        self.plan = {name: usual for name, usual in self.plan.items() if name not in gone}
 
     def running(self) -> tuple[Running, ...]:
         """Give what the tasks that have not ended last said, by name."""

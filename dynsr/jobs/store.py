@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 import os
-import threading
+import re
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping
@@ -22,12 +22,15 @@ from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from dynsr import __version__
+from dynsr.data import write_text
 from dynsr.errors import DynsrError, DynsrWarning, InputError
 
 T = TypeVar("T")
 
 MANIFEST = "manifest.json"
 _STALE_SECONDS = 3600.0
+_MOST_BYTES = 1 << 30
+_LONGEST_NAME = 100
 
 
 class RecordError(DynsrError, ValueError):
@@ -39,32 +42,42 @@ class RecordWarning(DynsrWarning):
 
 
 class FolderTaken(InputError):
-    """The folder holds the results of another run."""
+    """The folder holds the results of another run, or what dynsr did not write."""
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file in one move: whoever reads it sees all of it or nothing new."""
-    part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.part")
+def read_json(path: Path) -> Any:
+    """Read a file of strict JSON; raises RecordError when it is not one, or no regular file."""
     try:
-        with part.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    except BaseException:
-        part.unlink(missing_ok=True)
+        # A pipe or a device may never end.
+        if path.exists() and not path.is_file():
+            raise RecordError(f"{str(path)!r} is no regular file")
+        if path.stat().st_size > _MOST_BYTES:
+            raise RecordError(f"{str(path)!r} is larger than any record")
+        found = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        # Half of a pair of UTF-16 could not be written again.
+        json.dumps(found, ensure_ascii=False).encode("utf-8")
+        return found
+    except OSError as error:
+        raise RecordError(f"cannot read {str(path)!r}: {error.strerror}") from None
+    except RecordError:
         raise
+    except (ValueError, RecursionError, MemoryError):
+        raise RecordError(f"{str(path)!r} is no whole JSON file") from None
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file in one move."""
-    write_bytes(path, text.encode("utf-8"))
+def _refuse_constant(name: str) -> Any:
+    raise ValueError(f"{name} is not of JSON")
+
+
+def to_json(value: Any) -> str:
+    """Give a value as the text of strict JSON."""
+    return _dumps(to_plain(value))
 
 
 def write_json(path: Path, value: Any) -> None:
     """Write a value as JSON in one move; folders that are not there are made."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, _dumps(to_plain(value)))
+    write_text(path, to_json(value))
 
 
 def _dumps(plain: Any) -> str:
@@ -127,20 +140,26 @@ def from_plain(kind: Any, value: Any) -> Any:
         (chosen,) = (k for k in inner if k is not NoneType)
         return None if value is None and chosen is not float else from_plain(chosen, value)
     if origin is tuple:
+        if not isinstance(value, (list, tuple)):
+            raise TypeError(f"{str(value)[:40]!r} is no list")
         kinds = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
         return tuple(from_plain(k, v) for k, v in zip(kinds, value, strict=True))
     if isinstance(origin, type) and issubclass(origin, Mapping):
+        if not isinstance(value, Mapping):
+            raise TypeError(f"{str(value)[:40]!r} is no mapping")
         return {str(k): from_plain(inner[1], v) for k, v in value.items()}
     if is_dataclass(kind):
         return _read_dataclass(kind, value)
     if kind is float:
+        if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            raise TypeError(f"{str(value)[:40]!r} is no number")
         return math.inf if value is None else float(value)
     if hasattr(kind, "free_symbols"):
         from dynsr.expression import parse
 
         return parse(str(value))
     if not isinstance(value, kind):
-        raise TypeError(f"{value!r} is no {kind.__name__}")
+        raise TypeError(f"{str(value)[:40]!r} is no {kind.__name__}")
     return value
 
 
@@ -186,7 +205,20 @@ def _feed(digest: Any, value: Any) -> None:
 def write_record(path: Path, record: Any, key: str = "") -> None:
     """Write a dataclass as a record: its fields, the key, the version of dynsr, a checksum."""
     body = {**_bring(record, False), "key": key, "version": __version__}
-    write_json(path, {**body, "checksum": _checksum(body)})
+    write_json(path, {**body, "checksum": checksum(body)})
+
+
+def as_read(kind: type[T], record: T) -> T:
+    """Give a record as it will be when it is read back, so that a rerun has the very same one.
+
+    SymPy's text reads back as an equal formula, yet not always in the same form: 1/4*y/(x - 1/2) is
+    written as y/(4*(x - 1/2)) and read as y/(4*x - 2).
+    """
+    try:
+        found: T = from_plain(kind, json.loads(json.dumps(_bring(record, False))))
+    except (ValueError, TypeError, AttributeError, ArithmeticError):
+        return record  # what cannot be read is made again by a rerun, and is the same
+    return found
 
 
 def read_record(path: Path, kind: type[T]) -> tuple[T, str]:
@@ -194,25 +226,23 @@ def read_record(path: Path, kind: type[T]) -> tuple[T, str]:
 
     Raises RecordError that says what is wrong with the file.
     """
-    try:
-        body = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise RecordError(f"{path} is no whole record ({type(error).__name__})") from None
+    body = read_json(path)
     if not isinstance(body, dict) or not {"key", "version", "checksum"} <= body.keys():
         raise RecordError(f"{path} does not have the fields of a record")
-    if body.pop("checksum") != _checksum(body):
+    if body.pop("checksum") != checksum(body):
         raise RecordError(f"{path} was changed or damaged: its checksum differs")
     key = body.pop("key")
     del body["version"]
     try:
         found: T = from_plain(kind, body)
-    except (ValueError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError, AttributeError, ArithmeticError) as error:
         raise RecordError(f"{path} cannot be read: {error}") from None
     return found, key
 
 
-def _checksum(body: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+def checksum(body: Mapping[str, Any]) -> str:
+    """Digest of a mapping as JSON, in any order of its keys."""
+    return hashlib.sha256(json.dumps(to_plain(body), sort_keys=True).encode()).hexdigest()
 
 
 def read_manifest(folder: Path, work: str) -> dict[str, Any]:
@@ -222,11 +252,11 @@ def read_manifest(folder: Path, work: str) -> dict[str, Any]:
     """
     path = folder / MANIFEST
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
         settings = found["settings"]
         if found["format"] == _format(work) and isinstance(settings, dict):
             return {**settings}
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+    except (RecordError, TypeError, KeyError):
         pass
     raise RecordError(f"{path} is damaged or no manifest of a dynsr {work}")
 
@@ -247,13 +277,13 @@ class RunFolder:
     records: str = "records"
 
     def claim(
-        self, work: str, settings: Mapping[str, Any], key: str = "", alone: Iterable[str] = ("*",)
+        self, work: str, settings: Mapping[str, Any], key: str = "", alone: Iterable[str] = ()
     ) -> None:
         """Make the folder that of one run, or go on with the run that it is of.
 
         ``work`` names the kind of run; ``settings`` are what a reader tells runs apart by, and
         ``key`` digests all that its results depend on. ``alone`` are the names that a folder
-        without a manifest may hold; anything by default. Raises FolderTaken, which names the first
+        without a manifest may hold; none by default. Raises FolderTaken, which names the first
         difference, when it is another run's, and InputError when it cannot be used.
         """
         if self.path is None:
@@ -266,14 +296,15 @@ class RunFolder:
             if MANIFEST in content:
                 self._check(work, settings, key)
             elif foreign := [n for n in content if not _may_be_there(n, tuple(alone))]:
-                raise InputError(
+                raise FolderTaken(
                     f"{folder} holds {foreign[0]!r} and no results of dynsr; "
                     "give a new or an empty folder"
                 )
-            (folder / self.records).mkdir(parents=True, exist_ok=True)
-            # Written anew each time, so that a folder that cannot be written is known at once.
+            # Written anew each time, so that a folder that cannot be written is known at once; and
+            # first, since by it the folder is known again.
             manifest = {"format": _format(work), "key": key, "settings": settings}
             write_json(folder / MANIFEST, manifest)
+            (folder / self.records).mkdir(exist_ok=True)
             self._remove_stale()
         except OSError as error:
             reason = error.strerror or type(error).__name__
@@ -286,7 +317,7 @@ class RunFolder:
         try:
             old = read_manifest(self.path, work)
         except RecordError as error:
-            raise InputError(f"{error}; give a new or an empty folder") from None
+            raise FolderTaken(f"{error}; give a new or an empty folder") from None
         for name, value in to_plain(settings).items():
             if old.get(name) != value:
                 there = _words(old.get(name))
@@ -294,7 +325,7 @@ class RunFolder:
                     f"{self.path} holds results with {name} {there}, not {_words(value)}; "
                     f"give another folder, or {name} {there} to continue them"
                 )
-        if json.loads((self.path / MANIFEST).read_text("utf-8")).get("key") != key:
+        if read_json(self.path / MANIFEST).get("key") != key:
             raise FolderTaken(f"{self.path} holds results with other options; give another folder")
 
     def _remove_stale(self) -> None:
@@ -307,7 +338,10 @@ class RunFolder:
     def file(self, name: str) -> Path:
         """Give the path of the record of a task."""
         assert self.path is not None
-        return self.path / self.records / f"{name}.json"
+        plain = re.sub(r"[^a-z0-9._-]", "_", name)[:_LONGEST_NAME]
+        # Of other letters a file system may make the same, or none; and names may be too long.
+        digest = "" if plain == name else f"-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+        return self.path / self.records / f"{plain}{digest}.json"
 
     def load(
         self,
@@ -343,7 +377,7 @@ class RunFolder:
 
 def _may_be_there(name: str, alone: tuple[str, ...]) -> bool:
     # A call may end between any two files.
-    return "*" in alone or name in alone or (name.startswith(".") and name.endswith(".part"))
+    return name in alone or (name.startswith(".") and name.endswith(".part"))
 
 
 def _words(value: Any) -> str:

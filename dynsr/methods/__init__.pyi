@@ -1,7 +1,10 @@
+from .asked import AskedMethod, fit_quadratics
 from .base import AbstractMethod, Progress, Report, silent
+from .demands import Constraints, Demands, read_demands
 from .feynman.search import DynAIFeynman
 from .genetic import GeneticAlgorithm
 from .library import Library, MonomialLibrary
+from .limits import Limits
 from .rational import RationalSearch
 from .registry import (
     AUTO,
@@ -24,9 +27,13 @@ __all__ = [
     "PAPER_METHODS",
     "PRESETS",
     "AbstractMethod",
+    "AskedMethod",
+    "Constraints",
+    "Demands",
     "DynAIFeynman",
     "GeneticAlgorithm",
     "Library",
+    "Limits",
     "MonomialLibrary",
     "Progress",
     "RationalSearch",
@@ -36,6 +43,8 @@ __all__ = [
     "describe_methods",
     "describe_presets",
     "find_method",
+    "fit_quadratics",
     "make_method",
+    "read_demands",
     "silent",
 ]

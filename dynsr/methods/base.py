@@ -13,6 +13,7 @@ from dynsr.data import Samples
 from dynsr.engines import AbstractEngine
 from dynsr.errors import InputError
 from dynsr.fit import ParetoFront
+from dynsr.methods.limits import Limits
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -89,6 +90,17 @@ class AbstractMethod(ABC):
         if "engine" not in [f.name for f in fields(self)]:
             return self
         return replace(self, engine=engine)
+
+    def within(self, limits: Limits) -> Self:
+        """Give the method as it searches within limits; one that knows none is given as it is.
+
+        What a search finds beyond them is left out afterwards in any case.
+
+        Parameters
+        ----------
+        limits : functions, operators and terms that a formula may have, and how long it may be.
+        """
+        return self
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import sympy
 
 from dynsr.expression import OPERATORS
-from dynsr.methods.library import FUNCTION_FACTORS, cut_by_cost, monomials
+from dynsr.methods.library import FUNCTION_FACTORS, cut_by_cost, factors_of, monomials
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,6 +20,13 @@ class Features:
     values: np.ndarray
     costs: np.ndarray
 
+    def without(self, exprs: Collection[sympy.Expr]) -> Features:
+        """Give all but some."""
+        if not exprs:
+            return self
+        keep = [i for i, expr in enumerate(self.exprs) if expr not in exprs]
+        return Features(tuple(self.exprs[i] for i in keep), self.values[keep], self.costs[keep])
+
 
 @dataclass(frozen=True, eq=False)
 class _Atom:
@@ -28,7 +36,10 @@ class _Atom:
     max_power: int
 
 
-def _atoms(columns: dict[str, np.ndarray], inverses: bool) -> list[_Atom]:
+def _atoms(
+    columns: dict[str, np.ndarray], inverses: bool, functions: Sequence[str] | None
+) -> list[_Atom]:
+    factors = FUNCTION_FACTORS if functions is None else factors_of(functions)
     atoms = []
     for name, values in columns.items():
         if np.ptp(values) <= 1e-12 * max(1.0, float(np.abs(values).max())):
@@ -39,7 +50,7 @@ def _atoms(columns: dict[str, np.ndarray], inverses: bool) -> list[_Atom]:
             if np.abs(values).min() > 1e-6 * np.abs(values).max():
                 atoms.append(_Atom(1 / symbol, 1 / values, 1, 2))
             continue
-        for token, (cost, power) in FUNCTION_FACTORS.items():
+        for token, (cost, power) in factors.items():
             with np.errstate(all="ignore"):
                 image = OPERATORS[token].numpy(values)
             if np.all(np.isfinite(image)) and np.abs(image).max() < 1e8:
@@ -53,6 +64,8 @@ def build_features(
     max_degree: int = 4,
     max_count: int = 2500,
     inverses: bool = False,
+    functions: Sequence[str] | None = None,
+    terms: Sequence[tuple[sympy.Expr, np.ndarray]] = (),
 ) -> Features:
     """Make all products of v, sin v, cos v, exp v, log v and sqrt v over the variables v.
 
@@ -62,13 +75,15 @@ def build_features(
     more than ``max_count``, whole costs at a time. Features whose values repeat an earlier one's
     are dropped.
 
-    With ``inverses`` the atoms are v and 1/v alone, each of cost 1.
+    With ``inverses`` the atoms are v and 1/v alone, each of cost 1. ``functions`` names other
+    functions than these five. ``terms`` are further features with their values; each
+    costs 1, and no products are made of them.
 
     >>> x = np.linspace(1.0, 2.0, 50)
     >>> [str(e) for e in build_features({"x": x}, max_cost=2).exprs]
     ['1', 'x', 'sin(x)', 'cos(x)', 'x**2']
     """
-    atoms = _atoms(columns, inverses)
+    atoms = _atoms(columns, inverses, functions)
     costs, powers = [a.cost for a in atoms], [a.max_power for a in atoms]
     found = monomials(costs, max_degree, most_cost=max_cost, powers=powers)
     totals = [sum(costs[i] for i in places) for places in found]
@@ -79,7 +94,9 @@ def build_features(
         expr, values = made[places[:-1]]
         atom = atoms[places[-1]]
         made[places] = expr * atom.expr, values * atom.values
-    return _drop_repeats([made[p][0] for p in kept], [made[p][1] for p in kept], totals)
+    pairs = [made[()], *terms, *(made[p] for p in kept[1:])]
+    costs = [0, *[1] * len(terms), *totals[1 : len(kept)]]
+    return _drop_repeats([e for e, _ in pairs], [v for _, v in pairs], costs)
 
 
 def _drop_repeats(exprs: list[sympy.Expr], rows: list[np.ndarray], costs: list[int]) -> Features:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +12,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.errors import InputError
+from dynsr.expression import NAMED_FUNCTIONS
 from dynsr.fit import ParetoFront, score_candidate
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.grammar import (
@@ -25,6 +26,8 @@ from dynsr.methods.grammar import (
     to_sympy,
     word_bits,
 )
+from dynsr.methods.limits import Limits
+from dynsr.methods.own_terms import extend_samples
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class GeneticAlgorithm(AbstractMethod):
     constants, operators, functions : terminals and operations of the grammar.
     variables : names of the samples' columns that may occur; all of them when None.
     scaled : score each word f as a f + b with a, b fitted by least squares; the paper does not.
+    terms : formulas in the samples' columns that stand beside the variables.
 
     >>> x = np.linspace(0.0, 6.0, 50)
     >>> samples = Samples(x[:, None], np.sin(x) + 2.0, ("x",), "x", "given", x)
@@ -60,6 +64,7 @@ class GeneticAlgorithm(AbstractMethod):
     functions: tuple[str, ...] = DEFAULT_FUNCTIONS
     variables: tuple[str, ...] | None = None
     scaled: bool = False
+    terms: tuple[sympy.Expr, ...] = ()
 
     name = "genetic"
     # The class's own sizes are those of the cart-pole, the paper's largest.
@@ -103,14 +108,28 @@ class GeneticAlgorithm(AbstractMethod):
             )
         return Grammar(chosen, self.constants, self.operators, self.functions)
 
+    def within(self, limits: Limits) -> GeneticAlgorithm:
+        """Give the search with a grammar of what is allowed; see AbstractMethod."""
+        vocabulary, changed = limits.vocabulary, replace(self, terms=limits.terms)
+        if vocabulary is None:
+            return changed
+        return replace(
+            changed,
+            operators=tuple(o for o in self.operators if vocabulary.has(o)),
+            functions=limits.tokens(self.functions, NAMED_FUNCTIONS),
+        )
+
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent
     ) -> ParetoFront:
         """Evolve; see AbstractMethod. Duplicate words are evaluated once in the whole search."""
-        seen = _Seen(self.grammar(samples.names), samples, self.scaled)
+        wider = extend_samples(samples, self.terms)
+        grammar = self.grammar(samples.names)
+        names = (*grammar.variables, *map(str, wider.meanings))
+        seen = _Seen(replace(grammar, variables=names), wider.samples, self.scaled)
         with contextlib.suppress(KeyboardInterrupt):
             self._evolve(seen, rng, report)
-        return seen.front()
+        return ParetoFront(wider.bring_back(seen.front())) if wider.meanings else seen.front()
 
     def _evolve(self, seen: _Seen, rng: np.random.Generator, report: Report) -> None:
         parents = np.zeros((self.population, self.bits), dtype=bool)

@@ -9,17 +9,32 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy
 
 from dynsr.errors import InputError
 from dynsr.expression import OPERATORS, compile_numpy, parse, to_text
+from dynsr.methods.limits import Limits
 
 # Function of one variable -> (its cost, the highest power that a product may hold); a variable
 # costs 1. sin^2 is left out: cos^2 and 1 span it.
 FUNCTION_FACTORS = {"sin": (2, 1), "cos": (2, 2), "exp": (3, 1), "log": (3, 1), "sqrt": (3, 1)}
+_WAVES = ("sin", "cos")
+
+
+def factors_of(functions: Iterable[str]) -> dict[str, tuple[int, int]]:
+    """Give name -> (cost, highest power) of functions; those without a place of their own cost 3.
+
+    Parameters
+    ----------
+    functions : names of :data:`dynsr.expression.NAMED_FUNCTIONS`.
+
+    >>> factors_of(["tanh", "cos"])
+    {'tanh': (3, 1), 'cos': (2, 2)}
+    """
+    return {name: FUNCTION_FACTORS.get(name, (3, 1)) for name in functions}
 
 
 def monomials(
@@ -75,6 +90,15 @@ class AbstractLibrary(ABC):
     @abstractmethod
     def for_names(self, names: Sequence[str]) -> Library:
         """Give the functions for data whose columns have these names; raises InputError."""
+
+    def for_columns(self, columns: Mapping[str, np.ndarray]) -> Library:
+        """Give the functions for data; those for their names, unless the values matter.
+
+        Parameters
+        ----------
+        columns : name -> (n,) values.
+        """
+        return self.for_names(list(columns))
 
 
 @dataclass(frozen=True)
@@ -221,10 +245,11 @@ class MonomialLibrary(AbstractLibrary):
 
     Parameters
     ----------
-    functions : names of functions, of :data:`FUNCTION_FACTORS`.
+    functions : names of functions; those of :data:`FUNCTION_FACTORS` have costs of their own.
     degree : most factors of a product.
     cost : most that a product costs: a variable 1, a sine or cosine 2, other functions 3.
     limit : most products; where there are more, the highest costs are left out, each as a whole.
+    own : terms of the user's own beside them.
 
     >>> [str(f) for f in MonomialLibrary(cost=2).for_names(["x"]).functions]
     ['1', 'x', 'sin(x)', 'cos(x)', 'x**2']
@@ -234,6 +259,7 @@ class MonomialLibrary(AbstractLibrary):
     degree: int = 3
     cost: int = 4
     limit: int = 120
+    own: tuple[sympy.Expr, ...] = ()
 
     def factors(self, names: Sequence[str]) -> list[tuple[sympy.Expr, int, int]]:
         """Give (expression, cost, highest power) of every factor for these variables."""
@@ -241,7 +267,7 @@ class MonomialLibrary(AbstractLibrary):
         for symbol in map(sympy.Symbol, names):
             found.append((symbol, 1, self.degree))
             for name in self.functions:
-                found.append((OPERATORS[name].sympy(symbol), *FUNCTION_FACTORS[name]))
+                found.append((OPERATORS[name].sympy(symbol), *factors_of([name])[name]))
         return found
 
     def for_names(self, names: Sequence[str]) -> Library:
@@ -249,4 +275,60 @@ class MonomialLibrary(AbstractLibrary):
         exprs, costs, powers = zip(*self.factors(names), strict=True)
         found = monomials(costs, self.degree, most_cost=self.cost, powers=powers)
         count = cut_by_cost([sum(costs[i] for i in places) for places in found], self.limit)
-        return Library(tuple(sympy.Mul(*(exprs[i] for i in p)) for p in found[:count]))
+        made = [sympy.Mul(*(exprs[i] for i in p)) for p in found[:count]]
+        return Library(tuple(dict.fromkeys([*made, *self.own])))
+
+
+@dataclass(frozen=True)
+class LimitedLibrary(AbstractLibrary):
+    """A library within limits: the user's terms first, then what is allowed of its own functions.
+
+    A grown library also has the other functions asked for, of each variable and times each, where
+    they are finite on the samples.
+
+    Parameters
+    ----------
+    library : the library without limits.
+    limits : functions and operators allowed, terms added and left out.
+
+    >>> from dynsr.expression import Vocabulary
+    >>> few = LimitedLibrary(GrownLibrary(degree=2), Limits(Vocabulary(("exp",))))
+    >>> [str(f) for f in few.for_names(["x"]).functions]
+    ['1', 'x', 'x**2', 'exp(x)', 'x*exp(x)']
+    """
+
+    library: AbstractLibrary
+    limits: Limits
+
+    def for_names(self, names: Sequence[str]) -> Library:
+        """Give the functions for these variables."""
+        waves = self.limits.functions(_WAVES)
+        library = self.library
+        extras: list[sympy.Expr] = []
+        if isinstance(library, GrownLibrary):
+            library = replace(library, trigonometric=bool({*waves} & {*_WAVES}))
+            extras = self._extras(names)
+        own = [e for e in library.for_names(names).functions if self.limits.allow(e)]
+        constant = [e for e in own if e == 1]
+        ordered = [*constant, *self.limits.terms, *own, *extras]
+        if not ordered:
+            raise InputError("the limits leave no function in the library; allow more")
+        return Library(tuple(dict.fromkeys(ordered)))
+
+    def for_columns(self, columns: Mapping[str, np.ndarray]) -> Library:
+        """Give the functions that are finite on the data, and the user's terms in any case."""
+        library = self.for_names(list(columns))
+        finite = np.isfinite(library.values(columns)).all(axis=1)
+        kept = [
+            e in self.limits.terms or bool(ok)
+            for e, ok in zip(library.functions, finite, strict=True)
+        ]
+        return library.select(np.flatnonzero(kept))
+
+    def _extras(self, names: Sequence[str]) -> list[sympy.Expr]:
+        vocabulary = self.limits.vocabulary
+        asked = [f for f in vocabulary.functions if f not in _WAVES] if vocabulary else []
+        symbols = [sympy.Symbol(name) for name in names]
+        images = [OPERATORS[f].sympy(symbol) for symbol in symbols for f in asked]
+        found = [*images, *(symbol * image for image in images for symbol in symbols)]
+        return [e for e in found if self.limits.allow(e)]

@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import complexity, number_bits
+from dynsr.expression import complexity, evaluate, number_bits
 from dynsr.fit import (
     Candidate,
     ParetoFront,
@@ -30,7 +30,8 @@ from dynsr.fit import (
 )
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.features import Features, build_features
-from dynsr.methods.feynman.problem import Target, make_targets
+from dynsr.methods.feynman.problem import CHANGES, Target, make_targets
+from dynsr.methods.limits import Limits
 
 Support = frozenset[int]
 # Subsets extended in one stack: enough to be quick, few enough to stay in the cache.
@@ -234,7 +235,12 @@ class RationalSearch(AbstractMethod):
     changes : domain changes of the target, names of ``domain.CHANGES``, that are searched after it.
     seconds : time after which nothing further is begun.
     collinear, cancellation, idle : bounds of the subset search, see :class:`SubsetSearch`.
+    layered : how many times wider the first two are where the states pass fast layers: beside these
+        the law's terms cancel each other almost entirely.
     exact : largest residual, as a share of the target's range, at which a formula is exact.
+    functions : functions whose products are features; None for sin, cos, exp, log and sqrt.
+    terms : features of the user's own, in the columns of the samples.
+    left_out : features that no formula may have above the fraction line.
     close : bits a row within which a formula of fewer terms is as good as the best; more terms
         always explain slopes a little better, because their errors are not independent.
 
@@ -258,12 +264,35 @@ class RationalSearch(AbstractMethod):
     seconds: float = math.inf
     collinear: float = 1e-7
     cancellation: float = 50.0
+    layered: float = 1e4
     idle: float = 0.81
     exact: float = 1e-9
     close: float = 0.25
+    functions: tuple[str, ...] | None = None
+    terms: tuple[sympy.Expr, ...] = ()
+    left_out: tuple[sympy.Expr, ...] = ()
 
     name = "rational"
     presets: ClassVar = {"best": {}, "quick": {"costs": (3, 4)}, "paper": {}}
+
+    def within(self, limits: Limits) -> RationalSearch:
+        """Give the search with the functions, terms and lengths allowed; see AbstractMethod."""
+        vocabulary = limits.vocabulary
+        changed = replace(
+            self,
+            max_terms=limits.most_terms(self.max_terms),
+            terms=limits.terms,
+            left_out=limits.left_out,
+        )
+        if vocabulary is None:
+            return changed
+        return replace(
+            changed,
+            functions=vocabulary.functions,
+            denominators=self.denominators and vocabulary.divide,
+            inverses=self.inverses and vocabulary.divide,
+            changes=tuple(c for c in self.changes if vocabulary.has(CHANGES[c].back)),
+        )
 
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent
@@ -335,11 +364,17 @@ class RationalSearch(AbstractMethod):
 
     def _numerators(self, columns: dict[str, np.ndarray], cost: int, used: set[str]) -> Features:
         """Features of all variables; where those are too many, of the variables in use alone."""
-        features = build_features(columns, cost, 4, self.max_features, self.inverses)
+        features = self._features(columns, cost, columns)
         if features.costs[-1] < cost and used < set(columns):
             few = {name: values for name, values in columns.items() if name in used}
-            features = build_features(few, cost, 4, self.max_features, self.inverses)
-        return features
+            features = self._features(few, cost, columns)
+        return features.without(self.left_out)
+
+    def _features(
+        self, some: dict[str, np.ndarray], cost: int, columns: dict[str, np.ndarray]
+    ) -> Features:
+        own = [(term, evaluate(term, columns)) for term in self.terms]
+        return build_features(some, cost, 4, self.max_features, self.inverses, self.functions, own)
 
     def _search_once(
         self,
@@ -350,8 +385,15 @@ class RationalSearch(AbstractMethod):
         deadline: float,
     ) -> list[list[_Formula]]:
         degree = 4 if self.inverses else 2
-        denominators = build_features(rows.columns, min(cost, 4), degree, inverses=self.inverses)
+        denominators = build_features(
+            rows.columns,
+            min(cost, 4),
+            degree,
+            inverses=self.inverses,
+            functions=self.functions,
+        )
         below = denominators.values[1:] if self.denominators else np.empty((0, len(rows)))
+        wider = self.layered if rows.layers else 1.0
         subsets = SubsetSearch(
             numerators.values,
             below,
@@ -359,8 +401,8 @@ class RationalSearch(AbstractMethod):
             weights,
             self.width,
             deadline,
-            self.collinear,
-            self.cancellation,
+            self.collinear / wider,
+            self.cancellation * wider,
             self.idle,
         )
         fits = [

@@ -6,7 +6,7 @@ A path of sparse models is made of many thresholds, then one term less at a time
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -34,7 +34,8 @@ from dynsr.fit import (
     score_candidate,
 )
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
-from dynsr.methods.library import AbstractLibrary, GrownLibrary, Library
+from dynsr.methods.library import AbstractLibrary, GrownLibrary, Library, LimitedLibrary
+from dynsr.methods.limits import Limits
 
 _BEST = {"thresholds": tuple(np.geomspace(1e-3, 1.0, 13).tolist()), "max_iterations": 100}
 
@@ -237,11 +238,22 @@ class SINDy(AbstractMethod):
         },
     }
 
+    def within(self, limits: Limits) -> SINDy:
+        """Give the search on the library of what is allowed; see AbstractMethod."""
+        changed = replace(
+            self,
+            library=LimitedLibrary(self.library, limits),
+            max_terms=limits.most_terms(self.max_terms),
+        )
+        if limits.vocabulary is None or limits.vocabulary.divide:
+            return changed
+        return replace(changed, max_implicit=0)
+
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent
     ) -> ParetoFront:
         """Search; ``rng`` is not used, since nothing here is left to chance."""
-        library = self.library.for_names(samples.names)
+        library = self.library.for_columns(samples.columns)
         theta = _checked_values(library, samples)
         front = ParetoFront()
         try:
@@ -271,7 +283,7 @@ class SINDy(AbstractMethod):
         Raises InputError when a function of the library is not finite on the samples,
         EngineUnavailable when the engine is absent.
         """
-        library = self.library.for_names(samples.names)
+        library = self.library.for_columns(samples.columns)
         problem = SparseProblem(
             _checked_values(library, samples),
             samples.y,

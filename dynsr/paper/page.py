@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dynsr.jobs import write_bytes, write_text
+from dynsr.data import PAGE_MARK, write_bytes, write_own
+from dynsr.paper.provenance import ENGINES_BESIDE, MADE_BY
 from dynsr.paper.records import Record
 from dynsr.paper.results import (
     FIGURE_1,
@@ -36,17 +37,19 @@ def render_replication(
         for system, caption in _pictures(records)
     ]
     failed = [r for r in records if not r.done]
-    losses, *others = tables or all_tables(records)
+    losses, *others = tables or all_tables(records, settings["recorded_steps"])
+    made = [table for table in others if table.name in (MADE_BY, ENGINES_BESIDE)]
     return render_page(
         "replication.html.j2",
         summary=_summary(records),
         quick=settings["quick"],
         failures=[f"{r.system}, {r.method}, run {r.run}: {r.error}" for r in failed],
         losses=losses,
-        formulas=[table for table in others if not table.name.startswith(STAGES)],
+        formulas=[t for t in others if t not in made and not t.name.startswith(STAGES)],
         stages=[table for table in others if table.name.startswith(STAGES)],
         recorded_steps=settings["recorded_steps"],
         pictures=pictures,
+        made=made,
         facts=_facts(records, settings),
     )
 
@@ -58,7 +61,7 @@ def write_results(
     from dynsr.report import to_bytes
 
     written = []
-    tables = all_tables(records)
+    tables = all_tables(records, settings["recorded_steps"])
     for table in tables:
         written += write_table(table, folder / "tables")
     systems, _ = drawable(records)
@@ -68,7 +71,7 @@ def write_results(
             written.append(folder / f"figure1.{kind}")
             write_bytes(written[-1], to_bytes(figure, kind, 200))
     written.append(folder / "report.html")
-    write_text(written[-1], render_replication(records, settings, tables))
+    write_own(written[-1], render_replication(records, settings, tables), PAGE_MARK)
     return written
 
 

@@ -36,6 +36,9 @@ class Record:
     source : the stage of the search that the formula comes from.
     stages : every stage that ran, in order: its name, how many formulas of the front are its own,
         and the RMSE of its best formula, on the front or not (None where it gave none).
+    embedded : what the embedded engine makes of the cell, where another one computed it: how far
+        its ``samples`` are from these, its three losses, its ``versions``, and for SINDy, which it
+        regresses anew, the ``expression`` that they belong to.
     """
 
     system: str
@@ -59,6 +62,7 @@ class Record:
     front: tuple[Mapping[str, Any], ...] = field(default=())
     source: str = ""
     stages: tuple[Mapping[str, Any], ...] = field(default=())
+    embedded: Mapping[str, Any] | None = None
 
     @property
     def done(self) -> bool:

@@ -19,10 +19,20 @@ from joblib import effective_n_jobs
 
 from dynsr import __version__
 from dynsr.data import SYSTEMS, Samples, System, find_system, make_samples
-from dynsr.engines import find_engine, training_trajectory
+from dynsr.engines import find_engine, share_engine, training_trajectory
 from dynsr.errors import InputError, one_line
 from dynsr.expression import to_text
-from dynsr.jobs import RunFolder, Step, Task, Watch, check_jobs, fingerprint, run_tasks, to_plain
+from dynsr.jobs import (
+    RunFolder,
+    Step,
+    Task,
+    Watch,
+    check_jobs,
+    check_seed,
+    fingerprint,
+    run_tasks,
+    to_plain,
+)
 from dynsr.methods import PAPER_METHODS, AbstractMethod, Progress, Report, silent
 from dynsr.paper.page import write_results
 from dynsr.paper.protocol import (
@@ -33,6 +43,7 @@ from dynsr.paper.protocol import (
     score_as_printed,
     sindy_samples,
 )
+from dynsr.paper.provenance import EMBEDDED, sample_difference
 from dynsr.paper.records import Record, describe_settings
 from dynsr.paper.results import all_tables
 from dynsr.paper.stages import describe_stages
@@ -114,7 +125,10 @@ def compute_cell(cell: Cell, plan: Plan, report: Report = silent) -> Record:
     record = failed_record(cell, plan, "")
     try:
         find_engine(plan.engine)
-        return replace(record, status="done", **_search(cell, plan, report))
+        done = replace(record, status="done", **_search(cell, plan, report))
+        return (
+            done if plan.engine == EMBEDDED else replace(done, embedded=_beside(cell, plan, done))
+        )
     # One cell that fails must not take the others with it; its record says what happened.
     except Exception as error:
         return replace(record, error=_one_line(error))
@@ -177,6 +191,23 @@ def _search(cell: Cell, plan: Plan, report: Report) -> dict[str, Any]:
     }
 
 
+def _beside(cell: Cell, plan: Plan, done: Record) -> dict[str, Any]:
+    """Give what the embedded engine makes of a cell that another one computed."""
+    here = replace(plan, engine=EMBEDDED)
+    samples = cell_samples(cell, EMBEDDED)
+    expr, found = done.expr, {}
+    if cell.method == "sindy":
+        expr = cell_method(cell, here).search(samples, cell.generator(plan.seed)).best_fit.expr
+        found["expression"] = to_text(expr)
+    score = score_as_printed(cell.system, [expr], cell.method, engine=EMBEDDED)[0]
+    return {
+        **found,
+        "samples": sample_difference(cell_samples(cell, plan.engine), samples),
+        **score.losses,
+        "versions": find_engine(EMBEDDED).versions(),
+    }
+
+
 def _one_line(error: Exception) -> str:
     return f"{type(error).__name__}: {one_line(error)}"[:500]
 
@@ -205,7 +236,7 @@ class Replication:
     @property
     def tables(self) -> list[Table]:
         """Table 1 beside the paper's, then the tables of the appendix."""
-        return all_tables(self.records)
+        return all_tables(self.records, self.settings["recorded_steps"])
 
     def write(self) -> list[Path]:
         """Write tables, Figure 1 and report.html into the folder, from the records alone."""
@@ -236,7 +267,8 @@ def replicate(
     jobs : worker processes; one a core by default. The result does not depend on it.
     out : folder of the results; made when it is not there, continued when it is.
     quick : small search budgets, for a first look; every record says so.
-    engine : "embedded" or "julia".
+    engine : "embedded" or "julia": what makes the samples, solves SINDy's regressions and
+        integrates what was found. What the embedded one makes of a cell is computed beside it.
     progress : called with a :class:`Step` as cells end, and every half second while they run.
     report : write the tables, Figure 1 and report.html into ``out`` at the end.
     recorded_steps : make the samples of SINDy's rows with the steps that the release of 2021 took,
@@ -249,9 +281,10 @@ def replicate(
     """
     cells = _cells(systems, methods, _check_runs(runs, quick))
     preset = "quick" if quick else "paper"
-    plan = Plan(_check_seed(seed), preset, engine, make, recorded_steps)
+    plan = Plan(check_seed(seed), preset, engine, make, recorded_steps)
     jobs = check_jobs(jobs)
-    find_engine(engine)
+    # Cells run in processes of their own, however many at a time.
+    share_engine(find_engine(engine), max(2, effective_n_jobs(jobs)))
     if recorded_steps:
         check_replays(engine)
     for cell in {(c.system.name, c.method): c for c in cells}.values():
@@ -312,9 +345,3 @@ def _check_runs(runs: int | None, quick: bool) -> int:
     if int(runs) != runs or runs < 1:
         raise InputError(f"runs {runs} must be a whole number from 1 up")
     return int(runs)
-
-
-def _check_seed(seed: int) -> int:
-    if int(seed) != seed or seed < 0:
-        raise InputError(f"seed {seed} must be a whole number from 0 up")
-    return int(seed)

@@ -15,6 +15,7 @@ from dynsr.engines import InitialValueProblem, find_engine
 from dynsr.paper.auditing import AuditRow, audit
 from dynsr.paper.printed import TABLE_1
 from dynsr.paper.protocol import paper_method
+from dynsr.paper.provenance import engines_table, made_by_table
 from dynsr.paper.records import Record
 from dynsr.paper.stages import is_deterministic, stage_of
 from dynsr.report import Formula, Spread, Table
@@ -192,11 +193,22 @@ def stage_table(group: Group) -> Table:
     )
 
 
-def all_tables(records: Sequence[Record]) -> list[Table]:
-    """Give Table 1, every table of the appendix, and the stages of what has more than one."""
+def all_tables(records: Sequence[Record], recorded_steps: bool = False) -> list[Table]:
+    """Give Table 1, every table of the appendix, and the stages of what has more than one.
+
+    Last come what made each number and, where another engine than the embedded one did, the two
+    beside each other.
+    """
     found = groups(records)
     staged = [group for group in found if any(len(r.stages) > 1 for r in group.records)]
-    return [table_1(records), *map(appendix_table, found), *map(stage_table, staged)]
+    compared = [engines_table(records)] if any(r.embedded for r in records) else []
+    return [
+        table_1(records),
+        *map(appendix_table, found),
+        *map(stage_table, staged),
+        *compared,
+        made_by_table(records, recorded_steps),
+    ]
 
 
 def table_2() -> Table:

@@ -14,17 +14,30 @@ import numpy as np
 import sympy
 
 from dynsr import __version__
-from dynsr.data import Samples, Trajectory, choose_samples
-from dynsr.discovery import Discovery, predict
+from dynsr.data import PAGE_MARK, Samples, Trajectory, check_replaceable, choose_samples, write_own
+from dynsr.discovery import (
+    Discovery,
+    StateVerdict,
+    inputs_in,
+    iterate,
+    pair_rows,
+    predict,
+    write_map_mathml,
+)
 from dynsr.errors import DynsrError, InputError
 from dynsr.expression import complexity, evaluate, shown, to_mathml
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, rmse
-from dynsr.jobs import write_text
 from dynsr.report.page import Picture, render_page
 from dynsr.report.plots import draw_phase_portrait, draw_residuals, draw_slopes, draw_states
 from dynsr.report.tables import Table
 
 HEIGHT = 220.0
+_HEADINGS = {
+    "law": "Equations found",
+    "approximation": "An approximation",
+    "not found": "Equations not found",
+    "": "Equations",
+}
 _SMALLEST = 1e-16
 _MOST_FORMULAS = 5
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -119,6 +132,14 @@ def _ticks(largest: float) -> list[float]:
 
 _MOST_RUNS = 3
 _MOST_ROWS = 2000
+_MOST_STEPS = 200
+# Is it a map? -> what was done with the equations.
+_FOLLOWED = {
+    False: "integrated from the first row. The band holds 95 % of the curves that constants drawn "
+    "within their errors give.",
+    True: "iterated from the first row.",
+}
+_TARGETS = {False: "slopes", True: "next values"}
 _DRAWS = 20
 
 
@@ -130,15 +151,10 @@ def write_report(found: Discovery, path: Path) -> Path:
     found : the discovery; one that was loaded has no data, and its page no pictures.
     path : the file to write; folders above it are made.
 
-    Raises InputError when it cannot be written.
+    Raises InputError when it cannot be written, or a file that is no page of dynsr stands there.
     """
-    page = render_discovery(found)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, page)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"cannot write {str(path)!r}: {reason}; choose another file") from None
+    check_replaceable(path, PAGE_MARK)
+    write_own(path, render_discovery(found), PAGE_MARK)
     return path
 
 
@@ -150,6 +166,11 @@ def render_discovery(found: Discovery) -> str:
     samples = _samples(found)
     return render_page(
         "discovery.html.j2",
+        heading=_HEADINGS[found.verdict.level if found.verdict else ""],
+        verdict=found.heading,
+        level=(found.verdict.level if found.verdict else "none").replace(" ", "-"),
+        verdicts=_verdicts(found),
+        ensemble=_ensemble(found),
         summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
         latex=found.latex(),
@@ -174,6 +195,8 @@ def _samples(found: Discovery) -> dict[str, tuple[Samples, np.ndarray]]:
 def _slopes_of(found: Discovery, state: str) -> Samples:
     """Make the slopes as the discovery did; the user's own are not kept, so the data choose."""
     runs = list(found.trajectories)
+    if found.is_map:
+        return pair_rows(runs, state)
     chosen = choose_samples(runs, state)
     scheme = found.settings.get("scheme", {}).get(state, chosen.scheme)
     if scheme == chosen.scheme:
@@ -191,19 +214,72 @@ def _summary(found: Discovery) -> str:
         return f"{known}. The data are not in this report: it was made from a saved discovery."
     rows, count = sum(len(run) for run in found.trajectories), len(found.trajectories)
     start, end = found.trajectories[0].t[[0, -1]]
-    over = f"from t = {start:g} to {end:g}" if count == 1 else f"in {count} trajectories"
+    unit = f" {found.time_unit}" if found.time_unit else ""
+    over = f"from t = {start:g} to {end:g}{unit}" if count == 1 else f"in {count} trajectories"
     return f"{known}, from {rows} rows {over}."
 
 
 def _equation(found: Discovery, state: str) -> dict[str, Any]:
     expr = found.equations[state]
+    units = _coefficient_units(found).get(state, {})
     return {
         "state": state,
-        "text": f"{state}' = {shown(expr)}",
-        "mathml": to_mathml(expr, state),
+        "text": f"{state}{'[n+1]' if found.is_map else chr(39)} = {shown(expr)}",
+        "mathml": (write_map_mathml if found.is_map else to_mathml)(expr, state),
         "why": found.explanation.get(state, ""),
-        "constants": [f"{v:.6g} ± {e:.2g}" for v, e in found.errors.get(state, ())],
+        "details": found.details.get(state, ""),
+        "constants": [
+            f"{c.of}: {c.text} {units.get(c.of, '')}".rstrip() for c in found.constants[state]
+        ],
     }
+
+
+def _coefficient_units(found: Discovery) -> dict[str, dict[str, str]]:
+    try:
+        return found.coefficient_units()
+    except InputError:  # no units, or none that pint, which may be absent, can read
+        return {}
+
+
+def _ensemble(found: Discovery) -> Table | None:
+    rows = tuple(
+        (state, one.term, one.probability, one.low, one.high)
+        for state, own in found.ensemble.items()
+        for one in own
+    )
+    if not rows:
+        return None
+    return Table(
+        "ensemble",
+        "An ensemble of fits",
+        ("State", "Term", "Kept", "From", "To"),
+        rows,
+        "Kept: the share of fits, to pieces of the data drawn with replacement, that keep the "
+        "term. From, to: the 95 % interval of its coefficient in these fits.",
+    )
+
+
+def _verdicts(found: Discovery) -> Table | None:
+    if found.verdict is None:
+        return None
+    rows = tuple(
+        (state, own.level, own.r2, own.chi_square, own.forecast, own.noise, _surest(own))
+        for state, own in found.verdict.states.items()
+    )
+    return Table(
+        "verdict",
+        "What the verdict rests on",
+        ("State", "Verdict", "R2", "Chi-square", "Forecast", "Noise", "Terms"),
+        rows,
+        "R2: share of the variance that the equations explain, integrated from fitted starts. "
+        "Chi-square: mean squared miss in units of the noise; 1 is noise alone. Forecast: miss of "
+        "the held-back end, as a share of the spread, by constants fitted to what comes before. "
+        "Terms: the probability that each belongs.",
+    )
+
+
+def _surest(own: StateVerdict) -> str:
+    return ", ".join(f"{term.term}: {term.probability:.0%}" for term in own.terms)
 
 
 def _front(found: Discovery, state: str, samples: tuple[Samples, np.ndarray] | None) -> Chart:
@@ -218,13 +294,14 @@ def _front(found: Discovery, state: str, samples: tuple[Samples, np.ndarray] | N
 
 def _trajectories(found: Discovery) -> Iterator[Picture]:
     for number, run in enumerate(found.trajectories[:_MOST_RUNS], 1):
-        thin = run.select(slice(None, None, max(1, len(run) // _MOST_ROWS)))
+        # A map goes from row to row: none may be left out between.
+        rows = slice(_MOST_STEPS) if found.is_map else slice(None, None, _stride(run))
+        thin = run.select(rows)
         model = _simulate(found, thin)
         name = f"Trajectory {number}" if len(found.trajectories) > 1 else "The trajectory"
         yield Picture.of(
             draw_states(thin, model, _bands(found, thin) if model else None),
-            f"{name}: the data, and the equations integrated from the first row. The band "
-            "holds 95 % of the curves that constants drawn within their errors give."
+            f"{name}: the data, and the equations {_FOLLOWED[found.is_map]}"
             if model
             else f"{name}: the data. The equations cannot be integrated over it.",
         )
@@ -235,16 +312,22 @@ def _trajectories(found: Discovery) -> Iterator[Picture]:
             )
 
 
+def _stride(run: Trajectory) -> int:
+    return max(1, len(run) // _MOST_ROWS)
+
+
 def _slopes(found: Discovery, pair: tuple[Samples, np.ndarray]) -> Iterator[Picture]:
     samples, predicted = pair
+    unit = found.time_unit
+    kind = _TARGETS[found.is_map]
     yield Picture.of(
-        draw_slopes(samples, predicted),
-        f"The slopes of {samples.target}, taken from the data by {samples.scheme}, and what the "
+        draw_slopes(samples, predicted, unit),
+        f"The {kind} of {samples.target}, taken from the data by {samples.scheme}, and what the "
         "equation says they are.",
     )
     yield Picture.of(
-        draw_residuals(samples, predicted),
-        f"The residuals of the slopes of {samples.target}, over time and counted.",
+        draw_residuals(samples, predicted, unit),
+        f"The residuals of the {kind} of {samples.target}, over time and counted.",
     )
 
 
@@ -254,16 +337,20 @@ def _simulate(found: Discovery, run: Trajectory) -> Trajectory | None:
         return None
     start = [run.x[0, run.index(state)] for state in found.equations]
     try:
-        return predict(found.equations, start, run.t, found.inputs_at(run.t, run), found.engine)
+        if found.is_map:
+            return iterate(found.equations, start, run.t, inputs_in(run, found.equations))
+        return predict(found.equations, start, run.t, found.inputs_of(run), found.engine)
     except DynsrError:
         return None
 
 
 def _bands(found: Discovery, run: Trajectory) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Give for each state the 2.5 % and 97.5 % quantiles over drawn constants."""
+    """Give for each state the 2.5 % and 97.5 % quantiles over drawn constants; none for a map."""
+    if found.is_map:
+        return {}
     rng = np.random.default_rng(0)
     start = [run.x[0, run.index(state)] for state in found.equations]
-    inputs = found.inputs_at(run.t, run)
+    inputs = found.inputs_of(run)
     curves = []
     for _ in range(_DRAWS):
         drawn = {s: _draw(e, found.errors.get(s, ()), rng) for s, e in found.equations.items()}
@@ -331,8 +418,11 @@ def _command(found: Discovery) -> str:
         "known": "; ".join(f"{state}'={text}" for state, text in known.items()),
         "seed": str(settings.get("seed", "")),
         "engine": settings.get("engine", ""),
+        "order": ",".join(f"{state}=2" for state in settings.get("velocities", {})),
     }
-    given = (f"--{name} {quote(value)}" for name, value in options.items() if value)
+    given = [f"--{name} {quote(value)}" for name, value in options.items() if value]
+    given += ["--explicit-time"] * bool(settings.get("explicit_time"))
+    given += ["--map"] * found.is_map
     return " ".join(["dynsr discover DATA", *given])
 
 

@@ -13,9 +13,9 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from dynsr.data import write_text
 from dynsr.errors import InputError
 from dynsr.expression import parse, to_mathml
-from dynsr.jobs import write_text
 from dynsr.report.tables import Formula, Table, format_value
 
 FORMATS = ("csv", "md", "tex")

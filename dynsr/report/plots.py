@@ -25,6 +25,7 @@ STYLES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 MARKERS = ("o", "s", "^", "D", "v", "P")
 # A page on a phone shows a picture of this many inches with letters that can be read.
 _WIDTH = 5.2
+_NOTEBOOK_DPI = 100
 # What a curve that runs away may take of the picture: this many spans of the truth.
 _ROOM = 0.6
 _STYLE = {
@@ -39,6 +40,13 @@ _STYLE = {
     "svg.fonttype": "none",
     "path.simplify_threshold": 0.5,
 }
+
+
+class Drawing(Figure):
+    """A figure that notebooks show, also where nothing has drawn with pyplot before."""
+
+    def _repr_png_(self) -> bytes:
+        return to_bytes(self, "png", _NOTEBOOK_DPI)
 
 
 @dataclass(frozen=True)
@@ -124,38 +132,40 @@ def draw_states(
                 )
             _follow(axis, column, [curve])
         axis.set_ylabel(state)
-    axes.flat[-1].set_xlabel("time t (s)")
+    axes.flat[-1].set_xlabel(_time_label(true.time_unit))
     _legend_below(figure, axes.flat[0])
     return figure
 
 
-def draw_residuals(samples: Samples, predicted: np.ndarray) -> Figure:
+def draw_residuals(samples: Samples, predicted: np.ndarray, time_unit: str = "") -> Figure:
     """Draw the residuals of a formula over time, and how they are distributed.
 
     Parameters
     ----------
     samples : the n slopes that it was fitted to.
-    predicted : (n,) slopes that it gives there, in state units per second.
+    predicted : (n,) slopes that it gives there.
+    time_unit : what times are counted in; "" where nobody knows.
     """
     residuals = samples.y - np.asarray(predicted, dtype=float)
     figure, axes = _canvas(1, 2, (_WIDTH, 3.2), width_ratios=(4, 1), sharey=True)
     over_time, histogram = axes.flat
     over_time.plot(samples.t, residuals, ".", ms=2.5, color=COLOURS[0], rasterized=True)
     over_time.axhline(0.0, color="black", lw=0.8)
-    over_time.set(xlabel="time t (s)", ylabel=f"residual of d{samples.target}/dt")
+    over_time.set(xlabel=_time_label(time_unit), ylabel=f"residual of d{samples.target}/dt")
     finite = residuals[np.isfinite(residuals)]
     histogram.hist(finite, bins=40, orientation="horizontal", color=COLOURS[0], alpha=0.7)
     histogram.set(xlabel="samples")
     return figure
 
 
-def draw_slopes(samples: Samples, predicted: np.ndarray) -> Figure:
+def draw_slopes(samples: Samples, predicted: np.ndarray, time_unit: str = "") -> Figure:
     """Draw the slopes of the data over time, as dots, and what a formula gives there.
 
     Parameters
     ----------
     samples : the n slopes of the data.
-    predicted : (n,) slopes of the formula, in state units per second.
+    predicted : (n,) slopes of the formula.
+    time_unit : what times are counted in; "" where nobody knows.
     """
     figure, axes = _canvas(1, 1, (_WIDTH, 3.2))
     axis = axes.flat[0]
@@ -165,7 +175,7 @@ def draw_slopes(samples: Samples, predicted: np.ndarray) -> Figure:
     given[1:][np.diff(samples.t) <= 0] = np.nan
     axis.plot(samples.t, given, color=COLOURS[1], lw=1.2, label="equation")
     _follow(axis, samples.y, [given])
-    axis.set(xlabel="time t (s)", ylabel=f"d{samples.target}/dt")
+    axis.set(xlabel=_time_label(time_unit), ylabel=f"d{samples.target}/dt")
     _legend_below(figure, axis)
     return figure
 
@@ -273,7 +283,7 @@ def _canvas(
     sharey: bool = False,
 ) -> tuple[Figure, np.ndarray]:
     with rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Drawing(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots(
             rows,
@@ -284,6 +294,10 @@ def _canvas(
             gridspec_kw={"width_ratios": width_ratios} if width_ratios else None,
         )
     return figure, axes
+
+
+def _time_label(unit: str) -> str:
+    return f"time t ({unit})" if unit else "time t"
 
 
 def _limits(truth: np.ndarray, found: Sequence[np.ndarray]) -> tuple[float, float]:

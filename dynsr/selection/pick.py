@@ -17,6 +17,7 @@ from dynsr.fit import (
     Noise,
     build_shooting,
     choose_substeps,
+    collapse,
     description_length,
     improve,
     noise_of,
@@ -26,7 +27,8 @@ from dynsr.fit import (
     score_snapped,
     tidy,
 )
-from dynsr.selection.systems import ComparisonSettings
+from dynsr.selection.comparison import ComparisonSettings
+from dynsr.selection.first_look import LookSettings
 
 
 def forecast_misses(
@@ -85,6 +87,7 @@ class SelectionSettings:
     finest : share of the spread below which no forecast errors are told apart.
     fit : how constants are fitted and snapped.
     comparison : how whole systems are compared.
+    look : the first look at exact slopes.
     """
 
     snapped: int = 6
@@ -95,6 +98,7 @@ class SelectionSettings:
     finest: float = 1e-7
     fit: FitSettings = FitSettings()
     comparison: ComparisonSettings = ComparisonSettings()
+    look: LookSettings = LookSettings()
 
 
 SELECTION = SelectionSettings()
@@ -188,6 +192,12 @@ def pick_equation(
     snapped = _rank(scored, samples, noise)
     varied = [improve(c, samples, noise, fit) for c in snapped[: settings.improved]]
     last = _rank(_distinct([*varied, *snapped]), samples, noise)[: settings.compared]
+    # What is no shorter than another that misses as little cannot be the choice.
+    last = _rank(
+        _distinct(collapse(c, [*last, *candidates], samples, noise, fit) for c in last),
+        samples,
+        noise,
+    )
     misses = {
         c.expr: forecast_misses({state: known + c.expr}, held_back, window=settings.window)
         for c in last
@@ -204,6 +214,47 @@ def pick_equation(
     # The misses of one forecast are correlated: each forecast counts once.
     forecasts = min((m.shape[-1] for m in misses.values()), default=1)
     return Pick(state, tuple(rank_candidates(compared, forecasts, settings)), noise)
+
+
+def rank_by_length(
+    state: str, pool: Iterable[Candidate], samples: Samples, settings: SelectionSettings = SELECTION
+) -> Pick:
+    """Order formulas by description length alone: where systems are compared, they decide.
+
+    Parameters
+    ----------
+    state : whose equation it is.
+    pool : all that was found for it.
+    samples : its samples.
+    settings : how many are kept.
+
+    Raises ValueError when the pool is empty.
+    """
+    candidates = _distinct(pool)
+    if not candidates:
+        raise ValueError(f"nothing was found for {state}")
+    noise = noise_of(candidates, samples)
+    ranked = _rank(candidates, samples, noise)[: settings.compared]
+    lengths = [description_length(c, samples, noise) for c in ranked]
+    return Pick(
+        state,
+        tuple(RankedCandidate(c, b, None) for c, b in zip(ranked, lengths, strict=True)),
+        noise,
+    )
+
+
+def lead_with(pick: Pick, candidate: Candidate, samples: Samples) -> Pick:
+    """Put a candidate first, whatever its description length.
+
+    Parameters
+    ----------
+    pick : the others.
+    candidate : what is known to be the equation.
+    samples : the samples of the state.
+    """
+    bits = description_length(candidate, samples, pick.noise)
+    rest = (r for r in pick.ranked if r.candidate.expr != candidate.expr)
+    return replace(pick, ranked=(RankedCandidate(candidate, bits, None), *rest))
 
 
 def rank_candidates(
@@ -244,6 +295,9 @@ def trivial_candidates(samples: Samples) -> list[Candidate]:
 def explains_all(candidate: Candidate, samples: Samples) -> bool:
     """Say whether the median miss of a formula is at most 0.05 % of the slopes' root mean square.
 
+    A few wild slopes may be missed by far, but not those that hold most of the slopes' squares:
+    beside short bursts everything else is small, and 0 would explain it.
+
     >>> t = np.arange(9.0)
     >>> s = Samples(t[:, None], t, ("v",), "q", "given", t)
     >>> explains_all(score_candidate(sympy.Symbol("v"), s), s)
@@ -251,4 +305,5 @@ def explains_all(candidate: Candidate, samples: Samples) -> bool:
     """
     misses = np.abs(samples.y - evaluate(candidate.expr, samples.columns))
     size = float(np.sqrt(np.mean(samples.y**2)))
-    return bool(np.median(misses) <= 5e-4 * size)
+    most = np.sum(misses**2) <= 0.5 * np.sum(samples.y**2)
+    return bool(most and np.median(misses) <= 5e-4 * size)

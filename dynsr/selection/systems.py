@@ -1,453 +1,443 @@
 """Whole systems compared on the measured states: which terms the data themselves ask for.
 
 Slopes of noisy data are biased by their smoother, and a formula that follows the bias may beat the
-true one on them. Here whole systems are compared on the states: every candidate system is
-integrated over long windows with fitted starts and constants (multiple shooting; Bock 1981), and
-costs the bits of :func:`dynsr.fit.information_criterion`. From the chosen equations the search
-climbs: another formula of the front, one term fewer, v for sin(v) or sin(v) for v, one factor of a
-term more or fewer, and one more term, all from one library. What the linearised fit expects most
-of is tried first: every change is a direction in the space of right-hand sides, one integration
-with the sensitivities to all of them gives their Gram matrix, and from it the misses after any
-change.
+true one on them. Here whole systems are compared on the states. First each equation alone, the
+other states read off their smoothed curves: those of the pool, and sums of terms that a linear fit
+expects most of; then the best of each state together; then the search climbs by changes of one
+equation, for as long as that takes fewer bits.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import sympy
+from scipy.integrate import solve_ivp
+from scipy.linalg import LinAlgError
 
-from dynsr.data import Trajectory
+from dynsr.expression import evaluate
 from dynsr.fit import (
-    Flow,
-    Shooting,
-    Windows,
+    Collocation,
+    Measurements,
     constant_bits,
-    cut_windows,
-    drives_of,
-    free_constants,
-    independent_rows,
-    information_criterion,
-    neighbours,
-    noise_and_spread,
-    shift_bits,
+    r_squared,
     skeleton,
-    structure_bits,
     with_floats,
 )
-from dynsr.methods import MonomialLibrary
-
-Equations = dict[str, sympy.Expr]
-Probes = Sequence[tuple[int, sympy.Expr]]
-
-# A new constant starts here and is fitted.
-_SMALL = sympy.Float(1e-6)
-# Below this share of its size a direction is only rounding away from the others.
-_NOTHING = 1e-9
-
-
-@dataclass(frozen=True)
-class ComparisonSettings:
-    """Settings of a comparison of whole systems; they stand in a run's record.
-
-    Parameters
-    ----------
-    terms : the library whose terms may be added and whose factors may come or go.
-    noisy : systems are compared only where the median noise is above this share of the spread.
-        Smaller noise is no larger than errors that a solver at a loose tolerance leaves in its
-        states; those have a pattern, and terms would be found for it.
-    alternatives : other formulas of each state's front that are tried.
-    rounds, rounds_long : changes taken at most, on windows of the first and of the longer length.
-    tried : changes, those expected to save most first, that are fitted in a round.
-    paired : terms, and changes paired with one, that are looked at for each state.
-    margin : a change expected to cost up to so many bits more is fitted too: expectations are
-        rough.
-    windows : pieces of the data at most.
-    length, longest : intervals of a window at first and at most.
-    follows : longer windows are taken while misses stay within this factor of the noise.
-    strides : rows a step that are tried, longest first.
-    stride_error : a stride may move a state by this share of the noise.
-    steps, gain : most steps of a fit, and the relative gain below which it ends.
-    cap : misses beyond this many noise units count as this many, so that few bad rows do not
-        decide.
-    """
-
-    terms: MonomialLibrary = MonomialLibrary()
-    noisy: float = 3e-3
-    alternatives: int = 2
-    rounds: int = 4
-    rounds_long: int = 1
-    tried: int = 5
-    paired: int = 6
-    margin: float = 5.0
-    windows: int = 40
-    length: int = 100
-    longest: int = 1000
-    follows: float = 1.25
-    strides: tuple[int, ...] = (8, 5, 3, 2)
-    stride_error: float = 0.05
-    steps: int = 8
-    gain: float = 1e-4
-    cap: float = 6.0
+from dynsr.selection.changes import promising_changes, prune
+from dynsr.selection.comparison import (
+    COMPARISON,
+    ComparisonSettings,
+    Equations,
+    SystemComparison,
+    SystemFit,
+)
+from dynsr.selection.first_look import look
+from dynsr.selection.stand_ins import try_stand_ins
+from dynsr.selection.subsets import best_subsets
 
 
 @dataclass(frozen=True, eq=False)
-class SystemFit:
-    """A system fitted to the states.
+class SystemChoice:
+    """The system that the states support best.
 
-    ``misses`` (rows, k, W) are in units of each state's noise, ``mean_squares`` (k,) their mean
-    squares; ``bits`` is the system's description length.
+    Parameters
+    ----------
+    exprs : state -> equation; one that nothing beat comes back as it was given.
+    fit : its fit to the states; None where the states could not be used.
+    others : state -> (formula, bits more) of the other formulas that were fitted in its place,
+        the closest first.
     """
 
     exprs: Equations
-    shooting: Shooting
-    constants: np.ndarray
-    starts: np.ndarray
-    misses: np.ndarray
-    mean_squares: np.ndarray
-    bits: float = math.inf
+    fit: SystemFit | None = None
+    others: Mapping[str, tuple[tuple[sympy.Expr, float], ...]] = field(default_factory=dict)
+
+    def explains(self, settings: ComparisonSettings) -> bool:
+        """Whether the system leaves nothing but noise, and reproduces the runs or pieces of them.
+
+        Parameters
+        ----------
+        settings : the numbers that decide.
+        """
+        if self.fit is None or not leaves_noise(self.fit, settings):
+            return False
+        # Neighbours part on a chaotic run, so that no integration follows the whole of it.
+        return any(
+            integrate(self.fit, settings.evaluations, pieces) > settings.reproduces
+            for pieces in (1, settings.pieces)
+        )
+
+    def different(
+        self, share: float = COMPARISON.different
+    ) -> dict[str, list[tuple[sympy.Expr, float]]]:
+        """State -> (formula, bits more) of those that are other functions along the fitted states.
+
+        Parameters
+        ----------
+        share : rms difference, as a share of the slopes' spread, from which on they are.
+        """
+        assert self.fit is not None
+        mesh = self.fit.problem.mesh
+        columns = {**mesh.columns, **dict(zip(mesh.states, self.fit.fit.states.T, strict=True))}
+        found: dict[str, list[tuple[sympy.Expr, float]]] = {}
+        for state, others in self.others.items():
+            own = evaluate(self.fit.exprs[state], columns)
+            near = found[state] = []
+            terms = _bare_terms(self.fit.exprs[state])
+            # What has one term more than the law, and a small one, is no other law.
+            for expr, more in [o for o in others[:60] if not terms <= _bare_terms(o[0])]:
+                apart = _apart(own, expr, columns)
+                if np.isfinite(apart) and apart > share:
+                    near.append((expr, more))
+            del near[3:]
+        return found
 
 
-@dataclass(frozen=True, eq=False)
-class SystemComparison:
-    """Fits systems to the states and counts their bits.
+def _apart(own: np.ndarray, other: sympy.Expr, columns: Mapping[str, np.ndarray]) -> float:
+    """Rms difference of an equation from slopes (n,), as a share of their spread."""
+    with np.errstate(all="ignore"):
+        gap = float(np.sqrt(np.mean((evaluate(other, columns) - own) ** 2)))
+    return gap / max(float(np.std(own)), 1e-300)
+
+
+def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
+    """Whether the misses of every state are those of its noise.
+
+    The mean square of n normal misses in units of their noise is 1, give or take sqrt(2 / n).
 
     Parameters
     ----------
-    runs : trajectories of the same columns.
-    inputs : input name -> expression in ``t`` where it is known.
-    noise : (k,) standard deviation of each state's measurement noise.
-    length : intervals of a window.
-    stride : rows a step of the integration.
-    rows : (k,) independent rows of each state; None takes those of each fit.
+    fit : the system.
     settings : the numbers that decide.
     """
-
-    runs: Sequence[Trajectory]
-    inputs: Mapping[str, sympy.Expr]
-    noise: np.ndarray
-    length: int
-    stride: int = 1
-    rows: np.ndarray | None = None
-    settings: ComparisonSettings = ComparisonSettings()
-    _cache: dict[str, SystemFit | None] = field(default_factory=dict)
-
-    @cached_property
-    def windows(self) -> Windows:
-        """The pieces of the data, as lanes."""
-        driven = self.runs[0].input_names
-        return cut_windows(
-            [run.t for run in self.runs],
-            [run.x for run in self.runs],
-            drives_of(driven, self.runs, self.inputs),
-            self.length,
-            self.settings.windows,
-        )
-
-    def with_rows(self, rows: np.ndarray) -> SystemComparison:
-        """Compare on the same data with other independent rows."""
-        other = replace(self, rows=rows, _cache={})
-        other.__dict__["windows"] = self.windows
-        return other
-
-    def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
-        """Fit every constant and start; None where the system cannot be followed."""
-        key = str({s: skeleton(e) for s, e in exprs.items()})
-        if key not in self._cache:
-            self._cache[key] = self._fit(exprs, near)
-        return self._cache[key]
-
-    def _fit(self, exprs: Equations, near: SystemFit | None) -> SystemFit | None:
-        shooting, constants = self.shoot(exprs)
-        starts = shooting.windows.x[0]
-        if near is not None and near.starts.shape == starts.shape:
-            starts = near.starts
-        with np.errstate(all="ignore"):
-            if not np.all(np.isfinite(shooting.misses(constants, starts))):
-                return None
-            constants, starts = shooting.minimise(
-                constants, starts, "linear", math.inf, self.settings.steps, self.settings.gain
-            )
-            misses = shooting.misses(constants, starts)
-        put = dict(zip(shooting.flow.constants, map(sympy.Float, constants), strict=True))
-        fitted = {s: e.xreplace(put) for s, e in shooting.flow.rhs.items()}
-        squares = np.mean(np.minimum(misses**2, self.settings.cap**2), axis=(0, 2))
-        fit = SystemFit(fitted, shooting, constants, starts, misses, np.maximum(squares, 1e-12))
-        return replace(fit, bits=self.bits(fit))
-
-    def shoot(self, exprs: Equations, probes: Probes = ()) -> tuple[Shooting, np.ndarray]:
-        """Give the boundary value problem of a system with ``probes``, and its constants."""
-        rhs: Equations = {}
-        values: dict[sympy.Symbol, float] = {}
-        for state, expr in exprs.items():
-            rhs[state], found = free_constants(expr, f"constant {state} ")
-            values.update(found)
-        numbered = [sympy.Symbol(f"probe {i}") for i in range(len(probes))]
-        flow = Flow(rhs, self.runs[0].input_names, (*values, *numbered), self.stride, tuple(probes))
-        constants = np.array([*values.values(), *[0.0] * len(probes)])
-        return Shooting(flow, self.windows, self.noise, True), constants
-
-    def rows_of(self, fit: SystemFit) -> np.ndarray:
-        """(k,) independent rows that count."""
-        return self.rows if self.rows is not None else independent_rows(fit.misses)
-
-    def bits(self, fit: SystemFit) -> float:
-        """Bits of misses, terms and constants."""
-        rows, exprs = self.rows_of(fit), fit.exprs.values()
-        return information_criterion(fit.mean_squares, rows, exprs, len(fit.constants))
+    rows = fit.problem.mesh.rows
+    most = 1 + settings.excess + 3 * np.sqrt(2 / np.maximum(rows, 1.0))
+    return bool(np.all((fit.fit.mean_squares <= most) | (rows == 0)))
 
 
-@dataclass(frozen=True)
-class Change:
-    """One equation otherwise, and the bits that it is expected to take more (or less, below 0)."""
-
-    state: str
-    expr: sympy.Expr
-    bits: float
-
-
-@dataclass(frozen=True)
-class _Move:
-    """A change as columns of the Gram matrix: those taken out, put in whole, and set free."""
-
-    state: str
-    expr: sympy.Expr
-    out: tuple[int, ...] = ()
-    whole: tuple[int, ...] = ()
-    free: tuple[int, ...] = ()
-
-
-def promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Change]:
-    """Give the changes of one equation that the linearised fit expects most of, the best first."""
-    settings = comparison.settings
-    moves, probes = _make_moves(comparison, fit)
-    if not moves:
-        return []
-    gram = _gram(comparison, fit, probes)
-    if not np.all(np.isfinite(gram)):
-        return []
-    rows = comparison.rows_of(fit)
-    # Squared misses over their mean square are squared z-scores, of independent rows alone.
-    per_square = shift_bits(1.0) * float(np.mean(rows / fit.misses[:, 0].size / fit.mean_squares))
-    before = gram[-1, -1]
-    of_constant = constant_bits(float(np.max(rows)))
-    values = fit.constants
-    single = [(_expected_squares(gram, values, m) - before, m) for m in moves]
-    paired = []
-    for state in fit.exprs:
-        mine = [(squares, m) for squares, m in single if m.state == state]
-        grown = sorted((p for p in mine if p[1].free), key=lambda p: p[0])[: settings.paired]
-        pairs = [(m, more) for _, m in mine if not m.free for _, more in grown]
-        squares = [_expected_squares(gram, values, replace(m, free=more.free)) for m, more in pairs]
-        best = np.argsort(squares, kind="stable")[: settings.paired]
-        paired += [(squares[i] - before, _join(pairs[i][0], pairs[i][1], fit)) for i in best]
-    found = []
-    for gained, move in [*single, *paired]:
-        cost = structure_bits(move.expr) - structure_bits(fit.exprs[move.state])
-        cost += of_constant * (len(move.free) - len(move.out))
-        found.append(Change(move.state, move.expr, gained * per_square + cost))
-    found = [change for change in found if change.bits < settings.margin]
-    return sorted(found, key=lambda c: (c.bits, str(c.expr)))[: settings.tried]
-
-
-def _make_moves(
-    comparison: SystemComparison, fit: SystemFit
-) -> tuple[list[_Move], list[tuple[int, sympy.Expr]]]:
-    """Give all single changes; a probe has the column of its place after the constants'."""
-    moves: list[_Move] = []
-    probes: list[tuple[int, sympy.Expr]] = []
-    names = comparison.runs[0].names
-    terms = comparison.settings.terms.for_names(names).functions
-    factors = [factor for factor, *_ in comparison.settings.terms.factors(names)]
-    own = [str(c) for c in fit.shooting.flow.constants]
-    count = len(own)
-    for row, (state, expr) in enumerate(fit.exprs.items()):
-        if expr.is_Symbol:
-            # q' = v holds by definition far more often than not.
-            continue
-        for index in range(count):
-            if own[index].startswith(f"constant {state} "):
-                lost = expr.xreplace({sympy.Float(float(fit.constants[index])): sympy.S.Zero})
-                if lost != expr and not lost.has(sympy.zoo, sympy.nan):
-                    moves.append(_Move(state, lost, out=(index,)))
-        others = [*neighbours(expr), *swap_everywhere(expr), *toggle_factors(expr, factors)]
-        changed = {skeleton(e): e for e in others}
-        for other in changed.values():
-            moves.append(_Move(state, other, whole=(count + len(probes),)))
-            probes.append((row, other - expr))
-        bottom = sympy.fraction(expr)[1]
-        have = {t.as_coeff_Mul()[1] for t in sympy.Add.make_args(sympy.fraction(expr)[0])}
-        for term in terms:
-            if term not in have:
-                wider = expr + _SMALL * term / bottom
-                moves.append(_Move(state, _over_one(wider), free=(count + len(probes),)))
-                probes.append((row, term / bottom))
-    return moves, probes
-
-
-def _over_one(expr: sympy.Expr) -> sympy.Expr:
-    """Put the terms over one fraction line again."""
-    bottoms = {sympy.fraction(t)[1] for t in sympy.Add.make_args(expr)}
-    if len(bottoms) != 1 or bottoms == {sympy.S.One}:
-        return expr
-    return sympy.Add(*[sympy.fraction(t)[0] for t in sympy.Add.make_args(expr)]) / bottoms.pop()
-
-
-def _join(move: _Move, more: _Move, fit: SystemFit) -> _Move:
-    """Make a change and add the term of another."""
-    added = more.expr - fit.exprs[move.state]
-    bottom = sympy.fraction(move.expr)[1]
-    term = sympy.fraction(sympy.together(added))[0].as_coeff_Mul()[1]
-    wider = _over_one(move.expr + _SMALL * term / bottom)
-    return _Move(move.state, wider, move.out, move.whole, more.free)
-
-
-def _gram(comparison: SystemComparison, fit: SystemFit, probes: Probes) -> np.ndarray:
-    """Products of the slopes by constants and probes, and of the misses as the last column."""
-    shooting, constants = comparison.shoot(fit.exprs, probes)
-    with np.errstate(all="ignore"):
-        misses, by_constant, by_start = shooting.linearise(constants, fit.starts)
-        by_lane = misses.transpose(2, 0, 1).reshape(by_start.shape[0], -1, 1)
-        columns = np.concatenate([by_constant, by_lane], axis=2)
-        if not np.all(np.isfinite(columns)):
-            return np.full((1, 1), np.nan)
-    # What free starts can follow is no merit of a term.
-    basis = np.linalg.qr(by_start)[0]
-    columns = columns - basis @ (basis.transpose(0, 2, 1) @ columns)
-    flat = columns.reshape(-1, columns.shape[-1])
-    gram: np.ndarray = flat.T @ flat
-    return gram
-
-
-def _expected_squares(gram: np.ndarray, values: np.ndarray, move: _Move) -> float:
-    """Sum of squared misses that the linearised fit expects after a change."""
-    shift = np.zeros(len(gram))
-    shift[-1] = 1.0
-    shift[list(move.out)] = -values[list(move.out)]
-    shift[list(move.whole)] = 1.0
-    loose = [i for i in range(len(values)) if i not in move.out] + list(move.free)
-    total = float(shift @ gram @ shift)
-    if not loose:
-        return total
-    block, pull = gram[np.ix_(loose, loose)], gram[loose] @ shift
-    scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
-    steps = np.linalg.lstsq(block / np.outer(scale, scale), pull / scale, rcond=_NOTHING)[0]
-    return total - float(steps @ (pull / scale))
-
-
-def swap_everywhere(expr: sympy.Expr) -> list[sympy.Expr]:
-    """Put sin(v) for every bare v, and v for every sin(v).
-
-    >>> x = sympy.Symbol("x")
-    >>> [str(e) for e in swap_everywhere(x / (x**2 + 1))]
-    ['sin(x)/(sin(x)**2 + 1)']
-    """
-    found = []
-    for symbol in sorted(expr.free_symbols, key=str):
-        hidden = {f: sympy.Dummy() for f in expr.atoms(sympy.Function)}
-        bare = expr.xreplace(hidden).xreplace({symbol: sympy.sin(symbol)})
-        found.append(bare.xreplace({d: f for f, d in hidden.items()}))
-        found.append(expr.xreplace({sympy.sin(symbol): symbol}))
-    return [f for f in found if f != expr]
-
-
-def toggle_factors(expr: sympy.Expr, factors: Sequence[sympy.Expr]) -> list[sympy.Expr]:
-    """Multiply one term above the fraction line by a factor, or divide it where it has that factor.
-
-    >>> x, y = sympy.symbols("x y")
-    >>> [str(e) for e in toggle_factors(2 * y * sympy.sin(x), [y, sympy.cos(x)])]
-    ['2*sin(x)', '2*y*sin(x)*cos(x)']
-    """
-    top, bottom = sympy.fraction(expr)
-    terms = sympy.Add.make_args(top)
-    found = []
-    for factor in factors:
-        for i, term in enumerate(terms):
-            has = factor in term.as_powers_dict()
-            changed = term / factor if has else term * factor
-            found.append(sympy.Add(*terms[:i], changed, *terms[i + 1 :]) / bottom)
-    return found
+def _bare_terms(expr: sympy.Expr) -> set[sympy.Expr]:
+    return {skeleton(t.as_coeff_Mul()[1]) for t in sympy.Add.make_args(sympy.expand(expr))}
 
 
 def compare_systems(
     exprs: Mapping[str, sympy.Expr],
-    alternatives: Mapping[str, Sequence[sympy.Expr]],
-    runs: Sequence[Trajectory],
-    inputs: Mapping[str, sympy.Expr] | None = None,
-    settings: ComparisonSettings = ComparisonSettings(),
-) -> Equations:
+    alternatives: Mapping[str, Iterable[sympy.Expr]],
+    data: Measurements,
+    settings: ComparisonSettings = COMPARISON,
+) -> SystemChoice:
     """Give the equations whose terms the states support best, climbing from ``exprs``.
 
     Parameters
     ----------
-    exprs : state -> the equation chosen so far; every state of the data has one.
-    alternatives : state -> other formulas that were found for it.
-    runs : trajectories of the same columns.
-    inputs : input name -> expression in ``t`` where it is known.
+    exprs : state -> the equation chosen so far.
+    alternatives : state -> other formulas that were found for it, the likeliest first.
+    data : the measured states, their noise and smoothed curves.
     settings : the numbers that decide.
 
     An equation that nothing beats comes back as it was given, and so does one that is one bare
     column, such as q' = v. All come back so where the data cannot be followed, and where their
-    noise is below 0.3 % of the spread: there slopes are good enough.
+    noise is below ``noisy``: there slopes are good enough.
     """
-    names = runs[0].states
-    if set(exprs) != set(names):
-        return dict(exprs)
-    chosen = {s: with_floats(exprs[s]) for s in names}
-    others = [
-        {s: with_floats(e)} for s in names for e in alternatives.get(s, ())[: settings.alternatives]
-    ]
-    noise, spread = noise_and_spread(runs)
-    if float(np.median(noise / np.maximum(spread, 1e-300))) < settings.noisy:
-        return dict(exprs)
-    noise = np.maximum(noise, 1e-9 * spread)
-    comparison = SystemComparison(runs, inputs or {}, noise, settings.length, settings=settings)
-    best = comparison.fit(chosen)
+    if data.noise_share < settings.noisy:
+        return SystemChoice(dict(exprs))
+    states = tuple(exprs)
+    pools = {
+        s: distinct_shapes([exprs[s], *alternatives.get(s, ())])[: settings.alone] for s in states
+    }
+    best, comparison = _search(pools, data, settings)
     if best is None:
-        return dict(exprs)
-    comparison = replace(comparison, stride=_choose_stride(comparison, best))
-    best = _climb(comparison, best, others, settings.rounds)
-    longest = min(settings.longest, max(map(len, runs)) - 1)
-    for length in (longest, longest // 3):
-        longer = replace(comparison, length=length, _cache={})
-        refitted = longer.fit(best.exprs) if length > comparison.length else None
-        if refitted is not None and np.max(refitted.mean_squares) < settings.follows**2:
-            best = _climb(longer, refitted, [], settings.rounds_long)
+        return SystemChoice(dict(exprs))
+    # A system that follows the data is the best smoother: terms are looked for along it again.
+    for number in range(settings.again):
+        if number and leaves_noise(best, settings):
             break
-    same = {s: skeleton(best.exprs[s]) == skeleton(chosen[s]) for s in names}
-    return {s: exprs[s] if same[s] else best.exprs[s] for s in names}
+        follower = data.along(best.fit.states, states)
+        found = {
+            s: [best.exprs[s]]
+            if best.exprs[s].is_Symbol
+            else [best.exprs[s], *explore(s, follower, settings, ratios=False)]
+            for s in states
+        }
+        other, _ = _search(found, follower, settings, comparison)
+        if other is None or other.bits >= best.bits - settings.gain:
+            break
+        best = other
+    best = try_stand_ins(comparison, best, lambda fit: _climb(comparison, fit, {}))
+    best = _prefer_reproducing(comparison, best)
+    same = {s: skeleton(best.exprs[s]) == skeleton(with_floats(exprs[s])) for s in states}
+    chosen = {s: exprs[s] if same[s] else best.exprs[s] for s in states}
+    return SystemChoice(chosen, best, _closest(comparison, best))
 
 
-def _choose_stride(comparison: SystemComparison, fit: SystemFit) -> int:
-    """Give the longest stride that moves no state by more than a share of the noise."""
-    settings = comparison.settings
-    even = all(np.ptp(np.diff(run.t)) <= 1e-6 * np.mean(np.diff(run.t)) for run in comparison.runs)
-    for stride in settings.strides if even else ():
-        shooting, constants = replace(comparison, stride=stride).shoot(fit.exprs)
-        with np.errstate(all="ignore"):
-            moved = np.max(np.abs(shooting.misses(constants, fit.starts) - fit.misses))
-        if moved < settings.stride_error:
-            return stride
-    return 1
+def _search(
+    pools: Mapping[str, Sequence[sympy.Expr]],
+    data: Measurements,
+    settings: ComparisonSettings,
+    comparison: SystemComparison | None = None,
+) -> tuple[SystemFit | None, SystemComparison]:
+    """Rank each state's formulas alone, put the best together and climb."""
+    # What is one bare column, such as q' = v, is known well enough.
+    leaders = {
+        s: [] if pool[0].is_Symbol else _Alone.of(s, data, settings).lead(pool)
+        for s, pool in pools.items()
+    }
+    leaders = {s: own or [_Leader(pools[s][0], 0.0)] for s, own in leaders.items()}
+    together = comparison or SystemComparison(data.mesh(tuple(pools)), settings)
+    best = _compose(together, leaders)
+    return best and _climb(together, best, leaders), together
+
+
+def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
+    """Give formulas with free constants, one of each shape."""
+    found: dict[sympy.Expr, sympy.Expr] = {}
+    for expr in pool:
+        loose = with_floats(expr)
+        found.setdefault(skeleton(loose), loose)
+    return list(found.values())
+
+
+def explore(
+    state: str, data: Measurements, settings: ComparisonSettings, *, ratios: bool = True
+) -> list[sympy.Expr]:
+    """Give sums of terms that follow one state best, the others read off their curves.
+
+    The terms are evaluated along the smoothed states, and their integrals are fitted to the
+    measured ones (the weak form of Schaeffer and McCalla 2017, with windows of all lengths); the
+    best subsets take the fewest bits. Their exact fits put them in order.
+
+    Parameters
+    ----------
+    state : whose equation is sought.
+    data : the measured states, their noise and smoothed curves.
+    settings : the numbers that decide.
+    ratios : whether ratios that follow the smoothed slopes are tried too.
+    """
+    alone = _Alone.of(state, data, settings)
+    pool = alone.sums_of_terms()
+    if ratios:
+        seen = look(data.samples(state), settings.demands.limits(state))
+        pool += [c.expr for c in seen.candidates]
+    return alone.rank(pool)
+
+
+def other_in_halves(
+    state: str, expr: sympy.Expr, data: Measurements, settings: ComparisonSettings = COMPARISON
+) -> sympy.Expr | None:
+    """Give the formula that half of the rows ask for instead of one; None where both keep it.
+
+    A form that the data determine is found in either half again (stability selection;
+    Meinshausen and Buehlmann 2010).
+
+    Parameters
+    ----------
+    state : whose equation it is.
+    expr : the equation.
+    data : the measured states.
+    settings : the numbers that decide.
+    """
+    own = with_floats(expr)
+    for which in (0, 1):
+        alone = _Alone.of(state, data.half(which), settings)
+        mine = alone.comparison.fit({**alone.beside, state: own})
+        alone.rank(alone.sums_of_terms())
+        best = alone.best()
+        if mine is None or best is None:
+            continue
+        other = best.exprs[state]
+        columns = alone.comparison.mesh.columns
+        apart = _apart(evaluate(mine.exprs[state], columns), other, columns)
+        if best.bits < mine.bits and apart > settings.different:
+            return other
+    return None
+
+
+@dataclass(frozen=True)
+class _Leader:
+    """A formula of one state, and the bits that it takes alone more than the best."""
+
+    expr: sympy.Expr
+    behind: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Alone:
+    """One state fitted by itself, the others read off their smoothed curves."""
+
+    state: str
+    beside: Equations
+    comparison: SystemComparison
+
+    @classmethod
+    def of(cls, state: str, data: Measurements, settings: ComparisonSettings) -> _Alone:
+        beside = data.beside(state)
+        return cls(state, beside, SystemComparison(data.mesh((*beside, state)), settings))
+
+    def rank(self, pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
+        """Give the formulas that can be fitted, fewest bits first."""
+        for expr in pool:
+            self.comparison.fit({**self.beside, self.state: expr})
+        for fit in self._ranked()[: self.comparison.settings.pruned]:
+            prune(self.comparison, fit, self.state)
+        return [f.exprs[self.state] for f in self._ranked()]
+
+    def lead(self, pool: Iterable[sympy.Expr]) -> list[_Leader]:
+        """Give those of the formulas that come close to the best."""
+        self.rank(pool)
+        settings, ranked = self.comparison.settings, self._ranked()
+        close = [f for f in ranked if f.bits <= ranked[0].bits + settings.behind]
+        return [
+            _Leader(f.exprs[self.state], f.bits - ranked[0].bits)
+            for f in close[: settings.together]
+        ]
+
+    def best(self) -> SystemFit | None:
+        """Give the fit of fewest bits."""
+        return next(iter(self._ranked()), None)
+
+    def _ranked(self) -> list[SystemFit]:
+        return sorted(self.comparison.fits(), key=lambda f: f.bits)
+
+    def sums_of_terms(self) -> list[sympy.Expr]:
+        """Give the sums that a linear fit expects most of, the best first."""
+        mesh, settings = self.comparison.mesh, self.comparison.settings
+        problem = Collocation({**self.beside, self.state: sympy.S.Zero}, mesh, settings.fit)
+        points = problem.points(mesh.start, np.zeros(0))[:-1]
+        terms = self.comparison.terms
+        slopes = np.zeros((len(mesh.states), len(terms.exprs), points.shape[1]))
+        slopes[-1] = np.nan_to_num(terms.values(points), nan=0.0, posinf=0.0, neginf=0.0)
+        try:
+            normal = problem.normal(mesh.start, np.zeros(0), slopes, settings.softness)
+        except LinAlgError:
+            return [sympy.S.Zero]
+        rows = float(np.max(mesh.rows))
+        costs = terms.bits + constant_bits(rows) * (1 + terms.inside)
+        limits = settings.demands.limits(self.state)
+        costs[[not limits.allow(term) for term in terms.exprs]] = np.inf
+        found: dict[tuple[int, ...], np.ndarray] = {}
+        # A beam through few terms reaches sums that one through all of them passes by.
+        for tier in terms.tiers:
+            gram, pull = normal.information[np.ix_(tier, tier)], -normal.pull[tier]
+            subsets = best_subsets(gram, pull, normal.squares, costs[tier], rows)
+            for subset in subsets[: settings.sums]:
+                places = tuple(int(tier[i]) for i in subset.places)
+                found.setdefault(places, subset.coefficients)
+        sums = [
+            sympy.Add(
+                *[sympy.Float(c) * terms.exprs[i] for c, i in zip(values, places, strict=True)]
+            )
+            for places, values in found.items()
+        ]
+        columns = [sympy.Symbol(n) for n in self.comparison.names if n != self.state]
+        return [sympy.S.Zero, *columns, *sums]
+
+
+def _compose(
+    comparison: SystemComparison, leaders: Mapping[str, Sequence[_Leader]]
+) -> SystemFit | None:
+    """Fit the system of each state's best formulas, or of the next where that cannot be fitted."""
+    for place in range(max(map(len, leaders.values()))):
+        exprs = {s: pool[min(place, len(pool) - 1)].expr for s, pool in leaders.items()}
+        found = comparison.fit(exprs)
+        if found is not None:
+            return found
+    return None
 
 
 def _climb(
-    comparison: SystemComparison, fit: SystemFit, alternatives: Sequence[Equations], rounds: int
+    comparison: SystemComparison, fit: SystemFit, leaders: Mapping[str, Sequence[_Leader]]
 ) -> SystemFit:
-    """Take the best change until none takes fewer bits; alternatives are tried in the first."""
-    for number in range(rounds):
-        # How many rows are independent is seen in the misses of the best system.
-        comparison = comparison.with_rows(independent_rows(fit.misses))
-        fit = replace(fit, bits=comparison.bits(fit))
+    """Take the best change until none takes fewer bits."""
+    for number in range(comparison.settings.rounds):
         changes = [{c.state: c.expr} for c in promising_changes(comparison, fit)]
-        trials = [{**fit.exprs, **c} for c in [*changes, *(() if number else alternatives)]]
-        fits = [comparison.fit(exprs, fit) for exprs in trials]
+        # Where nothing but noise is left, what is worse alone is worse together.
+        settled = number > 1 or leaves_noise(fit, comparison.settings)
+        most = comparison.settings.near if settled else comparison.settings.behind
+        changes += [
+            {s: one.expr} for s, pool in leaders.items() for one in pool if one.behind < most
+        ]
+        fits = [comparison.fit({**fit.exprs, **change}, fit) for change in changes]
         best = min([fit, *(f for f in fits if f is not None)], key=lambda f: f.bits)
         if best is fit:
             break
         fit = best
     return fit
+
+
+def _prefer_reproducing(comparison: SystemComparison, best: SystemFit) -> SystemFit:
+    """Give the best system that an integration from its start confirms, if one is close enough."""
+    settings = comparison.settings
+    close = [f for f in comparison.fits() if f.bits <= best.bits + settings.unfollowed]
+    for fit in sorted(close, key=lambda f: f.bits)[:12]:
+        if integrate(fit, settings.evaluations) > settings.reproduces:
+            return fit
+    return best
+
+
+class _TooLong(Exception):
+    """An integration takes more evaluations than any that reproduces the data."""
+
+
+def integrate(fit: SystemFit, evaluations: int = COMPARISON.evaluations, pieces: int = 1) -> float:
+    """Integrate a system from its fitted states over the runs or pieces of them; gives the mean R2.
+
+    R2 is 1 - sum (x - y)^2 / sum (y - mean y)^2 of each measured state, from -1 up.
+
+    Parameters
+    ----------
+    fit : the system.
+    evaluations : of the right-hand sides for each row; a run that takes more counts as missed.
+    pieces : of each run; a chaotic one parts from the data over the whole.
+    """
+    mesh, constants = fit.problem.mesh, fit.fit.constants
+    slope = fit.problem.slope
+    first = np.setdiff1d(np.arange(len(mesh.t)), mesh.left + 1)
+    found = np.full(mesh.x.shape, np.nan)
+    ends = [*first[1:], len(mesh.t)]
+    cuts = [
+        np.unique(np.linspace(a, b, pieces + 1).astype(int))
+        for a, b in zip(first, ends, strict=True)
+    ]
+    for begin, end in [pair for cut in cuts for pair in pairwise(cut)]:
+        t, driven = mesh.t[begin:end], mesh.driven[:, begin:end]
+        left = iter(range(evaluations * len(t)))
+
+        def rhs(
+            at: float,
+            x: np.ndarray,
+            t: np.ndarray = t,
+            u: np.ndarray = driven,
+            left: Iterator[int] = left,
+        ) -> np.ndarray:
+            if next(left, None) is None:
+                raise _TooLong
+            return slope(*x, *[np.interp(at, t, row) for row in u], *constants)
+
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            start = fit.fit.states[begin]
+            try:
+                solved = solve_ivp(rhs, (t[0], t[-1]), start, "LSODA", t, rtol=1e-5, atol=1e-8)
+            except _TooLong:
+                continue
+        if solved.y.shape[1] == len(t):
+            found[begin:end] = solved.y.T
+    measured = mesh.rows > 0
+    return r_squared(mesh.x[:, measured], found[:, measured])
+
+
+def _closest(
+    comparison: SystemComparison, best: SystemFit
+) -> dict[str, tuple[tuple[sympy.Expr, float], ...]]:
+    """Give the other formulas of each state that were fitted beside the best of the others."""
+    shapes = {s: skeleton(e) for s, e in best.exprs.items()}
+    found: dict[str, list[tuple[sympy.Expr, float]]] = {s: [] for s in shapes}
+    for fit in comparison.fits():
+        changed = [s for s, e in fit.exprs.items() if skeleton(e) != shapes[s]]
+        if len(changed) == 1:
+            found[changed[0]].append((fit.exprs[changed[0]], fit.bits - best.bits))
+    return {s: tuple(sorted(o, key=lambda p: (p[1], str(p[0])))) for s, o in found.items()}

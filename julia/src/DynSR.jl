@@ -30,4 +30,9 @@ function versions()
     return join(["julia $VERSION"; lines], "\n")
 end
 
+# A project that is not ours includes this file, and need not hold PrecompileTools.
+if Base.PkgId(@__MODULE__).uuid !== nothing
+    include("workload.jl")
+end
+
 end

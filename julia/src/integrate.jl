@@ -19,6 +19,17 @@ for name in (:sqrt, :log)
 end
 power(x, y) = x >= 0 || isinteger(y) ? x^y : not_a_number(x)
 
+"Value at time `t` of the measured input number `k`, by the piece that began last."
+function drive(p, k, t)
+    starts, pieces = p.starts[k], p.pieces[k]
+    i = clamp(searchsortedlast(starts, t), 1, length(starts))
+    past, value = t - starts[i], zero(t)
+    for row in axes(pieces, 1)
+        value = value * past + pieces[row, i]
+    end
+    return value
+end
+
 end
 
 const COMPILED = Dict{String, Function}()
@@ -35,6 +46,21 @@ function compile(source::AbstractString)
 end
 
 """
+    Slopes(call)
+
+A right-hand side `(du, u, p, t) -> ...`. Every one has this same type, so that the solver is
+compiled once and not anew for each; what that costs is one dynamic call a slope.
+"""
+struct Slopes
+    call::Function
+end
+
+function (slopes::Slopes)(du, u, p, t)
+    slopes.call(du, u, p, t)
+    return nothing
+end
+
+"""
     integrate(source, x0, t, reltol, abstol, max_steps, max_seconds)
         -> (x, accepted, rejected, message)
 
@@ -46,15 +72,59 @@ why; it is empty when the end was reached. Step sizes follow the PI controller w
 at most ten, also after the first step, for which later releases of OrdinaryDiffEq allow more.
 """
 function integrate(source, x0, t, reltol, abstol, max_steps, max_seconds)
-    slopes! = compile(source)
+    slopes = Slopes(compile(source))
     # What was just compiled can only be called from a newer world than this method's.
     return Base.invokelatest(
-        run_tsit5, slopes!, Vector{Float64}(x0), Vector{Float64}(t),
+        run_tsit5, slopes, Vector{Float64}(x0), Vector{Float64}(t),
         Float64(reltol), Float64(abstol), Int(max_steps), Float64(max_seconds),
     )
 end
 
-function run_tsit5(slopes!, x0, t, reltol, abstol, max_steps, max_seconds)
+"""
+    Drives(starts, pieces)
+
+Measured inputs: input `k` is the polynomial in `t - starts[k][i]` with the coefficients
+`pieces[k][:, i]`, the highest power first, from `starts[k][i]` to the next start.
+"""
+struct Drives
+    starts::Vector{Vector{Float64}}
+    pieces::Vector{Matrix{Float64}}
+end
+
+"""
+    integrate_driven(source, x0, t, reltol, abstol, max_steps, max_seconds, counts, starts,
+        pieces, stops) -> (x, accepted, rejected, message)
+
+Solve as `integrate` does, with measured inputs and times that no step passes over.
+
+`source` takes input `k` as `drive(p, k, t)`. `counts` says how many pieces each input has,
+`starts` (m) where all of them begin, one input after the other, `pieces` (c, m) what they are,
+and `stops` holds the times, all inside the span.
+"""
+function integrate_driven(
+        source, x0, t, reltol, abstol, max_steps, max_seconds, counts, starts, pieces, stops,
+    )
+    slopes = Slopes(compile(source))
+    drives = drives_of(
+        Vector{Float64}(counts), Vector{Float64}(starts), Matrix{Float64}(pieces),
+    )
+    return Base.invokelatest(
+        run_tsit5, slopes, Vector{Float64}(x0), Vector{Float64}(t),
+        Float64(reltol), Float64(abstol), Int(max_steps), Float64(max_seconds),
+        drives, Vector{Float64}(stops),
+    )
+end
+
+"Take apart what came as one array of each kind."
+function drives_of(counts, starts, pieces)
+    ends = cumsum(Int.(counts))
+    spans = [(stop - count + 1):stop for (stop, count) in zip(ends, Int.(counts))]
+    return Drives([starts[span] for span in spans], [pieces[:, span] for span in spans])
+end
+
+function run_tsit5(
+        slopes, x0, t, reltol, abstol, max_steps, max_seconds, drives = nothing, stops = nothing,
+    )
     algorithm = Tsit5()
     options = (;
         saveat = t, save_start = true, save_end = true, save_everystep = false, dense = false,
@@ -64,7 +134,11 @@ function run_tsit5(slopes!, x0, t, reltol, abstol, max_steps, max_seconds)
     if controller !== nothing
         options = (; options..., controller)
     end
-    problem = ODEProblem(slopes!, x0, (first(t), last(t)))
+    if stops !== nothing
+        options = (; options..., tstops = stops)
+    end
+    parameters = drives === nothing ? () : (drives,)
+    problem = ODEProblem(slopes, x0, (first(t), last(t)), parameters...)
     # A divergence is told by the result; the solver's warnings would only repeat it.
     solution = Base.CoreLogging.with_logger(Base.CoreLogging.NullLogger()) do
         solve(problem, algorithm; options...)

@@ -11,7 +11,8 @@ end
 const integrate = DynSR.integrate
 const regress = DynSR.regress
 
-const GOLDEN = joinpath(@__DIR__, "..", "..", "tests", "golden", "julia")
+const CHECKOUT = joinpath(realpath(@__DIR__), "..", "..", "..")
+const GOLDEN = joinpath(CHECKOUT, "tests", "golden", "julia")
 const SYSTEMS = ("lotka_volterra", "simple_pendulum", "cart_pole")
 
 const SLOPES = Dict(
@@ -131,6 +132,47 @@ end
     x, _, _, message = integrate(source, [0.4], [0.0, 1.0], 1.0e-6, 1.0e-9, 10_000, 60.0)
     @test x[1, 1] == 0.4 && isnan(x[2, 1])
     @test message != ""
+end
+
+@testset "every right-hand side has one type, for which the solver is compiled once" begin
+    @test isconcretetype(DynSR.Slopes)
+    for (source, expected) in (("u[1]", exp(1.0)), ("-2.0 * u[1]", exp(-2.0)))
+        slopes = DynSR.Slopes(
+            DynSR.compile("(du, u, p, t) -> begin du[1] = $source; nothing end"),
+        )
+        @test typeof(slopes) === DynSR.Slopes
+        x, accepted, rejected, message = Base.invokelatest(
+            DynSR.run_tsit5, slopes, [1.0], [0.0, 1.0], 1.0e-10, 1.0e-10, 1000, 60.0,
+        )
+        @test message == "" && abs(x[2, 1] - expected) < 1.0e-8
+        text = "(du, u, p, t) -> begin du[1] = $source; nothing end"
+        again = integrate(text, [1.0], [0.0, 1.0], 1.0e-10, 1.0e-10, 1000, 60.0)
+        @test again == (x, accepted, rejected, message)
+    end
+end
+
+@testset "measured inputs are pieces of polynomials, and no step passes over a stop" begin
+    # u' = i1 + 2 i2 with i1 = 3t^2 up to 1 and 3 after it, i2 = t: u(2) = 1 + 3 + 4 = 8.
+    source = """
+    (du, u, p, t) -> begin
+        i1 = drive(p, 1, t)
+        i2 = drive(p, 2, t)
+        du[1] = i1 + 2.0 * i2
+        nothing
+    end"""
+    pieces = [3.0 0.0 0.0; 0.0 0.0 1.0; 0.0 3.0 0.0]
+    x, accepted, _, message = DynSR.integrate_driven(
+        source, [0.0], [0.0, 1.0, 2.0], 1.0e-10, 1.0e-10, 1000, 60.0,
+        [2.0, 1.0], [0.0, 1.0, 0.0], pieces, [0.25, 1.0, 1.75],
+    )
+    @test message == "" && maximum(abs, x[:, 1] .- [0.0, 2.0, 8.0]) < 1.0e-9
+    # A pulse of a hundredth of a second in a hundred seconds of rest, seen for its stops alone.
+    pulse = [0.0 100.0 0.0]
+    seen = DynSR.integrate_driven(
+        "(du, u, p, t) -> begin du[1] = drive(p, 1, t); nothing end", [0.0], [0.0, 100.0],
+        1.0e-8, 1.0e-8, 1000, 60.0, [3.0], [0.0, 50.0, 50.01], pulse, [50.0, 50.01],
+    )
+    @test abs(seen[1][2, 1] - 1.0) < 1.0e-6
 end
 
 @testset "limits of steps and of time end a solution" begin

@@ -22,6 +22,7 @@ class DiffeqpyEngine(JuliaEngine):
 
     name = "diffeqpy"
     integration = "diffeqpy"
+    takes_drives = False
 
     def __init__(
         self, start_seconds: float = START_SECONDS, announce: Announce = announce_on_stderr

@@ -1,15 +1,14 @@
 """The Julia engine: OrdinaryDiffEqTsit5 and DataDrivenSparse, the tools of the paper, by juliacall.
 
-Julia runs in a process of its own, started on the first use. Only the worker in it and the setup
-know juliacall.
+Julia runs in a process of its own, started on the first use and shared by all processes of a run.
+Only the worker in it and the setup know juliacall.
 """
 
 from __future__ import annotations
 
-import os
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,15 @@ from dynsr.engines.base import (
     SparseProblem,
     SparseSolution,
 )
+from dynsr.engines.drives import Drive
 from dynsr.engines.julia.process import Announce, Message, WorkerProcess
-from dynsr.engines.julia.setup import ENVIRONMENT, find_sources, name_remedy, require_julia
+from dynsr.engines.julia.setup import (
+    explain_start,
+    find_sources,
+    require_julia,
+    start_environment,
+)
+from dynsr.engines.julia.shared import Guest, Host, find_host, has_host
 from dynsr.engines.julia.source import write_slopes
 from dynsr.engines.sparse.solve import read_settings
 from dynsr.errors import EngineError, EngineUnavailable
@@ -59,6 +65,7 @@ class JuliaEngine(AbstractEngine):
     """
 
     name = "julia"
+    takes_drives = True
     # What the worker is asked for.
     integration = "integrate"
 
@@ -74,11 +81,12 @@ class JuliaEngine(AbstractEngine):
         self.start_seconds = start_seconds
         self.announce = announce
         self._versions: dict[str, str] = {}
-        self._process: WorkerProcess | None = None
+        self._process: WorkerProcess | Guest | None = None
+        self._host: Host | None = None
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process as settings; that process starts a Julia of its own."""
+        """Travel to another process as settings; that one finds or starts a Julia by itself."""
         return (type(self), (self.regress_seconds, self.start_seconds, self.announce))
 
     def integrate(self, problem: InitialValueProblem) -> Integration:
@@ -87,9 +95,12 @@ class JuliaEngine(AbstractEngine):
         Raises EngineError when Julia fails, dies or is late, EngineUnavailable when it does not
         start.
         """
+        drives = problem.drives
+        if drives and not self.takes_drives:
+            raise EngineError(f"{self.name} integrates no measured inputs")
         header = {
-            "call": self.integration,
-            "slopes": write_slopes(problem.rhs, problem.states),
+            "call": "integrate_driven" if drives else self.integration,
+            "slopes": write_slopes(problem.rhs, problem.states, [d.name for d in drives]),
             "reltol": float(problem.reltol),
             "abstol": float(problem.abstol),
             "max_steps": int(problem.max_steps),
@@ -97,7 +108,10 @@ class JuliaEngine(AbstractEngine):
             "max_seconds": min(float(problem.max_seconds), LONGEST_SECONDS),
         }
         seconds = problem.max_seconds + GRACE_SECONDS
-        facts, results = self._ask(header, {"x0": problem.x0, "t": problem.t}, seconds)
+        arrays = {"x0": problem.x0, "t": problem.t}
+        if drives:
+            arrays |= _together(drives, problem)
+        facts, results = self._ask(header, arrays, seconds)
         x = _expect(results, "x", (len(problem.t), len(problem.states)))
         finite = bool(np.isfinite(x).all())
         message = str(facts["message"])
@@ -153,27 +167,59 @@ class JuliaEngine(AbstractEngine):
                 self._process.close()
             self._process = None
 
+    def share(self) -> None:
+        """Let processes that are started from now on ask this Julia instead of one of their own."""
+        with self._lock:
+            if self._host is None and not has_host():
+                self._host = Host(self._answer)
+
     def _ask(
         self, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray], seconds: float
     ) -> Message:
+        return self._answer(header, arrays, seconds, self.start_seconds)
+
+    def _answer(
+        self,
+        header: Mapping[str, Any],
+        arrays: Mapping[str, np.ndarray],
+        seconds: float,
+        start_seconds: float,
+        check: Callable[[], None] = lambda: None,
+    ) -> Message:
         with self._lock:
-            if self._process is None or not self._process.alive:
-                if self._process is not None:
-                    self._process.close()
-                self._process = WorkerProcess(
-                    "dynsr.engines.julia.worker", "julia", {**ENVIRONMENT, **os.environ}
-                )
+            check()
             asked = {**header, "source": str(find_sources() / "src" / "DynSR.jl")}
+            process = self._reach()
+            if isinstance(process, Guest):
+                return process.request(asked, arrays, seconds, start_seconds, self.announce)
             try:
-                return self._process.request(
-                    asked, arrays, seconds, self.start_seconds, self.announce
-                )
+                return process.request(asked, arrays, seconds, start_seconds, self.announce, check)
             except EngineUnavailable as problem:
-                # What failed to load is not loaded by trying again in the same process.
+                raise EngineUnavailable(explain_start(str(problem))) from None
+
+    def _reach(self) -> WorkerProcess | Guest:
+        """Give what answers, started anew where it is not there."""
+        if self._process is None or not self._process.alive:
+            if self._process is not None:
                 self._process.close()
-                raise EngineUnavailable(
-                    f"Julia does not start: {problem}; {name_remedy()}"
-                ) from None
+            own = self._host is not None
+            self._process = (None if own else find_host()) or WorkerProcess(
+                "dynsr.engines.julia.worker", "julia", start_environment()
+            )
+        return self._process
+
+
+def _together(drives: Sequence[Drive], problem: InitialValueProblem) -> dict[str, np.ndarray]:
+    """Put all drives into one array of each kind, with as many coefficients a piece."""
+    most = max(len(drive.pieces) for drive in drives)
+    pieces = [np.pad(d.pieces, ((most - len(d.pieces), 0), (0, 0))) for d in drives]
+    inside = (problem.stops > problem.t[0]) & (problem.stops < problem.t[-1])
+    return {
+        "counts": np.array([len(drive.starts) for drive in drives], dtype=float),
+        "starts": np.concatenate([drive.starts for drive in drives]),
+        "pieces": np.concatenate(pieces, axis=1),
+        "stops": np.unique(problem.stops[inside]),
+    }
 
 
 def _expect(results: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:

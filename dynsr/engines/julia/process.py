@@ -14,6 +14,7 @@ import json
 import os
 import pickle
 import queue
+import re
 import signal
 import subprocess
 import sys
@@ -35,6 +36,13 @@ Message = tuple[dict[str, Any], dict[str, np.ndarray]]
 QUIET_SECONDS = 2.0
 _TICK = 0.25
 _LAST_LINES = 30
+_LONGEST_WORDS, _LONGEST_CAUSE, _CAUSE_LINES = 500, 240, 4
+# How Julia or Python begins to say what went wrong, a signal included; how a stack begins.
+_CAUSE = re.compile(r"ERROR: |fatal: |(\[\d+\] )?signal \(?\d|Fatal Python error: ")
+_STACK = re.compile(
+    r"(Python )?[Ss]tacktrace:|\[\d+\] |in expression starting at|Allocations: |"
+    r"(Current t|T)hread 0x"
+)
 _SIGNS_OF_PROGRESS = ("Precompiling", "Installing", "Installed", "Downloading", "Resolving")
 
 
@@ -87,6 +95,7 @@ class WorkerProcess:
         seconds: float,
         start_seconds: float,
         announce: Announce,
+        check: Callable[[], None] = lambda: None,
     ) -> Message:
         """Send a request, wait for its answer and give it.
 
@@ -97,16 +106,23 @@ class WorkerProcess:
         seconds : how long the work may take.
         start_seconds : how long the worker may take before it, to start and to compile.
         announce : is given a line when a stage of the start takes more than QUIET_SECONDS.
+        check : is called while the answer is waited for; what it raises ends the wait.
 
         Raises EngineUnavailable when the worker reports that it cannot start, EngineError when it
-        reports a failure, dies or is late; in the last two cases, and when the wait is
+        reports a failure, dies or is late; in all cases but a failure, and when the wait is
         interrupted, the worker is ended.
         """
+        self._reports.forget_causes()
         try:
             self._send(header, arrays)
-            return self._wait(seconds, start_seconds, announce)
+            return self._wait(seconds, start_seconds, announce, check)
         except _WorkerError as reported:
-            raise reported.error from None
+            if not isinstance(reported.error, EngineUnavailable):
+                raise reported.error from None
+            # What failed to load is not loaded by trying again. Once it has ended, all that it
+            # wrote has arrived.
+            self.close()
+            raise EngineUnavailable(self._reports.explain(str(reported.error))) from None
         except BaseException:
             # An answer that came later would be taken for that of the next request.
             self.close()
@@ -126,7 +142,9 @@ class WorkerProcess:
         except OSError:
             raise EngineError(self._describe_end()) from None
 
-    def _wait(self, seconds: float, start_seconds: float, announce: Announce) -> Message:
+    def _wait(
+        self, seconds: float, start_seconds: float, announce: Announce, check: Callable[[], None]
+    ) -> Message:
         deadline, limit, doing = time.monotonic() + start_seconds, start_seconds, "start"
         self._reports.begin(self._reports.stage)
         while True:
@@ -140,6 +158,7 @@ class WorkerProcess:
                 message = self._messages.get(timeout=min(left, _TICK))
             except queue.Empty:
                 self._reports.announce(self.name, announce)
+                check()
                 continue
             if message is None:
                 raise EngineError(self._describe_end())
@@ -162,10 +181,10 @@ class WorkerProcess:
         except subprocess.TimeoutExpired:
             code = None
         self._threads[1].join(timeout=1)
-        lines = " | ".join(list(self._reports.lines)[-3:]) or "none"
+        words = self._reports.causes() or " | ".join(list(self._reports.lines)[-3:]) or "none"
         return (
             f"{self.name} ended unexpectedly ({_manner(code)}) and starts again on its next use; "
-            f"its last lines: {lines[:500]}"
+            f"its last words: {words[:_LONGEST_WORDS]}"
         )
 
 
@@ -176,11 +195,42 @@ def _start_code(module: str) -> str:
 
 
 class _Reports:
-    """What a worker reports: the stage of its start and the last lines it wrote."""
+    """What a worker reports: the stage of its start, the last lines it wrote, and what went wrong.
+
+    A cause is a line that says so, with the few that belong to it; the stack below it is none.
+    """
 
     def __init__(self) -> None:
         self.lines: deque[str] = deque(maxlen=_LAST_LINES)
+        self.forget_causes()
         self.begin("starting")
+
+    def forget_causes(self) -> None:
+        """Begin anew: what went wrong before is no cause of what comes."""
+        self._causes: list[list[str]] = []
+        self._open = False
+
+    def note(self, line: str) -> None:
+        """Keep a line that is not empty."""
+        self.lines.append(line)
+        if _CAUSE.match(line):
+            self._causes.append([line.removeprefix("ERROR: ")])
+            # The first is what others follow from, the last is what ended it.
+            del self._causes[1:-1]
+            self._open = True
+        elif _STACK.match(line):
+            self._open = False
+        elif self._open and len(self._causes[-1]) < _CAUSE_LINES:
+            self._causes[-1].append(line)
+
+    def causes(self) -> str:
+        """Give what went wrong in one line, "" where nothing said so."""
+        return " | ".join(dict.fromkeys(" ".join(cause)[:_LONGEST_CAUSE] for cause in self._causes))
+
+    def explain(self, problem: str) -> str:
+        """Put what went wrong before what the worker said of it."""
+        causes = self.causes()
+        return f"{causes} ({problem})" if causes and causes not in problem else problem
 
     def begin(self, stage: str) -> None:
         """Note that a stage begins; an empty one is not announced."""
@@ -228,7 +278,7 @@ def _listen(process: subprocess.Popen[bytes], reports: _Reports) -> None:
         for raw in process.stderr:
             line = raw.decode(errors="replace").strip()
             if line:
-                reports.lines.append(line)
+                reports.note(line)
             if any(sign in line[:40] for sign in _SIGNS_OF_PROGRESS):
                 reports.begin(line[:100])
     except (OSError, ValueError):

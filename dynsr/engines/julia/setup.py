@@ -5,12 +5,17 @@ Knows neither numbers nor equations, so that what is missing is known at once.
 
 from __future__ import annotations
 
+import atexit
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tempfile
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 from dynsr.errors import EngineError, EngineUnavailable
@@ -22,6 +27,8 @@ ENVIRONMENT = {
     "PYTHON_JULIACALL_HANDLE_SIGNALS": "yes",
     "PYTHON_JULIACALL_STARTUP_FILE": "no",
 }
+OLDEST_JULIA = (1, 10)
+_VERSION_SECONDS = 20.0
 _OWN_PROJECT = ("PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT")
 
 # juliapkg tells its progress on standard output, where only the answer is wanted.
@@ -42,12 +49,16 @@ finally:
 
 
 def find_sources() -> Path:
-    """Give the ``julia`` folder: inside the installed package, or beside it in a checkout."""
-    package = Path(__file__).resolve().parents[2]
-    for folder in (package / "julia", package.parent / "julia"):
+    """Give the folder of dynsr's Julia package: ``julia`` of a checkout, or ``dynsr_julia``.
+
+    The second is what it is called where dynsr is installed, beside ``dynsr``. juliapkg looks for
+    ``juliapkg.json`` in the folders beside a package too, so that it finds either.
+    """
+    beside = Path(__file__).resolve().parents[3]
+    for folder in (beside / "dynsr_julia", beside / "julia"):
         if (folder / "src" / "DynSR.jl").is_file():
             return folder
-    raise EngineUnavailable(f"the julia folder of dynsr is missing beside {package}; reinstall it")
+    raise EngineUnavailable(f"dynsr's Julia code is missing in {beside}; reinstall dynsr")
 
 
 def require_julia() -> None:
@@ -97,11 +108,110 @@ def _is_resolved() -> bool:
     return "meta" not in STATE or os.path.exists(STATE["meta"])
 
 
-def name_remedy() -> str:
-    """Say what mends a Julia that does not start."""
-    if _OWN_PROJECT[0] in os.environ:
-        return "give a project with the packages of dynsr's julia/Project.toml and PythonCall"
-    return "run dynsr doctor --install"
+def explain_start(problem: str) -> str:
+    """Say in one line why Julia does not start and what mends it.
+
+    Parameters
+    ----------
+    problem : what the worker said.
+    """
+    if _OWN_PROJECT[0] not in os.environ:
+        return f"Julia does not start: {problem}; run dynsr doctor --install"
+    wrong = _check_program(os.environ[_OWN_PROJECT[0]])
+    if wrong:
+        return f"Julia does not start: {wrong}"
+    remedy = "give a project with the packages of dynsr's julia/Project.toml and PythonCall"
+    return f"Julia does not start: {problem}; {remedy}"
+
+
+def _check_program(program: str) -> str:
+    """Say what is wrong with the program that the environment names; "" where it is a Julia."""
+    name = _OWN_PROJECT[0]
+    try:
+        done = subprocess.run(
+            [program, "--version"],
+            check=False,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_VERSION_SECONDS,
+        )
+        answer = " ".join((done.stdout or done.stderr).split())[:80]
+    except (OSError, subprocess.TimeoutExpired) as problem:
+        return f"{name} cannot be run: {program!r} ({type(problem).__name__}); give another julia"
+    found = re.match(r"julia version (\d+)\.(\d+)", answer)
+    if not found:
+        return (
+            f"{name} names no Julia: {program!r} answers {answer!r} to --version; "
+            "give the path of julia"
+        )
+    if (int(found[1]), int(found[2])) < OLDEST_JULIA:
+        oldest = ".".join(map(str, OLDEST_JULIA))
+        return f"{name} is {answer}, and {oldest} is the oldest that serves; give a newer one"
+    return ""
+
+
+def start_environment() -> dict[str, str]:
+    """Give the environment of the process that Julia runs in."""
+    environment = {**ENVIRONMENT, **os.environ}
+    if _OWN_PROJECT[1] in os.environ:
+        # juliapkg would look for its own project in the first depot.
+        environment |= _writable_depot(os.environ)
+    return environment
+
+
+def _writable_depot(environment: Mapping[str, str]) -> dict[str, str]:
+    """Put a depot that can be written before a first one that cannot: juliacall keeps a log there.
+
+    The first is that of ``JULIA_DEPOT_PATH``, or ``.julia`` at home.
+    """
+    given = environment.get("JULIA_DEPOT_PATH")
+    if given == "":
+        # Julia has no depot at all then, as asked.
+        return {}
+    home = os.path.join(os.path.expanduser("~"), ".julia")
+    first = (given or "").split(os.pathsep)[0]
+    if _takes_files(os.path.join(os.path.expanduser(first) if first else home, "logs")):
+        return {}
+    # An empty entry stands for the depots that come with Julia.
+    others = given if first else f"{home}{os.pathsep}{given or ''}"
+    return {"JULIA_DEPOT_PATH": f"{_own_depot()}{os.pathsep}{others}"}
+
+
+@cache
+def _own_depot() -> str:
+    """Give a depot for what Julia writes, kept with other caches or gone with this process."""
+    home = os.path.expanduser("~")
+    caches = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    depot = os.path.join(caches or os.path.join(home, ".cache"), "dynsr", "julia")
+    if _takes_files(depot):
+        return depot
+    depot = tempfile.mkdtemp(prefix="dynsr-julia-")
+    atexit.register(shutil.rmtree, depot, ignore_errors=True)
+    return depot
+
+
+def _takes_files(folder: str) -> bool:
+    """Whether a file can be made in a folder, which is made where it is not there yet."""
+    try:
+        os.makedirs(folder, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def is_configured() -> bool:
+    """Whether somebody has set Julia up or told where it is, so that it ought to start."""
+    if importlib.util.find_spec("juliacall") is None:
+        return False
+    if any(name in os.environ for name in _OWN_PROJECT):
+        return True
+    try:
+        return _is_resolved()
+    # Settings that juliapkg refuses are settings.
+    except Exception:
+        return True
 
 
 def locate() -> tuple[str, str]:

@@ -18,7 +18,9 @@ _JULIA_NAMES = {
 }
 
 
-def write_slopes(rhs: Sequence[sympy.Expr], states: Sequence[str]) -> str:
+def write_slopes(
+    rhs: Sequence[sympy.Expr], states: Sequence[str], inputs: Sequence[str] = ()
+) -> str:
     """Write k expressions in ``states`` and ``t`` as a Julia function ``(du, u, p, t) -> ...``.
 
     States become ``u[1]``, ``u[2]``, ..., so that no name of theirs can clash with Julia's.
@@ -29,6 +31,7 @@ def write_slopes(rhs: Sequence[sympy.Expr], states: Sequence[str]) -> str:
     ----------
     rhs : k SymPy expressions, in state units per second.
     states : the k names of the states, in order.
+    inputs : the names of measured inputs, in the order of the pieces that Julia is given.
 
     Raises InputError when an expression holds something that is not in the operator table.
 
@@ -42,9 +45,10 @@ def write_slopes(rhs: Sequence[sympy.Expr], states: Sequence[str]) -> str:
     """
     names: dict[sympy.Symbol, str] = {sympy.Symbol("t"): "t"}
     names.update({sympy.Symbol(s): f"u[{i}]" for i, s in enumerate(states, 1)})
+    names.update({sympy.Symbol(s): f"i{i}" for i, s in enumerate(inputs, 1)})
     fresh = sympy.numbered_symbols("common", cls=sympy.Dummy)
     common, reduced = sympy.cse(list(rhs), symbols=fresh, order="none")
-    lines = []
+    lines = [f"i{i} = drive(p, {i}, t)" for i in range(1, len(inputs) + 1)]
     for i, (symbol, part) in enumerate(common, 1):
         lines.append(f"s{i} = {write_julia(part, names)}")
         names[symbol] = f"s{i}"

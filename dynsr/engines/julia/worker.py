@@ -16,6 +16,9 @@ from typing import IO, Any
 import numpy as np
 
 LONGEST_MESSAGE = 600
+_IS_PACKAGE = (
+    'path -> (found = Base.find_package("DynSR"); found !== nothing && samefile(found, path))'
+)
 _TINY_SLOPES = "(du, u, p, t) -> begin\n    du[1] = -1.0 * u[1]\n    nothing\nend"
 
 
@@ -26,9 +29,10 @@ class Session:
         """Start nothing yet: the first request does."""
         self._tell = tell
         self._module: Any = None
-        self._warm: set[str] = set()
+        self._warm: set[tuple[str, ...]] = set()
         self._calls = {
             "integrate": self._integrate,
+            "integrate_driven": self._integrate_driven,
             "regress": self._regress,
             "diffeqpy": self._integrate_by_diffeqpy,
         }
@@ -38,12 +42,17 @@ class Session:
         """Start Julia and load dynsr's module from its file; nothing happens the second time."""
         if self._module is not None:
             return
-        self._tell("starting Julia (packages that are missing are installed, which takes minutes)")
+        self._tell(f"starting Julia ({_announce_packages()})")
         import juliacall
 
         self._tell("loading Julia's packages (compiled on the first time, which takes minutes)")
         main = juliacall.Main
-        main.seval("path -> Base.include(Main, path)")(source)
+        # The package of that very file, compiled when it was installed; a project that does not
+        # hold it includes the file.
+        if main.seval(_IS_PACKAGE)(source):
+            main.seval("import DynSR")
+        else:
+            main.seval("path -> Base.include(Main, path)")(source)
         self._module = main.seval("Main.DynSR")
         lines = str(self._module.versions()).splitlines()
         self._versions = {
@@ -51,19 +60,25 @@ class Session:
             "juliacall": str(juliacall.__version__),
         }
 
-    def warm_up(self, header: dict[str, Any]) -> None:
-        """Compile what the call needs, so that the time it is given is for its work alone."""
+    def warm_up(self, header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+        """Compile what the call needs, so that the time it is given is for its work alone.
+
+        Julia compiles each optimizer, release and kind of regression by itself.
+        """
         call = header["call"]
-        if call in self._calls and call not in self._warm:
-            self._tell(f"compiling {call}, once a session")
+        if call not in self._calls:
+            return
+        kind = _kind_of_regression(header, arrays) if call == "regress" else (call,)
+        if kind not in self._warm:
+            self._tell(f"compiling {' '.join(kind)}, once a session")
             tiny = _tiny_regression if call == "regress" else _tiny_integration
             if call == "diffeqpy":
                 # It may install and compile packages, and why that fails is reported.
                 _load_diffeqpy()
             # Whether the tiny problem can be solved does not matter.
             with contextlib.suppress(Exception):
-                self._calls[call](*tiny(header))
-            self._warm.add(call)
+                self._calls[call](*tiny(header, arrays))
+            self._warm.add(kind)
 
     def answer(
         self, header: dict[str, Any], arrays: dict[str, np.ndarray]
@@ -76,17 +91,13 @@ class Session:
     def _integrate(
         self, header: dict[str, Any], arrays: dict[str, np.ndarray]
     ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        x, accepted, rejected, message = self._module.integrate(
-            str(header["slopes"]),
-            arrays["x0"],
-            arrays["t"],
-            float(header["reltol"]),
-            float(header["abstol"]),
-            int(header["max_steps"]),
-            float(header["max_seconds"]),
-        )
-        facts = {"accepted": int(accepted), "rejected": int(rejected), "message": str(message)}
-        return facts, {"x": np.array(x, copy=True).astype(float)}
+        return _solve(self._module.integrate, header, arrays)
+
+    def _integrate_driven(
+        self, header: dict[str, Any], arrays: dict[str, np.ndarray]
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        drives = (arrays[name] for name in ("counts", "starts", "pieces", "stops"))
+        return _solve(self._module.integrate_driven, header, arrays, *drives)
 
     def _integrate_by_diffeqpy(
         self, header: dict[str, Any], arrays: dict[str, np.ndarray]
@@ -102,6 +113,7 @@ class Session:
             problem,
             solver,
             **({} if controller is None else {"controller": controller}),
+            callback=self._module.clock(float(header["max_seconds"])),
             saveat=vector(t),
             reltol=float(header["reltol"]),
             abstol=float(header["abstol"]),
@@ -132,6 +144,23 @@ class Session:
         return facts, {"coefficients": np.array(coefficients, copy=True).astype(float)}
 
 
+def _solve(
+    integrate: Any, header: dict[str, Any], arrays: dict[str, np.ndarray], *drives: np.ndarray
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    x, accepted, rejected, message = integrate(
+        str(header["slopes"]),
+        arrays["x0"],
+        arrays["t"],
+        float(header["reltol"]),
+        float(header["abstol"]),
+        int(header["max_steps"]),
+        float(header["max_seconds"]),
+        *drives,
+    )
+    facts = {"accepted": int(accepted), "rejected": int(rejected), "message": str(message)}
+    return facts, {"x": np.array(x, copy=True).astype(float)}
+
+
 def _load_diffeqpy() -> tuple[Any, Any]:
     """Give DifferentialEquations.jl, and the function that makes an array one of Julia's own."""
     import juliacall
@@ -144,16 +173,43 @@ def _load_diffeqpy() -> tuple[Any, Any]:
     return de, juliacall.Main.seval("x -> Vector{Float64}(x)")
 
 
-def _tiny_integration(header: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _announce_packages() -> str:
+    """Say what a start does with packages; none are installed into a user's own project."""
+    if "PYTHON_JULIACALL_PROJECT" in os.environ:
+        return f"with the packages of {os.environ['PYTHON_JULIACALL_PROJECT']}"
+    return "packages that are missing are installed, which takes minutes"
+
+
+def _kind_of_regression(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> tuple[str, ...]:
+    """Name what Julia compiles by itself, by whether one threshold is given or several."""
+    words = (
+        "regress",
+        "implicit" if header["implicit"] else "explicit",
+        str(header["optimizer"]),
+        str(header["release"]),
+        str(header["proximal"]),
+        "thresholds" if len(arrays["weights"]) > 1 else "",
+    )
+    return tuple(word for word in words if word)
+
+
+def _tiny_integration(
+    header: dict[str, Any], arrays: dict[str, np.ndarray]
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     tiny = {**header, "slopes": _TINY_SLOPES, "max_steps": 1000, "max_seconds": 60.0}
-    return tiny, {"x0": np.array([1.0]), "t": np.array([0.0, 1.0])}
+    one = np.array([1.0])
+    pieces = {"counts": one, "starts": 0 * one, "pieces": np.ones((4, 1)), "stops": one / 2}
+    return tiny, {"x0": one, "t": np.array([0.0, 1.0]), **pieces}
 
 
-def _tiny_regression(header: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _tiny_regression(
+    header: dict[str, Any], arrays: dict[str, np.ndarray]
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Give dx/dt = 2x / (1 + x), which both explicit and implicit searches find terms for."""
     x = np.linspace(0.1, 2.0, 20)
-    theta = np.array([np.ones(20), x, x**2])
-    tiny = {**header, "max_iterations": 10, "implicit": False}
-    return tiny, {"theta": theta, "dx": 2 * x, "weights": np.array([0.01])}
+    weights = np.array([0.01, 0.02])[: len(arrays["weights"])]
+    tiny = {**header, "max_iterations": 10}
+    return tiny, {"theta": np.array([np.ones(20), x]), "dx": 2 * x / (1 + x), "weights": weights}
 
 
 def main() -> None:
@@ -177,7 +233,7 @@ def main() -> None:
             send("unavailable", message=_one_line(problem))
             continue
         try:
-            session.warm_up(header)
+            session.warm_up(header, arrays)
             send("working")
             facts, results = session.answer(header, arrays)
         except Exception as problem:

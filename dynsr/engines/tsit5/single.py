@@ -6,7 +6,7 @@ import itertools
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +28,7 @@ __all__ = ["BatchIntegration", "Steps", "interpolate", "solve", "solve_batch", "
 
 # What an expression raises where it has no real value. A power of a negative number is complex
 # in Python, and the next function of it (or the error norm) raises TypeError.
-_NO_REAL_VALUE = (ValueError, ZeroDivisionError, OverflowError, TypeError)
+NO_REAL_VALUE = (ValueError, ZeroDivisionError, OverflowError, TypeError)
 _CLOCK_EVERY = 64
 
 
@@ -116,11 +116,13 @@ def take_steps(
     abstol: float,
     max_steps: int = 100_000,
     max_seconds: float = 60.0,
+    longest: Callable[[float], float] | None = None,
 ) -> Steps:
     """Step from ``x0`` over ``span``; ``slopes(*x, t)`` gives k slopes of k states.
 
     PI controller with exponents 7/50 and 2/25, safety 0.9, a step at most five times shorter
-    or ten times longer than the last; the last one is cut to hit the end.
+    or ten times longer than the last; the last one is cut to hit the end, and each to be at most
+    ``longest`` of the time that it starts from.
     """
     (t, end), x = span, list(x0)
     times, states, rejected, last_error = [t], [x], 0, FIRST_ERROR
@@ -132,7 +134,7 @@ def take_steps(
     deadline, message = time.perf_counter() + max_seconds, ""
     shortest = sys.float_info.epsilon * max(abs(t), abs(end))
     while t < end:
-        h = min(h, end - t)
+        h = min(h, end - t, math.inf if longest is None else longest(t))
         if message := _limit_met(h, shortest, t, len(stages) + rejected, max_steps, deadline):
             break
         error, ks, new = _try_step(slopes, x, t, h, k1, reltol, abstol)
@@ -186,7 +188,7 @@ def _slopes_or_none(slopes: Slopes, x: Sequence[float], t: float) -> Sequence[fl
     try:
         k = slopes(*x, t)
         return k if math.isfinite(sum(k)) else None
-    except _NO_REAL_VALUE:
+    except NO_REAL_VALUE:
         return None
 
 
@@ -218,7 +220,7 @@ def _try_step(
         # The error norm loses an overflow in inf / inf.
         if error < math.inf and math.isfinite(sum(new)) and math.isfinite(sum(ks[6])):
             return error, ks, new
-    except _NO_REAL_VALUE:
+    except NO_REAL_VALUE:
         pass
     return math.inf, (), []
 

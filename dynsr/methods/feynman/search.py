@@ -34,6 +34,7 @@ from dynsr.methods.feynman.stages.reduction import AbstractReducer, Reach, Reduc
 from dynsr.methods.feynman.stages.refinement import Refinement
 from dynsr.methods.feynman.stages.separability import Separability
 from dynsr.methods.feynman.stages.symmetry import Symmetry
+from dynsr.methods.limits import Limits
 from dynsr.methods.rational import RationalSearch
 
 # Stages that look at the samples as they are.
@@ -107,6 +108,16 @@ class ExactStages:
     )
     simple_share: float = 0.4
     share: float = 0.9
+
+    def within(self, limits: Limits) -> ExactStages:
+        """Give the stages as they search within limits."""
+        return replace(
+            self,
+            simple_functions=self.simple_functions.within(limits),
+            sums_of_powers=self.sums_of_powers.within(limits),
+            sums_of_functions=self.sums_of_functions.within(limits),
+            brute_force=self.brute_force.within(limits),
+        )
 
 
 @dataclass(frozen=True)
@@ -201,6 +212,23 @@ class DynAIFeynman(AbstractMethod):
             raise InputError(
                 f"time_budget {self.time_budget!r} must be a positive number of seconds"
             )
+
+    def within(self, limits: Limits) -> DynAIFeynman:
+        """Give the search whose every stage keeps to what is allowed; see AbstractMethod."""
+        most = limits.most_terms(self.polynomial.max_terms)
+        exact = self.exact_values
+        return replace(
+            self,
+            simple_functions=self.simple_functions.within(limits),
+            rational=self.rational.within(limits),
+            polynomial=replace(self.polynomial, max_terms=most),
+            brute_force=self.brute_force.within(limits),
+            exact_values=None if exact is None else exact.within(limits),
+            # A reduced problem has columns of its own.
+            reduced=self.reduced.within(replace(limits, terms=(), left_out=())),
+            domain_change=self.domain_change.within(limits),
+            reducers=tuple(reducer.within(limits) for reducer in self.reducers),
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -299,7 +327,7 @@ class DynAIFeynman(AbstractMethod):
         exact = self.exact_values
         if depth:
             every = [
-                Rational(replace(self.rational, costs=(3,), rounds=1)),
+                Rational(replace(self.rational, costs=(3,), rounds=1, terms=(), left_out=())),
                 replace(self.polynomial, sparse=False),
                 self._enumerate("brute force", self.reduced, cap=0.1),
             ]

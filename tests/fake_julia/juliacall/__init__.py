@@ -18,10 +18,17 @@ import numpy as np
 __version__ = "0.0-fake"
 
 STEPS = 40
-DIE, HANG, RAISE, CHATTER, NOT_FINITE, WRONG_SHAPE = 13, 14, 15, 16, 17, 18
+DIE, HANG, RAISE, CHATTER, NOT_FINITE, WRONG_SHAPE, CRASH = 13, 14, 15, 16, 17, 18, 19
 
 if os.environ.get("FAKE_JULIA_START") == "fail":
+    # As juliacall's start script does: the error and its stack are printed, then it raises.
+    print('ERROR: SystemError: opening file "/depot/logs": Read-only file system', file=sys.stderr)
+    print("Stacktrace:", *(f"  [{i}] deep_{i}()" for i in range(60)), sep="\n", file=sys.stderr)
+    sys.stderr.flush()
     raise RuntimeError("PythonCall.jl did not start properly\nsecond line")
+if os.environ.get("FAKE_JULIA_START") == "no julia":
+    # As juliacall does where the program's answer is not that of a Julia.
+    raise ValueError("not enough values to unpack (expected 2, got 1)")
 if os.environ.get("FAKE_JULIA_START") == "slow":
     print("[ Info: Precompiling Symbolics [0c5d862f]", file=sys.stderr, flush=True)
     time.sleep(1.5)
@@ -62,13 +69,13 @@ _SCOPE |= {"power": _not_a_number(pow), "abs": abs, "sign": lambda x: (x > 0) - 
 _SCOPE |= {"NaN": math.nan, "Inf": math.inf}
 
 
-def slopes_of(source):
+def slopes_of(source, drive=None):
     """Read the Julia source of right-hand sides as Python."""
     lines = source.split("\n")
     assert lines[0] == "(du, u, p, t) -> begin" and lines[-2:] == ["    nothing", "end"]
     body = re.sub(r"\[(\d+)\]", lambda m: f"[{int(m[1]) - 1}]", "\n".join(lines[1:-2]))
     text = f"def slopes(t, u):\n    du = [0.0] * len(u)\n{body.replace('^', '**')}\n    return du"
-    scope = dict(_SCOPE)
+    scope = {**_SCOPE, "drive": drive, "p": None}
     exec(text, scope)
     return scope["slopes"]
 
@@ -94,12 +101,47 @@ def _log(call):
             log.write(f"{call} {os.getpid()}\n")
 
 
+def _integrate_driven(
+    source,
+    x0,
+    t,
+    reltol,
+    abstol,
+    max_steps,
+    max_seconds,
+    counts,
+    starts,
+    pieces,
+    stops,
+):
+    _log("integrate_driven")
+    assert pieces.shape[1] == len(starts) == counts.sum()
+    assert np.all(stops > t[0]) and np.all(stops < t[-1]) and np.all(np.diff(stops) > 0)
+    ends = np.cumsum(counts).astype(int)
+
+    def drive(p, k, at):
+        span = slice(ends[k - 1] - int(counts[k - 1]), ends[k - 1])
+        i = max(np.searchsorted(starts[span], at, side="right") - 1, 0)
+        return np.polyval(pieces[:, span][:, i], at - starts[span][i])
+
+    slopes = slopes_of(source, drive)
+    # Each stop is the end of a step.
+    rows = np.unique(np.concatenate([t, stops]))
+    x = _runge_kutta(slopes, x0, rows)
+    return x[np.searchsorted(rows, t)], STEPS * (len(rows) - 1), 0, ""
+
+
 def _integrate(source, x0, t, reltol, abstol, max_steps, max_seconds):
     _log("integrate")
     assert isinstance(source, str) and x0.flags.writeable and t.dtype == float
     if max_steps == DIE:
         print("something broke", file=sys.stderr, flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
+    if max_steps == CRASH:
+        print("[7] signal 11 (1): Segmentation fault\nin expression starting at", file=sys.stderr)
+        print(*(f"unknown function (ip: {i:x})" for i in range(60)), sep="\n", file=sys.stderr)
+        sys.stderr.flush()
+        os.kill(os.getpid(), signal.SIGSEGV)
     if max_steps == HANG:
         time.sleep(60)
     if max_steps == RAISE:
@@ -127,7 +169,7 @@ def _regress(
     max_iterations,
     implicit,
 ):
-    _log("regress")
+    _log(f"regress-{'implicit' if implicit else 'explicit'}-{len(weights)}")
     if implicit:
         return np.zeros(2 * len(theta)), -1, False
     coefficients = np.linalg.lstsq(theta.T, dx, rcond=None)[0]
@@ -142,9 +184,11 @@ def _answer_at(t, solution, max_seconds):
 
 _MODULE = SimpleNamespace(
     integrate=_integrate,
+    integrate_driven=_integrate_driven,
     regress=_regress,
     compile=slopes_of,
     answer_at=_answer_at,
+    clock=lambda seconds: f"{seconds} s at most",
     first_step_controller=lambda solver: f"growth of ten for {solver}",
     versions=lambda: f"julia 1.10.0-fake\nOrdinaryDiffEqTsit5 process{os.getpid()}",
 )
@@ -157,6 +201,13 @@ class _Main:
         """Answer the pieces of Julia that the worker evaluates."""
         if code == "path -> Base.include(Main, path)":
             return self.include
+        if code.startswith('path -> (found = Base.find_package("DynSR");'):
+            package = os.environ.get("FAKE_JULIA_PACKAGE")
+            return lambda path: package is not None and os.path.samefile(package, path)
+        if code == "import DynSR":
+            _log("import")
+            self.loaded = os.environ["FAKE_JULIA_PACKAGE"]
+            return None
         if code == "Main.DynSR":
             assert self.loaded, "the sources were not included"
             return _MODULE
@@ -168,6 +219,7 @@ class _Main:
 
     def include(self, path):
         """Take note of the module's file."""
+        _log("include")
         with open(path) as file:
             assert "module DynSR" in file.read()
         self.loaded = path

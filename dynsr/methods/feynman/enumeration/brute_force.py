@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy
@@ -18,7 +18,7 @@ from dynsr.errors import InputError
 from dynsr.expression import parse
 from dynsr.fit import Candidate, ParetoFront, cauchy_weights
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
-from dynsr.methods.feynman.enumeration.alphabet import count_strings, make_letters
+from dynsr.methods.feynman.enumeration.alphabet import UNARY, count_strings, make_letters
 from dynsr.methods.feynman.enumeration.backend import choose_backend
 from dynsr.methods.feynman.enumeration.finishing import Finisher, Finishing, Found, Pool
 from dynsr.methods.feynman.enumeration.formation import Enumerator
@@ -30,7 +30,9 @@ from dynsr.methods.feynman.enumeration.power_laws import (
 )
 from dynsr.methods.feynman.enumeration.screening import Screen, Shortlist
 from dynsr.methods.feynman.enumeration.sums import Beam, best_pairs, best_triples, make_gram
-from dynsr.methods.feynman.problem import Problem, make_problems
+from dynsr.methods.feynman.problem import CHANGES, Problem, make_problems
+from dynsr.methods.limits import Limits
+from dynsr.methods.own_terms import extend_samples
 
 
 @dataclass(frozen=True)
@@ -320,6 +322,7 @@ class BruteForce(AbstractMethod):
     powers_up_to : functions formed up to this many are tried in the power law too, whose logarithms
         cost more than all other tests.
     device : where the arrays live, see ``backend.choose_backend``.
+    terms : formulas in the columns that are leaves beside them.
 
     >>> x = np.linspace(0.5, 2.0, 200)
     >>> samples = Samples(x[:, None], 2 * np.sin(x**2) - 1, ("x",), "x", "given", x)
@@ -355,6 +358,7 @@ class BruteForce(AbstractMethod):
     starts: int = 8
     powers_up_to: int = 400_000
     device: str = "auto"
+    terms: tuple[sympy.Expr, ...] = ()
 
     name = "brute force"
 
@@ -368,11 +372,42 @@ class BruteForce(AbstractMethod):
         if self.probes < 8:
             raise InputError(f"probes {self.probes!r} are too few to tell functions apart; give 8")
 
+    def within(self, limits: Limits) -> BruteForce:
+        """Give the enumeration of what is allowed; see AbstractMethod.
+
+        Power laws have exponents of any kind: they are searched where such powers are allowed.
+        """
+        vocabulary, changed = limits.vocabulary, replace(self, terms=limits.terms)
+        if vocabulary is None:
+            return changed
+        return replace(
+            changed,
+            operators=limits.tokens(self.operators, UNARY),
+            changes=tuple(c for c in self.changes if vocabulary.has(CHANGES[c].back)),
+            monomials=self.monomials and vocabulary.power,
+            combinations=self.combinations and vocabulary.power,
+            ratios=self.ratios and vocabulary.power and vocabulary.divide,
+        )
+
     def search(
         self, samples: Samples, rng: np.random.Generator, report: Report = silent
     ) -> ParetoFront:
         """Search; ``rng`` is not used, since nothing here is left to chance."""
-        return search_values(samples.X, samples.y, samples.names, self, report=report).front
+        return ParetoFront(search_samples(samples, self, report).candidates)
+
+
+def search_samples(samples: Samples, settings: BruteForce, report: Report) -> BruteForceResult:
+    """Search on samples and on the columns that the settings' terms add to them.
+
+    Parameters
+    ----------
+    samples : the rows.
+    settings : those of the enumeration.
+    report : is called as the search goes on.
+    """
+    wider = extend_samples(samples, settings.terms)
+    result = search_values(wider.samples.X, samples.y, wider.samples.names, settings, report=report)
+    return replace(result, candidates=tuple(wider.bring_back(result.candidates)))
 
 
 def search_values(

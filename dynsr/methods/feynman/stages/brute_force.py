@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from dynsr.data import Samples
 from dynsr.fit import Candidate
 from dynsr.methods.base import Progress
-from dynsr.methods.feynman.enumeration.brute_force import BruteForce, search_values
+from dynsr.methods.feynman.enumeration.brute_force import BruteForce, search_samples
 from dynsr.methods.feynman.stages.base import AbstractStage, Context
 
 
@@ -36,6 +36,6 @@ class Enumeration(AbstractStage):
         def tell(progress: Progress) -> None:
             context.tell(self.name, progress.done, progress.total)
 
-        result = search_values(samples.X, samples.y, samples.names, settings, report=tell)
+        result = search_samples(samples, settings, tell)
         context.interrupted |= result.stopped == "interrupted"
         return [replace(candidate, source=self.name) for candidate in result.candidates]

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from dynsr.data import Samples
 from dynsr.errors import InputError
 from dynsr.fit import Candidate, ParetoFront, score_candidate
-from dynsr.methods.feynman.problem import make_targets
+from dynsr.methods.feynman.problem import CHANGES, make_targets
 from dynsr.methods.feynman.stages.base import AbstractStage, Context
+from dynsr.methods.limits import Limits
 
 DOMAIN_CHANGES = (
     "inv",
@@ -51,6 +52,14 @@ class DomainChange(AbstractStage):
             if change not in DOMAIN_CHANGES:
                 known = ", ".join(DOMAIN_CHANGES)
                 raise InputError(f"unknown domain change {change!r}; they are: {known}")
+
+    def within(self, limits: Limits) -> DomainChange:
+        """Give the stage with the changes whose way back is allowed."""
+        vocabulary = limits.vocabulary
+        if vocabulary is None:
+            return self
+        allowed = tuple(c for c in self.changes if vocabulary.has(CHANGES[c].back))
+        return replace(self, changes=allowed)
 
     def run(self, samples: Samples, context: Context) -> list[Candidate]:
         """Run the inner stages on each changed target."""

@@ -5,7 +5,7 @@ They are found from gradients: h such that grad f is parallel to grad h (Udrescu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -23,6 +23,7 @@ from dynsr.methods.feynman.stages.reduction import (
     Support,
 )
 from dynsr.methods.feynman.stages.separability import partitions
+from dynsr.methods.limits import Limits
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,14 @@ class InnerFunction:
     misalignment: float
 
 
-def inner_features(columns: dict[str, np.ndarray], max_cost: int, most: int) -> list[sympy.Expr]:
+def inner_features(
+    columns: dict[str, np.ndarray],
+    max_cost: int,
+    most: int,
+    functions: tuple[str, ...] | None = None,
+) -> list[sympy.Expr]:
     """Features that an inner function may be a sum of, cheapest first, without the constant."""
-    features = build_features(columns, max_cost, 3, most + 1)
+    features = build_features(columns, max_cost, 3, most + 1, functions=functions)
     return [expr for expr in features.exprs if expr.free_symbols]
 
 
@@ -142,6 +148,7 @@ class AbstractInnerSearch(AbstractReducer):
     close : inner functions whose misalignment is within this factor of the least count as equally
         good, and the simplest of them is taken.
     keep : inner functions handed on.
+    functions : those that features are made of; None for sin, cos, exp, log and sqrt.
     """
 
     tolerance: float = 1.5
@@ -151,6 +158,12 @@ class AbstractInnerSearch(AbstractReducer):
     misalignment: float = 0.01
     close: float = 4.0
     keep: int = 3
+    functions: tuple[str, ...] | None = None
+
+    def within(self, limits: Limits) -> AbstractInnerSearch:
+        """Give the search on features of the functions that are allowed."""
+        vocabulary = limits.vocabulary
+        return self if vocabulary is None else replace(self, functions=vocabulary.functions)
 
     def _inner(
         self,
@@ -162,7 +175,7 @@ class AbstractInnerSearch(AbstractReducer):
         """Inner functions of some of the variables."""
         columns = {samples.names[j]: samples.X[:, j] for j in which}
         if features is None:
-            features = inner_features(columns, self.max_cost, self.max_features)
+            features = inner_features(columns, self.max_cost, self.max_features, self.functions)
         standard = gradient[:, which] * np.std(samples.X[:, which], axis=0)
         found = find_inner_functions(
             columns, standard, features, self.max_terms, self.keep, self.close
@@ -284,7 +297,8 @@ class GeneralSeparability(AbstractInnerSearch):
             features: list[sympy.Expr] = []
             for part in (first, second):
                 columns = {samples.names[j]: samples.X[:, j] for j in part}
-                features += inner_features(columns, self.max_cost, self.max_features // 2)
+                most = self.max_features // 2
+                features += inner_features(columns, self.max_cost, most, self.functions)
             everything = list(range(samples.X.shape[1]))
             inner = self._inner(samples, gradient, everything, features)
             found += self._accepted(inner, samples, surrogate)

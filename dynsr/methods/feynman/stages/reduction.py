@@ -21,6 +21,7 @@ from dynsr.data import Samples
 from dynsr.expression import evaluate
 from dynsr.fit import Candidate, ParetoFront, choose, score_candidate
 from dynsr.methods.feynman.stages.base import AbstractStage, Context, Surrogate
+from dynsr.methods.limits import Limits
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,10 @@ class AbstractReducer(AbstractStage):
     """
 
     tolerance: float
+
+    def within(self, limits: Limits) -> AbstractReducer:
+        """Give the reducer with the functions that are allowed; one without any as it is."""
+        return self
 
     @abstractmethod
     def find(

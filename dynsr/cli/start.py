@@ -1,0 +1,35 @@
+"""Start: what has to be right before the commands load."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run the command line that the shell gave."""
+    try:
+        _prepare()
+        from dynsr.cli.app import app
+
+        app()
+    except KeyboardInterrupt:  # before the command itself began
+        sys.stderr.write("error: interrupted\n")
+        sys.exit(_INTERRUPTED)
+
+
+def _prepare() -> None:
+    """Let every name be printed, and no window be opened."""
+    # A terminal that knows no Greek letters, or the bytes of a file's name that are no text.
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    # Closed streams (>&-) are None, which libraries cannot print to.
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    # Pictures are drawn into files; a wrong backend would end matplotlib's import.
+    os.environ["MPLBACKEND"] = "agg"

@@ -1,0 +1,241 @@
+"""Noise of measured states: its size, how it grows with the state, and how many rows are outliers.
+
+Nothing is fitted to a whole trajectory here: each row is compared with the polynomial through its
+neighbours, so that neither a model nor a smoother can be wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dynsr.data.samples import barycentric_weights
+from dynsr.data.trajectory import Trajectory
+from dynsr.errors import InputError
+
+_MAD = 1.4826
+
+
+def robust_scale(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
+    """Give 1.4826 times the median of |values|: the standard deviation of normal values.
+
+    >>> float(robust_scale(np.array([-1.0, 1.0, 100.0])))
+    1.4826
+    """
+    return np.asarray(_MAD * np.median(np.abs(values), axis=axis))
+
+
+def interpolation_weights(t: np.ndarray, order: int) -> np.ndarray:
+    """Weights (n - order, order + 1), of norm 1, of each point's miss from its neighbours."""
+    _, weights = barycentric_weights(np.lib.stride_tricks.sliding_window_view(t, order + 1))
+    weights /= weights[:, [order // 2]]
+    return weights / np.linalg.norm(weights, axis=1, keepdims=True)
+
+
+def interpolation_residuals(t: np.ndarray, x: np.ndarray, order: int) -> np.ndarray:
+    """Miss of each point from the polynomial through its ``order`` neighbours, per unit noise."""
+    _, weights = barycentric_weights(np.lib.stride_tricks.sliding_window_view(t, order + 1))
+    weights /= weights[:, [order // 2]]
+    values = np.lib.stride_tricks.sliding_window_view(x, order + 1, axis=0)
+    misses = np.einsum("ij,i...j->i...", weights, values)
+    norm = np.linalg.norm(weights, axis=1)
+    return misses / norm.reshape(-1, *[1] * (x.ndim - 1))
+
+
+def measurement_noise(trajectory: Trajectory) -> np.ndarray:
+    """Estimate the standard deviation of measurement noise of every state, (k,), state units.
+
+    Each point is compared with the polynomial through its neighbours (a high-order difference);
+    the median absolute miss, scaled for the normal law, is noise plus what the polynomial cannot
+    follow, so the smallest over orders 2 to 8 is taken. Times may be uneven.
+
+    >>> t = np.linspace(0, 10, 500)
+    >>> noisy = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, 500)
+    >>> bool(0.008 < measurement_noise(Trajectory(t, noisy[:, None], ("x",)))[0] < 0.012)
+    True
+    """
+    orders = [order for order in (2, 4, 6, 8) if len(trajectory) > order + 2]
+    if not orders:
+        raise InputError(f"{len(trajectory)} rows are too few to estimate noise; give at least 5")
+    found = [
+        robust_scale(interpolation_residuals(trajectory.t, trajectory.x, o), axis=0) for o in orders
+    ]
+    return np.min(found, axis=0)
+
+
+Column = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """How noise is estimated from neighbouring rows.
+
+    Parameters
+    ----------
+    orders : orders of the interpolating polynomials tried; the least miss is taken.
+    outlier : a row further than this many standard deviations off is an outlier.
+    share : more outliers than this share of the rows are none, but motion.
+    rounds : how often outliers are looked for again without those found before.
+    steps : steps of the weighted fit of additive and multiplicative noise.
+    """
+
+    orders: tuple[int, ...] = (2, 4, 6, 8)
+    outlier: float = 4.0
+    share: float = 0.15
+    rounds: int = 4
+    steps: int = 30
+
+
+@dataclass(frozen=True)
+class StateNoise:
+    """Noise of one measured state.
+
+    Parameters
+    ----------
+    additive : standard deviation that does not depend on the state, in state units.
+    multiplicative : standard deviation as a share of the state's size.
+    outliers : share of the rows that lie further off than this noise explains.
+
+    >>> StateNoise(3.0, 0.1).sd(np.array([0.0, 40.0]))
+    array([3., 5.])
+    """
+
+    additive: float
+    multiplicative: float = 0.0
+    outliers: float = 0.0
+
+    def sd(self, x: np.ndarray) -> np.ndarray:
+        """Give the standard deviation of the noise at the true (smoothed) values ``x``."""
+        return np.hypot(self.additive, self.multiplicative * np.asarray(x, dtype=float))
+
+
+def neighbour_noise(columns: Sequence[Column], settings: NoiseSettings) -> StateNoise:
+    """Estimate the noise of one state from the misses of each row from its neighbours.
+
+    Parameters
+    ----------
+    columns : (times, values) of the state in every trajectory.
+    settings : how it is done.
+
+    Gives no noise where no trajectory has 5 rows.
+    """
+    columns = [(t, x) for t, x in columns if len(t) >= 5]
+    if not columns:
+        return StateNoise(0.0)
+    whole = noise = _noise_of_misses(columns, settings)
+    total, kept = sum(len(t) for t, _ in columns), columns
+    for _ in range(settings.rounds):
+        fresh = [find_outliers(t, x, noise, settings) for t, x in kept]
+        kept = [(t[~out], x[~out]) for (t, x), out in zip(kept, fresh, strict=True)]
+        left = sum(len(t) for t, _ in kept)
+        if left < (1 - settings.share) * total:
+            # So many rows off are no outliers: the polynomials do not follow the motion there.
+            return whole
+        noise = replace(_noise_of_misses(kept, settings), outliers=1 - left / total)
+        if not any(np.any(out) for out in fresh):
+            break
+    return noise
+
+
+def _noise_of_misses(columns: Sequence[Column], settings: NoiseSettings) -> StateNoise:
+    """Fit additive and multiplicative noise to the misses of the best order of interpolation."""
+    best: tuple[float, list[tuple[np.ndarray, np.ndarray]]] | None = None
+    for order in settings.orders:
+        pieces = [_misses(t, x, order) for t, x in columns if len(t) > order + 2]
+        if pieces:
+            scale = float(robust_scale(np.concatenate([p[0] for p in pieces])))
+            if best is None or scale < best[0]:
+                best = scale, pieces
+    if best is None or best[0] == 0:
+        return StateNoise(0.0)
+    misses = np.concatenate([p[0] for p in best[1]])
+    level = np.concatenate([p[1] for p in best[1]])
+    # Neighbouring misses share rows: about half of them are independent.
+    return fit_law(misses**2, level, np.full(len(misses), 0.5), settings)
+
+
+def _misses(t: np.ndarray, x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Misses of the inner rows per unit noise, and the mean squared level that they saw."""
+    weights = interpolation_weights(t, order)
+    windows = np.lib.stride_tricks.sliding_window_view(x, order + 1)
+    # A measured level holds noise itself; that of a few rows holds less.
+    smooth = np.convolve(np.pad(x, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+    levels = np.lib.stride_tricks.sliding_window_view(smooth, order + 1)
+    return np.einsum("ij,ij->i", weights, windows), np.einsum("ij,ij->i", weights**2, levels**2)
+
+
+def fit_law(
+    squares: np.ndarray, level: np.ndarray, weights: np.ndarray, settings: NoiseSettings
+) -> StateNoise:
+    """Fit squares ~ a^2 + m^2 level; additive, multiplicative or both by the BIC.
+
+    Parameters
+    ----------
+    squares : (n,) squared misses.
+    level : (n,) squared values of the state there.
+    weights : (n,) share of each that is independent of the others.
+    settings : cap and steps of the fit.
+    """
+    scale = float(robust_scale(np.sqrt(squares))) ** 2
+    columns, rows = np.stack([np.ones(len(squares)), level]), max(float(np.sum(weights)), 2.0)
+    tried: list[tuple[float, np.ndarray]] = []
+    starts = [(scale, 0.0), (0.0, scale / max(float(np.median(level)), 1e-300)), (0.0, 0.0)]
+    for start in starts:
+        law = np.array(start)
+        if not np.any(law):
+            law = 0.5 * (tried[0][1] + tried[1][1])
+        law, loss = _ascend(squares, columns, weights, law, settings)
+        tried.append((loss + 0.5 * np.sum(law > 0) * np.log(rows), law))
+    additive, multiplicative = np.sqrt(min(tried, key=lambda pair: pair[0])[1])
+    return StateNoise(float(additive), float(multiplicative))
+
+
+def _ascend(
+    squares: np.ndarray,
+    columns: np.ndarray,
+    weights: np.ndarray,
+    law: np.ndarray,
+    settings: NoiseSettings,
+) -> tuple[np.ndarray, float]:
+    """Maximise the normal likelihood of squares ~ law @ columns, from ``law``; what is 0 stays 0.
+
+    The updates keep the law positive. A squared miss counts at most as an outlier's would.
+    """
+    cap, floor = settings.outlier**2, 1e-12 * float(np.mean(squares)) + 1e-300
+    for _ in range(settings.steps):
+        expected = law @ columns + floor
+        ratio = weights * np.minimum(squares / expected, cap) / expected
+        below = np.maximum(columns @ (weights / expected), 1e-300)
+        law = law * np.sqrt((columns @ ratio) / below)
+    expected = law @ columns + floor
+    losses = np.log(expected) + np.minimum(squares / expected, cap)
+    return law, float(weights @ losses) / 2
+
+
+def find_outliers(
+    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: NoiseSettings
+) -> np.ndarray:
+    """Find the rows that miss the polynomial through their neighbours by far too much.
+
+    Parameters
+    ----------
+    t, x : (n,) times and values of one state.
+    noise : the noise that is expected.
+    settings : how far is too far.
+
+    Gives (n,) flags; of neighbours only the worst has one.
+    """
+    found = np.zeros(len(t), dtype=bool)
+    order = min(4, 2 * ((len(t) - 3) // 2))
+    if order < 2 or noise.additive == noise.multiplicative == 0:
+        return found
+    misses, level = _misses(t, x, order)
+    z = np.abs(misses) / np.sqrt(noise.additive**2 + noise.multiplicative**2 * level)
+    half = order // 2
+    # An outlier spoils the misses of its neighbours: only the worst of a window is one.
+    padded = np.pad(z, half)
+    worst = np.lib.stride_tricks.sliding_window_view(padded, order + 1).max(axis=1)
+    found[half : len(t) - half] = (z > settings.outlier) & (z >= worst)
+    return found

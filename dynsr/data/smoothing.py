@@ -1,0 +1,396 @@
+"""Smoothing whole trajectories: states and slopes with uncertainty at every row, ends included.
+
+Every state is a Gaussian process in a time that may be warped. A transient that settles in a tenth
+of the record, or a jump between slow phases, has no one length scale in plain time; it has one in
+the logarithm of the time since the start, or along the arc of the motion. The warp of greatest
+marginal likelihood is taken, and so is the logarithm of the values where their noise is a share of
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.ndimage import gaussian_filter1d, median_filter
+
+from dynsr.data.gaussian_process import Process, ProcessSettings, fit_process, screen
+from dynsr.data.noise_model import (
+    NoiseSettings,
+    StateNoise,
+    find_outliers,
+    fit_law,
+    neighbour_noise,
+)
+from dynsr.data.trajectory import Trajectory
+from dynsr.errors import InputError
+
+
+@dataclass(frozen=True)
+class SmoothSettings:
+    """How trajectories are smoothed.
+
+    Parameters
+    ----------
+    starts : times, as shares of the record, from which on a transient may last; the logarithm of
+        the time since the start (and to the end) counts from there.
+    arcs : powers of the speed by which time is stretched.
+    still : least speed that counts, as a share of the root mean square one.
+    cost : evidence that stretching by the speed costs, since the speed comes from the rows.
+    outlier : a row that misses the prediction from all others by more than this many standard
+        deviations, and whose neighbours do not, is an outlier.
+    rare : probability of an outlier.
+    rounds : how often outliers and the size of the noise at each row are found again.
+    screened : about as many rows decide which logarithm of the time is tried.
+    refined : up to so many rows noise is estimated from the smoothed trajectory too.
+    unknown : ``process.known`` while it is.
+    chunk : most rows smoothed at once; longer trajectories are smoothed in overlapping pieces.
+    overlap : rows that two pieces share.
+    process : settings of the Gaussian process.
+    noise : settings of the estimate of the noise.
+    """
+
+    starts: tuple[float, ...] = (0.003, 0.02, 0.1)
+    arcs: tuple[float, ...] = (0.5, 1.0)
+    still: float = 0.03
+    cost: float = 3.0
+    outlier: float = 4.0
+    rare: float = 0.02
+    rounds: int = 3
+    screened: int = 150
+    refined: int = 600
+    unknown: float = 10.0
+    chunk: int = 1000
+    overlap: int = 60
+    process: ProcessSettings = field(default_factory=ProcessSettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+
+
+_SETTINGS = SmoothSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedTrajectory:
+    """States and slopes of one run made smooth, with standard deviations, at every row.
+
+    Parameters
+    ----------
+    t : (n,) times in seconds.
+    x : (n, k) smoothed states.
+    slope : (n, k) their slopes in state units per second.
+    x_sd, slope_sd : (n, k) standard deviations of both.
+    noise : (n, k) standard deviation of the measurement noise found at every row; an outlier's is
+        as large as its miss.
+    method : for each state, what was smoothed: "time", "log start 0.01", "arc 0.5", ..., with
+        "of log" where the logarithm of the values was.
+    states : names of the k states.
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    slope: np.ndarray
+    x_sd: np.ndarray
+    slope_sd: np.ndarray
+    noise: np.ndarray
+    method: tuple[str, ...]
+    states: tuple[str, ...]
+
+    def curve(self, times: np.ndarray) -> np.ndarray:
+        """Give the smoothed states (k, m) at m times within the record, by cubic Hermite pieces."""
+        inside = np.clip(times, self.t[0], self.t[-1])
+        return np.asarray(CubicHermiteSpline(self.t, self.x, self.slope)(inside)).T
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothColumn:
+    """One column made smooth; fields as in SmoothedTrajectory, (n,) each.
+
+    ``leverage`` is the share that each row has in its own fit, ``outlier`` flags outliers.
+    """
+
+    x: np.ndarray
+    slope: np.ndarray
+    x_sd: np.ndarray
+    slope_sd: np.ndarray
+    noise: np.ndarray
+    method: str
+    leverage: np.ndarray
+    outlier: np.ndarray
+
+
+def smooth(
+    run: Trajectory, noise: Sequence[StateNoise], settings: SmoothSettings = _SETTINGS
+) -> SmoothedTrajectory:
+    """Smooth every state of a trajectory by a Gaussian process, with uncertainty.
+
+    Parameters
+    ----------
+    run : the trajectory; times may be uneven; 4 rows are enough.
+    noise : the noise of each state, of :func:`dynsr.data.smoothing.estimate_noise`. It may be
+        found to be somewhat larger or smaller, the less so the more rows there are.
+    settings : what is tried.
+
+    Raises InputError when there are fewer than 4 rows.
+
+    >>> t = np.linspace(0, 10, 80)
+    >>> noisy = np.sin(t) + np.random.default_rng(0).normal(0, 0.1, 80)
+    >>> run = Trajectory(t, noisy[:, None], ("x",))
+    >>> found = smooth(run, estimate_noise([run]))
+    >>> bool(np.sqrt(np.mean((found.slope[:, 0] - np.cos(t)) ** 2)) < 0.15)
+    True
+    """
+    if len(run) < 4:
+        raise InputError(f"{len(run)} rows are too few to smooth; give at least 4 a trajectory")
+    columns = [
+        smooth_values(run.t, run.x[:, k], noise[k], settings) for k in range(len(run.states))
+    ]
+    names = ("x", "slope", "x_sd", "slope_sd", "noise")
+    stacked = {name: np.column_stack([getattr(c, name) for c in columns]) for name in names}
+    return SmoothedTrajectory(
+        t=run.t, method=tuple(c.method for c in columns), states=run.states, **stacked
+    )
+
+
+def smooth_values(
+    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings = _SETTINGS
+) -> SmoothColumn:
+    """Smooth one column; the parameters are those of :func:`smooth`, for (n,) times and values."""
+    if len(t) <= settings.chunk:
+        return _smooth_piece(t, x, noise, settings)
+    count = int(np.ceil((len(t) - settings.overlap) / (settings.chunk - settings.overlap)))
+    edges = np.linspace(0, len(t), count + 1).astype(int)
+    pieces = []
+    for start, stop in pairwise(edges):
+        low = max(start - settings.overlap // 2, 0)
+        rows = slice(low, min(stop + settings.overlap // 2, len(t)))
+        piece = _smooth_piece(t[rows], x[rows], noise, settings)
+        pieces.append((piece, slice(start - low, stop - low)))
+    names = ("x", "slope", "x_sd", "slope_sd", "noise", "leverage", "outlier")
+    joined = {n: np.concatenate([getattr(p, n)[rows] for p, rows in pieces]) for n in names}
+    methods = dict.fromkeys(p.method for p, _ in pieces)
+    return SmoothColumn(method=", ".join(methods), **joined)
+
+
+@dataclass(frozen=True, eq=False)
+class _Warp:
+    """A time s(t) from -1 to 1 at the rows, and ds/dt there."""
+
+    name: str
+    s: np.ndarray
+    rate: np.ndarray
+
+
+def _warp(name: str, s: np.ndarray, rate: np.ndarray) -> _Warp:
+    scale = 2 / (s[-1] - s[0])
+    return _Warp(name, (s - s[0]) * scale - 1, rate * scale)
+
+
+def _fixed_warps(t: np.ndarray, settings: SmoothSettings) -> list[_Warp]:
+    """Plain time, and the logarithm of the time since the start or to the end."""
+    warps = [_warp("time", t, np.ones(len(t)))]
+    for share in settings.starts:
+        since, until = t - t[0], t[-1] - t
+        lag = share * since[-1]
+        warps.append(_warp(f"log start {share:g}", np.log1p(since / lag), 1 / (lag + since)))
+        warps.append(_warp(f"log end {share:g}", -np.log1p(until / lag), 1 / (lag + until)))
+    return warps
+
+
+def _arc_warps(t: np.ndarray, pilot: Process, settings: SmoothSettings) -> list[_Warp]:
+    """Stretch time where a pilot moves fast."""
+    # Averaged over neighbours, so that turning points are no rest.
+    squares = gaussian_filter1d(pilot.slope**2, max(1.0, len(t) / 100), mode="nearest")
+    speed = np.sqrt(squares + settings.still**2 * np.mean(squares))
+    if not np.all(np.isfinite(speed)) or np.max(speed) == 0:
+        return []
+    warps = []
+    for power in settings.arcs:
+        rate = (speed / np.max(speed)) ** power
+        warps.append(_warp(f"arc {power:g}", PchipInterpolator(t, rate).antiderivative()(t), rate))
+    return warps
+
+
+def _smooth_piece(
+    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings
+) -> SmoothColumn:
+    """Smooth one column of few enough rows: as it is, or its logarithm."""
+    spread = float(np.std(x))
+    if spread == 0:
+        zero = np.zeros(len(t))
+        sd = noise.sd(x)
+        return SmoothColumn(x, zero, sd, zero, sd, "constant", zero, zero > 0)
+    found, evidence = _smooth_plain(t, x, noise, settings)
+    typical = float(np.median(np.abs(x)))
+    if np.min(x * np.sign(x[0])) <= 0 or noise.multiplicative * typical < noise.additive:
+        return found
+    relative = noise.sd(found.x) / np.abs(found.x)
+    if not np.max(relative) < 0.5:
+        return found
+    logs = np.log(np.abs(x)) + relative**2 / 2
+    other, rival = _smooth_plain(t, logs, noise, settings, relative)
+    if rival - float(np.sum(np.log(np.abs(x)))) <= evidence:
+        return found
+    value = np.exp(other.x) * np.sign(x[0])
+    slope = value * other.slope
+    return replace(
+        other,
+        x=value,
+        slope=slope,
+        x_sd=np.abs(value) * other.x_sd,
+        slope_sd=np.hypot(value * other.slope_sd, slope * other.x_sd),
+        noise=np.abs(value) * other.noise,
+        method=f"{other.method} of log",
+    )
+
+
+def _smooth_plain(
+    t: np.ndarray,
+    x: np.ndarray,
+    noise: StateNoise,
+    settings: SmoothSettings,
+    known: np.ndarray | None = None,
+) -> tuple[SmoothColumn, float]:
+    """Smooth in the warp of greatest evidence; gives that too.
+
+    ``known`` is the standard deviation of every row where the noise is that of a logarithm.
+    """
+    level = median_filter(x, 3, mode="nearest")
+    sd = noise.sd(gaussian_filter1d(level, 1.0, mode="nearest")) if known is None else known
+    sd = np.maximum(sd, 0.1 * np.median(sd))
+    outliers = _spikes(t, x, noise, settings) if known is None else np.zeros(len(t), dtype=bool)
+    used = np.where(outliers, np.hypot(sd, x - level), sd)
+    warp, best = _best_warp(t, x, used, settings)
+    for _ in range(settings.rounds):
+        if known is None:
+            sd = noise.sd(np.hypot(best.value, best.value_sd))
+        # What an outlier misses by is judged by the noise that it would have as a row like others.
+        reach = np.where(outliers, np.hypot(sd * best.factor, best.value_sd), np.inf)
+        far = np.where(outliers, np.abs(x - best.value) / reach, np.abs(best.left_out))
+        found = _isolated(far > settings.outlier)
+        if known is not None and np.array_equal(found, outliers):
+            break
+        settled, outliers = np.array_equal(found, outliers), found
+        used = np.where(outliers, np.hypot(sd, x - best.value), sd)
+        best = _fit(warp, x, used, settings, best.kernel)
+        if settled:
+            break
+    rows = np.maximum(used, settings.process.finest * np.std(x)) * best.factor
+    leverage = np.minimum((best.value_sd / rows) ** 2, 1.0)
+    evidence = best.evidence + np.sum(outliers) * np.log(settings.rare)
+    column = SmoothColumn(
+        best.value,
+        best.slope,
+        best.value_sd,
+        best.slope_sd,
+        rows,
+        warp.name,
+        leverage,
+        outliers,
+    )
+    return column, float(evidence)
+
+
+def _best_warp(
+    t: np.ndarray, x: np.ndarray, sd: np.ndarray, settings: SmoothSettings
+) -> tuple[_Warp, Process]:
+    """Give the warp of greatest evidence, and the process in it."""
+    plain, *others = _fixed_warps(t, settings)
+    # Some rows are enough to tell which logarithm is worth a search.
+    few = slice(None, None, max(1, len(t) // settings.screened))
+    guesses = [(w, *screen(w.s[few], x[few], sd[few], settings.process)) for w in others]
+    guess = max(guesses, key=lambda g: g[1])
+    tried = [
+        (plain, _fit(plain, x, sd, settings)),
+        (guess[0], _fit(guess[0], x, sd, settings, guess[2])),
+    ]
+    first = max(tried, key=lambda pair: pair[1].evidence)
+    tried += [
+        (w, _fit(w, x, sd, settings, first[1].kernel)) for w in _arc_warps(t, first[1], settings)
+    ]
+    # A warp that was made from the rows themselves must be better by more than its own freedom.
+    return max(tried, key=lambda p: p[1].evidence - settings.cost * p[0].name.startswith("arc"))
+
+
+def _spikes(
+    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings
+) -> np.ndarray:
+    """Flag rows that neighbours do not explain; where there are many, that is motion."""
+    found = find_outliers(t, x, noise, settings.noise)
+    return found if np.mean(found) <= settings.noise.share else np.zeros(len(t), dtype=bool)
+
+
+def _fit(
+    warp: _Warp,
+    x: np.ndarray,
+    sd: np.ndarray,
+    settings: SmoothSettings,
+    start: np.ndarray | None = None,
+) -> Process:
+    return fit_process(warp.s, warp.rate, x, sd, settings.process, start)
+
+
+def _isolated(flags: np.ndarray) -> np.ndarray:
+    """Give the flags whose neighbours have none: several in a row are motion, not outliers."""
+    padded = np.pad(flags, 1)
+    return flags & ~padded[:-2] & ~padded[2:]
+
+
+def estimate_noise(
+    runs: Sequence[Trajectory], settings: SmoothSettings = _SETTINGS
+) -> tuple[StateNoise, ...]:
+    """Estimate the noise of every state: additive, multiplicative, or both; and its outliers.
+
+    Each row is compared with the polynomial through its neighbours. For noise of variance
+    a^2 + m^2 x^2 the squared miss has the expectation sum_j c_j^2 (a^2 + m^2 x_j^2) with the
+    weights c of the interpolation; a and m are those of greatest likelihood, and a two-parameter
+    law stands only where it lowers the Bayesian information criterion. Where rows are few or far
+    apart such a polynomial misses by more than the noise; the misses from the smoothed trajectory,
+    divided by the share that no row itself takes of its own fit, then replace those.
+
+    Parameters
+    ----------
+    runs : one or many, of the same columns; noise belongs to the instrument and is the same in all.
+    settings : how it is done.
+
+    Gives one StateNoise a state; noise 0 when no trajectory has 5 rows.
+
+    >>> t = np.linspace(0, 10, 400)
+    >>> x = 5 + 4 * np.sin(t)
+    >>> noisy = x * (1 + np.random.default_rng(0).normal(0, 0.05, 400))
+    >>> found = estimate_noise([Trajectory(t, noisy[:, None], ("x",))])[0]
+    >>> found.additive, bool(0.04 < found.multiplicative < 0.06)
+    (0.0, True)
+    """
+    if not runs:
+        raise InputError("no trajectory was given; give at least one")
+    return tuple(
+        _state_noise([(run.t, run.x[:, k]) for run in runs if len(run) >= 5], settings)
+        for k in range(len(runs[0].states))
+    )
+
+
+def _state_noise(
+    columns: Sequence[tuple[np.ndarray, np.ndarray]], settings: SmoothSettings
+) -> StateNoise:
+    """Estimate the noise of one state from neighbours, then from the smoothed trajectories."""
+    noise = neighbour_noise(columns, settings.noise)
+    values = np.concatenate([x for _, x in columns]) if columns else np.zeros(1)
+    typical = float(np.sqrt(np.mean(noise.sd(values) ** 2)))
+    if len(values) > settings.refined or typical <= 10 * settings.process.finest * np.std(values):
+        return noise
+    free = replace(settings, process=replace(settings.process, known=settings.unknown))
+    for _ in range(settings.rounds - 1):
+        smooths = [smooth_values(t, x, noise, free) for t, x in columns]
+        level = np.concatenate([s.x for s in smooths])
+        share = 1 - np.concatenate([s.leverage for s in smooths])
+        outlying = np.concatenate([s.outlier for s in smooths])
+        kept = ~outlying & (share > 0.05)
+        if np.sum(share[kept]) < 2:
+            break
+        squares = (values - level)[kept] ** 2 / share[kept]
+        law = fit_law(squares, level[kept] ** 2, share[kept], settings.noise)
+        noise = replace(law, outliers=float(np.mean(outlying)))
+    return noise

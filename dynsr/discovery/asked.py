@@ -1,0 +1,58 @@
+"""Asked: what a call of discover was given is of the kind that it needs, or refused in one line."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dynsr.errors import InputError
+from dynsr.jobs import check_seed
+
+
+def check_asked(states: Sequence[str], seed: Any, **given: Any) -> int:
+    """Check arguments of :func:`dynsr.discover` that nothing else looks at; gives the seed.
+
+    Parameters
+    ----------
+    states : those of the data.
+    seed : what all chance is to come from.
+    given : method, targets, known, slopes, scheme, out, progress and settings, by name.
+
+    Raises InputError that names the argument.
+    """
+    for name, (fits, wanted) in _KINDS.items():
+        if name in given and not fits(given[name]):
+            raise InputError(f"{name} {str(given[name])[:40]!r} must be {wanted}")
+    for state in given.get("slopes") or {}:
+        if state not in states:
+            raise InputError(
+                f"slopes of {str(state)[:40]!r}, which is no state; the states are: "
+                f"{', '.join(states)}"
+            )
+    return check_seed(seed)
+
+
+def _is_names(value: Any) -> bool:
+    return isinstance(value, (str, Sequence))
+
+
+_KINDS: dict[str, tuple[Any, str]] = {
+    "method": (lambda v: _is_names(v) or hasattr(v, "search"), "a method, its name, or several"),
+    "targets": (_is_names, "'all', a state, or several"),
+    "known": (lambda v: v is None or isinstance(v, Mapping), "a mapping of states to formulas"),
+    "slopes": (
+        lambda v: (
+            v is None
+            or (
+                isinstance(v, Mapping)
+                and all(hasattr(own, "__len__") and not isinstance(own, str) for own in v.values())
+            )
+        ),
+        "a mapping of states to arrays of slopes",
+    ),
+    "scheme": (lambda v: v is None or isinstance(v, str), "the name of a scheme"),
+    "out": (lambda v: v is None or isinstance(v, (str, os.PathLike)), "a folder"),
+    "progress": (lambda v: v is None or callable(v), "a function"),
+    "settings": (lambda v: hasattr(v, "selection"), "DiscoverySettings"),
+}

@@ -1,0 +1,147 @@
+"""What the user asks, brought into the settings, the targets and the result of a discovery."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import sympy
+
+from dynsr.data import Samples
+from dynsr.discovery.result import Discovery
+from dynsr.errors import InputError
+from dynsr.expression import to_text
+from dynsr.fit import ParetoFront, free_constants, loosen, score_candidate
+from dynsr.methods import AbstractMethod, AskedMethod, Demands
+from dynsr.selection import SelectionSettings
+
+
+@dataclass(frozen=True)
+class Shares:
+    """The parts of a time budget after which each step of a discovery is to have ended.
+
+    Parameters
+    ----------
+    searches : the searches of all states.
+    choices : the choice among what they found.
+    comparison : the comparison of whole systems.
+    polishing : the fit of the constants of the chosen one.
+    """
+
+    searches: float = 0.6
+    choices: float = 0.75
+    comparison: float = 0.87
+    polishing: float = 0.95
+
+
+def settle(settings: SelectionSettings, demands: Demands) -> SelectionSettings:
+    """Give the settings of a choice whose later steps invent only functions that are allowed.
+
+    Parameters
+    ----------
+    settings : those without demands.
+    demands : what is asked.
+    """
+    vocabulary = demands.vocabulary
+    factors = replace(settings.comparison.factors, own=demands.terms)
+    if vocabulary is not None:
+        allowed = tuple(name for name in factors.functions if name in vocabulary.functions)
+        factors = replace(factors, functions=allowed)
+    return replace(
+        settings,
+        fit=replace(settings.fit, vocabulary=vocabulary),
+        comparison=replace(settings.comparison, demands=demands, factors=factors),
+    )
+
+
+def ask_methods(
+    methods: Mapping[str, AbstractMethod], demands: Demands, known: Mapping[str, sympy.Expr]
+) -> dict[str, AbstractMethod]:
+    """Give methods that keep to the demands; as they are where nothing is asked.
+
+    Parameters
+    ----------
+    methods : name -> method.
+    demands : what is asked.
+    known : state -> the given part of its equation.
+    """
+    if not demands.asked:
+        return dict(methods)
+    return {name: AskedMethod.of(method, demands, known) for name, method in methods.items()}
+
+
+def searched_states(states: Sequence[str], demands: Demands) -> tuple[str, ...]:
+    """Give the targets whose equations are searched: those that conservation gives are not.
+
+    Parameters
+    ----------
+    states : the targets.
+    demands : what is asked.
+
+    Raises InputError when the equation of a target follows from one that is no target.
+    """
+    for state, total in demands.conserved:
+        missing = sorted({str(s) for s in total.free_symbols} - {*states})
+        if state in states and missing:
+            raise InputError(
+                f"the equation of {state!r} follows from {to_text(total)}, which needs that of "
+                f"{missing[0]!r}; make it a target too"
+            )
+    return tuple(state for state in states if state not in dict(demands.conserved))
+
+
+def add_conserved(
+    found: Discovery, demands: Demands, samples: Mapping[str, Samples], order: Sequence[str]
+) -> Discovery:
+    """Give the discovery with the equations that follow from what is conserved.
+
+    Parameters
+    ----------
+    found : the discovery of the other states.
+    demands : what is asked.
+    samples : the samples of the states that follow.
+    order : all states.
+    """
+    equations = demands.complete(found.equations)
+    errors, fitted = dict(found.errors), dict(found.fitted)
+    fronts, why = dict(found.front), dict(found.explanation)
+    known = [
+        (value, error, before)
+        for state, pairs in found.errors.items()
+        for (value, error), before in zip(
+            pairs, found.fitted.get(state, [v for v, _ in pairs]), strict=True
+        )
+    ]
+    for state, total in demands.conserved:
+        if state not in equations:
+            continue
+        expr = equations[state]
+        values = free_constants(loosen(expr), "constant ")[1].values() if expr.args else ()
+        repeated = [_repeat(value, known) for value in values]
+        errors[state] = tuple((value, error) for value, error, _ in repeated)
+        fitted[state] = tuple(before for *_, before in repeated)
+        fronts[state] = ParetoFront([score_candidate(expr, samples[state], "conservation")])
+        why[state] = f"{state}' follows from the others, since {to_text(total)} is conserved."
+    placed = [state for state in order if state in equations]
+    return replace(
+        found,
+        equations={s: equations[s] for s in placed},
+        errors={s: errors[s] for s in placed},
+        fitted={s: fitted[s] for s in placed if s in fitted},
+        front={s: fronts[s] for s in placed},
+        explanation={s: why[s] for s in dict.fromkeys([*placed, *why])},
+    )
+
+
+def _repeat(
+    value: float, known: Sequence[tuple[float, float, float]]
+) -> tuple[float, float, float]:
+    """Give a constant with the error and the fitted value of the one that it repeats.
+
+    One that repeats none, since terms of several equations have met in it, has the error inf.
+    """
+    for other, error, before in known:
+        if math.isclose(abs(other), abs(value), rel_tol=1e-9):
+            return value, error, before * math.copysign(1.0, other * value)
+    return value, math.inf, value

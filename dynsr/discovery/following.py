@@ -1,0 +1,275 @@
+"""Following: how closely equations, integrated from fitted starts, keep to measured trajectories.
+
+The starts are fitted, since a measured start carries its noise into every later row. Over a run
+whose errors grow too far to be followed as a whole, windows are followed, the longest that can be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import sympy
+
+from dynsr.data import Trajectory
+from dynsr.fit import (
+    Flow,
+    Shooting,
+    Windows,
+    cut_windows,
+    drives_of,
+    free_constants,
+    loosen,
+)
+
+
+def first_rows(shooting: Shooting, rows: int) -> Shooting:
+    """Give the same misses over the first rows of every window."""
+    windows = Windows(shooting.windows.t[:rows], shooting.windows.x[:rows], shooting.windows.drive)
+    return replace(shooting, windows=windows, spread=shooting.spread[:rows])
+
+
+@dataclass(frozen=True)
+class Place:
+    """What one constant of a system is: the ``term`` of a state whose coefficient it is, or None.
+
+    ``value`` is its number in the equation.
+    """
+
+    state: str
+    term: sympy.Expr | None
+    value: float
+
+
+def open_constants(
+    equations: Mapping[str, sympy.Expr],
+) -> tuple[dict[str, sympy.Expr], dict[sympy.Symbol, Place]]:
+    """Put a symbol in the place of the coefficient of every term, and of every number inside one.
+
+    >>> x = sympy.Symbol("x")
+    >>> opened, places = open_constants({"x": x - 3 * x**2})
+    >>> sorted((str(place.term), place.value) for place in places.values())
+    [('x', 1.0), ('x**2', -3.0)]
+    >>> [place.value for place in open_constants({"x": x / 4})[1].values()]
+    [0.25]
+    """
+    opened: dict[str, sympy.Expr] = {}
+    places: dict[sympy.Symbol, Place] = {}
+    for state, expr in equations.items():
+        # A number alone below the line, as in 5 x / 7, belongs to its term.
+        ratio = _is_ratio(expr)
+        top, bottom = sympy.fraction(sympy.together(expr)) if ratio else (expr, sympy.S.One)
+        terms = []
+        for term in sympy.Add.make_args(sympy.expand(top)):
+            coefficient, rest = term.as_coeff_Mul()
+            symbol = sympy.Symbol(f"constant {state} {len(places)}")
+            places[symbol] = Place(state, rest, float(coefficient))
+            terms.append(symbol * _open_inside(rest, state, places))
+        # A ratio is given up to a factor, so that its last number below the line stays.
+        below = sympy.S.One if bottom == 1 else sympy.fraction(loosen(1 / bottom))[1]
+        opened[state] = sympy.Add(*terms) / _open_floats(below, state, places)
+    return opened, places
+
+
+def _is_ratio(expr: sympy.Expr) -> bool:
+    return bool(sympy.fraction(sympy.together(expr))[1].free_symbols)
+
+
+def _open_inside(rest: sympy.Expr, state: str, places: dict[sympy.Symbol, Place]) -> sympy.Expr:
+    loose = sympy.fraction(loosen(rest))[0].as_coeff_Mul()[1] if rest.free_symbols else rest
+    return _open_floats(loose, state, places)
+
+
+def _open_floats(expr: sympy.Expr, state: str, places: dict[sympy.Symbol, Place]) -> sympy.Expr:
+    template, values = free_constants(expr, f"inner {state} {len(places)} ")
+    places.update({symbol: Place(state, None, value) for symbol, value in values.items()})
+    return template
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """The measured side of following: runs thinned to what statistics need, with their noise.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    noise : for each run (n, k) standard deviations of the noise of its rows, above 0.
+    states : the k states that are followed; other columns are read from the data.
+    inputs : input name -> expression in ``t`` where it is known.
+    thinned : how many rows of the data stand behind one row here.
+    """
+
+    runs: tuple[Trajectory, ...]
+    noise: tuple[np.ndarray, ...]
+    states: tuple[str, ...]
+    inputs: Mapping[str, sympy.Expr]
+    thinned: float = 1.0
+
+    @classmethod
+    def of(
+        cls,
+        runs: Sequence[Trajectory],
+        noise: Sequence[np.ndarray],
+        states: Sequence[str],
+        inputs: Mapping[str, sympy.Expr],
+        rows: int,
+    ) -> Course:
+        """Take every so many-th row, so that ``rows`` are left at most."""
+        total = sum(map(len, runs))
+        every = max(1, math.ceil(total / rows))
+        taken = [np.arange(0, len(run), every if len(run) >= 8 * every else 1) for run in runs]
+        thin = tuple(run.select(index) for run, index in zip(runs, taken, strict=True))
+        own = tuple(level[index] for level, index in zip(noise, taken, strict=True))
+        return cls(thin, own, tuple(states), inputs, total / sum(map(len, thin)))
+
+    @property
+    def longest(self) -> int:
+        """Intervals of the longest run."""
+        return max(map(len, self.runs)) - 1
+
+    def flow(self, equations: Mapping[str, sympy.Expr], constants: Sequence[sympy.Symbol]) -> Flow:
+        """Make the flow of equations; columns that they use and do not give are read."""
+        used = {str(s) for e in equations.values() for s in e.free_symbols}
+        names = dict.fromkeys([*self.runs[0].names, *self.inputs])
+        driven = tuple(n for n in names if n not in equations and n in used)
+        return Flow(dict(equations), driven, tuple(constants))
+
+    def shoot(self, flow: Flow, length: int, most: int) -> list[Shooting]:
+        """Give the misses of a flow over windows of ``length``; shorter runs are whole."""
+        found = []
+        for size in sorted({min(length, len(run) - 1) for run in self.runs}):
+            some = [i for i, run in enumerate(self.runs) if min(length, len(run) - 1) == size]
+            found.append(self._shoot(flow, some, size, most))
+        return found
+
+    def _shoot(self, flow: Flow, some: Sequence[int], size: int, most: int) -> Shooting:
+        runs = [self.runs[i] for i in some]
+        columns = [runs[0].index(state) for state in flow.rhs]
+        places = [self.states.index(state) for state in flow.rhs]
+        drives = drives_of(flow.driven, runs, self.inputs)
+        times = [run.t for run in runs]
+        windows = cut_windows(times, [r.x[:, columns] for r in runs], drives, size, most)
+        level = [self.noise[i][:, places] for i in some]
+        noise = cut_windows(times, level, drives, size, most).x
+        return Shooting(flow, windows, noise, True)
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A system fitted to the trajectories: one entry for each group of windows of one length.
+
+    ``misses`` are (rows, k, W) in units of the noise; NaN where the equations diverge.
+    """
+
+    shootings: tuple[Shooting, ...]
+    constants: np.ndarray
+    starts: tuple[np.ndarray, ...]
+    misses: tuple[np.ndarray, ...]
+    length: int
+
+    @property
+    def finite(self) -> bool:
+        """Say whether the equations can be integrated over all windows."""
+        return all(bool(np.all(np.isfinite(z))) for z in self.misses)
+
+    def sizes(self) -> np.ndarray:
+        """(k,) mean squared miss of every state, in units of its noise."""
+        total = sum(np.sum(z**2, axis=(0, 2)) for z in self.misses)
+        count = sum(z.shape[0] * z.shape[2] for z in self.misses)
+        found: np.ndarray = total / count
+        return found
+
+    def linearise(self, rows: slice | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Misses (N,), their slopes by constants and all starts (N, P + k W), states (N,)."""
+        count, lanes = len(self.constants), [s.shape[1] for s in self.starts]
+        k = len(self.misses[0][0])
+        columns = count + k * sum(lanes)
+        misses, slopes, owners, first = [], [], [], count
+        for shooting, starts in zip(self.shootings, self.starts, strict=True):
+            z, by_constant, by_start = shooting.linearise(self.constants, starts)
+            flat = z.transpose(2, 0, 1).reshape(len(by_constant), -1)
+            for lane in range(starts.shape[1]):
+                block = np.zeros((flat.shape[1], columns))
+                block[:, :count] = by_constant[lane]
+                block[:, first : first + k] = by_start[lane]
+                first += k
+                misses.append(flat[lane])
+                slopes.append(block)
+                owners.append(np.tile(np.arange(k), len(z)))
+        return np.concatenate(misses), np.concatenate(slopes), np.concatenate(owners)
+
+
+def follow(
+    shootings: Sequence[Shooting],
+    constants: np.ndarray,
+    *,
+    starts: Sequence[np.ndarray] = (),
+    free: bool = False,
+) -> Followed:
+    """Fit the starts, and with ``free`` the constants too, from growing parts of the windows.
+
+    Parameters
+    ----------
+    shootings : groups of windows.
+    constants : (P,) values.
+    starts : where the starts begin, (k, W) for each group; the measured ones by default.
+    free : fit the constants too; only for a single group, others keep their constants.
+    """
+    begin = list(starts) or [s.windows.x[0] for s in shootings]
+    with np.errstate(all="ignore"):
+        chosen = [
+            replace(s, substeps=_choose_substeps(s, constants, at))
+            for s, at in zip(shootings, begin, strict=True)
+        ]
+        if free and len(chosen) == 1:
+            constants, begin[0] = _grow(chosen[0], constants, begin[0])
+        else:
+            closed = _close(chosen[0], constants).flow
+            begin = [
+                _grow(replace(s, flow=closed), np.empty(0), at)[1]
+                for s, at in zip(chosen, begin, strict=True)
+            ]
+        misses = tuple(s.misses(constants, at) for s, at in zip(chosen, begin, strict=True))
+    length = max(len(z) for z in misses) - 1
+    return Followed(tuple(chosen), constants, tuple(begin), misses, length)
+
+
+def _choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
+    """Halve the step until that moves no state by more than a hundredth of its noise."""
+    coarse = shooting.misses(constants, starts)
+    for substeps in (2, 4, 8, 16, 32):
+        fine = replace(shooting, substeps=substeps).misses(constants, starts)
+        if np.max(np.abs(fine - coarse)) < 0.01:
+            return substeps // 2
+        coarse = fine
+    return 32
+
+
+def _close(shooting: Shooting, constants: np.ndarray) -> Shooting:
+    """Put the constants' values in, so that only starts are left to be fitted."""
+    put = dict(zip(shooting.flow.constants, map(sympy.Float, constants), strict=True))
+    rhs = {state: expr.xreplace(put) for state, expr in shooting.flow.rhs.items()}
+    return replace(shooting, flow=Flow(rhs, shooting.flow.driven, ()))
+
+
+def _grow(
+    shooting: Shooting, constants: np.ndarray, starts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit over the first sixteenth, quarter and whole of the windows."""
+    rows = len(shooting.windows.t)
+    closed = _close(shooting, constants).flow if len(constants) else shooting.flow
+    for part in dict.fromkeys(max(min(rows, 8), rows // share) for share in (16, 4, 1)):
+        some = first_rows(shooting, part)
+        if not np.all(np.isfinite(some.misses(constants, starts))):
+            break
+        # Over a part of a window constants are not known yet; whole windows tell them.
+        if part < rows and len(constants):
+            _, starts = replace(some, flow=closed).minimise(
+                np.empty(0), starts, "linear", most=6, gain=1e-3
+            )
+            continue
+        for loss in ("linear", "soft_l1") if part == rows else ("linear",):
+            constants, starts = some.minimise(constants, starts, loss, most=6, gain=1e-3)
+    return constants, starts

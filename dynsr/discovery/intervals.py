@@ -1,0 +1,171 @@
+"""Intervals: the constants of an equation in the order in which they are read, each with its own.
+
+The order in which SymPy keeps the constants of a formula is not that in which it prints them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy
+
+from dynsr.expression import shown
+from dynsr.fit import free_constants, loosen, tidy
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One constant of an equation.
+
+    Parameters
+    ----------
+    value : the number that the equation holds.
+    fitted : the number before it was made a simple one.
+    low, high : the ends of its 95 % interval; None where the data do not tell.
+    of : what it stands at: the term that it multiplies, "1" for one alone, or the function that it
+        stands in.
+    """
+
+    value: float
+    fitted: float
+    low: float | None
+    high: float | None
+    of: str
+
+    @property
+    def text(self) -> str:
+        """The constant and its interval, to be read."""
+        kept = "" if _close(self.fitted, self.value) else f", fitted {self.fitted_text}"
+        return f"{self.value:.6g} ({self.interval_text}{kept})"
+
+    @property
+    def fitted_text(self) -> str:
+        """The fitted number, with as many digits as its interval supports."""
+        return f"{self.fitted:.{self._digits}g}"
+
+    @property
+    def interval_text(self) -> str:
+        """The interval, to be read."""
+        if self.low is None or self.high is None:
+            return "unknown"
+        return f"{self.low:.{self._digits}g} to {self.high:.{self._digits}g}"
+
+    @property
+    def _digits(self) -> int:
+        """Digits enough that the ends of the interval differ in the last two."""
+        if self.low is None or self.high is None or not self.high > self.low:
+            return 6
+        size = max(abs(self.low), abs(self.high))
+        return min(10, max(2, math.ceil(math.log10(size / (self.high - self.low))) + 2))
+
+
+def _close(one: float, other: float) -> bool:
+    return math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-300)
+
+
+def list_constants(
+    expr: sympy.Expr,
+    errors: Sequence[tuple[float, float]],
+    fitted: Sequence[float] | None = None,
+    reach: float = 1.96,
+) -> tuple[Constant, ...]:
+    """Give the constants of an equation in the order of its printed text.
+
+    Parameters
+    ----------
+    expr : the equation.
+    errors : (value, standard error) of its constants in the order in which SymPy keeps them.
+    fitted : their values before they were made simple numbers, in the same order.
+    reach : standard errors that a 95 % interval reaches to either side.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> found = list_constants(2 * x - 3 * x * y, [(-3.0, 0.1), (2.0, 0.2)])
+    >>> [constant.value for constant in found]
+    [-3.0, 2.0]
+    >>> str(2 * x - 3 * x * y)
+    '-3*x*y + 2*x'
+    """
+    plain = expr.is_Symbol or expr == 0
+    template, values = free_constants(expr if plain else loosen(expr), "constant ")
+    kept = list(values.values())
+    before = list(fitted or ())
+    before = before if len(before) == len(errors) else [value for value, _ in errors]
+    known = [(v, e, f) for (v, e), f in zip(errors, before, strict=True)]
+    paired = _pair(kept, known)
+    middles = [middle for _, middle in paired]
+    reaches = [reach * error for error, _ in paired]
+    order = _printed_order(template, values)
+    return tuple(_make(template, list(values), i, kept, middles, reaches) for i in order)
+
+
+def _make(
+    template: sympy.Expr,
+    symbols: Sequence[sympy.Symbol],
+    index: int,
+    values: Sequence[float],
+    fitted: Sequence[float],
+    reaches: Sequence[float],
+) -> Constant:
+    beside, middle = reaches[index], fitted[index]
+    known = math.isfinite(beside)
+    return Constant(
+        values[index],
+        middle,
+        middle - beside if known else None,
+        middle + beside if known else None,
+        _home(template, symbols, index, values),
+    )
+
+
+def _home(
+    template: sympy.Expr,
+    symbols: Sequence[sympy.Symbol],
+    index: int,
+    values: Sequence[float],
+) -> str:
+    """Say what a constant stands at."""
+    mine = symbols[index]
+    top, bottom = sympy.fraction(template)
+    numbers = {s: sympy.Float(v) for s, v in zip(symbols, values, strict=True)}
+    for part, above in ((top, True), (bottom, False)):
+        for term in sympy.Add.make_args(part):
+            if mine not in term.free_symbols:
+                continue
+            factors = [f for f in sympy.Mul.make_args(term) if f != mine]
+            inside = next((f for f in factors if mine in f.free_symbols), None)
+            rest = inside if inside is not None else sympy.Mul(*factors)
+            words = shown(tidy(rest.xreplace(numbers)))
+            return words if above else f"{words} below the line"
+    return "1"
+
+
+def _pair(
+    values: Sequence[float], known: Sequence[tuple[float, float, float]]
+) -> list[tuple[float, float]]:
+    """Give each value its (error, fitted value): by its place, or where that differs by its number.
+
+    ``known`` are (value, error, fitted value).
+    """
+    if len(values) == len(known) and all(map(_close, values, [k[0] for k in known])):
+        return [(error, middle) for _, error, middle in known]
+    left, found = list(known), []
+    for value in values:
+        match = next((k for k in left if math.isclose(k[0], value, rel_tol=1e-4)), None)
+        if match is not None:
+            left.remove(match)
+        found.append(match[1:] if match else (math.inf, value))
+    return found
+
+
+def _printed_order(template: sympy.Expr, values: dict[sympy.Symbol, float]) -> list[int]:
+    """Print the formula with a number of its own for each constant, and see where these stand."""
+    marks = [1.0 + (i + 1) / 4096 for i in range(len(values))]
+    signed = {
+        symbol: sympy.Float(math.copysign(mark, value))
+        for (symbol, value), mark in zip(values.items(), marks, strict=True)
+    }
+    text = shown(template.xreplace(signed), 12)
+    places = [text.find(f"{mark:.12g}") for mark in marks]
+    return sorted(range(len(marks)), key=lambda i: (places[i] < 0, places[i], i))

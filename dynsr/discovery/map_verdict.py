@@ -1,0 +1,371 @@
+"""Verdict on maps: whether x[n+1] = f(x[n]) is a law of the data, an approximation, or not found.
+
+The judges are one step, from every measured row, and free runs of a few steps. What a step misses
+may be chance, but nothing that the row tells; free runs may miss by what the misses of single steps
+add up to, and no more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+import sympy
+from scipy.special import fdtrc
+
+from dynsr.data import Samples, Trajectory, near_rows_leave_open
+from dynsr.discovery.following import Place, open_constants
+from dynsr.discovery.maps import pair_rows
+from dynsr.discovery.verdict import (
+    APPROXIMATION,
+    JUDGE,
+    LAW,
+    LEVELS,
+    NOT_FOUND,
+    Rival,
+    StateVerdict,
+    TermCertainty,
+    Verdict,
+    VerdictSettings,
+)
+from dynsr.expression import compile_numpy, evaluate, plausibility_bits, shown
+from dynsr.fit import ParetoFront, constant_bits, structure_bits, tidy
+
+# Share of a state's size below which a miss is the rounding of numbers alone.
+_ROUNDING = 1e-11
+# Share of the variance of misses that near rows leave open where they are no chance: that leaves 1.
+_OPEN = 0.5
+# Degree of the products of columns in which misses may not have a pattern.
+_DEGREE = 3
+
+
+def judge_map(
+    equations: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    front: Mapping[str, ParetoFront] | None = None,
+    settings: VerdictSettings = JUDGE,
+) -> Verdict:
+    """Say of every equation of a map whether it is a law of the data.
+
+    In the verdict of a state R2 is that of one step, the noise is the size of one step's misses,
+    the forecast the miss of a step in the held-back end, and chi-square the squared miss of free
+    runs in units of what the misses of single steps add up to; these are given by medians.
+
+    Parameters
+    ----------
+    equations : state -> its next value.
+    runs : the trajectories that they were found on.
+    front : state -> other formulas that were found, which are compared on one step.
+    settings : the numbers that decide.
+
+    >>> x = [0.3]
+    >>> for _ in range(99):
+    ...     x.append(3.8 * x[-1] * (1 - x[-1]))
+    >>> run = Trajectory(np.arange(100.0), np.array(x)[:, None], ("x",))
+    >>> own = sympy.Symbol("x")
+    >>> judge_map({"x": 3.8 * own * (1 - own)}, [run]).level
+    'law'
+    >>> judge_map({"x": sympy.S.Zero}, [run]).level
+    'not found'
+    """
+    with np.errstate(all="ignore"):
+        steps = {s: _Step.of(s, e, runs, settings.held_back) for s, e in equations.items()}
+        free = _compare_free_runs(equations, runs, steps, settings)
+        states = {
+            s: _judge_state(step, free.get(s, math.inf), runs, (front or {}).get(s, ()), settings)
+            for s, step in steps.items()
+        }
+    level = max((own.level for own in states.values()), key=LEVELS.index)
+    weak = [s for s, own in states.items() if own.level == level]
+    reason = (
+        "every equation gives the next row within chance."
+        if level == LAW
+        else f"{', '.join(weak)}: {states[weak[0]].reason}"
+    )
+    return Verdict(level, reason, states, _span(runs, settings))
+
+
+def _span(runs: Sequence[Trajectory], settings: VerdictSettings) -> float:
+    return settings.steps * float(np.median(np.diff(runs[0].t)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """One step of one state from every row: what it misses, and how its constants move that."""
+
+    state: str
+    expr: sympy.Expr
+    samples: Samples
+    later: np.ndarray
+    misses: np.ndarray
+    jacobian: np.ndarray
+    places: tuple[Place, ...]
+
+    @classmethod
+    def of(
+        cls, state: str, expr: sympy.Expr, runs: Sequence[Trajectory], held_back: float
+    ) -> _Step:
+        samples = pair_rows(runs, state)
+        opened, places = open_constants({state: expr})
+        put = {symbol: sympy.Float(place.value) for symbol, place in places.items()}
+        columns = {**samples.columns, "t": samples.t}
+        slopes = [evaluate(opened[state].diff(symbol).xreplace(put), columns) for symbol in places]
+        rows = len(samples)
+        jacobian = np.array([np.broadcast_to(s, rows) for s in slopes]).reshape(-1, rows).T
+        misses = samples.y - np.broadcast_to(evaluate(expr, columns), rows)
+        later = np.arange(rows) >= math.ceil((1 - held_back) * rows)
+        return cls(state, expr, samples, later, misses, jacobian, tuple(places.values()))
+
+    @property
+    def spread(self) -> float:
+        return max(float(np.std(self.samples.y)), 1e-300)
+
+    @property
+    def finest(self) -> float:
+        """Misses below this are rounding."""
+        return _ROUNDING * max(self.spread, float(np.max(np.abs(self.samples.y))))
+
+    @property
+    def size(self) -> float:
+        """Standard deviation of the misses of one step."""
+        freedom = max(len(self.misses) - len(self.places), 1)
+        return math.sqrt(float(self.misses @ self.misses) / freedom)
+
+    @property
+    def r2(self) -> float:
+        found = 1 - float(np.mean(self.misses**2)) / self.spread**2
+        return found if math.isfinite(found) else -math.inf
+
+    def _solve(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Give the shift of the constants that fits these rows best, and its covariance."""
+        slopes = self.jacobian[rows]
+        scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+        inverse = np.linalg.pinv(slopes / scale, rcond=1e-10)
+        covariance = (inverse @ inverse.T) / np.outer(scale, scale) * self._level**2
+        return inverse @ self.misses[rows] / scale, covariance
+
+    @property
+    def _level(self) -> float:
+        return max(self.size, self.finest)
+
+    def terms(self) -> tuple[TermCertainty, ...]:
+        """Say how sure each term is, as for systems in continuous time."""
+        if not self.places or not np.all(np.isfinite(self.jacobian)):
+            return ()
+        _, covariance = self._solve(np.ones(len(self.misses), dtype=bool))
+        errors = np.sqrt(np.maximum(np.diag(covariance), 0))
+        found = []
+        for place, error in zip(self.places, errors, strict=True):
+            ratio = abs(place.value) / max(float(error), 1e-300)
+            doubt = math.exp(max(-700.0, -(ratio**2) / 2)) * math.sqrt(len(self.misses))
+            name = "a constant inside it" if place.term is None else shown(place.term)
+            found.append(TermCertainty(name, float(f"{ratio:.6g}"), round(1 / (1 + doubt), 6)))
+        return tuple(found)
+
+    def forecast(self) -> tuple[float, float]:
+        """Give the rms miss of the end, and its square in units of what was to be expected.
+
+        The constants are those that fit the rows before.
+        """
+        slopes = self.jacobian[self.later]
+        shift, covariance = self._solve(~self.later)
+        left = self.misses[self.later] - slopes @ shift
+        expected = self._level**2 + np.einsum("ij,jk,ik->i", slopes, covariance, slopes)
+        return math.sqrt(float(np.mean(left**2))), float(np.mean(left**2 / expected))
+
+    def has_pattern(self) -> bool:
+        """Say whether the columns tell something of the misses.
+
+        Either near rows are missed by the same (see :func:`dynsr.data.near_rows_leave_open`), or
+        products of the columns explain some of it (Fisher's test).
+        """
+        if self.size <= self.finest:
+            return False
+        left = near_rows_leave_open([self.samples.X], [self.misses])
+        return left < _OPEN or self._follows_products()
+
+    def is_odd(self) -> bool:
+        """Say whether a wave of a column that is no angle, or the like, stands in the equation."""
+        pairs = self.samples.columns.items()
+        angles = [name for name, column in pairs if column.min() < 0 < column.max()]
+        return plausibility_bits(self.expr, angles) > 0
+
+    def _follows_products(self) -> bool:
+        points = self.samples.X
+        points = (points - points.mean(axis=0)) / np.maximum(points.std(axis=0), 1e-300)
+        columns = [np.ones(len(points))]
+        for degree in range(1, _DEGREE + 1):
+            columns += [
+                np.prod(points[:, list(chosen)], axis=1)
+                for chosen in combinations_with_replacement(range(points.shape[1]), degree)
+            ]
+        design = np.column_stack(columns)
+        freedom = len(points) - design.shape[1]
+        if freedom < 2 * design.shape[1]:
+            return False
+        weights, *_ = np.linalg.lstsq(design, self.misses, rcond=None)
+        left = float(np.sum((self.misses - design @ weights) ** 2))
+        explained = float(self.misses @ self.misses) - left
+        ratio = explained / design.shape[1] / max(left / freedom, 1e-300)
+        return bool(fdtrc(design.shape[1], freedom, ratio) < 1e-3)
+
+    def moves_by(self) -> float:
+        """Root mean square change of the state in one step."""
+        own = self.samples.columns[self.state]
+        return math.sqrt(float(np.mean((self.samples.y - own) ** 2)))
+
+
+def _compare_free_runs(
+    equations: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    steps: Mapping[str, _Step],
+    settings: VerdictSettings,
+) -> dict[str, float]:
+    """Give the squared miss of free runs in units of what misses of single steps add up to.
+
+    For that the same runs are iterated with misses drawn from those of single steps.
+    """
+    states = [runs[0].index(state) for state in equations]
+    names = [n for n in runs[0].names if n not in equations]
+    step = compile_numpy(list(equations.values()), [*equations, *names, "t"])
+    places = [runs[0].names.index(name) for name in names]
+    rng = np.random.default_rng(0)
+    actual, expected = [], []
+    for run in runs:
+        first = np.arange(0, len(run) - settings.steps, max(1, len(run) // settings.rows))
+        if not len(first):
+            continue
+        plain = run.x[first][:, states].T
+        shaken = plain
+        for later in range(settings.steps):
+            driven = [*run.columns[first + later][:, places].T, run.t[first + later]]
+            plain = step(np.array([*plain, *driven]))
+            chance = [rng.choice(steps[s].misses, len(first)) for s in equations]
+            shaken = step(np.array([*shaken, *driven])) + np.array(chance)
+        actual.append(plain - run.x[first + settings.steps][:, states].T)
+        expected.append(shaken - plain)
+    if not actual:
+        return {}
+    missed, by_chance = (np.concatenate(found, axis=1) for found in (actual, expected))
+    found = {}
+    for place, state in enumerate(equations):
+        size = np.median(np.nan_to_num(np.abs(missed[place]), nan=np.inf))
+        usual = np.median(np.nan_to_num(np.abs(by_chance[place]), nan=np.inf))
+        # Rounding grows too, over as many steps.
+        floor = max(settings.exact * steps[state].spread, steps[state].finest)
+        found[state] = float((size / max(float(usual), floor)) ** 2)
+    return found
+
+
+def _judge_state(
+    step: _Step,
+    free: float,
+    runs: Sequence[Trajectory],
+    front: ParetoFront | Sequence[None],
+    settings: VerdictSettings,
+) -> StateVerdict:
+    state, r2 = step.state, step.r2
+    size = step.size / step.spread
+    found = StateVerdict(NOT_FOUND, "", float(f"{r2:.6g}"), free, noise=float(f"{size:.6g}"))
+    if np.ptp([value for run in runs for value in run.x[:, run.index(state)]]) == 0:
+        return replace(found, level=LAW, reason=f"{state} does not change.")
+    if not (math.isfinite(r2) and np.all(np.isfinite(step.jacobian))):
+        return replace(found, reason="the equation has no value on some rows.")
+    if not step.expr.free_symbols or step.expr == sympy.Symbol(state):
+        said = f"{state} moves from row to row, and no equation for that was found."
+        return replace(found, reason=said + _because(step, runs, settings))
+    missed, surprise = step.forecast()
+    found = replace(
+        found,
+        forecast=float(f"{missed / step.spread:.6g}"),
+        terms=step.terms(),
+        rivals=_compare(step, front, settings),
+    )
+    if r2 < settings.r2:
+        said = f"the equation does not give the next row (R2 of one step {r2:.2g})."
+        return replace(found, reason=said + _because(step, runs, settings))
+    doubts = _doubts(step, found, free, surprise, settings)
+    follows = f"gives the next row to {100 * size:.2g} % of the spread"
+    if doubts:
+        said = f"{follows}, but {'; '.join(doubts)}."
+        said += _because(step, runs, settings)
+        return replace(found, level=APPROXIMATION, reason=said)
+    follows = "gives the next row exactly" if step.size <= step.finest else follows
+    runs_on = f"free runs of {settings.steps} steps miss by no more than these add up to"
+    return replace(
+        found, level=LAW, reason=f"{follows}; {runs_on}, and each of its terms is needed."
+    )
+
+
+def _doubts(
+    step: _Step, found: StateVerdict, free: float, surprise: float, settings: VerdictSettings
+) -> list[str]:
+    """Give what keeps an equation that gives the next row from being a law."""
+    doubts = []
+    if step.size > step.moves_by() / 2:
+        doubts.append("that is hardly better than to say that nothing changes")
+    if step.has_pattern():
+        doubts.append("what one step leaves over is no chance: it follows the columns")
+    if step.size > step.finest and step.is_odd():
+        doubts.append("functions stand in it that such columns seldom follow")
+    if free > settings.free**2:
+        doubts.append(f"free runs of {settings.steps} steps miss by more than that adds up to")
+    if surprise > 2.0 + 4.0 * math.sqrt(2 / max(int(np.count_nonzero(step.later)), 1)):
+        doubts.append(f"the last {settings.held_back:.0%} of the data are missed by more")
+    unsure = dict.fromkeys(t.term for t in found.terms if t.ratio < settings.sure)
+    if unsure:
+        doubts.append(f"the data are not sure of {', '.join(unsure)}")
+    near = [r for r in found.rivals if r.bits < settings.rival_bits]
+    if near:
+        how = "gives it better" if near[0].bits < -settings.rival_bits else "gives it as well"
+        doubts.append(f"{near[0].equation} {how}")
+    if len(step.misses) < settings.fewest * max(1, len(found.terms)):
+        doubts.append(f"{len(step.misses)} steps are too few to be sure")
+    return doubts
+
+
+def _because(step: _Step, runs: Sequence[Trajectory], settings: VerdictSettings) -> str:
+    """Say what may keep the equation from being found: what near rows leave open."""
+    if len(step.misses) < settings.fewest * (len(runs[0].names) + 1):
+        return f" {len(step.misses)} steps are few for {len(runs[0].names)} columns."
+    pieces = [pair_rows([run], step.state) for run in runs if len(run) > 2]
+    left = near_rows_leave_open([piece.X for piece in pieces], [piece.y for piece in pieces])
+    if not math.isfinite(left) or left <= 2 * settings.exact:
+        return ""
+    if left > 1 - settings.r2:
+        return (
+            " Rows that are near to each other in all columns are followed by different values of "
+            f"{step.state}: a state or an input is missing, or chance is large."
+        )
+    if step.r2 < 1 - 3 * left:
+        return " Near rows are followed by near values: there is an equation, of another form."
+    return ""
+
+
+def _compare(
+    step: _Step, front: ParetoFront | Sequence[None], settings: VerdictSettings
+) -> tuple[Rival, ...]:
+    """Give the closest different formulas of the front, by the bits of one step's misses."""
+    columns = {**step.samples.columns, "t": step.samples.t}
+    rows, floor = len(step.samples), max(step.finest, 1e-300) ** 2
+
+    def length(expr: sympy.Expr, misses: np.ndarray) -> float:
+        constants = sum(1 for _ in open_constants({step.state: expr})[1])
+        bits = structure_bits(expr) + constants * constant_bits(rows)
+        return bits + rows / 2 * math.log2(max(float(np.mean(misses**2)), floor))
+
+    own, found = length(step.expr, step.misses), []
+    for candidate in front:
+        if candidate is None:
+            continue
+        values = np.broadcast_to(evaluate(candidate.expr, columns), rows)
+        apart = float(np.sqrt(np.mean((values - step.samples.y + step.misses) ** 2)))
+        if math.isfinite(apart) and apart > max(settings.differs * step.spread, 2 * step.finest):
+            found.append((length(candidate.expr, step.samples.y - values) - own, candidate.expr))
+    found.sort(key=lambda pair: (pair[0], str(pair[1])))
+    return tuple(
+        Rival(shown(tidy(expr), 4), float(f"{bits:.6g}")) for bits, expr in found[: settings.rivals]
+    )

@@ -1,0 +1,236 @@
+"""Maps: equations x[n+1] = f(x[n]) from row to row, where nothing moves between the rows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples, Trajectory, sample_input
+from dynsr.errors import EngineError, InputError
+from dynsr.expression import arguments_of, compile_numpy, evaluate, parse, to_latex, to_mathml
+from dynsr.fit import free_constants, loosen, rmse
+
+# Rows of the short free runs that a score looks at: chaos makes longer ones say nothing.
+_STEPS = 5
+# A step longer or shorter by this share is another one.
+_EVEN = 1e-3
+
+ENGINES = {
+    "fit": "none (least squares on one step)",
+    "forecast": "none (iteration)",
+    "simulate": "none (iteration)",
+    "bands": "none",
+}
+
+
+def pair_rows(runs: Sequence[Trajectory], target: str) -> Samples:
+    """Pair every row with the next value of the target, where it follows after one usual step.
+
+    Parameters
+    ----------
+    runs : trajectories of the same columns.
+    target : the state whose next value is wanted.
+
+    Raises InputError when the steps are so uneven that most rows have no next one.
+
+    >>> halving = Trajectory([0.0, 1.0, 2.0], [[4.0], [2.0], [1.0]], ("x",))
+    >>> pair_rows([halving], "x").y.tolist()
+    [2.0, 1.0]
+    """
+    steps = [np.diff(run.t) for run in runs]
+    usual = float(np.median(np.concatenate(steps)))
+    kept = [np.flatnonzero(np.abs(step - usual) <= _EVEN * usual) for step in steps]
+    if 2 * sum(map(len, kept)) < sum(map(len, steps)):
+        raise InputError("the rows are at uneven times; a map needs one row a step")
+    return Samples(
+        np.concatenate([run.columns[rows] for run, rows in zip(runs, kept, strict=True)]),
+        np.concatenate(
+            [run.x[rows + 1, run.index(target)] for run, rows in zip(runs, kept, strict=True)]
+        ),
+        runs[0].names,
+        target,
+        "given",
+        np.concatenate([run.t[rows] for run, rows in zip(runs, kept, strict=True)]),
+    )
+
+
+def measure_step_errors(
+    expr: sympy.Expr, samples: Samples
+) -> tuple[tuple[tuple[float, float], ...], tuple[float, ...]]:
+    """Give (value, standard error) of the constants of a map, and their values by least squares.
+
+    The errors are those of ordinary least squares on one step: right for noise in the motion
+    itself. Noise of the measurement alone is in both sides of a step and makes them too small.
+
+    Parameters
+    ----------
+    expr : the right-hand side.
+    samples : pairs of rows.
+
+    >>> x = np.linspace(0, 1, 50)
+    >>> pairs = Samples(x[:, None], 3 * x + 0.1 * np.cos(60 * x), ("x",), "x", "given", x)
+    >>> tripling = sympy.Float(3) * sympy.Symbol("x")
+    >>> ((value, error),), (fitted,) = measure_step_errors(tripling, pairs)
+    >>> value, bool(abs(fitted - 3) < 2 * error < 0.1)
+    (3.0, True)
+    """
+    template, values = free_constants(loosen(expr), "constant ")
+    if not values:
+        return (), ()
+    put = {symbol: sympy.Float(value) for symbol, value in values.items()}
+    columns = {**samples.columns, "t": samples.t}
+    slopes = [evaluate(template.diff(symbol).xreplace(put), columns) for symbol in values]
+    jacobian = np.column_stack([np.broadcast_to(s, samples.y.shape) for s in slopes])
+    misses = samples.y - evaluate(template.xreplace(put), columns)
+    shift, *_ = np.linalg.lstsq(jacobian, misses, rcond=None)
+    left = misses - jacobian @ shift
+    freedom = max(len(misses) - len(values), 1)
+    spread = np.linalg.pinv(jacobian.T @ jacobian)
+    errors = np.sqrt(np.maximum(np.diag(spread), 0.0) * float(left @ left) / freedom)
+    numbers = np.array(list(values.values()))
+    return tuple(zip(numbers.tolist(), errors.tolist(), strict=True)), tuple(
+        (numbers + shift).tolist()
+    )
+
+
+def iterate(
+    equations: Mapping[str, sympy.Expr],
+    x0: Sequence[float] | np.ndarray,
+    t: Sequence[float] | np.ndarray,
+    inputs: Mapping[str, Any] | None = None,
+) -> Trajectory:
+    """Iterate a map from a start, once for every time after the first.
+
+    Parameters
+    ----------
+    equations : state -> its next value, in the states, the inputs and ``t``.
+    x0 : (k,) start in the order of the equations.
+    t : (n,) increasing times of the rows.
+    inputs : name -> expression in ``t``, function of one time, or (n,) values at the times.
+
+    Raises InputError when an input is missing or a length does not fit, EngineError when the map
+    leaves the finite numbers.
+
+    >>> iterate({"x": 2 * sympy.Symbol("x")}, [1.0], [0.0, 1.0, 2.0]).x.ravel().tolist()
+    [1.0, 2.0, 4.0]
+    """
+    times, start = np.asarray(t, dtype=float), np.asarray(x0, dtype=float)
+    if start.shape != (len(equations),):
+        raise InputError(f"x0 must be {len(equations)} numbers, one a state; it is {x0!r}")
+    names = arguments_of(equations)
+    given = [_values(name, inputs or {}, times) for name in names]
+    step = compile_numpy(list(equations.values()), [*equations, *names, "t"])
+    rows = [start]
+    with np.errstate(all="ignore"):
+        for i, time in enumerate(times[:-1]):
+            column = [*rows[-1], *(values[i] for values in given), time]
+            following = step(np.array(column)[:, None])[:, 0]
+            if not np.all(np.isfinite(following)):
+                raise EngineError(f"the map has no value after step {i + 1}; give fewer rows")
+            rows.append(following)
+    return Trajectory(times, np.array(rows), tuple(equations), origin={"engine": "iteration"})
+
+
+def _values(name: str, inputs: Mapping[str, Any], times: np.ndarray) -> np.ndarray:
+    if name not in inputs:
+        raise InputError(
+            f"nothing says what {name!r} does; give it as an input or discover its equation too"
+        )
+    value = inputs[name]
+    if callable(value) and not isinstance(value, sympy.Basic):
+        return sample_input(name, value, times)
+    if isinstance(value, (str, sympy.Basic, int, float)):
+        return np.broadcast_to(evaluate(parse(value, ["t"]), {"t": times}), times.shape)
+    values = np.asarray(value, dtype=float)
+    if values.shape != times.shape:
+        raise InputError(
+            f"input {name!r} has shape {values.shape} but there are {len(times)} times; "
+            "give one value a time"
+        )
+    return values
+
+
+def inputs_in(run: Trajectory, equations: Mapping[str, sympy.Expr]) -> dict[str, np.ndarray]:
+    """Give the inputs, and states without an equation, at the rows of a run."""
+    return {
+        name: run.columns[:, run.names.index(name)]
+        for name in arguments_of(equations)
+        if name in run.names
+    }
+
+
+def score_map(
+    equations: Mapping[str, sympy.Expr], runs: Sequence[Trajectory]
+) -> dict[str, dict[str, float]]:
+    """Score a map on data: one step, free runs of five steps, and one over the whole data.
+
+    ``step_rmse`` is the error of one step, ``forecast`` the median miss after five steps in units
+    of the state's spread, ``trajectory_rmse`` the error of one iteration from the first row to the
+    last (inf when it diverges).
+
+    Parameters
+    ----------
+    equations : state -> its next value.
+    runs : the data.
+
+    >>> doubling = Trajectory(np.arange(6.0), 2.0 ** np.arange(6)[:, None], ("x",))
+    >>> score_map({"x": 2 * sympy.Symbol("x")}, [doubling])["x"]["step_rmse"]
+    0.0
+    """
+    starts = [run.select(slice(i, None)) for run in runs for i in _starts(run)]
+    short = [_free_run(equations, s.select(slice(0, _STEPS + 1)))[-1] for s in starts]
+    whole = [_free_run(equations, run) for run in runs]
+    scores = {}
+    for place, (state, expr) in enumerate(equations.items()):
+        samples = pair_rows(runs, state)
+        truth = np.concatenate([run.x[:, run.index(state)] for run in runs])
+        spread = float(np.std(truth)) or 1.0
+        misses = [
+            abs(found[place] - s.x[min(_STEPS, len(s) - 1), s.index(state)])
+            for found, s in zip(short, starts, strict=True)
+        ]
+        scores[state] = {
+            "step_rmse": rmse(evaluate(expr, {**samples.columns, "t": samples.t}), samples.y),
+            "forecast": float(np.median(np.nan_to_num(misses, nan=np.inf))) / spread,
+            "trajectory_rmse": rmse(np.concatenate([w[:, place] for w in whole]), truth),
+        }
+    return scores
+
+
+def _starts(run: Trajectory) -> range:
+    return range(0, max(len(run) - _STEPS, 1), max(1, len(run) // 200))
+
+
+def _free_run(equations: Mapping[str, sympy.Expr], run: Trajectory) -> np.ndarray:
+    """Iterate over a run; rows of NaN where that diverges."""
+    start = [run.x[0, run.index(state)] for state in equations]
+    try:
+        return iterate(equations, start, run.t, inputs_in(run, equations)).x
+    except EngineError:
+        return np.full((len(run), len(equations)), np.nan)
+
+
+def write_map_latex(equations: Mapping[str, sympy.Expr]) -> str:
+    r"""Write a map as a LaTeX ``aligned`` block.
+
+    >>> print(write_map_latex({"x": 2 * sympy.Symbol("x")}))
+    \begin{aligned}
+    {x}_{n+1} &= 2 x
+    \end{aligned}
+    """
+    return re.sub(r"^\\dot\{(.*?)\} &=", r"{\1}_{n+1} &=", to_latex(equations), flags=re.MULTILINE)
+
+
+def write_map_mathml(expr: sympy.Expr, state: str) -> str:
+    """Write the equation of a state of a map as MathML.
+
+    >>> write_map_mathml(sympy.Symbol("y"), "x")
+    '<math><msub><mi>x</mi><mrow><mi>n</mi><mo>+</mo><mn>1</mn></mrow></msub><mo>=</mo></math> ...'
+    """
+    name = to_mathml(sympy.Symbol(state)).removeprefix("<math>").removesuffix("</math>")
+    following = "<mrow><mi>n</mi><mo>+</mo><mn>1</mn></mrow>"
+    return f"<math><msub>{name}{following}</msub><mo>=</mo></math> {to_mathml(expr)}"

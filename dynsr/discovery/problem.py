@@ -1,0 +1,445 @@
+"""One discovery: its data, what is given of them, and the steps from searches to equations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import sympy
+
+from dynsr.data import (
+    Samples,
+    SlopeSettings,
+    Trajectory,
+    split_held_back,
+)
+from dynsr.discovery.asking import (
+    Shares,
+)
+from dynsr.discovery.map_verdict import judge_map
+from dynsr.discovery.maps import measure_step_errors
+from dynsr.discovery.orders import Form, explain_velocity
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.tasks import (
+    Found,
+)
+from dynsr.discovery.verdict import Verdict, VerdictSettings, judge
+from dynsr.expression import compile_numpy
+from dynsr.fit import (
+    Candidate,
+    FitSettings,
+    Match,
+    Measurements,
+    Noise,
+    ParetoFront,
+    confirm,
+    description_length,
+    is_noisy,
+    polish,
+    tidy,
+)
+from dynsr.jobs import (
+    Budget,
+    finish_by,
+)
+from dynsr.methods import (
+    Demands,
+)
+from dynsr.selection import (
+    Pick,
+    SelectionSettings,
+    SystemChoice,
+    compare_systems,
+    other_in_halves,
+)
+
+Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
+
+
+@dataclass(frozen=True)
+class DiscoverySettings:
+    """The numbers that decide in a discovery outside its methods; they stand in its record.
+
+    Parameters
+    ----------
+    rows : samples of a state at most; of more rows, evenly spaced ones are taken.
+    slopes : how the data choose the scheme of their slopes.
+    selection : how one equation a state is chosen, constants are fitted and systems compared.
+    shares : how the steps share a time budget, where there is one.
+    verdict : when equations are a law, an approximation, or not found.
+
+    >>> DiscoverySettings(rows=2000).selection.compared
+    5
+    """
+
+    rows: int = 4000
+    slopes: SlopeSettings = SlopeSettings()
+    selection: SelectionSettings = SelectionSettings()
+    shares: Shares = Shares()
+    verdict: VerdictSettings = VerdictSettings()
+
+    def without_snapping(self) -> DiscoverySettings:
+        """Give the same settings for constants that stay as fitted."""
+        fit = replace(self.selection.fit, snap=False)
+        return replace(self, selection=replace(self.selection, fit=fit))
+
+
+DISCOVERY: DiscoverySettings = DiscoverySettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The data of one discovery and what is given of their equations.
+
+    Parameters
+    ----------
+    runs : the trajectories, with the velocities that their order asks for.
+    inputs : input name -> expression in ``t`` where it is known.
+    scheme : how slopes are made.
+    slopes : state -> the user's own.
+    known : state -> the given part of its equation.
+    form : order, time and kind of the equations.
+    settings : the numbers that decide.
+    demands : what the user asks of the equations.
+    budget : the seconds that all may take.
+    cut : names of the steps that the budget ended.
+    confirmed : the fit of the equations that exact states leave no doubt of, once there is one.
+    """
+
+    runs: Sequence[Trajectory]
+    inputs: Mapping[str, sympy.Expr]
+    scheme: str
+    slopes: Mapping[str, Any]
+    known: Mapping[str, sympy.Expr]
+    form: Form
+    settings: DiscoverySettings
+    demands: Demands
+    budget: Budget
+    cut: list[str] = field(default_factory=list)
+    confirmed: list[Match] = field(default_factory=list)
+
+    def samples(
+        self,
+        state: str,
+        runs: Sequence[Trajectory],
+        known_left_out: bool = True,
+        plain: bool = False,
+    ) -> Samples:
+        """Make the samples of a state, without the known part, thinned when there are many.
+
+        ``plain`` ones are differences, where the data are noisy too.
+        """
+        if self.measurements is not None and not plain and state not in self.form.known.values():
+            return self.form.with_time(self.measurements.samples(state))
+        own = self.slopes.get(state)
+        if own is not None and runs is not self.runs:
+            # Own slopes fit the whole trajectories; the searches see all of them.
+            runs = self.runs
+        # Differences of the highest order tell most of exact rows that are far apart.
+        scheme = "central8" if plain and self._noisy_measurements is not None else self.scheme
+        found = self.form.samples(
+            list(runs), state, scheme=scheme, slopes=own, settings=self.settings.slopes
+        )
+        rows = self.settings.rows
+        if len(found) > rows:
+            found = found.select(np.linspace(0, len(found) - 1, rows).astype(int))
+        if state not in self.known or not known_left_out:
+            return found
+        given = compile_numpy([self.known[state]], [*found.names, "t"])
+        values = given(np.concatenate([found.X.T, found.t[None]]))[0]
+        return replace(found, y=found.y - values)
+
+    def fit(
+        self,
+        picks: Mapping[str, Pick],
+        pools: Mapping[str, list[Candidate]],
+        notes: Mapping[str, str],
+        settled: SystemChoice | None = None,
+    ) -> tuple[Discovery, Rivals | None]:
+        """Compare whole systems, fit the constants of the best to all data, and explain it.
+
+        Gives the discovery, and the formulas that came closest where systems were compared.
+        """
+        picked = {s: self.known.get(s, sympy.S.Zero) + self._allowed(p) for s, p in picks.items()}
+        if self.form.discrete:
+            return self._fit_map(picked, picks, pools, notes), None
+        given = self.form.known
+        picked = {
+            s: given[s] if s in given else picked[s] for s in self.form.complete(tuple(picks))
+        }
+        choice, cut = finish_by(
+            self.budget.until(self.settings.shares.comparison),
+            lambda: settled or self.compare(picked, self._likely(picks, pools)),
+            lambda: SystemChoice(picked),
+        )
+        self.cut.extend(["comparison"] if cut else [])
+        # Where other terms or the states turn a sign, the chosen terms that keep it stand.
+        system = {
+            s: e if self.demands.keeps(s, e, self.columns) else picked[s]
+            for s, e in choice.exprs.items()
+        } | given
+        fitted = self._polish(system, picks)
+        mended = {s: self.demands.drop_broken(s, e) for s, e in fitted.exprs.items()}
+        if mended != fitted.exprs:
+            system = mended
+            fitted = self._polish(system, picks)
+        found = Discovery(
+            equations=fitted.exprs,
+            errors=fitted.errors,
+            fitted=fitted.fitted,
+            reach=fitted.reach,
+            front={s: self._front(pools[s], p) for s, p in picks.items()},
+            explanation={
+                s: f" Found by {p.candidate.source or 'search'}.{notes[s]}"
+                for s, p in picks.items()
+            },
+            details={s: p.explanation + _why(system[s], picked[s]) for s, p in picks.items()},
+        )
+        rivals = choice.different() if choice.fit is not None else None
+        return with_velocities(found, self.form), rivals
+
+    def _allowed(self, pick: Pick) -> sympy.Expr:
+        """Give the best formula that keeps to the demands; the choice varies those of the pool."""
+        formulas = (r.candidate.expr for r in pick.ranked)
+        return next(filter(self.demands.allows, formulas), pick.candidate.expr)
+
+    def _fit_map(
+        self,
+        exprs: Mapping[str, sympy.Expr],
+        picks: Mapping[str, Pick],
+        pools: Mapping[str, list[Candidate]],
+        notes: Mapping[str, str],
+    ) -> Discovery:
+        """Take the maps as they were picked, with the errors of their constants on one step."""
+        final = {s: tidy(e) for s, e in exprs.items()}
+        pairs = {s: self.samples(s, self.runs, known_left_out=False) for s in picks}
+        found = {s: measure_step_errors(e, pairs[s]) for s, e in final.items()}
+        return Discovery(
+            equations=final,
+            errors={s: errors for s, (errors, _) in found.items()},
+            fitted={s: fitted for s, (_, fitted) in found.items()},
+            front={s: self._front(pools[s], p) for s, p in picks.items()},
+            explanation={
+                s: f" Found by {p.candidate.source or 'search'}.{notes[s]}"
+                for s, p in picks.items()
+            },
+            details={s: p.explanation.replace(f"{s}' =", f"{s}[n+1] =") for s, p in picks.items()},
+        )
+
+    def _polish(self, system: Mapping[str, sympy.Expr], picks: Mapping[str, Pick]) -> Match:
+        samples = {s: self.samples(s, self.runs, known_left_out=False) for s in system}
+        noise = {s: picks[self.form.velocities.get(s, s)].noise for s in system}
+        whole = self.settings.selection.fit
+        shortly = replace(whole, snap_rounds=0, match_trials=2)
+        as_chosen = {s: tidy(e) for s, e in system.items()}
+
+        def hurry() -> Match:
+            return finish_by(
+                self.budget.until(1.0),
+                lambda: self._fit_constants(system, samples, noise, shortly),
+                lambda: Match.untouched(as_chosen),
+            )[0]
+
+        fitted, cut = finish_by(
+            self.budget.until(self.settings.shares.polishing),
+            lambda: self._fit_constants(system, samples, noise, whole),
+            hurry,
+        )
+        self.cut.extend(["polishing"] if cut else [])
+        return fitted
+
+    def _fit_constants(
+        self,
+        system: Mapping[str, sympy.Expr],
+        samples: Mapping[str, Samples],
+        noise: Mapping[str, Noise],
+        settings: FitSettings,
+    ) -> Match:
+        data, exact = self.measurements, next(iter(self.confirmed), None)
+        if exact is not None and exact.exprs.keys() == system.keys():
+            return polish(
+                exact.exprs, self.runs, self.inputs, samples, noise, settings, None, exact
+            )
+        return polish(system, self.runs, self.inputs, samples, noise, settings, data)
+
+    def _front(self, pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
+        """Merge what the methods found with what fitting and snapping made of it."""
+        last = [replace(r.candidate, expr=tidy(r.candidate.expr)) for r in pick.ranked]
+        return ParetoFront([*pool, *(c for c in last if self.demands.allows(c.expr))])
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Name -> (n,) values of all columns of the data, and the times."""
+        values = np.concatenate([run.columns for run in self.runs]).T
+        times = np.concatenate([run.t for run in self.runs])
+        return {**dict(zip(self.runs[0].names, values, strict=True)), "t": times}
+
+    def _likely(
+        self, picks: Mapping[str, Pick], pools: Mapping[str, Sequence[Candidate]]
+    ) -> dict[str, list[sympy.Expr]]:
+        """Give the other formulas of each state, those of least description length first."""
+        likely = {}
+        for state, pick in picks.items():
+            samples = self.samples(state, self.runs)
+            ranked = sorted(pools[state], key=lambda c: description_length(c, samples, pick.noise))
+            others = [r.candidate for r in pick.ranked[1:]]
+            likely[state] = [c.expr for c in [*others, *ranked]]
+        return likely
+
+    @property
+    def measurements(self) -> Measurements | None:
+        """The states with their noise and smoothed curves; None where slopes are good enough."""
+        return None if self.confirmed else self._noisy_measurements
+
+    @cached_property
+    def _noisy_measurements(self) -> Measurements | None:
+        if self.form.discrete or self.known or self.slopes or self.scheme != "auto":
+            return None
+        if min(map(len, self.runs)) < 5 or not is_noisy(self.runs):
+            return None
+        comparison = self.settings.selection.comparison
+        data = Measurements.of(self.runs, self.inputs, comparison.rows, self.form.known)
+        return data if data.noise_share >= comparison.noisy else None
+
+    def split(self) -> tuple[Sequence[Trajectory], Sequence[Trajectory]]:
+        """Give the trajectories to search in, and those held back to choose by forecasts."""
+        if self.form.discrete or self.measurements is not None:
+            return self.runs, []
+        return split_held_back(self.runs)
+
+    def noise(self) -> list[np.ndarray] | None:
+        """(n, k) standard deviations of the noise of each run; None where it is not known."""
+        if self.confirmed:
+            return [np.zeros_like(run.x) for run in self.runs]
+        data = self.measurements
+        if data is None or any(
+            len(a) != len(b) for a, b in zip(data.runs, self.runs, strict=False)
+        ):
+            return None
+        return [smoothed.noise for smoothed in data.smoothed]
+
+    def confirm(self, looked: Sequence[Found]) -> Mapping[str, sympy.Expr]:
+        """Fit the likeliest formulas to the states; gives those that these leave no doubt of.
+
+        From then on the data count as exact.
+        """
+        if not all(found.candidates for found in looked):
+            return {}
+        exprs = {
+            f.target: self.known.get(f.target, sympy.S.Zero) + f.candidates[0].expr for f in looked
+        }
+        given = self.form.known
+        whole = {s: given[s] if s in given else exprs[s] for s in self.form.complete(tuple(exprs))}
+        found, cut = finish_by(
+            self.budget.until(self.settings.shares.searches),
+            lambda: confirm(whole, self.runs, self.inputs, self.settings.selection.fit),
+            lambda: None,
+        )
+        self.cut.extend(["first look"] if cut else [])
+        if found is None or not all(self.is_allowed(s, e) for s, e in found.exprs.items()):
+            return {}
+        self.confirmed.append(found)
+        return {s: found.exprs[s] - self.known.get(s, sympy.S.Zero) for s in exprs}
+
+    def is_allowed(self, state: str, expr: sympy.Expr) -> bool:
+        """Whether an equation keeps to all that the user asks."""
+        return self.demands.keeps(state, expr, self.columns)
+
+    def judge(self, found: Discovery, rivals: Rivals | None) -> Verdict:
+        """Say how sure the equations are."""
+        if self.form.discrete:
+            front = {s: own for s, own in found.front.items() if s not in self.known}
+            return judge_map(found.equations, self.runs, front, self.settings.verdict)
+        if rivals is not None:
+            rivals = self._with_halves(found, rivals)
+        return judge(
+            found.equations,
+            self.runs,
+            self.inputs,
+            noise=self.noise(),
+            front={s: own for s, own in found.front.items() if s not in self.known},
+            rivals=rivals,
+            settings=self.settings.verdict,
+        )
+
+    def _with_halves(self, found: Discovery, rivals: Rivals) -> Rivals:
+        """Put what half of the rows ask for beside the formulas that come close."""
+        data, most = self.measurements, self.settings.verdict.rival_bits
+        if data is None:
+            return rivals
+        wider = dict(rivals)
+        for state, expr in found.equations.items():
+            clear = all(bits >= most for _, bits in rivals.get(state, ()))
+            if not clear or expr.is_Symbol or not expr.free_symbols:
+                continue
+            other = other_in_halves(state, expr, data, self.settings.selection.comparison)
+            if other is not None:
+                wider[state] = [(other, 0.0), *rivals.get(state, ())]
+        return wider
+
+    def settle(self, explored: Sequence[Found]) -> SystemChoice | None:
+        """Give the best system of these alone where other methods could not do better; else None.
+
+        They cannot where it leaves nothing but noise, or where noise makes slopes too unsure.
+        """
+        assert self.measurements is not None
+        pools = {f.target: [c.expr for c in f.candidates] for f in explored}
+        names = self.form.complete(tuple(pools))
+        given = self.form.known
+        exprs = {s: given[s] if s in given else pools[s][0] for s in names}
+        comparison = self.settings.selection.comparison
+        choice = compare_systems(exprs, pools, self.measurements, comparison)
+        if self.measurements.noise_share > comparison.doubtful or choice.explains(comparison):
+            return choice
+        return None
+
+    def compare(
+        self, picked: Mapping[str, sympy.Expr], pools: Mapping[str, Sequence[sympy.Expr]]
+    ) -> SystemChoice:
+        """Let whole systems compete on the states where noise makes slopes unsure."""
+        if self.measurements is None:
+            return SystemChoice(dict(picked))
+        return compare_systems(picked, pools, self.measurements, self.settings.selection.comparison)
+
+
+def pool_formulas(
+    searched: Sequence[Found],
+    samples: Mapping[str, Samples],
+    demands: Demands,
+    known: Mapping[str, sympy.Expr],
+) -> dict[str, list[Candidate]]:
+    """Put together what all methods found for each state and the demands leave."""
+    pools: dict[str, list[Candidate]] = {state: [] for state in samples}
+    for found in searched:
+        pools[found.target] += found.candidates
+    return {
+        state: demands.select(pool, samples[state], known.get(state, sympy.S.Zero))
+        for state, pool in pools.items()
+    }
+
+
+def with_velocities(found: Discovery, form: Form) -> Discovery:
+    """Put the equations x' = x_dot, which nobody searched, beside the others, with their reason."""
+    known = {s: e for s, e in form.known.items() if str(e) in found.equations}
+    names = form.complete([s for s in found.equations if s not in known])
+    whole = {**known, **found.equations}
+    return replace(
+        found,
+        equations={s: whole[s] for s in names},
+        errors={**dict.fromkeys(known, ()), **found.errors},
+        front={**{s: ParetoFront([]) for s in known}, **found.front},
+        explanation={
+            **found.explanation,
+            **{s: f" {explain_velocity(s, str(e))}" for s, e in known.items()},
+        },
+    )
+
+
+def _why(system: sympy.Expr, picked: sympy.Expr) -> str:
+    """Say when the states themselves asked for another formula than the slopes did."""
+    if system == picked:
+        return ""
+    return " Fitted to the noisy states themselves, other terms take fewer bits; they were taken."

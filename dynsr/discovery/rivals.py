@@ -1,0 +1,201 @@
+"""Rivals: how much worse different formulas would follow the trajectories than the one found.
+
+A rival is first fitted to the slopes of the equation found, along the trajectory that this gives:
+one that can be the same function is none. What still differs is followed through the system by its
+sensitivities, in one integration for all rivals; constants and starts may make up for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.discovery.following import Course, Followed, Place
+from dynsr.expression import evaluate
+from dynsr.fit import (
+    Candidate,
+    constant_bits,
+    free_constants,
+    loosen,
+    refit,
+    structure_bits,
+    with_floats,
+)
+
+# Longer formulas are no rivals of shorter ones: what they can do more, the misses tell.
+_MORE_CONSTANTS = 2
+
+
+def compare_rivals(
+    equations: Mapping[str, sympy.Expr],
+    front: Mapping[str, Iterable[Candidate]],
+    followed: Followed,
+    places: Mapping[sympy.Symbol, Place],
+    course: Course,
+    most: int,
+    different: float,
+) -> dict[str, list[tuple[sympy.Expr, float]]]:
+    """Give for every state (formula, bits that it takes more than the equation), fewest first.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side.
+    front : state -> formulas that were found for it.
+    followed : the equations, fitted to the trajectories.
+    places : their open constants.
+    course : the trajectories.
+    most : formulas a state that are compared.
+    different : rms difference, in shares of the slopes' spread, of formulas that are different.
+
+    The bits are those of the misses in the linearised fit, of the formula, and of its constants.
+    """
+    columns = _columns(followed)
+    chosen = [
+        (state, expr)
+        for state in equations
+        for expr in _closest(
+            state, equations[state], front.get(state, ()), columns, most, different
+        )
+    ]
+    if not chosen:
+        return {state: [] for state in equations}
+    bits = _bits_above(equations, chosen, followed, places, course)
+    found: dict[str, list[tuple[sympy.Expr, float]]] = {state: [] for state in equations}
+    for (state, expr), value in zip(chosen, bits, strict=True):
+        more = _count(expr) - _count(equations[state])
+        cost = structure_bits(expr) - structure_bits(with_floats(equations[state]))
+        rows = sum(z.size for z in followed.misses) * course.thinned
+        found[state].append((expr, float(value) + cost + more * constant_bits(rows)))
+    return {state: sorted(pairs, key=lambda pair: pair[1]) for state, pairs in found.items()}
+
+
+def _columns(followed: Followed) -> dict[str, np.ndarray]:
+    """Give the followed states, driven columns and times, (n,) each, by name."""
+    parts = []
+    for shooting, z in zip(followed.shootings, followed.misses, strict=True):
+        x = shooting.windows.x + z * shooting.spread
+        driven = shooting.windows.driven_at(1)[::2]
+        parts.append(
+            np.concatenate([x, driven], axis=1)
+            .transpose(1, 0, 2)
+            .reshape(x.shape[1] + driven.shape[1], -1)
+        )
+    flow = followed.shootings[0].flow
+    names = [*flow.rhs, *flow.driven, "t"]
+    return dict(zip(names, np.concatenate(parts, axis=1), strict=True))
+
+
+def _count(expr: sympy.Expr) -> int:
+    """Count the constants of a formula, coefficients of 1 among them."""
+    return len(free_constants(loosen(expr), "constant ")[1])
+
+
+def _closest(
+    state: str,
+    own: sympy.Expr,
+    front: Iterable[Candidate],
+    columns: Mapping[str, np.ndarray],
+    most: int,
+    different: float,
+) -> list[sympy.Expr]:
+    """Give different functions that come closest to the equation along its trajectory."""
+    slopes = evaluate(own, columns)
+    size = max(float(np.std(slopes)), 1e-3 * float(np.abs(np.mean(slopes))), 1e-300)
+    names = tuple(n for n in columns if n != "t")
+    every = max(1, len(slopes) // 400)
+    samples = Samples(
+        np.column_stack([columns[n][::every] for n in names]),
+        slopes[::every],
+        names,
+        state,
+        "given",
+        columns["t"][::every],
+    )
+    allowed = _count(own) + _MORE_CONSTANTS
+    pool = [c for c in front if c.expr.free_symbols and _count(c.expr) <= allowed]
+    found = []
+    for candidate in sorted(pool, key=lambda c: c.loss)[: 2 * most]:
+        if not {str(s) for s in candidate.expr.free_symbols} <= set(names):
+            continue
+        expr = refit(loosen(candidate.expr), samples)
+        with np.errstate(all="ignore"):
+            apart = float(np.sqrt(np.mean((evaluate(expr, columns) - slopes) ** 2))) / size
+        if math.isfinite(apart) and apart > different:
+            found.append((apart, expr))
+    found.sort(key=lambda pair: (pair[0], str(pair[1])))
+    return [expr for _, expr in found[:most]]
+
+
+def _bits_above(
+    equations: Mapping[str, sympy.Expr],
+    chosen: Sequence[tuple[str, sympy.Expr]],
+    followed: Followed,
+    places: Mapping[sympy.Symbol, Place],
+    course: Course,
+) -> np.ndarray:
+    """(R,) bits by which the misses of each rival are larger, its constants and starts adapted."""
+    states, first = list(equations), len(followed.constants)
+    probes, groups = _make_probes(equations, chosen, first)
+    symbols = [sympy.Symbol(f"probe {i}") for i in range(len(probes))]
+    flow = replace(followed.shootings[0].flow, constants=(*places, *symbols), probes=tuple(probes))
+    probed = replace(
+        followed,
+        shootings=tuple(replace(s, flow=flow) for s in followed.shootings),
+        constants=np.concatenate([followed.constants, np.zeros(len(probes))]),
+    )
+    with np.errstate(all="ignore"):
+        z, slopes, owners = probed.linearise()
+    level = np.array([max(np.mean(z[owners == i] ** 2), 1e-3) for i in range(len(states))])
+    unit = np.sqrt(level)[owners]
+    z, slopes = z / unit, slopes / unit[:, None]
+    starts = np.arange(first + len(probes), slopes.shape[1])
+    own = _left_over(z, slopes[:, [*range(first), *starts]])
+    owner_of = [place.state for place in places.values()]
+    found = []
+    for (state, _), (main, inner) in zip(chosen, groups, strict=True):
+        others = [i for i in range(first) if owner_of[i] != state]
+        left = _left_over(z + slopes[:, main], slopes[:, [*others, *inner, *starts]])
+        found.append((left - own) * course.thinned / (2 * math.log(2)))
+    return np.array(found)
+
+
+def _make_probes(
+    equations: Mapping[str, sympy.Expr], chosen: Sequence[tuple[str, sympy.Expr]], first: int
+) -> tuple[list[tuple[int, sympy.Expr]], list[tuple[int, list[int]]]]:
+    """Give a probe for each rival's difference and for its slopes by its constants.
+
+    And for each rival the columns of these, which follow the ``first`` ones.
+    """
+    states = list(equations)
+    probes: list[tuple[int, sympy.Expr]] = []
+    groups = []
+    for state, expr in chosen:
+        row, main = states.index(state), first + len(probes)
+        probes.append((row, expr - equations[state]))
+        template, values = free_constants(expr, "inner ")
+        numbers = {symbol: sympy.Float(value) for symbol, value in values.items()}
+        by = [sympy.diff(template, symbol).xreplace(numbers) for symbol in values]
+        groups.append((main, list(range(main + 1, main + 1 + len(by)))))
+        probes += [(row, slope) for slope in by]
+    return probes, groups
+
+
+def _left_over(z: np.ndarray, columns: np.ndarray) -> float:
+    """Sum of squares of what the columns cannot take from ``z``; inf where they are not finite."""
+    if not (np.all(np.isfinite(columns)) and np.all(np.isfinite(z))):
+        return math.inf
+    basis = _orthogonal(columns)
+    return float(np.sum((z - basis @ (basis.T @ z)) ** 2))
+
+
+def _orthogonal(columns: np.ndarray) -> np.ndarray:
+    """(N, r) orthonormal columns that span those given."""
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    left, values, _ = np.linalg.svd(columns / size, full_matrices=False)
+    basis: np.ndarray = left[:, values > 1e-10 * values[0]]
+    return basis

@@ -1,0 +1,226 @@
+"""Scaling: data of huge or tiny numbers are searched in units that make them numbers near 1."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar, cast
+
+import numpy as np
+import sympy
+from threadpoolctl import threadpool_limits
+
+from dynsr.data import Trajectory, take_trajectories
+from dynsr.discovery.confirmation import confirm
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.told import with_told
+from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
+from dynsr.engines import DEFAULT_ENGINE, start_engine
+from dynsr.errors import InputError
+from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
+
+# Columns and spans of these sizes are searched as they are.
+_USUAL = (1e-6, 1e6)
+# Beyond these products of a few numbers and slopes leave float64.
+_LARGEST = 1e50
+# Whole numbers of more digits are written as floats.
+_LONG = 10**12
+
+Search = TypeVar("Search", bound=Callable[..., Discovery])
+
+
+@dataclass(frozen=True)
+class Units:
+    """Powers of ten in which times and columns are counted; 1 where their size is usual.
+
+    Parameters
+    ----------
+    time : seconds.
+    columns : column -> its unit.
+
+    >>> t = np.linspace(0.0, 1.0, 11)
+    >>> units = Units.of([Trajectory(t, 3e9 * np.exp(-t)[:, None], ("x",))])
+    >>> units.columns["x"], str(units.restore_slope("x", -sympy.Symbol("x") ** 2))
+    (1000000000, '-x**2/1000000000')
+    """
+
+    time: sympy.Rational
+    columns: Mapping[str, sympy.Rational]
+
+    @classmethod
+    def of(cls, runs: Sequence[Trajectory]) -> Units:
+        """Choose units for trajectories; raises InputError where float64 cannot hold products.
+
+        A column is as large as its largest value, the time as the longest trajectory.
+        """
+        span = max(float(run.t[-1] - run.t[0]) for run in runs)
+        sizes = {
+            name: max(float(np.max(np.abs(run.columns[:, i]))) for run in runs)
+            for i, name in enumerate(runs[0].names)
+        }
+        _check("the time", span)
+        for name, size in sizes.items():
+            _check(f"column {name!r}", size)
+            _check(f"the slope of {name!r}", size / span)
+        return cls(_unit(span), {name: _unit(size) for name, size in sizes.items()})
+
+    @property
+    def usual(self) -> bool:
+        """Whether all units are 1."""
+        return all(unit == 1 for unit in (self.time, *self.columns.values()))
+
+    @property
+    def words(self) -> str:
+        """The units in words."""
+        named = {"the time": self.time, **self.columns}
+        some = [f"{name} of {float(unit):g}" for name, unit in named.items() if unit != 1]
+        return "in units for " + ", ".join(some)
+
+    def apply(self, run: Trajectory) -> Trajectory:
+        """Give a trajectory in these units."""
+        units = np.array([float(self.columns[name]) for name in run.names])
+        columns, k = run.columns / units, len(run.states)
+        t = run.t / float(self.time)
+        names = run.input_names
+        return Trajectory(t, columns[:, :k], run.states, columns[:, k:], names, run.origin)
+
+    def apply_value(self, name: str, expr: sympy.Expr) -> sympy.Expr:
+        """Give an expression for a column in these units."""
+        return self._inside(expr, 1) / self.columns[name]
+
+    def apply_slope(self, state: str, expr: sympy.Expr) -> sympy.Expr:
+        """Give an expression for the slope of a state in these units."""
+        return self._inside(expr, 1) * self.time / self.columns[state]
+
+    def restore_slope(self, state: str, expr: sympy.Expr) -> sympy.Expr:
+        """Give an expression for a slope in the units of the data."""
+        return sympy.expand(self._inside(expr, -1) * self.columns[state] / self.time)
+
+    def _inside(self, expr: sympy.Expr, power: int) -> sympy.Expr:
+        named = {**self.columns, "t": self.time}
+        return expr.xreplace(
+            {sympy.Symbol(n): sympy.Symbol(n) * u**power for n, u in named.items()}
+        )
+
+    def restore(
+        self, found: Discovery, runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
+    ) -> Discovery:
+        """Give a discovery in the units of the data.
+
+        Parameters
+        ----------
+        found : in these units; its explanations say so.
+        runs, inputs : the data as they were.
+        """
+        return replace(
+            found,
+            equations={s: self._restore_equation(s, e) for s, e in found.equations.items()},
+            errors={s: self._restore_errors(s, found) for s in found.errors},
+            front={s: self._restore_front(s, front) for s, front in found.front.items()},
+            explanation={s: f"{why} ({self.words})" for s, why in found.explanation.items()},
+            trajectories=tuple(runs),
+            inputs=dict(inputs),
+            settings={
+                **found.settings,
+                "units": {"t": float(self.time), **{n: float(u) for n, u in self.columns.items()}},
+            },
+        )
+
+    def _restore_equation(self, state: str, expr: sympy.Expr) -> sympy.Expr:
+        restored = self.restore_slope(state, expr)
+        long = [n for n in restored.atoms(sympy.Rational) if max(abs(n.p), n.q) >= _LONG]
+        return tidy(restored.xreplace({n: sympy.Float(n) for n in long}))
+
+    def _restore_front(self, state: str, front: ParetoFront) -> ParetoFront:
+        factor = float(self.columns[state] / self.time)
+        return ParetoFront(
+            Candidate(self.restore_slope(state, c.expr), factor * c.loss, c.complexity, c.source)
+            for c in front
+        )
+
+    def _restore_errors(self, state: str, found: Discovery) -> tuple[tuple[float, float], ...]:
+        """Give (value, standard error) in the order of the restored equation.
+
+        Which constant became which is seen by moving one at a time.
+        """
+        pairs = found.errors[state]
+        template, values = free_constants(loosen(found.equations[state]), "constant ")
+        restored = self.restore_slope(state, template)
+        if len(values) != len(pairs):
+            return ()
+
+        def constants(moved: sympy.Symbol | None = None) -> np.ndarray:
+            put = {s: sympy.Float(v * (1 + 1e-3 * (s == moved))) for s, v in values.items()}
+            return np.array(list(free_constants(restored.xreplace(put), "constant ")[1].values()))
+
+        plain = constants()
+        errors = np.full(len(plain), np.inf)
+        for symbol, (value, error) in zip(values, pairs, strict=True):
+            moved = constants(symbol)
+            if len(moved) == len(plain) and value:
+                where = moved != plain
+                errors[where] = np.abs(plain[where] / value) * error
+        return tuple(zip(plain.tolist(), errors.tolist(), strict=True))
+
+
+def in_fitting_units(search: Search) -> Search:
+    """Let a search see its data in units in which they are of the size of 1.
+
+    Parameters
+    ----------
+    search : takes data and, by name, ``inputs``, ``known``, ``slopes`` and ``engine`` among its
+        settings.
+    """
+
+    @functools.wraps(search)
+    def scaled(data: Any, **settings: Any) -> Discovery:
+        # What cannot integrate is refused before the data are read.
+        start_engine(settings.get("engine", DEFAULT_ENGINE))
+        named = [settings.pop(name, None) for name in ("time", "states", "trajectory")]
+        runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), *named)
+        seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))
+        members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
+        units = Units.of(runs)
+        # Its arrays are small: more threads than one only wait for each other.
+        with threadpool_limits(1):
+            found = confirm(_search_in(units, runs, settings))
+        return with_ensemble(with_told(found, runs), members, seed)
+
+    def _search_in(units: Units, runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery:
+        if units.usual:
+            return search(runs, **settings)
+        drives = settings["inputs"]
+        given = read_inputs(settings.get("known") or {}, (*runs[0].names, "t"))
+        settings["known"] = {s: units.apply_slope(s, e) for s, e in given.items()}
+        settings["inputs"] = {n: units.apply_value(n, e) for n, e in drives.items()}
+        settings["slopes"] = {
+            s: _scale(own, float(units.time / units.columns[s]))
+            for s, own in (settings.get("slopes") or {}).items()
+        }
+        found = search([units.apply(run) for run in runs], **settings)
+        return units.restore(found, runs, drives)
+
+    return cast("Search", scaled)
+
+
+def _scale(own: Any, factor: float) -> Any:
+    """Scale one array of slopes, or one a trajectory."""
+    if isinstance(own, (list, tuple)) and any(np.ndim(part) for part in own):
+        return [np.asarray(part, dtype=float) * factor for part in own]
+    return np.asarray(own, dtype=float) * factor
+
+
+def _unit(size: float) -> sympy.Rational:
+    if size == 0 or _USUAL[0] <= size <= _USUAL[1]:
+        return sympy.S.One
+    return sympy.Integer(10) ** math.floor(math.log10(size))
+
+
+def _check(what: str, size: float) -> None:
+    if size != 0 and not 1 / _LARGEST <= size <= _LARGEST:
+        raise InputError(
+            f"{what} is of the size of {size:.3g}, too far from 1 to compute with in float64; give "
+            f"it in a unit in which it lies between {1 / _LARGEST:g} and {_LARGEST:g}"
+        )

@@ -1,0 +1,759 @@
+"""Verdict: whether found equations are a law of the data, an approximation, or not found at all.
+
+The judge is the trajectory. The equations are integrated from fitted starts; what they miss is
+compared with the noise of each measurement; constants refitted to the first part of the data
+forecast the rest; every term must be needed; and no different formula may do as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import sympy
+from scipy.special import chdtrc
+
+from dynsr.data import Trajectory, diagnose
+from dynsr.discovery.following import (
+    Course,
+    Followed,
+    Place,
+    first_rows,
+    follow,
+    open_constants,
+)
+from dynsr.discovery.rivals import compare_rivals
+from dynsr.errors import InputError, one_line
+from dynsr.expression import shown
+from dynsr.fit import Flow, ParetoFront, Shooting, noise_and_spread, tidy
+
+LAW, APPROXIMATION, NOT_FOUND = LEVELS = ("law", "approximation", "not found")
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """The numbers that decide a verdict; they stand in a discovery's record.
+
+    Parameters
+    ----------
+    r2 : share of a state's variance that an approximation explains at least.
+    finest : share of a state's spread that its noise is never thought below.
+    exact : noise, as a share of the spread, below which data are clean, as solvers write them.
+    solver : share of the spread by which solvers of low accuracy are off over a whole run; what
+        is off by less than twice that reproduces clean data, less with more than three constants.
+    excess : mean squared miss in units of the noise that is still noise, beyond its own spread.
+    correlated : correlation of neighbouring misses above which they are no noise, if significant.
+    sure : smallest ratio of a term to its standard error in a law.
+    rival_bits : bits by which every different formula is worse than a law.
+    stand_in_bits : the same for a formula with a root, a logarithm, an exponential, tanh or a bare
+        reciprocal, in noise: over one record each of them may do for what the law has.
+    rivals : formulas of the front that are fitted to the trajectories, for each state.
+    different : rms difference, in shares of the slopes' spread, of formulas that are different.
+    held_back : share of each trajectory's end that is forecast.
+    rows : rows that are judged, at most; of more, evenly spaced ones are.
+    fewest : rows a constant below which nothing is a law.
+    growth : growth of a start's error over a run above which windows of it are followed.
+    hopeless : growth above which a run is not tried as a whole.
+    windows : windows that a run is cut into, at most.
+    steps : steps of the free runs of a map.
+    free : miss of free runs of a map, in units of what the misses of its single steps add up to,
+        above which it is none of theirs.
+    differs : rms difference of two maps as a share of the spread, from which on they are different.
+    """
+
+    r2: float = 0.9
+    finest: float = 5e-5
+    exact: float = 2e-4
+    solver: float = 2e-3
+    excess: float = 1.6
+    correlated: float = 0.25
+    sure: float = 4.0
+    rival_bits: float = 8.0
+    stand_in_bits: float = 40.0
+    rivals: int = 3
+    different: float = 1e-5
+    held_back: float = 0.25
+    rows: int = 400
+    fewest: float = 8.0
+    growth: float = 50.0
+    hopeless: float = 1e4
+    windows: int = 64
+    steps: int = 5
+    free: float = 3.0
+    differs: float = 0.02
+
+
+JUDGE = VerdictSettings()
+# Causes of what looks like noise between neighbouring rows and is none.
+_JUMPING = ("map", "sampling too coarse")
+# Causes that the same data may have, of which all are said.
+_ALIKE = ("second order", "time dependence", "missing state")
+
+
+@dataclass(frozen=True)
+class TermCertainty:
+    """One term of an equation: its ratio to its standard error, and the probability it belongs.
+
+    The probability is that of the Bayesian information criterion (Raftery 1995), with the term or
+    without: 1 / (1 + sqrt(n) exp(-ratio^2 / 2)) for n rows.
+    """
+
+    term: str
+    ratio: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A different formula for a state, and the bits it takes more than the equation found."""
+
+    equation: str
+    bits: float
+
+
+@dataclass(frozen=True)
+class StateVerdict:
+    """What is to be thought of one equation.
+
+    Parameters
+    ----------
+    level : "law", "approximation" or "not found".
+    reason : why, in words.
+    r2 : share of the state's variance that the integrated equations explain; -inf where they
+        diverge.
+    chi_square : mean squared miss in units of the noise, each degree of freedom; 1 is noise alone.
+    forecast : rms miss of the held-back end, forecast by constants fitted to what comes before, as
+        a share of the spread; None where it was not tried.
+    noise : the noise of the state as a share of its spread.
+    terms : how sure each term is.
+    rivals : different formulas, the closest first.
+    """
+
+    level: str
+    reason: str
+    r2: float
+    chi_square: float = math.inf
+    forecast: float | None = None
+    noise: float = 0.0
+    terms: tuple[TermCertainty, ...] = ()
+    rivals: tuple[Rival, ...] = ()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is to be thought of the equations of a system.
+
+    Parameters
+    ----------
+    level : that of the weakest state.
+    reason : why, in words.
+    states : state -> its own verdict.
+    span : time over which the equations were followed at a stretch.
+
+    >>> Verdict("law", "it follows", {}).level
+    'law'
+    """
+
+    level: str
+    reason: str
+    states: dict[str, StateVerdict] = field(default_factory=dict)
+    span: float = 0.0
+
+    @property
+    def rivals(self) -> dict[str, tuple[Rival, ...]]:
+        """State -> different formulas that were compared, the closest first."""
+        return {state: own.rivals for state, own in self.states.items()}
+
+
+def judge(
+    equations: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr] | None = None,
+    *,
+    noise: Sequence[np.ndarray] | None = None,
+    front: Mapping[str, ParetoFront] | None = None,
+    rivals: Mapping[str, Sequence[tuple[sympy.Expr, float]]] | None = None,
+    causes: Mapping[str, str] | None = None,
+    settings: VerdictSettings = JUDGE,
+) -> Verdict:
+    """Say of every equation whether it is a law of the data, an approximation, or not found.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side.
+    runs : the trajectories that they were found on.
+    inputs : input name -> expression in ``t`` where it is known.
+    noise : for each run (n, k) standard deviations of the noise of its states; by default one for
+        each state, estimated.
+    front : state -> other formulas that were found, of which the closest are compared.
+    rivals : state -> (formula, bits above the equation) where they have been compared already.
+    causes : state -> a sentence that says what its data lack; by default what they tell.
+    settings : the numbers that decide.
+
+    >>> t = np.linspace(0, 3, 61)
+    >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
+    >>> judge({"x": -0.5 * sympy.Symbol("x")}, [decay]).level
+    'law'
+    """
+    try:
+        with np.errstate(all="ignore"):
+            bench = _Bench.of(equations, runs, inputs or {}, noise, settings)
+            return _judge(bench, front or {}, rivals, causes or {})
+    except (ArithmeticError, np.linalg.LinAlgError, InputError) as error:
+        # What cannot be followed at all is no fault of the search.
+        reason = f"the equations cannot be followed along the data ({one_line(error)})."
+        own = StateVerdict(NOT_FOUND, reason, -math.inf)
+        return Verdict(NOT_FOUND, reason, dict.fromkeys(equations, own))
+
+
+def _judge(
+    bench: _Bench,
+    front: Mapping[str, ParetoFront],
+    rivals: Mapping[str, Sequence[tuple[sympy.Expr, float]]] | None,
+    causes: Mapping[str, str],
+) -> Verdict:
+    followed = bench.follow_longest()
+    evidence = bench.gather(followed) if followed.finite else None
+    close = rivals or {}
+    if rivals is None and evidence is not None and front:
+        close = bench.compare(front, followed)
+    states = {
+        state: bench.judge_state(place, followed, evidence, close.get(state, ()), causes.get(state))
+        for place, state in enumerate(bench.equations)
+    }
+    states = _doubt_beside(states, bench.equations)
+    level = max((own.level for own in states.values()), key=LEVELS.index)
+    return Verdict(level, _summarise(level, states, bench, followed), states, bench.span(followed))
+
+
+def _doubt_beside(
+    states: dict[str, StateVerdict], equations: Mapping[str, sympy.Expr]
+) -> dict[str, StateVerdict]:
+    """Take for an approximation what was a law only beside a state whose own equation is none.
+
+    Both are fitted and followed together, so that one equation may make up for the other. One that
+    is a bare column, such as x' = v, makes up for nothing.
+    """
+    weak = {s for s, own in states.items() if own.level != LAW}
+    found = dict(states)
+    for state, own in states.items():
+        expr = equations[state]
+        beside = sorted(weak & {str(symbol) for symbol in expr.free_symbols})
+        if own.level == LAW and beside and not expr.is_Symbol:
+            said = own.reason.removesuffix(".")
+            said += f", but only beside {_join(beside)}, whose own equation is no law."
+            found[state] = replace(own, level=APPROXIMATION, reason=said)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What the linearised fit tells: per state R2, chi-square, correlation of misses, forecasts."""
+
+    chi_square: np.ndarray
+    correlation: np.ndarray
+    systematic: np.ndarray
+    ratios: dict[str, list[tuple[sympy.Expr | None, float]]]
+    forecast: np.ndarray
+    surprise: np.ndarray
+    allowed: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Bench:
+    """One judgement: the equations with open constants, and the data with their noise."""
+
+    equations: dict[str, sympy.Expr]
+    opened: dict[str, sympy.Expr]
+    places: dict[sympy.Symbol, Place]
+    course: Course
+    spread: np.ndarray
+    noise: np.ndarray
+    clean: np.ndarray
+    settings: VerdictSettings
+
+    @classmethod
+    def of(
+        cls,
+        equations: Mapping[str, sympy.Expr],
+        runs: Sequence[Trajectory],
+        inputs: Mapping[str, sympy.Expr],
+        noise: Sequence[np.ndarray] | None,
+        settings: VerdictSettings,
+    ) -> _Bench:
+        columns = [runs[0].index(state) for state in equations]
+        plain, spread = noise_and_spread(runs)
+        whole = [np.broadcast_to(plain, r.x.shape) for r in runs] if noise is None else noise
+        spread = np.maximum(spread[columns], 1e-300)
+        typical = np.sqrt(np.mean(np.concatenate([n[:, columns] for n in whole]) ** 2, axis=0))
+        clean = typical < settings.exact * spread
+        least = np.where(clean, settings.solver, settings.finest) * spread
+        own = [np.sqrt(level[:, columns] ** 2 + least**2) for level in whole]
+        opened, places = open_constants(equations)
+        return cls(
+            dict(equations),
+            opened,
+            places,
+            Course.of(runs, own, tuple(equations), inputs, settings.rows),
+            spread,
+            typical / spread,
+            clean,
+            settings,
+        )
+
+    @property
+    def values(self) -> np.ndarray:
+        """(P,) constants as they stand in the equations."""
+        return np.array([place.value for place in self.places.values()])
+
+    def shoot(self, length: int) -> list[Shooting]:
+        """Give the misses of the equations over windows of a length."""
+        return self.course.shoot(self.flow, length, self.settings.windows)
+
+    @cached_property
+    def flow(self) -> Flow:
+        """The equations with open constants, compiled once."""
+        return self.course.flow(self.opened, tuple(self.places))
+
+    def follow_longest(self) -> Followed:
+        """Follow whole runs; where errors grow too far for that, the longest windows that can be.
+
+        Without such a growth a run that is not followed as a whole is not followed.
+        """
+        length = self.course.longest
+        tried = []
+        while True:
+            growth = self._growth(self.shoot(length))
+            last = length < 32 or growth < self.settings.growth
+            if last or growth < self.settings.hopeless:
+                tried.append(follow(self.shoot(length), self.values))
+            if last or (tried and self._follows(tried[-1])):
+                break
+            length //= 2
+        # Where nothing is followed well, the shortest windows that the growth asks for say how far.
+        return max(tried, key=lambda one: (self._follows(one), one.finite, -one.length))
+
+    def _follows(self, followed: Followed) -> bool:
+        return (
+            followed.finite
+            and bool(np.all(self.r2(followed) >= 0.99))
+            and bool(np.all(followed.sizes() < self.settings.excess))
+        )
+
+    def _growth(self, shootings: Sequence[Shooting]) -> float:
+        """Give how much an error of the start has grown by the end of a window, as a median."""
+        found = []
+        for shooting in shootings:
+            starts = shooting.windows.x[0]
+            with np.errstate(all="ignore"):
+                _, reached = shooting.flow.run_sensitive(shooting.windows, starts, self.values, 1)
+            unit = self.spread[:, None] / self.spread
+            size = np.abs(reached[:, :, len(self.values) :] / unit[:, :, None])
+            found += list(np.max(np.nan_to_num(size, nan=np.inf), axis=(0, 1, 2)))
+        return float(np.median(found))
+
+    def r2(self, followed: Followed) -> np.ndarray:
+        """(k,) share of the variance of each state that is explained; -inf on divergence."""
+        missed, total = np.zeros(len(self.spread)), np.zeros(len(self.spread))
+        for shooting, z in zip(followed.shootings, followed.misses, strict=True):
+            missed += np.sum((z * shooting.spread) ** 2, axis=(0, 2))
+            x = shooting.windows.x
+            total += np.sum((x - self._means[:, None]) ** 2, axis=(0, 2))
+        with np.errstate(all="ignore"):
+            return np.nan_to_num(1 - missed / np.maximum(total, 1e-300), nan=-np.inf)
+
+    @property
+    def _means(self) -> np.ndarray:
+        columns = [self.course.runs[0].index(state) for state in self.equations]
+        found: np.ndarray = np.mean(np.concatenate([r.x for r in self.course.runs]), axis=0)
+        return found[columns]
+
+    def span(self, followed: Followed) -> float:
+        """Time over which the equations were followed at a stretch."""
+        return float(max(np.max(np.ptp(s.windows.t, axis=0)) for s in followed.shootings))
+
+    def cut(self, followed: Followed) -> bool:
+        """Say whether only windows of the runs could be followed."""
+        return followed.length < self.course.longest
+
+    def gather(self, followed: Followed) -> _Evidence | None:
+        """Linearise at the fit: degrees of freedom, ratios of terms, forecast of the end."""
+        with np.errstate(all="ignore"):
+            z, slopes, owners = followed.linearise()
+        if not np.all(np.isfinite(slopes)):
+            return None
+        k = len(self.spread)
+        lanes = sum(s.shape[1] for s in followed.starts)
+        of_state = np.array([[p.state == s for p in self.places.values()] for s in self.equations])
+        rows = np.array([np.count_nonzero(owners == i) for i in range(k)])
+        # The constants were fitted too, each to the misses of its own state above all.
+        freedom = np.maximum(rows - lanes - of_state.sum(axis=1) / self.course.thinned, 1.0)
+        squares = np.array([np.sum(_tame(z[owners == i]) ** 2) for i in range(k)])
+        chi = squares / freedom
+        correlation, systematic = zip(
+            *(_correlate([m[:, i] for m in followed.misses]) for i in range(k)), strict=True
+        )
+        # Clean data are no surer than their solver, however well they are followed.
+        level = np.where(self.clean, np.maximum(chi, 1.0), np.maximum(chi, 1e-12))
+        ratios = self._ratios(slopes / np.sqrt(level)[owners][:, None])
+        forecast, surprise, allowed = self._forecast(followed)
+        return _Evidence(
+            chi, np.array(correlation), np.array(systematic), ratios, forecast, surprise, allowed
+        )
+
+    def _ratios(self, slopes: np.ndarray) -> dict[str, list[tuple[sympy.Expr | None, float]]]:
+        """State -> (term, size of its coefficient over the standard error), inner numbers too."""
+        errors = np.sqrt(np.maximum(np.diag(_covariance(slopes)), 0))
+        found: dict[str, list[tuple[sympy.Expr | None, float]]] = {s: [] for s in self.equations}
+        for place, error in zip(self.places.values(), errors, strict=False):
+            ratio = abs(place.value) / max(error, 1e-300) * math.sqrt(self.course.thinned)
+            found[place.state].append((place.term, float(ratio)))
+        return found
+
+    def _forecast(self, followed: Followed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Per state: rms miss of the forecast end by spread, its surprise, and what is allowed.
+
+        Constants and starts are fitted to the first part of each window. The surprise is the mean
+        squared miss of the rest in units of noise and of what the fitted constants leave open.
+        """
+        k = len(self.spread)
+        failed = np.full(k, np.inf), np.full(k, np.inf), np.ones(k)
+        known = [max(2, round((1 - self.settings.held_back) * len(z))) for z in followed.misses]
+        first = [first_rows(s, n) for s, n in zip(followed.shootings, known, strict=True)]
+        if len(self.places) + k > sum(
+            z.shape[1] * n for z, n in zip(followed.misses, known, strict=True)
+        ):
+            return failed
+        fitted = follow(first, followed.constants, starts=followed.starts, free=True)
+        if not fitted.finite:
+            return failed
+        with np.errstate(all="ignore"):
+            z, by, owners = fitted.linearise()
+            level = np.array([max(np.mean(_tame(z[owners == i]) ** 2), 1.0) for i in range(k)])
+            covariance = _covariance(by / np.sqrt(level)[owners][:, None])
+            whole = replace(
+                fitted,
+                shootings=followed.shootings,
+                misses=tuple(
+                    s.misses(fitted.constants, at)
+                    for s, at in zip(followed.shootings, fitted.starts, strict=True)
+                ),
+            )
+            z, by, owners = whole.linearise()
+        if not (np.all(np.isfinite(by)) and np.all(np.isfinite(covariance))):
+            return failed
+        later = np.concatenate(
+            [
+                np.tile(np.repeat(np.arange(len(m)) >= n, k), m.shape[2])
+                for m, n in zip(whole.misses, known, strict=True)
+            ]
+        )
+        return self._compare_forecast(z, by, owners, later, covariance, level, whole)
+
+    def _compare_forecast(
+        self,
+        z: np.ndarray,
+        by: np.ndarray,
+        owners: np.ndarray,
+        later: np.ndarray,
+        covariance: np.ndarray,
+        level: np.ndarray,
+        whole: Followed,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        missed, surprise, allowed = [], [], []
+        unit = np.concatenate([s.spread.transpose(2, 0, 1).reshape(-1) for s in whole.shootings])
+        for i in range(len(self.spread)):
+            mine = np.flatnonzero(later & (owners == i))
+            missed.append(np.sqrt(np.mean((z * unit)[mine] ** 2)) / self.spread[i])
+            mine = mine[:: max(1, len(mine) // 200)]
+            joint = by[mine] @ covariance @ by[mine].T + level[i] * np.eye(len(mine))
+            tamed = z[mine]
+            surprise.append(float(tamed @ np.linalg.solve(joint, tamed)) / len(mine))
+            allowed.append(2.0 + 4.0 * math.sqrt(2 / len(mine)))
+        return np.array(missed), np.array(surprise), np.array(allowed)
+
+    def judge_state(
+        self,
+        place: int,
+        followed: Followed,
+        evidence: _Evidence | None,
+        close: Sequence[tuple[sympy.Expr, float]],
+        cause: str | None,
+    ) -> StateVerdict:
+        """Weigh all that is known of one state."""
+        state = list(self.equations)[place]
+        expr, r2 = self.equations[state], _round(self.r2(followed)[place])
+        noise = _round(self.noise[place])
+        found = StateVerdict(NOT_FOUND, "", r2, noise=noise)
+        if evidence is not None:
+            found = replace(
+                found,
+                chi_square=_round(evidence.chi_square[place]),
+                forecast=_finite(_round(evidence.forecast[place])),
+                terms=self._terms(state, evidence, followed),
+                rivals=tuple(
+                    Rival(shown(tidy(e), 4), _round(bits)) for e, bits in sorted(close, key=_bits)
+                ),
+            )
+        if expr == 0 and self._rests(place):
+            return replace(found, level=LAW, reason=f"{state} does not change.")
+        lacking = self._lacking(state, expr, r2, evidence)
+        if lacking:
+            return replace(found, reason=lacking + self._because(state, cause))
+        assert evidence is not None
+        doubts = self._doubts(place, state, followed, evidence, found)
+        if not expr.free_symbols and doubts:
+            said = f"{state} moves, and a constant slope does not reproduce it."
+            return replace(found, reason=said + self._because(state, cause))
+        if doubts:
+            follows = f"follows the data to {_percent(math.sqrt(max(0.0, 1 - r2)))} of the spread"
+            said = f"{follows}{self._while(followed)}, but {'; '.join(doubts)}."
+            return replace(found, level=APPROXIMATION, reason=said + self._because(state, cause))
+        return replace(found, level=LAW, reason=self._praise(place, noise, followed, evidence))
+
+    def _because(self, state: str, cause: str | None) -> str:
+        """Give the likeliest cause, by default what the data themselves tell."""
+        if cause is None:
+            told = diagnose(self.course.runs, state)
+            alike = [c for c in told if told[0].kind in _ALIKE and c.kind in _ALIKE][:2]
+            cause = " ".join(c.sentence for c in alike or told[:1])
+        return f" {cause}" if cause else ""
+
+    def _rests(self, place: int) -> bool:
+        """Say whether a state does nothing but carry noise."""
+        if self.spread[place] <= 1e-12 * self._size(place):
+            return True
+        # What jumps from row to row looks like noise to its neighbours, and may follow a map.
+        causes = diagnose(self.course.runs, list(self.equations)[place])
+        return bool(self.noise[place] > 0.7 and not any(c.kind in _JUMPING for c in causes))
+
+    def _size(self, place: int) -> float:
+        return float(abs(self._means[place])) or 1e-280
+
+    def _lacking(self, state: str, expr: sympy.Expr, r2: float, evidence: _Evidence | None) -> str:
+        if expr == 0:
+            return "the data move, but no equation for that was found."
+        if evidence is None or not math.isfinite(r2):
+            if any(cause.kind == "stiff" for cause in diagnose(self.course.runs, state)):
+                return "the equations cannot be followed across the fast layers of the data."
+            return "integrated, the equations diverge from the data."
+        if r2 < self.settings.r2:
+            return f"integrated, the equations do not reproduce the data (R2 {r2:.2g})."
+        return ""
+
+    def _while(self, followed: Followed) -> str:
+        return f" for {self.span(followed):.3g} at a time" if self.cut(followed) else ""
+
+    def _doubts(
+        self,
+        place: int,
+        state: str,
+        followed: Followed,
+        evidence: _Evidence,
+        found: StateVerdict,
+    ) -> list[str]:
+        """Give what keeps an equation that follows the data from being a law."""
+        settings, doubts = self.settings, []
+        chi = found.chi_square
+        rows = sum(z.shape[0] * z.shape[2] for z in followed.misses) * self.course.thinned
+        if self.clean[place]:
+            within = chi <= 4.0 / max(1.0, len(found.terms) / 3) ** 2
+        else:
+            loose = settings.excess + 4 * math.sqrt(2 / max(rows, 1))
+            white = not evidence.systematic[place] or (
+                evidence.correlation[place] < settings.correlated
+            )
+            within = white and chi <= (4 * loose if evidence.correlation[place] < 0.1 else loose)
+        if not within:
+            doubts.append(f"what is left over is not noise{_where(followed, place)}")
+        share = found.forecast
+        # The errors of a solver add up over the forecast; they are no chance.
+        settled = self.clean[place] and share is not None and share < 6 * settings.solver
+        if not (settled or evidence.surprise[place] <= evidence.allowed[place]):
+            by = "diverges" if share is None else f"is off by {_percent(share)} of the spread"
+            doubts.append(f"a forecast of the last {settings.held_back:.0%} of the data {by}")
+        unsure = [t.term for t in found.terms if t.ratio < settings.sure]
+        if unsure:
+            doubts.append(f"the data are not sure of {_join(unsure)}")
+        near = [r for r in found.rivals if r.bits < settings.rival_bits]
+        if near and near[0].bits < -settings.rival_bits:
+            doubts.append(f"{near[0].equation} follows them better")
+        elif near:
+            doubts.append(f"it cannot be told apart from {near[0].equation}")
+        elif not self.clean[place] and has_stand_in(self.equations[state]):
+            other = min(found.rivals, key=lambda r: r.bits, default=None)
+            if other is None or other.bits < settings.stand_in_bits:
+                beside = "" if other is None else f", such as {other.equation}"
+                doubts.append(f"in this noise its functions may stand for others{beside}")
+        if rows < settings.fewest * max(1, len(found.terms)):
+            doubts.append(f"{rows:.0f} rows are too few to be sure")
+        return doubts
+
+    def _praise(self, place: int, noise: float, followed: Followed, evidence: _Evidence) -> str:
+        exact = "exactly" if self.clean[place] else f"within their noise of {_percent(noise)}"
+        return (
+            f"reproduces the data {exact}{self._while(followed)}, forecasts their last "
+            f"{self.settings.held_back:.0%}, and needs each of its terms."
+        )
+
+    def _terms(
+        self, state: str, evidence: _Evidence, followed: Followed
+    ) -> tuple[TermCertainty, ...]:
+        rows = sum(z.shape[0] * z.shape[2] for z in followed.misses) * self.course.thinned
+        found = []
+        for term, ratio in evidence.ratios[state]:
+            doubt = math.exp(max(-700.0, -(ratio**2) / 2)) * math.sqrt(rows)
+            name = "a constant inside it" if term is None else shown(term)
+            found.append(TermCertainty(name, _round(ratio), _round(1 / (1 + doubt))))
+        return tuple(found)
+
+    def compare(
+        self, front: Mapping[str, ParetoFront], followed: Followed
+    ) -> dict[str, list[tuple[sympy.Expr, float]]]:
+        """Compare the formulas of the front that come closest."""
+        settings = self.settings
+        return compare_rivals(
+            self.equations,
+            front,
+            followed,
+            self.places,
+            self.course,
+            settings.rivals,
+            settings.different,
+        )
+
+
+def has_stand_in(expr: sympy.Expr) -> bool:
+    """Whether a formula has a function that stands for many others over a short range.
+
+    Roots, logarithms, exponentials, tanh, sizes, and one over a bare variable.
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x = sympy.Symbol("x")
+    >>> has_stand_in(sympy.sqrt(x)), has_stand_in(2 / x), has_stand_in(x / (x + 1) - sympy.sin(x))
+    (True, True, False)
+    """
+    powers = expr.atoms(sympy.Pow)
+    odd = any(not p.exp.is_Integer or (p.base.is_Symbol and p.exp < 0) for p in powers)
+    return odd or expr.has(sympy.log, sympy.exp, sympy.tanh, sympy.Abs)
+
+
+def explain(state: str, expr: sympy.Expr, verdict: StateVerdict, discrete: bool = False) -> str:
+    """Say in words what is to be thought of an equation, and which different one comes next.
+
+    Parameters
+    ----------
+    state, expr : the equation.
+    verdict : what is thought of it.
+    discrete : whether it is a map.
+
+    >>> explain("x", sympy.Symbol("y"), StateVerdict("law", "reproduces the data exactly.", 1.0))
+    "x' = y: law; reproduces the data exactly."
+    """
+    left = f"{state}[n+1]" if discrete else f"{state}'"
+    said = f"{left} = {shown(tidy(expr))}: {verdict.level}; {verdict.reason}"
+    if not verdict.rivals or verdict.level == NOT_FOUND:
+        return said
+    rival = verdict.rivals[0]
+    other = rival.equation if len(rival.equation) <= 80 else rival.equation[:77] + "..."
+    if rival.bits < 0:
+        return f"{said} A different formula, {other}, follows the trajectories better."
+    if rival.bits < JUDGE.rival_bits:
+        return f"{said} A different formula, {other}, does as well."
+    return f"{said} The next different formula, {other}, follows the data clearly worse."
+
+
+def _summarise(
+    level: str, states: Mapping[str, StateVerdict], bench: _Bench, followed: Followed
+) -> str:
+    weak = [state for state, own in states.items() if own.level == level]
+    if level == LAW:
+        return "every equation reproduces and forecasts the data within their noise."
+    if len(weak) == 1:
+        return f"{weak[0]}: {states[weak[0]].reason}"
+    return f"{_join(weak)}: {states[weak[0]].reason}"
+
+
+def _covariance(slopes: np.ndarray) -> np.ndarray:
+    """Invert the normal matrix of slopes (N, P) with columns of like size; inf for empty ones."""
+    if not np.all(np.isfinite(slopes)):
+        return np.full((slopes.shape[1],) * 2, np.inf)
+    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    scaled = slopes / size
+    inverse: np.ndarray = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
+    inverse /= np.outer(size, size)
+    # What the data do not depend on, they do not tell.
+    unknown = size <= 1e-290
+    inverse[unknown, unknown] = np.inf
+    return inverse
+
+
+def _tame(z: np.ndarray) -> np.ndarray:
+    """Leave rare outliers out of a sum of squares: those beyond six robust sizes."""
+    bound = 6 * 1.4826 * float(np.median(np.abs(z)))
+    out = np.abs(z) > bound
+    return np.where(out, 0.0, z) if 0 < np.mean(out) < 0.02 else z
+
+
+def _correlate(lanes: Sequence[np.ndarray]) -> tuple[float, bool]:
+    """Correlation of neighbouring misses (rows, W), and whether Ljung and Box (1978) see any.
+
+    >>> _correlate([np.sin(np.arange(50.0))[:, None]])[1]
+    True
+    """
+    rows = sum(z.size for z in lanes)
+    most = max(1, min(10, min(len(z) for z in lanes) // 5))
+    total = sum(float(np.sum(z**2)) for z in lanes)
+    if total == 0 or rows < 8:
+        return 0.0, False
+    found = [
+        sum(float(np.sum(z[lag:] * z[:-lag])) for z in lanes) / total for lag in range(1, most + 1)
+    ]
+    statistic = sum(r**2 / (rows - lag) for lag, r in enumerate(found, 1)) * rows * (rows + 2)
+    return found[0], bool(chdtrc(most, statistic) < 0.01)
+
+
+def _where(followed: Followed, place: int) -> str:
+    """Say where along the first run the misses are largest, where that stands out."""
+    z = followed.misses[0][:, place, :]
+    t = followed.shootings[0].windows.t
+    parts = np.array_split(np.arange(z.shape[0]), min(8, max(1, len(z) // 3)))
+    sizes = np.array(
+        [[float(np.mean(z[p, lane] ** 2)) for p in parts] for lane in range(z.shape[1])]
+    )
+    lane, part = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    if sizes[lane, part] < 2.5 * float(np.mean(sizes)):
+        return ""
+    rows = parts[int(part)]
+    begin, end = float(t[rows[0], lane]), float(t[rows[-1], lane])
+    # Years need more digits than seconds from 0.
+    digits = 3 + max(0, math.ceil(math.log10(max(abs(end), 1e-300) / np.ptp(t[:, lane]))))
+    return f", most of it from t = {begin:.{digits}g} to {end:.{digits}g}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
+
+
+def _join(words: Sequence[str]) -> str:
+    some = list(dict.fromkeys(words))
+    return some[0] if len(some) == 1 else f"{', '.join(some[:-1])} and {some[-1]}"
+
+
+def _round(value: float) -> float:
+    """Round off what differs from machine to machine: beyond six digits, and below 1e-9."""
+    return float(f"{round(float(value), 9):.6g}") if math.isfinite(value) else float(value)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _bits(pair: tuple[sympy.Expr, float]) -> float:
+    return pair[1]

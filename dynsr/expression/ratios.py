@@ -1,0 +1,78 @@
+"""Ratios: the ways in which one ratio can be written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import sympy
+
+
+def ratio_forms(expr: sympy.Expr) -> Iterator[sympy.Expr]:
+    """Give a formula, and where it is a ratio its other forms, which are the same function.
+
+    Each number below the line may be 1; and where a variable stands below it, what it goes into
+    evenly stands beside a ratio: (v^2 + 3 v)/(v + 1) = v + 2 v/(v + 1) = v + 2 - 2/(v + 1).
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x = sympy.Symbol("x")
+    >>> [str(form) for form in ratio_forms((4.0 * x) / (1 + 2.0 * x))]
+    ['4.0*x/(2.0*x + 1)', '2.0*x/(x + 0.5)', '2.0 - 2.0/(2.0*x + 1)', '2.0 - 1.0/(x + 0.5)']
+    """
+    seen = dict.fromkeys([expr])
+    yield expr
+    top, bottom = sympy.fraction(expr)
+    if not bottom.is_Add:
+        return
+    parts = [(sympy.S.Zero, top), *_divided(top, bottom)]
+    for beside, rest in parts:
+        for scale in [sympy.S.One, *(t.as_coeff_Mul()[0] for t in bottom.args)]:
+            line = sympy.Add(*[_scaled(term, scale) for term in bottom.args])
+            form = beside + sympy.expand(rest / scale) / line
+            if form not in seen:
+                seen[form] = None
+                yield form
+
+
+def _scaled(term: sympy.Expr, scale: sympy.Expr) -> sympy.Expr:
+    factor, rest = term.as_coeff_Mul()
+    return rest if factor == scale else factor / scale * rest
+
+
+def _divided(top: sympy.Expr, bottom: sympy.Expr) -> Iterator[tuple[sympy.Expr, sympy.Expr]]:
+    """Give what a ratio is beside a rest over the same line: the rest of least degree, and of most.
+
+    By the usual division, and by that which begins with the lowest powers.
+    """
+    for variable in sorted(bottom.free_symbols, key=str):
+        if not (bottom.is_polynomial(variable) and top.is_polynomial(variable)):
+            continue
+        below = sympy.Poly(bottom, variable).all_coeffs()
+        above = sympy.Poly(top, variable).all_coeffs()
+        if len(below) > len(above) or any(c.free_symbols for c in below):
+            continue
+        # By hand: with rounded numbers SymPy's division may find no end.
+        quotient, rest = [], list(above)
+        while len(rest) >= len(below):
+            factor = sympy.expand(rest[0] / below[0])
+            quotient.append(factor)
+            rest = [sympy.expand(a - factor * b) for a, b in zip(rest, below, strict=False)][
+                1:
+            ] + rest[len(below) :]
+        whole, left = _sum(quotient, variable), _sum(rest, variable)
+        if whole == 0:
+            continue
+        yield whole, left
+        if below[-1] != 0:
+            # Its value at 0 is taken out of the quotient, and goes back over the line.
+            shift = sympy.expand(quotient[-1] - above[-1] / below[-1])
+            yield sympy.expand(whole - shift), sympy.expand(left + shift * bottom)
+
+
+def _sum(coefficients: Sequence[sympy.Expr], variable: sympy.Symbol) -> sympy.Expr:
+    highest = len(coefficients) - 1
+    return sympy.Add(
+        *[sympy.expand(c * variable ** (highest - i)) for i, c in enumerate(coefficients)]
+    )

@@ -1,0 +1,750 @@
+"""Collocation: a whole system fitted to the measured states without a march through time.
+
+The states at every row and the constants are unknowns of one least-squares problem: squared misses
+in units of the noise, plus the squared defects of the fourth-order Lobatto IIIA rule (Hermite and
+Simpson; Hargraves and Paris 1987) between rows times a weight that grows until the system holds
+strictly. Only whole arrays are evaluated, the normal equations are banded, and the smoothed data
+are the start, so that a fit takes milliseconds, cannot diverge, follows chaotic motion over the
+whole run (a weak-constraint trajectory; Ramsay et al. 2007, Biegler 2010), and is stable for stiff
+systems, since the rule is implicit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import sympy
+from scipy.interpolate import CubicSpline
+from scipy.linalg import LinAlgError, solveh_banded
+
+from dynsr.data import (
+    Samples,
+    SmoothedTrajectory,
+    Trajectory,
+    estimate_noise,
+    join_samples,
+    smooth,
+)
+from dynsr.expression import compile_columns
+from dynsr.fit.constants import free_constants
+from dynsr.fit.shooting import drives_of
+
+
+@dataclass(frozen=True)
+class CollocationSettings:
+    """Settings of the fit of whole systems; they stand in a run's record.
+
+    Parameters
+    ----------
+    stiffness : weights of the squared defects, one stage after the other, in units of the noise.
+        At 1e5 a system of 1000 rows may leave its own solution by a tenth of the noise at most.
+    steps : steps of a stage at most.
+    gain : a stage ends when a step lowers the sum of squares by less than this share.
+    difference : step of the numerical derivatives, relative to a state's spread and a constant.
+    """
+
+    stiffness: tuple[float, ...] = (1e1, 1e3, 1e5)
+    steps: int = 12
+    gain: float = 1e-4
+    difference: float = 1e-7
+
+
+COLLOCATION = CollocationSettings()
+# Share of its spread in which the defects of a state that is not measured are counted.
+_UNMEASURED = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """The rows of all runs, one below the other, and what is measured there.
+
+    Parameters
+    ----------
+    t : (n,) times; those of a new run follow those of the one before.
+    left : (m,) rows at which an interval begins; it ends at the next row.
+    x : (n, k) measured states, 0 where nothing is measured.
+    weights : (n, k) 1 / standard deviation of the noise, 0 where nothing is measured.
+    start : (n, k) smoothed states, from which a fit starts.
+    driven : (d, n + m) driven columns at the rows, then in the middle of the intervals.
+    states, driven_names : names of the columns; the last driven one is ``t``.
+    """
+
+    t: np.ndarray
+    left: np.ndarray
+    x: np.ndarray
+    weights: np.ndarray
+    start: np.ndarray
+    driven: np.ndarray
+    states: tuple[str, ...]
+    driven_names: tuple[str, ...]
+
+    @cached_property
+    def h(self) -> np.ndarray:
+        """(m,) lengths of the intervals."""
+        steps: np.ndarray = self.t[self.left + 1] - self.t[self.left]
+        return steps
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """(m, k) standard deviation of the noise around each interval: what defects are in."""
+        with np.errstate(all="ignore"):
+            deviation = 1 / self.weights
+        measured = np.any(self.weights, axis=0)
+        deviation[:, ~measured] = _UNMEASURED * self.spread[~measured]
+        smaller: np.ndarray = np.minimum(deviation[self.left], deviation[self.left + 1])
+        return smaller
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """(k,) standard deviation of the smoothed states, never 0."""
+        return np.maximum(
+            np.std(self.start, axis=0), 1e-12 * np.abs(self.start).max(axis=0) + 1e-300
+        )
+
+    @cached_property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Name -> (n,) smoothed states and driven columns at the rows."""
+        rows = [*self.start.T, *self.driven[:, : len(self.t)]]
+        return dict(zip((*self.states, *self.driven_names), rows, strict=True))
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """(k,) measured rows of every state."""
+        return np.count_nonzero(self.weights, axis=0).astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class CollocationFit:
+    """A system fitted to the states of a mesh.
+
+    Parameters
+    ----------
+    exprs : state -> equation with its constants.
+    constants : (P,) their values, in the order of the states and of their appearance.
+    states : (n, k) the fitted trajectory at the rows of the mesh.
+    misses : (n, k) fitted minus measured in units of the noise, 0 where nothing is measured.
+    mean_squares : (k,) their mean squares, with those of the error of the steps.
+    information : (P, P) what the data say of the constants, in inverse squares of their units.
+    """
+
+    exprs: dict[str, sympy.Expr]
+    constants: np.ndarray
+    states: np.ndarray
+    misses: np.ndarray
+    mean_squares: np.ndarray
+    information: np.ndarray
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """(P, P) of the constants at the noise that was given."""
+        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        with np.errstate(all="ignore"):
+            scaled = np.linalg.pinv(self.information / np.outer(scale, scale), rcond=1e-13)
+        return np.asarray(scaled / np.outer(scale, scale))
+
+    @property
+    def errors(self) -> np.ndarray:
+        """(P,) standard errors of the constants at the noise that was given; inf if unknown."""
+        variances = np.diag(self.covariance)
+        return np.where(variances > 0, np.sqrt(np.maximum(variances, 0)), np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """The normal equations of a fit with its states eliminated.
+
+    ``information`` (P, P) and ``pull`` (P,): half the second and half the first derivative of the
+    sum of squares by the constants when the states follow; ``squares`` is what is left of it when
+    the states alone move.
+    """
+
+    information: np.ndarray
+    pull: np.ndarray
+    squares: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Values and derivatives of the right-hand sides at a trial point."""
+
+    defects: np.ndarray
+    by_left: np.ndarray
+    by_right: np.ndarray
+    by_constant: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Collocation:
+    """The least-squares problem of one system on one mesh.
+
+    Parameters
+    ----------
+    exprs : state -> equation; a state of the mesh each, in its order.
+    mesh : the data.
+    settings : the numbers that decide.
+
+    >>> t = np.linspace(0, 2, 41)
+    >>> x = np.exp(-0.7 * t)[:, None]
+    >>> times = np.concatenate([t, (t[1:] + t[:-1]) / 2])[None]
+    >>> mesh = Mesh(t, np.arange(40), x, np.full_like(x, 1e4), x, times, ("x",), ("t",))
+    >>> fit = Collocation({"x": -0.5 * sympy.Symbol("x")}, mesh).fit()
+    >>> round(float(fit.constants[0]), 5)
+    -0.7
+    """
+
+    exprs: Mapping[str, sympy.Expr]
+    mesh: Mesh
+    settings: CollocationSettings = COLLOCATION
+
+    @cached_property
+    def _template(self) -> tuple[dict[str, sympy.Expr], dict[sympy.Symbol, float]]:
+        shapes: dict[str, sympy.Expr] = {}
+        values: dict[sympy.Symbol, float] = {}
+        for state in self.mesh.states:
+            shapes[state], own = free_constants(self.exprs[state], f"constant {state} ")
+            values |= own
+        return shapes, values
+
+    @cached_property
+    def slope(self) -> Callable[..., np.ndarray]:
+        """Right-hand sides (k, ...) of the states, the driven columns and the constants."""
+        shapes, values = self._template
+        names = [*self.mesh.states, *self.mesh.driven_names, *map(str, values)]
+        return compile_columns(list(shapes.values()), names)
+
+    @property
+    def constants(self) -> np.ndarray:
+        """(P,) values that the constants have in the equations."""
+        return np.array(list(self._template[1].values()))
+
+    def put(self, numbers: Sequence[sympy.Expr]) -> dict[str, sympy.Expr]:
+        """Give the equations with P numbers in the places of the constants.
+
+        Parameters
+        ----------
+        numbers : in the order of the constants.
+        """
+        shapes, values = self._template
+        given = dict(zip(values, numbers, strict=True))
+        return {state: expr.xreplace(given) for state, expr in shapes.items()}
+
+    def _slopes(self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray) -> np.ndarray:
+        """(k, 1 + k + P, points): the right-hand sides, then with each argument moved a little."""
+        k, count = states.shape[1], len(constants)
+        moves = 1 + k + count
+        rows = np.repeat(states.T[:, None], moves, axis=1)
+        steps = self._state_steps()
+        rows[np.arange(k), 1 + np.arange(k)] += steps[:, None]
+        shifts = np.repeat(constants[:, None], moves, axis=1)
+        shifts[np.arange(count), 1 + k + np.arange(count)] += self._constant_steps(constants)
+        return self.slope(*rows, *driven[:, None], *shifts[..., None])
+
+    def _state_steps(self) -> np.ndarray:
+        return self.settings.difference * self.mesh.spread
+
+    def _constant_steps(self, constants: np.ndarray) -> np.ndarray:
+        return self.settings.difference * np.maximum(np.abs(constants), 1e-3)
+
+    def _split(
+        self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes (points, k), their derivatives by states (points, k, k), constants (.., k, P)."""
+        found = self._slopes(states, constants, driven)
+        k = states.shape[1]
+        base = found[:, 0]
+        moved = found[:, 1:] - base[:, None]
+        by_state = moved[:, :k] / self._state_steps()[None, :, None]
+        by_constant = moved[:, k:] / self._constant_steps(constants)[None, :, None]
+        return base.T, by_state.transpose(2, 0, 1), by_constant.transpose(2, 0, 1)
+
+    def _middle(self, states: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        left, h = self.mesh.left, self.mesh.h[:, None]
+        ends = (states[left] + states[left + 1]) / 2
+        middle: np.ndarray = ends + h / 8 * (slopes[left] - slopes[left + 1])
+        return middle
+
+    def _along(
+        self, states: np.ndarray, constants: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes (n, k) at the rows; states and slopes (m, k) in the middle of the intervals."""
+        n = len(self.mesh.t)
+        at_rows = self.slope(*states.T, *self.mesh.driven[:, :n], *constants).T
+        middle = self._middle(states, at_rows)
+        inside = self.slope(*middle.T, *self.mesh.driven[:, n:], *constants).T
+        return at_rows, middle, inside
+
+    def _defects(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
+        """(m, k) how far each step misses the next state, in units of the noise."""
+        left, h = self.mesh.left, self.mesh.h[:, None]
+        at_rows, _, inside = self._along(states, constants)
+        step = h / 6 * (at_rows[left] + 4 * inside + at_rows[left + 1])
+        found: np.ndarray = (states[left + 1] - states[left] - step) / self.mesh.unit
+        return found
+
+    def _linearise(
+        self, states: np.ndarray, constants: np.ndarray, probes: np.ndarray | None = None
+    ) -> _Point:
+        """Defects and their derivatives; ``probes`` (k, Q, n + m) are slopes by more constants."""
+        n, left = len(self.mesh.t), self.mesh.left
+        right = left + 1
+        h, h3 = self.mesh.h[:, None], self.mesh.h[:, None, None]
+        f, by_x, by_c = self._split(states, constants, self.mesh.driven[:, :n])
+        middle = self._middle(states, f)
+        fm, mid_x, mid_c = self._split(middle, constants, self.mesh.driven[:, n:])
+        if probes is not None:
+            by_c = np.concatenate([by_c, probes[..., :n].transpose(2, 0, 1)], axis=2)
+            mid_c = np.concatenate([mid_c, probes[..., n:].transpose(2, 0, 1)], axis=2)
+        one = np.eye(states.shape[1])
+        by_left = -one - h3 / 6 * (by_x[left] + 4 * mid_x @ (one / 2 + h3 / 8 * by_x[left]))
+        by_right = one - h3 / 6 * (by_x[right] + 4 * mid_x @ (one / 2 - h3 / 8 * by_x[right]))
+        inside = mid_c + mid_x @ (h3 / 8 * (by_c[left] - by_c[right]))
+        by_constant = -h3 / 6 * (by_c[left] + 4 * inside + by_c[right])
+        defects = states[right] - states[left] - h / 6 * (f[left] + 4 * fm + f[right])
+        unit = self.mesh.unit
+        return _Point(
+            defects / unit,
+            by_left / unit[..., None],
+            by_right / unit[..., None],
+            by_constant / unit[..., None],
+        )
+
+    def _cost(self, states: np.ndarray, constants: np.ndarray, stiffness: float) -> float:
+        misses = (states - self.mesh.x) * self.mesh.weights
+        with np.errstate(all="ignore"):
+            defects = self._defects(states, constants)
+            cost = float(np.sum(misses**2) + stiffness * np.sum(defects**2))
+        return cost if np.isfinite(cost) else np.inf
+
+    def fit(self, near: CollocationFit | None = None) -> CollocationFit | None:
+        """Fit states and constants; None where the right-hand sides are not finite on the data.
+
+        Parameters
+        ----------
+        near : a fit of a like system, whose states are the start; by default the smoothed data,
+            on which the system is made strict in stages.
+        """
+        states = self.mesh.start if near is None else near.states
+        constants = self.constants
+        stages = self.settings.stiffness
+        for stiffness in stages:
+            moved = self._stage(states, constants, stiffness)
+            if moved is None:
+                return None
+            states, constants = moved
+        return self._finish(states, constants)
+
+    def _finish(self, states: np.ndarray, constants: np.ndarray) -> CollocationFit | None:
+        try:
+            information = self.normal(states, constants).information
+        except (LinAlgError, ValueError):
+            return None
+        misses = (states - self.mesh.x) * self.mesh.weights
+        squares = np.sum(misses**2, axis=0) + self._unresolved(states, constants)
+        squares /= np.maximum(self.mesh.rows, 1.0)
+        exprs = self.put([sympy.Float(c) for c in constants.tolist()])
+        return CollocationFit(exprs, constants, states, misses, squares, information)
+
+    def _unresolved(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
+        """(k,) sums of squares of what half steps would change, in units of the noise.
+
+        A right-hand side that jumps between rows would follow anything there.
+        """
+        n, left = len(self.mesh.t), self.mesh.left
+        h = self.mesh.h[:, None]
+        with np.errstate(all="ignore"):
+            f, middle, fm = self._along(states, constants)
+            change = -h / 6 * (f[left] + 4 * fm + f[left + 1])
+            between = self.mesh.driven[:, n:]
+            for end, slope, at in (
+                (states[left], f[left], left),
+                (states[left + 1], f[left + 1], left + 1),
+            ):
+                # The cubic through the end and the middle, half way between the two.
+                sign = 1.0 if at is left else -1.0
+                quarter = (end + middle) / 2 + sign * h / 16 * (slope - fm)
+                driven = (self.mesh.driven[:, at] + between) / 2
+                inside = self.slope(*quarter.T, *driven, *constants).T
+                change = change + h / 12 * (slope + 4 * inside + fm)
+            found: np.ndarray = np.sum((change / self.mesh.unit) ** 2, axis=0)
+        return np.where(np.isfinite(found), found, np.inf)
+
+    def _stage(
+        self, states: np.ndarray, constants: np.ndarray, stiffness: float
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Levenberg and Marquardt's steps at one weight of the defects."""
+        cost, damping = self._cost(states, constants, stiffness), 1e-6
+        if not np.isfinite(cost):
+            return None
+        for _ in range(self.settings.steps):
+            before = cost
+            with np.errstate(all="ignore"):
+                point = self._linearise(states, constants)
+            if not all(np.all(np.isfinite(a)) for a in (point.by_left, point.by_constant)):
+                break
+            while damping < 1e6:
+                try:
+                    step = self._step(point, states, stiffness, damping)
+                except (LinAlgError, ValueError):
+                    damping = max(damping * 100, 1e-4)
+                    continue
+                reached = self._cost(states + step[0], constants + step[1], stiffness)
+                if reached < cost:
+                    states, constants, cost = states + step[0], constants + step[1], reached
+                    damping /= 10
+                    break
+                damping = max(damping * 10, 1e-4)
+            if not cost < before * (1 - self.settings.gain):
+                break
+        return states, constants
+
+    def _step(
+        self, point: _Point, states: np.ndarray, stiffness: float, damping: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        found, alone, border = self._eliminate(point, states, stiffness, damping)
+        pull, centre = found.pull, found.information
+        count = centre.shape[0]
+        shift = np.zeros(0)
+        if count:
+            scale = np.sqrt(np.maximum(np.diag(centre), 1e-300))
+            scaled = centre / np.outer(scale, scale) + damping * np.eye(count)
+            shift = -np.linalg.solve(scaled, pull / scale) / scale
+        moved = -(alone + border @ shift)
+        return moved.reshape(states.shape), shift
+
+    def _eliminate(
+        self, point: _Point, states: np.ndarray, stiffness: float, damping: float
+    ) -> tuple[Linearised, np.ndarray, np.ndarray]:
+        """Solve the banded block of the states for the gradient and the border of constants."""
+        n, k = states.shape
+        left, right = self.mesh.left, self.mesh.left + 1
+        low, high, by_c, defects = point.by_left, point.by_right, point.by_constant, point.defects
+        lowt, hight = low.transpose(0, 2, 1), high.transpose(0, 2, 1)
+        diagonal = np.zeros((n, k, k))
+        squared = self.mesh.weights**2
+        diagonal[:, np.arange(k), np.arange(k)] = squared
+        diagonal[left] += stiffness * lowt @ low
+        diagonal[right] += stiffness * hight @ high
+        diagonal[:, np.arange(k), np.arange(k)] *= 1 + damping * 1e-3
+        beside = np.zeros((n, k, k))
+        beside[left] = stiffness * lowt @ high
+        gradient = squared * (states - self.mesh.x)
+        gradient[left] += stiffness * np.einsum("mij,mj->mi", lowt, defects)
+        gradient[right] += stiffness * np.einsum("mij,mj->mi", hight, defects)
+        count = by_c.shape[2]
+        border = np.zeros((n, k, count))
+        border[left] += stiffness * lowt @ by_c
+        border[right] += stiffness * hight @ by_c
+        sides = np.concatenate([gradient[..., None], border], axis=2).reshape(n * k, 1 + count)
+        solved = solveh_banded(_band(diagonal, beside), sides, check_finite=False)
+        if not np.all(np.isfinite(solved)):
+            raise LinAlgError
+        flat = border.reshape(n * k, count)
+        corner = stiffness * np.einsum("mip,miq->pq", by_c, by_c)
+        pull = stiffness * np.einsum("mip,mi->p", by_c, defects) - flat.T @ solved[:, 0]
+        centre = corner - flat.T @ solved[:, 1:]
+        squares = float(
+            np.sum(squared * (states - self.mesh.x) ** 2)
+            + stiffness * np.sum(defects**2)
+            - gradient.ravel() @ solved[:, 0]
+        )
+        return Linearised((centre + centre.T) / 2, pull, squares), solved[:, 0], solved[:, 1:]
+
+    def normal(
+        self,
+        states: np.ndarray,
+        constants: np.ndarray,
+        probes: np.ndarray | None = None,
+        stiffness: float | None = None,
+    ) -> Linearised:
+        """Give the normal equations with the states eliminated.
+
+        Parameters
+        ----------
+        states : (n, k) where.
+        constants : (P,) where.
+        probes : (k, Q, n + m) slopes of the right-hand sides by Q more constants, at the rows and
+            in the middle of the intervals; they come after the system's own.
+        stiffness : weight of the defects; the last one by default.
+
+        Raises LinAlgError when the system does not tell.
+        """
+        with np.errstate(all="ignore"):
+            point = self._linearise(states, constants, probes)
+        weight = self.settings.stiffness[-1] if stiffness is None else stiffness
+        return self._eliminate(point, states, weight, 0.0)[0]
+
+    def points(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
+        """(k + d, n + m) states and driven columns at the rows and in the middle of intervals."""
+        n = len(self.mesh.t)
+        values = [np.asarray(c) for c in constants]
+        slopes = self.slope(*states.T, *self.mesh.driven[:, :n], *values).T
+        both = np.concatenate([states, self._middle(states, slopes)])
+        return np.concatenate([both.T, self.mesh.driven])
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Measured trajectories with their noise and smoothed curves, ready to fit systems to.
+
+    Parameters
+    ----------
+    runs : trajectories of the same columns.
+    inputs : input name -> expression in ``t`` where it is known; other inputs are interpolated.
+    smoothed : the runs made smooth, with the noise of every row.
+    derived : state -> its slope, a column that was made from it and is not measured itself.
+    finest : share of a state's spread below which no noise is believed.
+    """
+
+    runs: Sequence[Trajectory]
+    inputs: Mapping[str, sympy.Expr]
+    smoothed: Sequence[SmoothedTrajectory]
+    derived: Mapping[str, sympy.Symbol] = field(default_factory=dict)
+    finest: float = 1e-5
+
+    @classmethod
+    def of(
+        cls,
+        runs: Sequence[Trajectory],
+        inputs: Mapping[str, sympy.Expr],
+        rows: int,
+        derived: Mapping[str, sympy.Symbol] | None = None,
+    ) -> Measurements:
+        """Estimate the noise of runs and smooth them.
+
+        Parameters
+        ----------
+        runs, inputs : the data.
+        rows : of more rows than this in all, evenly spaced ones are kept; of the longest run
+            five rows at least.
+        derived : state -> its slope that was made from it.
+        """
+        noise = estimate_noise(runs)
+        longest = max(map(len, runs))
+        stride = max(1, min(-(-sum(map(len, runs)) // rows), (longest - 1) // 4))
+        thinned = [run.select(slice(None, None, stride)) for run in runs if len(run) > 4 * stride]
+        smoothed = [smooth(run, noise) for run in thinned]
+        return cls(thinned, inputs, smoothed, derived or {})
+
+    @cached_property
+    def deviations(self) -> list[np.ndarray]:
+        """(n, k) standard deviation of the noise of each run; inf where nothing is measured."""
+        spread = np.std(np.concatenate([run.x for run in self.runs]), axis=0)
+        made = {str(slope) for slope in self.derived.values()}
+        hidden = [state in made for state in self.runs[0].states]
+        lowest = np.maximum(self.finest * spread, 1e-300)
+        return [np.where(hidden, np.inf, np.maximum(s.noise, lowest)) for s in self.smoothed]
+
+    @cached_property
+    def noise_share(self) -> float:
+        """Median over the measured states of the noise as a share of the spread."""
+        spread = np.std(np.concatenate([run.x for run in self.runs]), axis=0)
+        noise = np.median(np.concatenate(self.deviations), axis=0) / np.maximum(spread, 1e-300)
+        return float(np.median(noise[np.isfinite(noise)]))
+
+    def samples(self, state: str) -> Samples:
+        """Give the smoothed states and slopes of one state as samples.
+
+        Parameters
+        ----------
+        state : the target.
+        """
+        place = self.runs[0].index(state)
+        pieces = [
+            Samples(
+                np.column_stack([smoothed.x, run.inputs]),
+                smoothed.slope[:, place],
+                run.names,
+                state,
+                "gp",
+                run.t,
+                float(np.sqrt(np.mean(smoothed.slope_sd[:, place] ** 2))),
+                smoothed.slope_sd[:, place],
+            )
+            for run, smoothed in zip(self.runs, self.smoothed, strict=True)
+        ]
+        return join_samples(pieces)
+
+    def half(self, which: int) -> Measurements:
+        """Give the same data with every second row measured only.
+
+        Parameters
+        ----------
+        which : 0 for the first, third, ... row, 1 for the others.
+        """
+        halved = []
+        for smoothed in self.smoothed:
+            noise = smoothed.noise.copy()
+            noise[1 - which :: 2] = np.inf
+            halved.append(replace(smoothed, noise=noise))
+        return replace(self, smoothed=halved)
+
+    def along(self, states: np.ndarray, names: Sequence[str]) -> Measurements:
+        """Give the same data with other smoothed states: those of a system that follows them.
+
+        Parameters
+        ----------
+        states : (n, k) states at the rows of the mesh, run below run.
+        names : the k of them.
+        """
+        own = [self.runs[0].index(name) for name in names]
+        first, smoothed = 0, []
+        for run, smooth_run in zip(self.runs, self.smoothed, strict=True):
+            x, slope = smooth_run.x.copy(), smooth_run.slope.copy()
+            x[:, own] = states[first : first + len(run)]
+            slope[:, own] = CubicSpline(run.t, x[:, own])(run.t, 1)
+            smoothed.append(replace(smooth_run, x=x, slope=slope))
+            first += len(run)
+        return replace(self, smoothed=smoothed)
+
+    def beside(self, state: str) -> dict[str, sympy.Expr]:
+        """Give the equations without which a state cannot be fitted: x' = v of a made column v.
+
+        Parameters
+        ----------
+        state : whose equation is fitted.
+        """
+        return {s: slope for s, slope in self.derived.items() if str(slope) == state}
+
+    def mesh(self, states: Sequence[str]) -> Mesh:
+        """Give the rows of all runs for the fit of some states; the others are read off curves.
+
+        Parameters
+        ----------
+        states : whose equations are fitted.
+        """
+        own = [self.runs[0].index(state) for state in states]
+        others = [s for s in self.runs[0].states if s not in states]
+        inputs = self.runs[0].input_names
+        drives = drives_of(inputs, self.runs, self.inputs)
+        beside = [self.runs[0].index(state) for state in others]
+        pieces, first = [], 0
+        for run, deviation, smoothed, drive in zip(
+            self.runs, self.deviations, self.smoothed, drives, strict=True
+        ):
+            t = run.t
+            both = np.concatenate([t, (t[1:] + t[:-1]) / 2])
+            driven = np.concatenate([smoothed.curve(both)[beside], drive(both)])
+            pieces.append(
+                (
+                    t,
+                    first + np.arange(len(t) - 1),
+                    run.x[:, own],
+                    1 / deviation[:, own],
+                    smoothed.x[:, own],
+                    driven[:, : len(t)],
+                    driven[:, len(t) :],
+                )
+            )
+            first += len(t)
+        t, left, x, weights, start, at, between = zip(*pieces, strict=True)
+        return Mesh(
+            np.concatenate(t),
+            np.concatenate(left),
+            np.concatenate(x),
+            np.concatenate(weights),
+            np.concatenate(start),
+            np.concatenate([*at, *between], axis=1),
+            tuple(states),
+            (*others, *inputs, "t"),
+        )
+
+
+def _band(diagonal: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Write blocks (n, k, k) on and right of the diagonal in the upper form of solveh_banded."""
+    n, k, _ = diagonal.shape
+    width = 2 * k - 1
+    band = np.zeros((width + 1, n, k))
+    for i in range(k):
+        for j in range(i, k):
+            band[width + i - j, :, j] = diagonal[:, i, j]
+        for j in range(k):
+            # Column (row + 1, j), row (row, i): k + j - i to the right.
+            offset = k + j - i
+            if offset <= width:
+                band[width - offset, 1:, j] = beside[:-1, i, j]
+    return band.reshape(width + 1, n * k)
+
+
+@dataclass(frozen=True, eq=False)
+class AlongFit:
+    """Constants fitted to whole noisy runs by collocation.
+
+    Parameters
+    ----------
+    problem : the least-squares problem.
+    found : its solution.
+    """
+
+    problem: Collocation
+    found: CollocationFit
+
+    @property
+    def constants(self) -> np.ndarray:
+        """(P,) fitted values, in the order of the states and of their appearance."""
+        return self.found.constants
+
+    @property
+    def freedom(self) -> int:
+        """Measurements less the constants and starts that were fitted to them, 1 at least."""
+        mesh = self.problem.mesh
+        starts = (len(mesh.t) - len(mesh.left)) * np.count_nonzero(mesh.rows)
+        return max(int(mesh.rows.sum()) - len(self.constants) - int(starts), 1)
+
+    @cached_property
+    def _scale(self) -> float:
+        """Variance of the misses in units of the noise that was given: noise is an estimate."""
+        return max(float(np.sum(self.found.misses**2)) / self.freedom, 1e-12)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """(P, P) of the constants."""
+        return self.found.covariance * self._scale
+
+    @property
+    def errors(self) -> np.ndarray:
+        """(P,) standard errors."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0))
+
+    @property
+    def misses(self) -> np.ndarray:
+        """(n, k, 1) in units of the noise."""
+        return self.found.misses[..., None]
+
+    def put(self, numbers: Sequence[sympy.Expr]) -> dict[str, sympy.Expr]:
+        """Give the equations with P numbers in the places of the constants.
+
+        Parameters
+        ----------
+        numbers : in the order of the constants.
+        """
+        return self.problem.put(numbers)
+
+    def ratio(self, other: Any) -> float:
+        """Likelihood ratio statistic of a nested fit ``other``.
+
+        Parameters
+        ----------
+        other : the fit of fewer constants.
+        """
+        return float(np.sum(other.found.misses**2) - np.sum(self.found.misses**2)) / self._scale
+
+
+def fit_along(
+    exprs: Mapping[str, sympy.Expr], data: Measurements, near: AlongFit | None = None
+) -> AlongFit | None:
+    """Fit every float of ``exprs`` to the noisy states; None where that cannot be done.
+
+    Parameters
+    ----------
+    exprs : state -> right-hand side; other states are read off their smoothed curves.
+    data : the measured states, their noise and smoothed curves.
+    near : a fit of similar equations of the same states, which gives the start.
+    """
+    mesh = data.mesh(tuple(exprs)) if near is None else near.problem.mesh
+    problem = Collocation(exprs, mesh)
+    found = problem.fit(None if near is None else near.found)
+    return None if found is None else AlongFit(problem, found)

@@ -1,0 +1,156 @@
+"""Exact data: equations that runs without noise confirm, and the simple numbers in them.
+
+What integrates to all measured states within a millionth of the way that these go is no
+approximation, whatever the errors of slopes between distant rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import sympy
+
+from dynsr.data import Trajectory
+from dynsr.errors import InputError
+from dynsr.expression import evaluate, number_bits, ratio_forms
+from dynsr.fit.constants import free_constants
+from dynsr.fit.description import structure_bits
+from dynsr.fit.settings import FIT, FitSettings
+from dynsr.fit.shooting import Match, match_trajectories
+from dynsr.fit.simple import simple_value
+
+_INTERVALS = 10
+
+
+def confirm(
+    exprs: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings = FIT,
+) -> Match | None:
+    """Give the equations fitted to the states where these leave no doubt of them; else None.
+
+    Parameters
+    ----------
+    exprs : state -> right-hand side.
+    runs : trajectories of the same columns.
+    inputs : input name -> expression in ``t``, where it is known.
+    settings : ``confirmed`` is the most that they miss, as a share of the way that the states go
+        in ten intervals.
+
+    >>> t = np.linspace(0, 4, 81)
+    >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
+    >>> confirm({"x": -0.49 * sympy.Symbol("x")}, [decay], {}).exprs
+    {'x': -x/2}
+    """
+    constants = sum(len(free_constants(e, "constant ")[1]) for e in exprs.values())
+    rows = sum(map(len, runs)) * len(exprs)
+    if rows < 5 * constants or min(map(len, runs)) <= _INTERVALS:
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            match = match_trajectories(exprs, runs, inputs=inputs, settings=settings)
+    except (InputError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+    most = settings.confirmed * _way(runs, list(exprs))
+    return _simplify(match, runs, inputs, settings) if _size(match) <= most else None
+
+
+def _size(match: Match) -> float:
+    """Root mean square of the misses, in units of the states' spread; inf where there are none."""
+    if not match.success or not len(match.misses):
+        return np.inf
+    return float(np.sqrt(np.mean(match.misses**2)))
+
+
+def _way(runs: Sequence[Trajectory], states: Sequence[str]) -> float:
+    """How far the state that goes least goes in ten intervals, by its spread."""
+    columns = [runs[0].index(state) for state in states]
+    spread = np.std(np.concatenate([run.x[:, columns] for run in runs]), axis=0)
+    way = np.concatenate([r.x[_INTERVALS:, columns] - r.x[:-_INTERVALS, columns] for r in runs])
+    moving = spread > 0
+    if not moving.any():
+        return 0.0
+    return float(np.min(np.sqrt(np.mean(way[:, moving] ** 2, axis=0)) / spread[moving]))
+
+
+def _simplify(
+    match: Match,
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> Match:
+    """Leave out what is 0 and write simple numbers, all at once, where misses stay as small."""
+    rows = np.concatenate([run.columns for run in runs])
+    columns = dict(zip(runs[0].names, rows.T, strict=True))
+    columns["t"] = np.concatenate([run.t for run in runs])
+    # A fit without what was nothing shows what else is nothing.
+    for _ in range(settings.variation_rounds):
+        simple = {s: simplest_form(e, columns, settings) for s, e in match.exprs.items()}
+        if simple == match.exprs:
+            break
+        again = match_trajectories(simple, runs, inputs=inputs, settings=settings)
+        if not _size(again) <= settings.alike * _size(match) + settings.finest:
+            break
+        match = again
+    return match
+
+
+def simplest_form(
+    expr: sympy.Expr, columns: Mapping[str, np.ndarray], settings: FitSettings = FIT
+) -> sympy.Expr:
+    """Write a formula of exact data as it is shortest, with simple numbers where they are such.
+
+    Parameters
+    ----------
+    expr : the formula, its constants sure to the share ``settings.confirmed``.
+    columns : the values at which it holds; what adds less than that share to it is left out.
+    settings : the numbers that decide.
+
+    >>> v = sympy.Symbol("v")
+    >>> simplest_form((4.0 * v + 1e-12) / (1 + 2.0 * v), {"v": np.linspace(0, 3, 9)})
+    2*v/(v + 1/2)
+    """
+    best: tuple[int, float, str] | None = None
+    found = expr
+    for form in ratio_forms(expr):
+        left = _without_nothing(form, columns, settings.confirmed)
+        template, values = free_constants(left, "constant ")
+        numbers = {
+            symbol: simple_value(value, settings.confirmed * abs(value), settings)
+            if settings.snap
+            else None
+            for symbol, value in values.items()
+        }
+        odd = sum(number is None for number in numbers.values())
+        length = structure_bits(left)
+        length += sum(number_bits(number) for number in numbers.values() if number is not None)
+        order = (odd, length, str(left))
+        if best is None or order < best:
+            put = {
+                symbol: sympy.Float(values[symbol]) if number is None else number
+                for symbol, number in numbers.items()
+            }
+            best, found = order, template.xreplace(put)
+    return found
+
+
+def _without_nothing(
+    expr: sympy.Expr, columns: Mapping[str, np.ndarray], share: float
+) -> sympy.Expr:
+    """Put 0 for every constant whose absence changes a formula by less than a share of it."""
+    template, values = free_constants(expr, "constant ")
+    with np.errstate(all="ignore"):
+        whole = evaluate(expr, columns)
+        size = float(np.sqrt(np.mean(whole**2)))
+        kept: dict[sympy.Symbol, sympy.Expr] = {}
+        for symbol, value in values.items():
+            lost = expr.xreplace({sympy.Float(value): sympy.S.Zero})
+            kept[symbol] = sympy.Float(value)
+            if lost.has(sympy.zoo, sympy.nan):
+                continue
+            change = float(np.sqrt(np.mean((evaluate(lost, columns) - whole) ** 2)))
+            if change <= share * size:
+                kept[symbol] = sympy.S.Zero
+    return template.xreplace(kept)

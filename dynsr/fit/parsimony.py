@@ -1,0 +1,145 @@
+"""Parsimony where data are exact: a term stays only when misses grow clearly without it.
+
+What a formula misses on exact data is no noise but the error of the solver that made the states
+and of the differences that made the slopes. It has a pattern, so that a longer formula can follow
+a little of it on thousands of rows, and counted by rows that seems worth many bits. But a term of
+the law takes misses down from its own size to those errors. So the limits of a formula are looked
+at - a term less, a constant gone to 0, a slowly varying function at its limit - and the shorter
+one is kept while the misses stay of the same size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.expression import complexity, evaluate
+from dynsr.fit.candidates import Candidate, score_candidate
+from dynsr.fit.constants import refit
+from dynsr.fit.description import description_length
+from dynsr.fit.noise import FINEST_SLOPES, Noise, is_exact, slope_size
+from dynsr.fit.settings import FIT, FitSettings
+from dynsr.fit.snapping import score_snapped
+from dynsr.fit.variation import with_floats
+
+# First terms of functions at 0, and exp's other limit is that of its argument.
+_AT_ZERO: dict[Any, Callable[[sympy.Expr], sympy.Expr]] = {
+    sympy.sin: lambda u: u,
+    sympy.tan: lambda u: u,
+    sympy.tanh: lambda u: u,
+    sympy.asin: lambda u: u,
+    sympy.atan: lambda u: u,
+    sympy.cos: lambda _: sympy.S.One,
+    sympy.exp: lambda _: sympy.S.One,
+}
+
+
+def limits(expr: sympy.Expr) -> list[sympy.Expr]:
+    """Give the formulas that a formula tends to as one of its numbers or functions vanishes.
+
+    A sum loses a term, above or below a fraction line or inside a function; a function of a small
+    argument becomes the first term of its series.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> [str(e) for e in limits(x + 2 * sympy.exp(y))]
+    ['x', 'x + 2', '2*exp(y)']
+    """
+    found = {e for e in _shorter(expr) if e != expr and not e.has(sympy.zoo, sympy.nan, sympy.oo)}
+    return sorted(found, key=lambda e: (complexity(e), str(e)))
+
+
+def _shorter(node: sympy.Expr) -> Iterator[sympy.Expr]:
+    if node.is_Add:
+        for index in range(len(node.args)):
+            yield sympy.Add(*node.args[:index], *node.args[index + 1 :])
+    if node.func in _AT_ZERO:
+        yield _AT_ZERO[node.func](node.args[0])
+    if node.is_Pow:
+        for changed in _shorter(node.base):
+            yield changed**node.exp
+        return
+    for index, argument in enumerate(node.args):
+        for changed in _shorter(argument):
+            yield node.func(*node.args[:index], changed, *node.args[index + 1 :])
+
+
+def collapse(
+    candidate: Candidate,
+    others: Iterable[Candidate],
+    samples: Samples,
+    noise: Noise,
+    settings: FitSettings = FIT,
+) -> Candidate:
+    """Give the shortest limit of a candidate, or other candidate, that misses no more than it.
+
+    Parameters
+    ----------
+    candidate : the formula that has been chosen.
+    others : formulas found beside it; a shorter one that misses as little takes its place.
+    samples, noise : what it is fitted to, and what cannot be explained there.
+    settings : ``alike``, the factor within which misses are of the same size.
+
+    What takes more bits in all is not taken. Where the slopes are noisy, or where nothing explains
+    them, the candidate stays: there bits decide.
+
+    >>> x = sympy.Symbol("x")
+    >>> t = np.linspace(0.5, 2, 60)
+    >>> s = Samples(t[:, None], -(t**3), ("x",), "x", "central4", t, 1e-9)
+    >>> long = score_candidate(-(x**3) * sympy.exp(sympy.Float(-5e-10) * x**8), s, "search")
+    >>> collapse(long, [], s, Noise(1e-7, 60.0)).expr
+    -x**3
+    """
+    floor = _finest(samples)
+    bound = settings.alike * _misses(candidate, samples) + floor
+    if not is_exact(samples) or bound[0] > settings.explained * slope_size(samples):
+        return candidate
+    shorter = [c for c in others if c.complexity < candidate.complexity]
+    fitting = [c for c in shorter if np.all(_misses(c, samples) <= bound)]
+    best = min([candidate, *fitting], key=lambda c: (c.complexity, str(c.expr)))
+    most = description_length(candidate, samples, noise)
+    if description_length(best, samples, noise) > most:
+        best = candidate
+    while True:
+        found = _next(best, bound, samples, noise, settings)
+        if found is None or description_length(found, samples, noise) > most:
+            return best
+        best = found
+
+
+def _next(
+    candidate: Candidate, bound: np.ndarray, samples: Samples, noise: Noise, settings: FitSettings
+) -> Candidate | None:
+    """Give the shortest limit within the bound, with constants fitted and snapped; None if none."""
+    for expr in limits(candidate.expr):
+        loose = with_floats(expr)
+        if len(loose.atoms(sympy.Float)) > settings.most_constants:
+            continue
+        fitted = score_candidate(refit(loose, samples, noise.floor), samples, candidate.source)
+        if not np.all(_misses(fitted, samples) <= bound):
+            continue
+        snapped = score_snapped(fitted, samples, noise, settings)
+        shorter = [snapped, fitted, score_candidate(expr, samples, candidate.source)]
+        for other in sorted(shorter, key=lambda c: c.complexity):
+            if other.complexity < candidate.complexity and np.all(_misses(other, samples) <= bound):
+                return other
+    return None
+
+
+def _misses(candidate: Candidate, samples: Samples) -> np.ndarray:
+    """Quantiles of the sizes of the misses: also of the few rows where a term is at work."""
+    misses = np.abs(samples.y - evaluate(candidate.expr, samples.columns))
+    if not np.all(np.isfinite(misses)):
+        return np.full(len(_QUANTILES), np.inf)
+    return np.asarray(np.quantile(misses, _QUANTILES))
+
+
+_QUANTILES: Sequence[float] = (0.5, 0.8, 0.95, 0.99)
+
+
+def _finest(samples: Samples) -> float:
+    """Give the size of the slopes' own error, (y's unit)."""
+    return max(samples.noise or 0.0, FINEST_SLOPES * slope_size(samples))

@@ -1,0 +1,113 @@
+"""Simple numbers with a prior of use: which number a fitted constant may stand for.
+
+People write some constants as 2, 1/2, 0.1 or 9.81, and measure the others. Near a value v each
+kind of simple number has a spacing d and a share of use w; a value that is no simple number may be
+anything. With a fitted value of standard error s, Bayes' rule gives a number at z standard errors
+the weight w d phi(z) / s against the share of all that is not simple: a number is believed when
+its kind is often used and so thinly sown that none would lie there by chance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import sympy
+
+from dynsr.fit.settings import FIT, FitSettings
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of simple numbers: its share of use, and whether it asks for a pinned value."""
+
+    use: float
+    pinned: bool = False
+
+
+# Shares of constants in textbooks and handbooks by kind, to a factor of two; what is left is
+# measured. Denominators above 8, and decimals of three digits or more, ask for precision.
+WHOLE, HALF, SMALL_PARTS, PARTS = Kind(0.3), Kind(0.1), Kind(0.05), Kind(0.005)
+LARGE_PARTS = Kind(0.002, True)
+DIGITS = {1: Kind(0.15), 2: Kind(0.15), 3: Kind(0.02, True), 4: Kind(0.01, True)}
+KNOWN = Kind(0.01)
+MEASURED = 0.25
+# Numbers of physics and mathematics that have names.
+_NAMED: tuple[sympy.Expr, ...] = (sympy.Rational(981, 100), sympy.pi, 2 * sympy.pi, sympy.E)
+_LARGEST_WHOLE = 100
+
+
+def simple_value(value: float, error: float, settings: FitSettings = FIT) -> sympy.Expr | None:
+    """Give the simple number that a fitted value stands for; None where that cannot be told.
+
+    Parameters
+    ----------
+    value, error : the fitted value and its standard error.
+    settings : ``within`` so many standard errors, ``sure`` to this probability.
+
+    >>> simple_value(1.502, 0.003), simple_value(0.8304, 0.0006)
+    (3/2, 83/100)
+    >>> simple_value(0.9104, 0.05) is None
+    True
+    """
+    if not (math.isfinite(value) and math.isfinite(error)) or value == 0:
+        return None
+    # Integration itself is not surer than the finest.
+    error = max(error, settings.finest * abs(value), 1e-300)
+    weights: dict[sympy.Expr, float] = {}
+    for number, use, gap in _numbers(abs(value), error <= settings.pinned * abs(value)):
+        z = (float(number) - abs(value)) / error
+        density = math.exp(-z * z / 2) / math.sqrt(2 * math.pi) / error
+        weights[number] = weights.get(number, 0.0) + use * gap * density
+    if not weights:
+        return None
+    best = max(weights, key=lambda n: (weights[n], str(n)))
+    near = abs(float(best) - abs(value)) <= reach(best, settings) * error
+    believed = weights[best] >= settings.sure * (sum(weights.values()) + MEASURED)
+    return (best if value > 0 else -best) if near and believed else None
+
+
+def reach(number: sympy.Expr, settings: FitSettings = FIT) -> float:
+    """Give the standard errors within which a number may stand for a constant.
+
+    A factor 1 is no number of a formula but its absence, like a term whose factor is 0, and is
+    judged like that.
+
+    >>> reach(sympy.Rational(3, 2)), reach(sympy.Integer(-1))
+    (2.0, 3.0)
+    """
+    return settings.surely_zero if abs(number) == 1 else settings.within
+
+
+def _numbers(value: float, pinned: bool) -> list[tuple[sympy.Expr, float, float]]:
+    """Give (number, share of use, spacing of its kind) of the simple numbers around a value."""
+    found: list[tuple[sympy.Expr, float, float]] = []
+
+    def add(numbers: set[Fraction], kind: Kind, gap: float) -> None:
+        if pinned or not kind.pinned:
+            found.extend(
+                (sympy.Rational(n.numerator, n.denominator), kind.use, gap)
+                for n in numbers
+                if n > 0
+            )
+
+    if value < _LARGEST_WHOLE:
+        add(_around(value, Fraction(1)), WHOLE, 1.0)
+        for q in range(2, 13):
+            kind = HALF if q == 2 else SMALL_PARTS if q <= 4 else PARTS if q <= 8 else LARGE_PARTS
+            numbers = {n for n in _around(value, Fraction(1, q)) if n.denominator == q}
+            coprime = sum(math.gcd(p, q) == 1 for p in range(q))
+            add({n for n in numbers if n.numerator <= 12}, kind, 1 / coprime)
+    for digits, kind in DIGITS.items():
+        exponent = math.floor(math.log10(value)) - digits + 1
+        step = Fraction(10) ** exponent
+        add(_around(value, step), kind, float(step))
+    found.extend((n, KNOWN.use, value) for n in _NAMED if abs(float(n) - value) < 0.1 * value)
+    return found
+
+
+def _around(value: float, step: Fraction) -> set[Fraction]:
+    """Give the multiples of ``step`` below and above a value."""
+    below = math.floor(Fraction(value) / step)
+    return {below * step, (below + 1) * step}

@@ -1,0 +1,310 @@
+"""Whole runs: constants fitted to noisy states over windows as long as the system can be followed.
+
+A window whose start is fitted tells less of the constants the shorter it is: half of what it
+measures goes into the start. So windows grow, from where the shorter ones ended, while the misses
+stay those of noise (a chaotic system ends this early). Once the system follows the data, its own
+misses tell how noise grows with the states, and rows are weighed by that (generalised least
+squares with an estimated variance function; Carroll and Ruppert 1988, chapter 2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import sympy
+from scipy.special import stdtrit
+
+from dynsr.data import Trajectory, robust_scale
+from dynsr.fit.settings import FIT, FitSettings
+from dynsr.fit.shooting import Shooting, build_shooting, choose_substeps, fit_loss, prepare
+
+# Rows a step of the integration, longest first, that are tried on noisy data.
+_STRIDES = (8, 4, 2, 1)
+# Share of the median miss by which a step may move a state.
+_STRIDE_ERROR = 0.01
+# Noise at a state's root mean square over noise at 0, relative and absolute noise in turn.
+_RATIOS = (0.3, 1.0, 3.0, 10.0, 100.0)
+
+
+@dataclass(frozen=True, eq=False)
+class StatesFit:
+    """Constants fitted to whole noisy runs.
+
+    Parameters
+    ----------
+    shooting : the problem over its longest windows, at the weights of the last fit.
+    constants : (P,) fitted values, in the order of the flow's symbols.
+    starts : (k, W) fitted starts.
+    misses : (rows, k, W) in units of the noise.
+    covariance : (P, P) of the constants.
+    """
+
+    shooting: Shooting
+    constants: np.ndarray
+    starts: np.ndarray
+    misses: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def errors(self) -> np.ndarray:
+        """(P,) standard errors."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0))
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """(k,) robust size of the misses of every state, in state units."""
+        spreads = self.shooting.spread
+        units = spreads[:, None] if spreads.ndim == 1 else spreads
+        return np.asarray(robust_scale(self.misses * units, axis=(0, 2)))
+
+    @property
+    def freedom(self) -> int:
+        """Measurements less the constants and starts that were fitted to them, 1 at least."""
+        return max(self.misses.size - len(self.constants) - self.starts.size, 1)
+
+    def put(self, numbers: Sequence[sympy.Expr]) -> dict[str, sympy.Expr]:
+        """Give the equations with P numbers in the places of the constants."""
+        given = dict(zip(self.shooting.flow.constants, numbers, strict=True))
+        return {state: expr.xreplace(given) for state, expr in self.shooting.flow.rhs.items()}
+
+    def ratio(self, other: Any) -> float:
+        """Likelihood ratio statistic of a nested fit ``other`` at the same weights.
+
+        Twice the difference of the losses, times mean(psi') / mean(psi^2) so that it is
+        chi-squared also for a robust loss (Hampel et al. 1986, 7.3).
+        """
+        unit = self.shooting.unit(self.misses)[:, None]
+        mine, theirs = self.misses / unit, other.misses / unit
+        if mine.shape != theirs.shape or not np.all(np.isfinite(theirs)):
+            return math.inf
+        square = mine**2
+        curvature = float(np.mean((1 - square) / (1 + square) ** 2))
+        score = float(np.mean(square / (1 + square) ** 2))
+        lost = float(np.sum(np.log1p(theirs**2)) - np.sum(np.log1p(square)))
+        return lost * max(curvature, 0.1) / score
+
+
+def interval_reach(freedom: float, level: float = 0.95) -> float:
+    """Standard errors that an interval of ``level`` reaches to either side (Student's t).
+
+    ``freedom`` are the measurements less what was fitted to them.
+
+    >>> round(interval_reach(10), 3), round(interval_reach(1e9), 3)
+    (2.228, 1.96)
+    """
+    return float(stdtrit(freedom, (1 + level) / 2))
+
+
+def fit_states(
+    exprs: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings = FIT,
+    deviations: Sequence[np.ndarray] | None = None,
+    near: StatesFit | None = None,
+) -> StatesFit | None:
+    """Fit every float of ``exprs`` to the noisy states; None where these cannot be followed.
+
+    Parameters
+    ----------
+    exprs : state -> right-hand side.
+    runs : trajectories of the same columns, three rows each at least.
+    inputs : input name -> expression in ``t``, where it is known.
+    settings : losses, windows and trials.
+    deviations : for every run the standard deviation (n, k) of the noise of each measurement; by
+        default that of each state, and how it grows with the state where the misses show that.
+    near : a fit of similar equations, whose windows, weights and starts are taken over.
+    """
+    flow, values, _ = prepare(exprs, runs, inputs)
+    if min(map(len, runs)) < 3:
+        return None
+    constants = np.array(values, dtype=float)
+    if near is not None:
+        start = replace(near.shooting, flow=replace(flow, stride=near.shooting.flow.stride))
+        return _end(start, _descend(start, constants, near.starts, _last(settings)))
+    longest = max(map(len, runs)) - 1
+    first = min(100, max(20, longest // 10))
+    best: tuple[Shooting, np.ndarray, np.ndarray] | None = None
+    for length in _lengths(first, min(longest, settings.match_longest)):
+        trial = build_shooting(
+            flow, runs, inputs, length, True, settings.match_windows, deviations=deviations
+        )
+        begin = trial.windows.x[0] if best is None else _carry(best[0], best[2], best[1], trial)
+        if best is not None and not _in_reach(best, trial, begin, settings):
+            break
+        trial = _step(trial, constants, begin)
+        fitted = _descend(trial, constants, begin, settings if best is None else _last(settings))
+        if fitted is None or (best is not None and _grows(best, (trial, *fitted), settings)):
+            break
+        best, constants = (trial, *fitted), fitted[0]
+    if best is None:
+        return None
+    shooting, constants, starts = best
+    if deviations is None:
+        shooting = _weigh(shooting, constants, starts)
+        if shooting is not best[0]:
+            fitted = _descend(shooting, constants, starts, _last(settings))
+            return _end(shooting, fitted)
+    return _end(shooting, (constants, starts))
+
+
+def _last(settings: FitSettings) -> FitSettings:
+    """Give the settings of a fit that begins near its end: the last loss alone."""
+    return replace(settings, match_losses=settings.match_losses[-1:])
+
+
+def _in_reach(
+    best: tuple[Shooting, np.ndarray, np.ndarray],
+    longer: Shooting,
+    begin: np.ndarray,
+    settings: FitSettings,
+) -> bool:
+    """Say whether longer windows begin with misses that a descent can bring down.
+
+    Where errors grow so much within a window, as in chaos, its misses have a minimum at every
+    turn, and a descent of hundreds of steps would end in one of them.
+    """
+    shooting, constants, starts = best
+    with np.errstate(all="ignore"):
+        now = _large(shooting.misses(constants, starts))
+        flow = replace(longer.flow, stride=shooting.flow.stride)
+        at = replace(longer, flow=flow, substeps=shooting.substeps)
+        then = _large(at.misses(constants, begin))
+    return bool(np.all(then <= settings.match_reach * now))
+
+
+def _large(misses: np.ndarray) -> np.ndarray:
+    """(k,) size that a tenth of the misses exceed: errors grow towards the end of a window."""
+    return np.asarray(np.quantile(np.abs(misses), 0.9, axis=(0, 2)))
+
+
+def _lengths(first: int, longest: int) -> list[int]:
+    """Give window lengths from ``first`` to ``longest`` intervals, each three times the last."""
+    found = [min(first, longest)]
+    while found[-1] < longest:
+        found.append(longest if 3 * found[-1] > longest / 1.5 else 3 * found[-1])
+    return found
+
+
+def _step(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Shooting:
+    """Take the longest step of the integration that moves states less than their misses."""
+    steps = np.diff(shooting.windows.t, axis=0)
+    strides = _STRIDES if np.ptp(steps) <= 1e-6 * np.mean(steps) else (1,)
+    with np.errstate(all="ignore"):
+        trials = [replace(shooting, flow=replace(shooting.flow, stride=s)) for s in strides]
+        longer, misses = trials[0], trials[0].misses(constants, starts)
+        for shorter in trials[1:]:
+            finer = shorter.misses(constants, starts)
+            moved, size = np.max(np.abs(finer - misses)), np.median(np.abs(finer))
+            if moved < _STRIDE_ERROR * size:
+                return longer
+            longer, misses = shorter, finer
+        return replace(longer, substeps=choose_substeps(longer, constants, starts))
+
+
+def _descend(
+    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, settings: FitSettings
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Fit constants and starts; None where the first or the last integration diverges."""
+    with np.errstate(all="ignore"):
+        if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
+            return None
+        constants, starts = fit_loss(shooting, constants, starts, settings)
+        if not np.all(np.isfinite(shooting.misses(constants, starts))):
+            return None
+    return constants, starts
+
+
+def _carry(
+    shooting: Shooting, starts: np.ndarray, constants: np.ndarray, longer: Shooting
+) -> np.ndarray:
+    """Give starts of longer windows, (k, W), from the states that the shorter ones came to."""
+    windows = shooting.windows
+    with np.errstate(all="ignore"):
+        found = shooting.flow.run(windows, starts, constants, shooting.substeps)
+    known = {
+        (float(windows.t[row, lane]), *windows.x[row, :, lane].tolist()): found[row, :, lane]
+        for lane in range(windows.t.shape[1])
+        for row in range(len(windows.t))
+    }
+    own = longer.windows
+    begin = own.x[0].copy()
+    for lane in range(own.t.shape[1]):
+        key = (float(own.t[0, lane]), *own.x[0, :, lane].tolist())
+        if key in known and np.all(np.isfinite(known[key])):
+            begin[:, lane] = known[key]
+    return begin
+
+
+def _grows(
+    before: tuple[Shooting, np.ndarray, np.ndarray],
+    after: tuple[Shooting, np.ndarray, np.ndarray],
+    settings: FitSettings,
+) -> bool:
+    """Say whether a state's misses over longer windows are clearly larger than before."""
+    sizes = []
+    for shooting, constants, starts in (before, after):
+        misses = shooting.misses(constants, starts)
+        count = misses.shape[0] * misses.shape[2]
+        # Each start takes the misses that it is fitted to.
+        left = max(count - misses.shape[2] - len(constants) / misses.shape[1], 1)
+        sizes.append(robust_scale(misses, axis=(0, 2)) * math.sqrt(count / left))
+    # The robust size of n normal misses has a relative error of 1.17 / sqrt(n).
+    chance = 1 + 2 * 1.17 / math.sqrt(misses.shape[0] * misses.shape[2])
+    return bool(np.any(sizes[1] > max(settings.match_follows, chance) * sizes[0]))
+
+
+def _weigh(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Shooting:
+    """Give each row its own deviation, sqrt(a^2 + (b x)^2) of each state, where misses show b.
+
+    The likelihood of the misses decides, by 2 nats at least: one more number for a state.
+    """
+    with np.errstate(all="ignore"):
+        found = shooting.flow.run(shooting.windows, starts, constants, shooting.substeps)
+    misses = shooting.misses(constants, starts)
+    own = np.broadcast_to(shooting.spread[None, :, None], found.shape).copy()
+    changed = False
+    for j in range(found.shape[1]):
+        share = (found[:, j] / math.sqrt(float(np.mean(found[:, j] ** 2)) or 1.0)) ** 2
+        shapes = [np.ones_like(share), *(1 + ratio**2 * share for ratio in _RATIOS)]
+        fits = [_variance(misses[:, j], shape) for shape in shapes]
+        best = min(range(len(fits)), key=lambda i: fits[i][0])
+        if fits[best][0] < fits[0][0] - 2:
+            size = math.sqrt(fits[best][1])
+            own[:, j] *= size * np.sqrt(shapes[best])
+            changed = True
+        else:
+            own[:, j] *= math.sqrt(fits[0][1])
+    return replace(shooting, spread=own) if changed else shooting
+
+
+def _variance(misses: np.ndarray, shape: np.ndarray) -> tuple[float, float]:
+    """Negative log likelihood of misses whose variance has this shape, and its robust factor."""
+    square = misses**2 / shape
+    factor = max(float(robust_scale(np.sqrt(square))) ** 2, 1e-300)
+    # Few wild rows must not look like noise that grows.
+    capped = np.minimum(square / factor, 9.0)
+    return float(np.sum(capped + np.log(factor * shape))) / 2, factor
+
+
+def _end(
+    shooting: Shooting,
+    fitted: tuple[np.ndarray, np.ndarray] | None,
+) -> StatesFit | None:
+    if fitted is None:
+        return None
+    constants, starts = fitted
+    with np.errstate(all="ignore"):
+        misses = shooting.misses(constants, starts)
+        covariance = np.zeros((0, 0))
+        if len(constants):
+            try:
+                covariance = shooting.covariance(constants, starts)
+            except (np.linalg.LinAlgError, FloatingPointError):
+                covariance = np.full((len(constants),) * 2, np.inf)
+    covariance = np.where(np.isfinite(covariance), covariance, np.inf)
+    return StatesFit(shooting, constants, starts, misses, covariance)

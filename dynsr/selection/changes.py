@@ -1,0 +1,361 @@
+"""Changes of one equation of a system, ranked by what the linearised fit expects of them.
+
+Every change is a direction in the space of right-hand sides: a constant taken to 0, another
+function in the place of one, one more term, a term that saturates. The normal equations with all
+of them, at the fitted states, give the misses after any change without a fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import sympy
+from scipy.linalg import LinAlgError
+
+from dynsr.expression import compile_columns
+from dynsr.fit import (
+    constant_bits,
+    free_constants,
+    neighbours,
+    shift_bits,
+    skeleton,
+    structure_bits,
+)
+from dynsr.selection.comparison import SystemComparison, SystemFit
+from dynsr.selection.terms import Terms, citing_bits, term_bodies
+
+# A new constant starts here, relative to the size of what it multiplies, and is fitted.
+_SMALL = sympy.Float(1e-6)
+# Below this share of its size a direction is only rounding away from the others.
+_NOTHING = 1e-9
+
+
+@dataclass(frozen=True)
+class Change:
+    """One equation otherwise, and the bits that it is expected to take more (or less, below 0)."""
+
+    state: str
+    expr: sympy.Expr
+    bits: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Move:
+    """A change as columns of the Gram matrix: those taken out, put in whole, and set free.
+
+    ``build`` makes the equation from that of the state, ``cost`` are the bits of its structure, and
+    ``inside`` more constants that are free in it.
+    """
+
+    state: str
+    build: Callable[[sympy.Expr], sympy.Expr]
+    cost: float
+    out: tuple[int, ...] = ()
+    whole: tuple[int, ...] = ()
+    free: tuple[int, ...] = ()
+    inside: int = 0
+
+
+@dataclass(eq=False)
+class _Moves:
+    """Moves with the slopes (state, values at all points) of their probes, made one by one."""
+
+    first: int
+    moves: list[_Move]
+    rows: list[int]
+    slopes: list[np.ndarray]
+
+    def probe(self, row: int, slope: np.ndarray) -> int:
+        """Add the slopes of a direction and give its column."""
+        self.rows.append(row)
+        self.slopes.append(slope)
+        return self.first + len(self.rows) - 1
+
+
+def promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Change]:
+    """Give the changes of one equation that the linearised fit expects most of, the best first."""
+    settings, mesh, found = comparison.settings, comparison.mesh, fit.fit
+    points = fit.problem.points(found.states, found.constants)
+    moves = _make_moves(comparison, fit, points)
+    if not moves.moves:
+        return []
+    slopes = np.zeros((len(mesh.states), len(moves.rows), points.shape[1]))
+    for i, (row, slope) in enumerate(zip(moves.rows, moves.slopes, strict=True)):
+        slopes[row, i] = slope
+    gram = _gram(fit, slopes)
+    if gram is None:
+        return []
+    per_square = shift_bits(1.0) / max(float(np.mean(found.mean_squares)), 1e-12)
+    ranked = _rank(moves.moves, gram, found.constants, settings.paired)
+    of_constant = constant_bits(float(np.max(mesh.rows)))
+    changes = []
+    for squares, move in ranked:
+        bits = (squares - gram[-1, -1]) * per_square + move.cost
+        bits += of_constant * (len(move.free) + move.inside - len(move.out))
+        changes.append((bits, move))
+    changes.sort(key=lambda pair: pair[0])
+    best: list[Change] = []
+    for bits, move in changes:
+        if bits >= settings.margin or len(best) == settings.tried:
+            break
+        expr = move.build(fit.exprs[move.state])
+        if not expr.has(sympy.zoo, sympy.nan, sympy.I):
+            best.append(Change(move.state, expr, bits))
+    return best
+
+
+def _rank(
+    moves: Sequence[_Move], gram: np.ndarray, values: np.ndarray, paired: int
+) -> Iterator[tuple[float, _Move]]:
+    """Give every move, and the best moves of a state with its best terms, with their squares."""
+    single = [(_expected_squares(gram, values, m), m) for m in moves]
+    yield from single
+    for state in dict.fromkeys(m.state for m in moves):
+        mine = sorted((p for p in single if p[1].state == state), key=lambda pair: pair[0])
+        grown = [m for _, m in mine if m.free][:paired]
+        others = [m for _, m in mine if not m.free][: 4 * paired]
+        for move in others:
+            for more in grown:
+                both = _join(move, more)
+                yield _expected_squares(gram, values, both), both
+
+
+def _owners(fit: SystemFit) -> list[str]:
+    """Name the state of every constant, in their order."""
+    return [s for s, expr in fit.exprs.items() for _ in free_constants(expr, "c")[1]]
+
+
+def _without(expr: sympy.Expr, value: float) -> sympy.Expr | None:
+    """Give an equation with a constant at 0; None where it lacks that constant or its value."""
+    lost = expr.xreplace({sympy.Float(float(value)): sympy.S.Zero})
+    return None if lost == expr or lost.has(sympy.zoo, sympy.nan) else lost
+
+
+def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
+    """Give an equation without the constant whose loss the misses are expected to feel least.
+
+    A constant of value c and standard error e is expected to raise the sum of squared misses by
+    (c / e)^2 (Wald). None where nothing can go.
+
+    Parameters
+    ----------
+    fit : the system.
+    state : whose equation it is.
+    """
+    owners = _owners(fit)
+    values, errors = fit.fit.constants, fit.fit.errors
+    with np.errstate(over="ignore"):
+        ratios = np.abs(values) / np.maximum(errors, 1e-300)
+    for index in np.argsort(ratios, kind="stable"):
+        if owners[index] == state:
+            lost = _without(fit.exprs[state], values[index])
+            if lost is not None and lost != 0:
+                return lost
+    return None
+
+
+def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit:
+    """Take terms out of one equation, that expected to be missed least first, while bits fall.
+
+    Parameters
+    ----------
+    comparison : fits the systems.
+    fit : the system.
+    state : whose equation loses terms.
+    """
+    while True:
+        shorter = drop_least(fit, state)
+        less = shorter and comparison.fit({**fit.exprs, state: shorter}, fit)
+        if less is None or less.bits >= fit.bits:
+            return fit
+        fit = less
+
+
+def _join(move: _Move, more: _Move) -> _Move:
+    """Make one change and then the other."""
+    return replace(
+        move,
+        build=lambda expr: more.build(move.build(expr)),
+        cost=move.cost + more.cost,
+        free=more.free,
+        inside=more.inside,
+    )
+
+
+def _make_moves(comparison: SystemComparison, fit: SystemFit, points: np.ndarray) -> _Moves:
+    """Give all single changes; a probe has the column of its place after the constants'."""
+    names = [*comparison.names, "t"]
+    terms = comparison.terms
+    values = terms.values(points[:-1])
+    owners = _owners(fit)
+    moves = _Moves(len(owners), [], [], [])
+    for row, (state, expr) in enumerate(fit.exprs.items()):
+        if expr.is_Symbol:
+            # q' = v holds by definition far more often than not.
+            continue
+        before = structure_bits(expr)
+        for index, owner in enumerate(owners):
+            if owner == state:
+                lost = _without(expr, fit.fit.constants[index])
+                if lost is not None:
+                    cost = structure_bits(lost) - before
+                    moves.moves.append(_Move(state, _always(lost), cost, out=(index,)))
+        allowed = comparison.settings.demands.limits(state).allow
+        others = [e for s, e in fit.exprs.items() if s != state]
+        beside = set().union(*map(term_bodies, others))
+        _add_terms(moves, row, state, expr, terms, values, allowed, beside)
+        _add_saturations(moves, row, state, expr, names, points)
+        _add_swaps(moves, row, state, expr, comparison, points)
+    return moves
+
+
+def _add_terms(
+    moves: _Moves,
+    row: int,
+    state: str,
+    expr: sympy.Expr,
+    terms: Terms,
+    values: np.ndarray,
+    allowed: Callable[[sympy.Expr], bool],
+    beside: Collection[sympy.Expr],
+) -> None:
+    have = {t.as_coeff_Mul()[1] for t in sympy.Add.make_args(sympy.fraction(expr)[0])}
+    for term, bits, inside, slope in zip(
+        terms.exprs, terms.bits, terms.inside, values, strict=True
+    ):
+        if term not in have and np.all(np.isfinite(slope)) and allowed(term):
+            column = moves.probe(row, slope)
+            cost = float(bits) - (citing_bits(term) if skeleton(term) in beside else 0.0)
+            move = _Move(state, _adding(term), cost, free=(column,), inside=int(inside))
+            moves.moves.append(move)
+
+
+def _adding(term: sympy.Expr) -> Callable[[sympy.Expr], sympy.Expr]:
+    return lambda expr: expr + _SMALL * term
+
+
+def _always(expr: sympy.Expr) -> Callable[[sympy.Expr], sympy.Expr]:
+    return lambda _: expr
+
+
+def _add_saturations(
+    moves: _Moves,
+    row: int,
+    state: str,
+    expr: sympy.Expr,
+    names: Sequence[str],
+    points: np.ndarray,
+) -> None:
+    """Divide one term of a sum by 1 + c v or 1 + c v^2."""
+    terms = sympy.Add.make_args(expr)
+    values = compile_columns(list(terms), names)(*points)
+    for term, own in zip(terms, values, strict=True):
+        if not term.free_symbols:
+            continue
+        for name, column in zip(names[:-1], points[:-1], strict=True):
+            for power in (1, 2):
+                if power == 1 and column.min() <= 0:
+                    continue
+                size = float(np.median(np.abs(column))) ** power or 1.0
+                start = sympy.Float(float(f"{0.1 / size:.3g}"))
+                below = 1 + start * sympy.Symbol(name) ** power
+                other = sympy.Add(*[t for t in terms if t is not term], term / below)
+                place = moves.probe(row, -own * column**power)
+                cost = structure_bits(other) - structure_bits(expr)
+                moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
+
+
+def _add_swaps(
+    moves: _Moves,
+    row: int,
+    state: str,
+    expr: sympy.Expr,
+    comparison: SystemComparison,
+    points: np.ndarray,
+) -> None:
+    """Put sin(v) for v or back, and take a factor of a term in or out."""
+    names = [*comparison.names, "t"]
+    angles = {sympy.Symbol(name) for name in comparison.angles}
+    factors = [
+        f
+        for f, *_ in comparison.settings.factors.factors(comparison.names)
+        if f.is_Symbol or f.free_symbols <= angles
+    ]
+    others = toggle_factors(expr, factors)
+    if expr.free_symbols & angles or expr.has(sympy.sin):
+        others = [*neighbours(expr), *swap_everywhere(expr), *others]
+    changed = list({skeleton(e): e for e in others}.values())
+    if not changed:
+        return
+    values = compile_columns([other - expr for other in changed], names)(*points)
+    before = structure_bits(expr)
+    for other, slope in zip(changed, values, strict=True):
+        if np.all(np.isfinite(slope)):
+            place = moves.probe(row, slope)
+            cost = structure_bits(other) - before
+            moves.moves.append(_Move(state, _always(other), cost, whole=(place,)))
+
+
+def _gram(fit: SystemFit, slopes: np.ndarray) -> np.ndarray | None:
+    """Products of the slopes by constants and probes, and of the misses as the last column."""
+    found = fit.fit
+    try:
+        normal = fit.problem.normal(found.states, found.constants, slopes)
+    except (LinAlgError, ValueError):
+        return None
+    pull = normal.pull[:, None]
+    gram = np.block([[normal.information, pull], [pull.T, np.array([[normal.squares]])]])
+    return gram if np.all(np.isfinite(gram)) else None
+
+
+def _expected_squares(gram: np.ndarray, values: np.ndarray, move: _Move) -> float:
+    """Sum of squared misses that the linearised fit expects after a change."""
+    shift = np.zeros(len(gram))
+    shift[-1] = 1.0
+    shift[list(move.out)] = -values[list(move.out)]
+    shift[list(move.whole)] = 1.0
+    loose = [i for i in range(len(values)) if i not in move.out] + list(move.free)
+    total = float(shift @ gram @ shift)
+    if not loose:
+        return total
+    block, pull = gram[np.ix_(loose, loose)], gram[loose] @ shift
+    scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
+    scaled = block / np.outer(scale, scale) + _NOTHING * np.eye(len(loose))
+    steps = np.linalg.solve(scaled, pull / scale)
+    return total - float(steps @ (pull / scale))
+
+
+def swap_everywhere(expr: sympy.Expr) -> list[sympy.Expr]:
+    """Put sin(v) for every bare v, and v for every sin(v).
+
+    >>> x = sympy.Symbol("x")
+    >>> [str(e) for e in swap_everywhere(x / (x**2 + 1))]
+    ['sin(x)/(sin(x)**2 + 1)']
+    """
+    found = []
+    for symbol in sorted(expr.free_symbols, key=str):
+        hidden = {f: sympy.Dummy() for f in expr.atoms(sympy.Function)}
+        bare = expr.xreplace(hidden).xreplace({symbol: sympy.sin(symbol)})
+        found.append(bare.xreplace({d: f for f, d in hidden.items()}))
+        found.append(expr.xreplace({sympy.sin(symbol): symbol}))
+    return [f for f in found if f != expr]
+
+
+def toggle_factors(expr: sympy.Expr, factors: Sequence[sympy.Expr]) -> list[sympy.Expr]:
+    """Multiply one term above the fraction line by a factor, or divide it where it has that factor.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> [str(e) for e in toggle_factors(2 * y * sympy.sin(x), [y, sympy.cos(x)])]
+    ['2*sin(x)', '2*y*sin(x)*cos(x)']
+    """
+    top, bottom = sympy.fraction(expr)
+    terms = sympy.Add.make_args(top)
+    found = []
+    for factor in factors:
+        for i, term in enumerate(terms):
+            has = factor in term.as_powers_dict()
+            changed = term / factor if has else term * factor
+            found.append(sympy.Add(*terms[:i], changed, *terms[i + 1 :]) / bottom)
+    return found

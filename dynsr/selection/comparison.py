@@ -1,0 +1,211 @@
+"""Comparison: systems fitted to the whole trajectories, and the bits that they take.
+
+Every candidate system is fitted to the measured states (:class:`dynsr.fit.Collocation`) and costs
+the bits of :func:`dynsr.fit.information_criterion` and those of its unusual functions
+(:func:`dynsr.expression.plausibility_bits`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import sympy
+
+from dynsr.expression import evaluate
+from dynsr.fit import (
+    Collocation,
+    CollocationFit,
+    CollocationSettings,
+    Mesh,
+    information_criterion,
+    skeleton,
+)
+from dynsr.methods import Demands, MonomialLibrary
+from dynsr.selection.terms import Terms, TermSettings, cited_bits, find_angles, unusual_bits
+
+Equations = dict[str, sympy.Expr]
+
+
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """Settings of a comparison of whole systems; they stand in a run's record.
+
+    Parameters
+    ----------
+    terms : the terms that sums are made of, and that may be added.
+    factors : the library whose factors may come or go in a term.
+    noisy : systems are compared only where the median noise is above this share of the spread.
+        Smaller noise is no larger than errors that a solver at a loose tolerance leaves in its
+        states; those have a pattern, and terms would be found for it.
+    alone : formulas of each state that are fitted with the other states read off their curves.
+    sums : sums of the terms of each kind that are fitted alone, those expected to take the fewest
+        bits.
+    softness : weight of the defects where sums of terms are looked for: the smoothed states are
+        not quite those of the system.
+    pruned : of these, how many lose the terms that do not pay.
+    again : how often terms are looked for along the best system found.
+    stand_ins : systems with another function in the place of one from which the search climbs on.
+    gain : bits that this must save for it to go on.
+    together : the best of them that enter whole systems.
+    behind : bits that they may take more than the best of them.
+    near : the same, once a system leaves nothing but noise.
+    leaving : bits of an equation by which a state that is positive throughout would fall below 0.
+    doubtful : noise, as a share of the spread, above which slopes tell other methods nothing more.
+    different : rms difference of two equations, as a share of the slopes' spread, from which on
+        they are different functions.
+    pieces : pieces of a run that are integrated where the whole cannot be.
+    reproduces : least mean R2 of an integration from the fitted start over the whole run.
+    evaluations : of the right-hand sides for each row that this integration takes at most.
+    unfollowed : a system that reproduces the runs is taken for one that does not where it takes at
+        most so many bits more.
+    rounds : changes taken at most.
+    tried : changes, those expected to save most first, that are fitted in a round.
+    paired : terms, and changes paired with one, that are looked at for each state.
+    margin : a change expected to cost up to so many bits more is fitted too: expectations are
+        rough.
+    excess : mean squared miss beyond that of noise, in units of it, that is noise too: its size
+        is an estimate.
+    rows : rows of the data at most.
+    demands : what the user asks of the equations; a system that breaks one is not taken.
+    fit : how a system is fitted.
+    """
+
+    terms: TermSettings = TermSettings()
+    factors: MonomialLibrary = MonomialLibrary()
+    noisy: float = 5e-4
+    alone: int = 40
+    sums: int = 15
+    softness: float = 100.0
+    pruned: int = 12
+    again: int = 2
+    stand_ins: int = 3
+    gain: float = 1.0
+    together: int = 20
+    behind: float = 40.0
+    near: float = 12.0
+    leaving: float = 6.0
+    doubtful: float = 0.02
+    different: float = 0.02
+    pieces: int = 10
+    reproduces: float = 0.9
+    evaluations: int = 50
+    unfollowed: float = 40.0
+    rounds: int = 12
+    tried: int = 8
+    paired: int = 6
+    margin: float = 5.0
+    excess: float = 0.15
+    rows: int = 2000
+    demands: Demands = Demands()
+    fit: CollocationSettings = CollocationSettings()
+
+
+COMPARISON: ComparisonSettings = ComparisonSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class SystemFit:
+    """A system fitted to the states, and its bits."""
+
+    problem: Collocation
+    fit: CollocationFit
+    bits: float = math.inf
+
+    @property
+    def exprs(self) -> Equations:
+        """State -> equation with its fitted constants."""
+        return self.fit.exprs
+
+
+@dataclass(frozen=True, eq=False)
+class SystemComparison:
+    """Fits systems to the states of a mesh and counts their bits.
+
+    Parameters
+    ----------
+    mesh : the data, with the states whose equations are compared.
+    settings : the numbers that decide.
+    """
+
+    mesh: Mesh
+    settings: ComparisonSettings = COMPARISON
+    _cache: dict[tuple[sympy.Expr, ...], SystemFit | None] = field(default_factory=dict)
+
+    def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
+        """Fit every constant and start; None where the system cannot be fitted."""
+        if not self.settings.demands.keep_all(exprs):
+            return None
+        key = tuple(skeleton(e) for e in exprs.values())
+        if key not in self._cache:
+            problem = Collocation(exprs, self.mesh, self.settings.fit)
+            found = problem.fit(None if near is None else near.fit)
+            if found is None and near is not None:
+                found = problem.fit()
+            self._cache[key] = (
+                None if found is None else SystemFit(problem, found, self.bits(found))
+            )
+        return self._cache[key]
+
+    def fit_anew(self, exprs: Equations) -> SystemFit | None:
+        """Fit from the constants given and the smoothed states; of two fits the better is kept.
+
+        A fit that began far off may have ended beside the best constants.
+
+        Parameters
+        ----------
+        exprs : state -> equation.
+        """
+        key = tuple(skeleton(e) for e in exprs.values())
+        before = self._cache.pop(key, None)
+        found = self.fit(exprs)
+        if before is not None and (found is None or before.bits <= found.bits):
+            self._cache[key] = found = before
+        return found
+
+    def bits(self, fit: CollocationFit) -> float:
+        """Bits of misses, terms and constants."""
+        squares = np.maximum(fit.mean_squares, 1e-12)
+        unusual = sum(unusual_bits(e, self.angles) for e in fit.exprs.values())
+        unusual += sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
+        length = information_criterion(
+            squares, self.mesh.rows, fit.exprs.values(), len(fit.constants)
+        )
+        return length + unusual - cited_bits(fit.exprs.values())
+
+    def _leaves(self, state: str, expr: sympy.Expr) -> bool:
+        """Whether a state that was positive throughout would fall below 0 from there."""
+        columns = self.mesh.columns
+        own = sympy.Symbol(state)
+        if columns[state].min() <= 0 or own not in expr.free_symbols | {own}:
+            return False
+        zero = np.full_like(columns[state], 1e-9 * columns[state].max())
+        slopes = evaluate(expr, {**columns, state: zero})
+        usual = float(np.median(np.abs(evaluate(expr, columns))))
+        return bool(np.median(slopes) < -0.05 * usual)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Columns that a formula may use: states, then driven ones; not the time."""
+        return (*self.mesh.states, *self.mesh.driven_names[:-1])
+
+    @cached_property
+    def terms(self) -> Terms:
+        """What sums may be made of, where the smoothed states are."""
+        n = len(self.mesh.t)
+        points = np.concatenate([self.mesh.start.T, self.mesh.driven[:-1, :n]])
+        own = self.settings.demands.terms
+        return Terms.grow(self.names, points, self.settings.terms, self.angles, own)
+
+    @cached_property
+    def angles(self) -> tuple[str, ...]:
+        """Columns that may be angles: those that take both signs."""
+        rows = [*self.mesh.start.T, *self.mesh.driven[:-1]]
+        return find_angles(self.names, rows)
+
+    def fits(self) -> Iterator[SystemFit]:
+        """Give all systems that were fitted."""
+        return (fit for fit in self._cache.values() if fit is not None)

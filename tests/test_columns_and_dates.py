@@ -1,0 +1,270 @@
+"""What columns mean without a word from the user: labels, parameters, dates, and arrays alone."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import dynsr
+from dynsr.data import Trajectory, read_trajectories, take_trajectories
+from dynsr.data.times import count_times, unit_in_name
+from dynsr.errors import DynsrWarning, InputError
+
+T = np.arange(0, 5, 0.1)
+QUICK = {"method": "sindy", "preset": "quick", "jobs": 1}
+DAYS = pd.date_range("2024-01-01", periods=60, freq="D")
+DECAY = np.exp(-np.arange(60) / 20)
+
+
+def experiments(**columns):
+    """Give one decay for each value of the columns, one below the other."""
+    count = len(next(iter(columns.values())))
+    frames = [
+        pd.DataFrame({**{n: own[i] for n, own in columns.items()}, "t": T, "x": (i + 1) / (1 + T)})
+        for i in range(count)
+    ]
+    return pd.concat(frames, ignore_index=True)
+
+
+@pytest.mark.parametrize("name", ["well", "subject", "mouse", "whatever"])
+@pytest.mark.parametrize("interleaved", [False, True])
+def test_a_text_column_names_the_trajectories(name, interleaved):
+    """A text column within which times increase is taken for the trajectory, and said to be."""
+    data = experiments(**{name: ["A1", "B2", "C3"]})
+    table = read_trajectories(data.sort_values("t", kind="stable") if interleaved else data)
+    assert f"3 trajectories named by {name!r}" in table.guess
+    assert [run.x[0, 0] for run in table.trajectories] == [1.0, 2.0, 3.0]
+
+
+def test_a_text_column_that_names_no_trajectory_is_refused_with_both_remedies():
+    """A text that changes to and fro is neither left out nor taken for a name."""
+    data = pd.DataFrame({"t": T, "light": ["day", "night"] * 25, "x": T**2})
+    with pytest.raises(InputError, match="leave the column out, or say --trajectory light"):
+        read_trajectories(data)
+    assert read_trajectories(data, states=["x"]).trajectories[0].states == ("x",)
+
+
+def test_text_that_is_constant_within_trajectories_is_no_state():
+    """A second label is left out, and the guess names it; labels that do not split stay labels."""
+    data = experiments(drug=["yes", "yes", "no"], well=["A", "B", "C"])
+    table = read_trajectories(data)
+    assert "named by 'well'" in table.guess
+    assert "labels of trajectories, not used: 'drug'" in table.guess
+    table = read_trajectories(
+        experiments(drug=["x", "x", "y", "y"], animal=["1a", "2a", "1a", "2a"])
+    )
+    assert len(table.trajectories) == 4
+    assert "labels of trajectories, not used: 'drug', 'animal'" in table.guess
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("mouse", [11, 12, 17], "3 trajectories named by 'mouse'"),
+        ("number", [1, 2, 3], "3 trajectories named by 'number'"),
+        ("dose", [5, 10, 10], "constant within each trajectory, so taken for parameters: dose"),
+        ("k", [0.5, 1.0, 2.0], "constant within each trajectory, so taken for parameters: k"),
+    ],
+)
+def test_a_number_that_is_constant_within_runs_is_a_label_or_a_parameter(name, values, said):
+    """It is never a state, and the guess says which of the two was assumed."""
+    table = read_trajectories(experiments(**{name: values}))
+    assert said in table.guess
+    assert table.trajectories[0].states == ("x",)
+    assert table.trajectories[0].input_names == ((name,) if "parameters" in said else ())
+
+
+def test_whole_numbers_that_alone_keep_the_times_in_order_name_the_trajectories():
+    """Rows sorted by time are told apart by the one column that can."""
+    data = experiments(house=[7, 3, 5]).sort_values("t", kind="stable")
+    table = read_trajectories(data)
+    assert "3 trajectories named by 'house'" in table.guess
+
+
+def test_a_parameter_stands_in_the_equation():
+    """The rate of a decay that a column holds, another in each run, is found as that column."""
+    t = np.arange(0, 3, 0.01)
+    data = pd.concat(
+        [pd.DataFrame({"k": k, "t": t, "x": np.exp(-k * t)}) for k in (0.5, 0.9, 1.4, 2.0)],
+        ignore_index=True,
+    )
+    found = dynsr.discover(data, functions=[], **QUICK)
+    assert str(found) == "x' = -k*x"
+    assert "taken for parameters: k" in found.settings["columns"]
+
+
+@pytest.mark.parametrize(
+    ("step", "unit", "size"),
+    [
+        ("D", "days", 1.0),
+        ("W", "days", 7.0),
+        ("h", "h", 1.0),
+        ("15min", "min", 15.0),
+        ("10s", "s", 10.0),
+        ("100ms", "s", 0.1),
+        ("YS", "years", 1.0),
+    ],
+)
+def test_dates_are_counted_in_a_unit_of_the_size_of_their_steps(step, unit, size):
+    """Dates and durations are counted in days for daily data, and so on, as the guess says."""
+    dates = pd.date_range("2021-01-01", periods=40, freq=step)
+    for times in (dates, dates - dates[0]):
+        table = read_trajectories(pd.DataFrame({"when": times, "x": DECAY[:40]}))
+        (run,) = table.trajectories
+        assert run.time_unit == unit
+        assert np.allclose(np.diff(run.t), size, rtol=3e-3)
+        words = {"h": "hours", "min": "minutes", "s": "seconds"}.get(unit, unit)
+        assert f"time 'when' in {words}" in table.guess
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d", "%d.%m.%Y", "%m/%d/%Y", "%d/%m/%Y", "%Y/%m/%d"])
+def test_dates_as_text(tmp_path, form):
+    """Dates of one form throughout are read, day first or month first where only one fits."""
+    frame = pd.DataFrame({"date": DAYS.strftime(form), "x": DECAY})
+    frame.to_csv(tmp_path / "data.csv", index=False)
+    (run,) = read_trajectories(tmp_path / "data.csv").trajectories
+    assert np.array_equal(run.t, np.arange(60)) and run.time_unit == "days"
+
+
+def test_dates_that_may_be_read_in_two_ways_are_refused():
+    """Nobody guesses whether 01/02/2024 is in January."""
+    dates = [f"{day:02d}/{day % 12 + 1:02d}/2024" for day in range(1, 12)]
+    with pytest.raises(InputError, match="dates such as 2024-12-31"):
+        read_trajectories({"date": np.array(dates), "x": DECAY[:11]})
+
+
+def test_durations_as_text(tmp_path):
+    """Durations as pandas writes them, and times of a clock, are times."""
+    hours = pd.to_timedelta(np.arange(60), unit="h")
+    pd.DataFrame({"t": hours, "x": DECAY}).to_csv(tmp_path / "data.csv", index=False)
+    (run,) = read_trajectories(tmp_path / "data.csv").trajectories
+    assert np.array_equal(run.t, np.arange(60)) and run.time_unit == "h"
+    clock = np.array([f"00:{minute:02d}" for minute in range(60)])
+    (run,) = read_trajectories({"t": clock, "x": DECAY}).trajectories
+    assert np.array_equal(run.t, np.arange(60)) and run.time_unit == "min"
+
+
+@pytest.mark.parametrize(
+    "times",
+    [DAYS, DAYS - DAYS[0], DAYS.tz_localize("Europe/Berlin"), np.arange(60) * 0.1],
+    ids=["dates", "durations", "zone", "fractions"],
+)
+def test_the_index_of_a_frame_is_the_time(times):
+    """An index of dates, durations or rising fractions is the time, named or not."""
+    frame = pd.DataFrame({"x": DECAY}, index=times)
+    for named in (frame, frame.rename_axis(index="when")):
+        (run,) = read_trajectories(named).trajectories
+        assert run.states == ("x",) and run.t[-1] == pytest.approx(59 * run.t[1])
+    with pytest.raises(InputError, match="looks like the time"):
+        read_trajectories(pd.DataFrame({"x": DECAY}))
+
+
+def test_dates_under_any_name_are_the_time():
+    """A column of dates as text or objects is found though it is called otherwise."""
+    for dates in (DAYS.strftime("%Y-%m-%d").to_numpy(dtype=object), list(DAYS.to_pydatetime())):
+        (run,) = read_trajectories({"seen": dates, "x": DECAY}).trajectories
+        assert run.time_unit == "days" and run.states == ("x",)
+
+
+def test_dates_as_whole_numbers():
+    """20240131 and 20240201 are a day apart where the column is one of dates."""
+    compact = DAYS.strftime("%Y%m%d").astype(int).to_numpy()
+    (run,) = read_trajectories({"date": compact, "x": DECAY}).trajectories
+    assert np.array_equal(run.t, np.arange(60)) and run.time_unit == "days"
+    (run,) = read_trajectories({"t": np.arange(2e7, 2e7 + 60), "x": DECAY}).trajectories
+    assert run.t[0] == 2e7 and run.time_unit == ""
+
+
+def test_the_name_of_the_time_says_its_unit():
+    """A unit in the name is known; a letter alone, or no unit, is none."""
+    names = ["t [s]", "time (ms)", "t_h", "hours", "Day", "t", "y", "temperature"]
+    assert [unit_in_name(n) for n in names] == ["s", "ms", "h", "h", "days", "", "", ""]
+    table = read_trajectories({"hours": T, "x": T**2})
+    assert table.trajectories[0].time_unit == "h" and "time 'hours' in hours" in table.guess
+
+
+def test_files_in_several_units_are_counted_in_the_first_one():
+    """A list of hourly and daily data has one unit."""
+    hourly = pd.DataFrame({"t": pd.date_range("2024-01-01", periods=48, freq="h"), "x": DECAY[:48]})
+    daily = pd.DataFrame({"t": DAYS, "x": DECAY})
+    first, second = read_trajectories([hourly, daily]).trajectories
+    assert first.time_unit == second.time_unit == "h"
+    assert np.array_equal(second.t, 24.0 * np.arange(60))
+    for mixed in ([hourly, {"t": T, "x": T**2}], [{"t": T, "x": T**2}, hourly]):
+        with pytest.raises(InputError, match=r"times are counted in .* and in .*; give all"):
+            read_trajectories(mixed)
+    with pytest.raises(InputError, match="times are counted in h and in weeks"):
+        read_trajectories([hourly, {"weeks": T, "x": T**2}])
+
+
+def test_trajectories_of_dates_have_a_unit_too():
+    """A Trajectory, and a pair of arrays, count dates as tables do."""
+    assert Trajectory(DAYS, DECAY[:, None], ("x",)).time_unit == "days"
+    runs, _ = take_trajectories((DAYS.to_numpy(), DECAY))
+    assert runs[0].time_unit == "days" and runs[0].t[-1] == 59.0
+    assert count_times(DAYS.to_numpy()[::-1])[1] == "s"
+
+
+def test_a_rate_is_in_the_unit_of_the_data():
+    """Daily data that decay by a twentieth a day have the rate 0.05, and the record says days."""
+    found = dynsr.discover(pd.DataFrame({"date": DAYS, "x": DECAY}), **QUICK)
+    assert str(found) == "x' = -0.05*x"
+    assert found.settings["time_unit"] == "days"
+
+
+def test_a_score_counts_times_as_the_discovery_does():
+    """A rate a day found in daily data is as good on hourly data of the same decay."""
+    found = dynsr.discover(pd.DataFrame({"date": DAYS, "x": DECAY}), **QUICK)
+    hours = pd.date_range("2024-05-01", periods=200, freq="h")
+    hourly = pd.DataFrame({"date": hours, "x": np.exp(-np.arange(200) / 480)})
+    assert read_trajectories(hourly).trajectories[0].time_unit == "h"
+    assert found.score(hourly)["x"]["trajectory_rmse"] < 1e-6
+
+
+def test_discover_takes_the_roles_of_columns():
+    """time, states, trajectory and inputs mean in Python what they mean in the shell."""
+    other = np.sin(T)
+    frame = pd.DataFrame({"z": T, "a": np.exp(-T), "b": other, "n": 1})
+    assert dynsr.discover(frame, time="z", states=["a"], **QUICK).equations.keys() == {"a"}
+    assert dynsr.discover(np.exp(-T), time=T, **QUICK).equations.keys() == {"x"}
+    assert dynsr.discover((T, np.exp(-T)), states="c", **QUICK).equations.keys() == {"c"}
+    rows = pd.DataFrame(
+        {"t": [*T, *T], "a": [*np.exp(-T), *np.exp(-T) * 2], "n": [1.0] * 50 + [4] * 50}
+    )
+    found = dynsr.discover(rows, trajectory="n", inputs=[], **QUICK)
+    assert len(found.trajectories) == 2
+    table = read_trajectories(rows)
+    assert str(dynsr.discover(table, **QUICK)) == str(found) == "a' = -a"
+
+
+def test_an_input_may_be_a_function_or_values():
+    """A callable of one time or of all, and an array, are inputs as a column is."""
+    x = np.exp(-T) + np.sin(T)
+    drive = np.cos(T) + np.sin(T)
+    given = [lambda t: np.cos(t) + np.sin(t), lambda t: float(np.cos(t) + np.sin(t)), drive]
+    for value in given:
+        found = dynsr.discover({"t": T, "x": x}, inputs={"F": value}, **QUICK)
+        assert str(found) == "x' = F - x"
+        assert np.allclose(found.simulate().x[:, 0], x, atol=1e-5)
+    later = np.linspace(0, 20, 30)
+    beyond = found.simulate([1.0], later, inputs={"F": given[0]})
+    assert np.allclose(beyond.x[:, 0], np.exp(-later) + np.sin(later), atol=1e-4)
+    with pytest.raises(InputError, match="one value a time"):
+        dynsr.discover({"t": T, "x": x}, inputs={"F": drive[:9]}, **QUICK)
+    with pytest.raises(InputError, match="is inf at t = 0"):
+        take_trajectories({"t": T, "x": x}, {"F": lambda t: 1.0 / t if t else np.inf})
+
+
+def test_an_array_without_times_is_told_to_bring_them():
+    """States alone are refused in words that ask for t; what may be states is warned about."""
+    for states in (np.exp(-T), np.exp(-T)[:, None], np.column_stack([np.cos(T), np.sin(T)])):
+        with pytest.raises(InputError, match=r"give (them|the times) too: \(t, x\)"):
+            dynsr.discover(states, **QUICK)
+    growth = np.column_stack([np.exp(T), np.sin(T)])
+    with pytest.warns(DynsrWarning, match="taken for the time, in uneven steps"):
+        read_trajectories(growth)
+
+
+def test_a_name_that_can_stand_in_a_formula_is_kept():
+    """Only what cannot stand in a formula is renamed."""
+    columns = {"t": T, "inf_": np.exp(-T), "_a": T**2, "a__b": T**3}
+    assert read_trajectories(columns).trajectories[0].states == ("inf_", "_a", "a__b")

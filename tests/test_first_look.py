@@ -1,0 +1,140 @@
+"""The first look at exact data: what it finds, and when nothing more is searched."""
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+import dynsr
+from dynsr.data import choose_samples
+from dynsr.expression import evaluate, parse, ratio_forms
+from dynsr.fit import confirm, simplest_form
+from dynsr.selection import look
+
+
+def run(rhs, start, end, rows, names, rtol=1e-10):
+    """Integrate closely."""
+    t = np.linspace(0, end, rows)
+    solved = solve_ivp(lambda _, x: rhs(*x), (0, end), start, "DOP853", t, rtol=rtol, atol=1e-12)
+    return dynsr.Trajectory(t, solved.y.T, names)
+
+
+LAWS = {
+    "two species": (
+        lambda x, y: (0.7 * x - 0.4 * x * y, 0.3 * x * y - 0.9 * y),
+        (2.0, 1.0),
+        30.0,
+        ("x", "y"),
+        {"x": "0.7*x - 0.4*x*y", "y": "0.3*x*y - 0.9*y"},
+    ),
+    "an enzyme": (
+        lambda s, p: (-1.3 * s / (s + 0.4), 1.3 * s / (s + 0.4) - 0.2 * p),
+        (3.0, 0.1),
+        6.0,
+        ("s", "p"),
+        {"s": "-1.3*s/(s + 0.4)", "p": "1.3*s/(s + 0.4) - 0.2*p"},
+    ),
+    "a pendulum": (
+        lambda q, v: (v, -0.3 * v - 7.7 * np.sin(q)),
+        (1.9, 0.0),
+        9.0,
+        ("q", "v"),
+        {"q": "v", "v": "-0.3*v - 7.7*sin(q)"},
+    ),
+    "a pole on a cart": (
+        lambda q, v: (v, -(np.sin(q) * (9 + v**2 * np.cos(q)) + v / 2) / (1 + np.sin(q) ** 2)),
+        (1.9, 0.0),
+        9.0,
+        ("q", "v"),
+        {"q": "v", "v": "(-9*sin(q) - v^2*sin(q)*cos(q) - v/2)/(sin(q)^2 + 1)"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_is_final_at_the_first_look(name):
+    """Sums and ratios of exact data are found, and nothing is left to search."""
+    rhs, start, end, names, law = LAWS[name]
+    data = run(rhs, start, end, 400, names)
+    for state, expected in law.items():
+        samples = choose_samples([data], state)
+        found = look(samples)
+        assert found.final
+        values = evaluate(found.candidates[0].expr, samples.columns)
+        exact = evaluate(parse(expected), samples.columns)
+        np.testing.assert_allclose(values, exact, atol=1e-4 * np.std(exact))
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_final_law_ends_the_search(name):
+    """The whole discovery runs no other method, says so in its record, and answers the law."""
+    rhs, start, end, names, law = LAWS[name]
+    found = dynsr.discover(run(rhs, start, end, 300, names), jobs=1)
+    assert found.settings["first_look"] == sorted(names)
+    assert found.verdict.level == "law"
+    for state, expected in law.items():
+        difference = found.equations[state] - parse(expected)
+        assert sympy.simplify(sympy.nsimplify(difference, rational=True)) == 0
+    assert all("rational" not in c.source for own in found.front.values() for c in own)
+
+
+def test_distant_rows_are_confirmed_on_the_states():
+    """Ten rows a swing give slopes no nearer than 1e-4; the states leave no doubt of the law."""
+    rhs, start, _, names, law = LAWS["a pendulum"]
+    data = run(rhs, start, 12.0, 60, names)
+    samples = choose_samples([data], "v")
+    exact = evaluate(parse(law["v"]), samples.columns)
+    assert np.std(samples.y - exact) > 1e-4 * np.std(exact)
+    found = dynsr.discover(data, jobs=1)
+    assert found.settings["first_look"] == ["q", "v"]
+    assert str(found.equations["v"]) == "-0.3*v - 7.7*sin(q)"
+
+
+def test_a_law_beyond_the_library_is_not_final():
+    """Where no sum of few terms is the law, many that are not miss as little: search goes on."""
+    rhs = lambda x, y: (y, -0.5 * np.arctan(3 * x) - 0.1 * y)  # noqa: E731
+    data = run(rhs, (1.0, 0.0), 12.0, 300, ("x", "y"))
+    assert not look(choose_samples([data], "y")).final
+    assert confirm({"x": parse("y"), "y": parse("-0.9*x - 0.1*y")}, [data], {}) is None
+
+
+def test_a_short_arc_is_not_final():
+    """A tenth of a turn of a law with a root is followed by many sums, and none is taken for it."""
+    rhs = lambda x: (-np.sqrt(1.7 + x**2) * np.exp(-x),)  # noqa: E731
+    data = run(rhs, (1.0,), 0.3, 60, ("x",))
+    assert not look(choose_samples([data], "x")).final
+
+
+def test_noise_is_never_final():
+    """With noise of a ten thousandth of the spread, nothing at a first look ends a search."""
+    rhs, start, end, names, _ = LAWS["two species"]
+    data = run(rhs, start, end / 2, 100, names)
+    rng = np.random.default_rng(0)
+    x = data.x + 1e-4 * data.x.std(axis=0) * rng.standard_normal(data.x.shape)
+    noisy = dynsr.Trajectory(data.t, x, names)
+    assert not look(choose_samples([noisy], "x")).final
+    assert confirm({s: parse(e) for s, e in LAWS["two species"][4].items()}, [noisy], {}) is None
+
+
+@pytest.mark.parametrize(
+    ("ratio", "form"),
+    [
+        ("(0.6*x*y + 0.3*y - 1.4*x)/(2*x + 1)", "0.3*y - 0.7*x/(x + 0.5)"),
+        ("(-0.2*x**3 + 0.8*x**2 - 0.1*x)/(x + 1)", "-0.2*x**2 + x - 1.1*x/(x + 1)"),
+    ],
+)
+def test_a_ratio_is_written_as_it_is_shortest(ratio, form):
+    """Of the forms of one ratio that with the fewest bits is taken, whatever it came as."""
+    columns = {"x": np.linspace(0.2, 3, 40), "y": np.cos(np.linspace(0, 9, 40))}
+    found = simplest_form(parse(ratio).evalf(), columns)
+    assert sympy.simplify(sympy.nsimplify(found - parse(form), rational=True)) == 0
+    assert sympy.count_ops(found) <= sympy.count_ops(parse(ratio))
+
+
+def test_forms_of_a_ratio_are_one_function():
+    """Every form has the same values."""
+    expr = parse("(0.6*x*y + 0.3*y - 1.4*x**2)/(2*x + 1)").evalf()
+    point = {"x": 0.73, "y": -1.9}
+    values = [float(form.subs(point)) for form in ratio_forms(expr)]
+    assert len(values) > 3
+    np.testing.assert_allclose(values, float(expr.subs(point)), rtol=1e-12)

@@ -1,0 +1,67 @@
+"""Interrupts that arrive while a finaliser runs, where Python prints exceptions and goes on."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from dynsr.jobs import TimeUp, Watch, time_limit
+from dynsr.jobs.interrupts import heard_again
+
+pytestmark = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm on this system")
+
+
+class Slow:
+    """An object whose finaliser takes as long as it is told, and may interrupt its own process."""
+
+    def __init__(self, seconds: float, number: int | None = None) -> None:
+        """Take the seconds, and the signal that is sent at their beginning."""
+        self.seconds, self.number = seconds, number
+
+    def __del__(self) -> None:
+        """Take the time."""
+        if self.number is not None:
+            os.kill(os.getpid(), self.number)
+        until = time.monotonic() + self.seconds
+        while time.monotonic() < until:
+            pass
+
+
+def work(thing: Slow) -> None:
+    """Remove the thing, then work for ten seconds."""
+    del thing
+    until = time.monotonic() + 10
+    while time.monotonic() < until:
+        pass
+
+
+def test_a_budget_that_ends_in_a_finaliser_ends_the_work() -> None:
+    """The time is over while an object is being removed; the loop behind it is ended all the same.
+
+    A loop that runs for ten seconds more would be left with 'over' said but no TimeUp raised.
+    """
+    with pytest.raises(TimeUp), time_limit(time.time() + 0.05):
+        work(Slow(0.2))
+
+
+def test_ctrl_c_in_a_finaliser_ends_the_run() -> None:
+    """Ctrl-C while an object is being removed is raised when that has ended."""
+    watch = Watch(None, {}, 1)
+    with pytest.raises(KeyboardInterrupt), watch:
+        work(Slow(0.01, signal.SIGINT))
+    assert watch.messages.stopped
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_what_others_lose_is_left_to_them() -> None:
+    """Another exception in a finaliser is printed as ever, and the hook before is back."""
+
+    class Faulty:
+        def __del__(self) -> None:
+            raise ValueError("of a finaliser")
+
+    again: list[int] = []
+    with heard_again(KeyboardInterrupt, lambda: again.append(1)):
+        Faulty()
+    assert again == []

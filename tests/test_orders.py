@@ -1,0 +1,169 @@
+"""Equations of second order are found from the position alone; the time may be a variable."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy
+
+import dynsr
+from dynsr.data import Trajectory, add_velocities, choose_second_samples
+from dynsr.discovery.orders import Form, form_of, read_form, write_lines
+from dynsr.errors import InputError
+
+sys.path.insert(0, str(Path(__file__).parent))
+from command_line import run
+
+T = np.linspace(0, 10, 500)
+
+
+def swing(noise=0.0, times=T):
+    """Give the position of a damped linear oscillator, known in closed form, and its derivatives.
+
+    x'' = -4 x - 0.2 x'.
+    """
+    root = -0.1 + 1j * np.sqrt(4 - 0.01)
+    z = np.exp(root * times)
+    draws = np.random.default_rng(0).normal(size=len(times))
+    run = Trajectory(times, (z.real + noise * draws)[:, None], ("x",))
+    return run, (root * z).real, (root**2 * z).real
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize(
+    ("noise", "velocity", "acceleration"),
+    [(0.0, 1e-5, 1e-3), (0.01, 0.03, 0.06), (0.05, 0.06, 0.1)],
+)
+def test_derivatives_of_a_known_swing(uneven, noise, velocity, acceleration):
+    """First and second derivative are those in closed form, on even and uneven times."""
+    times = np.sort(np.random.default_rng(1).uniform(0, 10, 500)) if uneven and noise else T
+    one, first, second = swing(noise, times)
+    (wide,) = add_velocities([one], {"x": "v"})
+    rows = np.searchsorted(times, wide.t)
+    assert np.std(wide.x[:, 1] - first[rows]) < velocity * np.std(first)
+    assert np.array_equal(wide.x[:, 0], one.x[rows, 0])
+    samples = choose_second_samples([wide], {"x": "v"}, "v")
+    rows = np.searchsorted(times, samples.t)
+    assert samples.names == ("x", "v") and samples.target == "v"
+    assert np.std(samples.y - second[rows]) < acceleration * np.std(second)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_an_oscillator_is_found_from_its_position(noise, tmp_path):
+    """x'' = -4 x - x'/5, as a system of first order and as one line."""
+    found = dynsr.discover(swing(noise)[0], order=2, preset="quick", jobs=1, method="sindy")
+    assert list(found.equations) == ["x", "x_dot"]
+    assert found.equations["x"] == sympy.Symbol("x_dot")
+    assert str(found) in ("x'' = -4*x - 0.2*x'", "x'' = -4*x - x'/5")
+    # Noise of 0.01 on 500 rows leaves the stiffness sure to about 1e-3.
+    value, error = next(p for p in found.errors["x_dot"] if abs(p[0]) > 1)
+    assert abs(value + 4) < 0.02 and error < 0.01
+    again = type(found).load(found.save(tmp_path / "swing.json"))
+    assert str(again) == str(found)
+
+
+def test_of_two_states_one_may_be_of_second_order():
+    """With order={"x": 2} a first-order column keeps its slopes and its place."""
+    one, _, _ = swing()
+    decay = np.exp(-0.3 * T)
+    both = Trajectory(T, np.column_stack([one.x[:, 0], decay]), ("x", "c"))
+    found = dynsr.discover(both, order={"x": 2}, preset="quick", jobs=1, method="sindy")
+    assert list(found.equations) == ["x", "x_dot", "c"]
+    assert str(found).splitlines()[1] in ("c' = -0.3*c", "c' = -3*c/10")
+    scores = found.score(both)
+    assert scores["x"]["trajectory_rmse"] < 1e-3 and scores["c"]["trajectory_rmse"] < 1e-3
+
+
+def test_a_known_force_on_the_velocity_is_left_out():
+    """known may speak of the velocity: only the rest is searched."""
+    found = dynsr.discover(
+        swing()[0], order=2, known={"x_dot": "-4*x"}, preset="quick", jobs=1, method="sindy"
+    )
+    x, v = sympy.symbols("x x_dot")
+    rest = found.equations["x_dot"].subs({x: 0, v: 1})
+    assert float(rest) == pytest.approx(-0.2, abs=1e-4)
+
+
+def test_the_time_is_a_variable_where_it_is_asked_for():
+    """z' = cos t from z = sin t, clean and with noise."""
+    t = np.linspace(0, 20, 400)
+    for noise in (0.0, 0.01):
+        z = np.sin(t) + noise * np.random.default_rng(0).normal(size=400)
+        run = Trajectory(t, z[:, None], ("z",))
+        found = dynsr.discover(run, explicit_time=True, preset="quick", jobs=1, method="rational")
+        assert str(found) == "z' = cos(t)"
+        assert found.score()["z"]["trajectory_rmse"] < 0.02
+        assert found.settings["explicit_time"] is True
+
+
+def test_the_time_is_no_variable_otherwise():
+    """Without the switch the equation of z = sin t has no t."""
+    t = np.linspace(0, 20, 400)
+    without = dynsr.discover((t, np.sin(t)[:, None]), preset="quick", jobs=1, method="sindy")
+    assert sympy.Symbol("t") not in without.equations.popitem()[1].free_symbols
+
+
+@pytest.mark.parametrize(
+    ("order", "slopes", "words"),
+    [
+        (3, None, "must be 1 or 2"),
+        (True, None, "must be 1 or 2"),
+        ({"x": 0}, None, "must be 1 or 2"),
+        ({"q": 2}, None, "unknown state 'q'"),
+        (2, {"x": np.ones(500)}, "own slopes go with order 1"),
+    ],
+)
+def test_orders_that_make_no_sense_are_refused(order, slopes, words):
+    """One line says what an order may be."""
+    with pytest.raises(InputError, match=words):
+        dynsr.discover(swing()[0], order=order, slopes=slopes)
+
+
+def test_a_velocity_takes_no_name_that_a_column_has():
+    """x_dot is taken: the next name is used; when all are, a line says so."""
+    names = ("x", "x_dot", "x_velocity", "x_rate")
+    for count in (2, 3):
+        run = Trajectory([0.0, 1.0], np.eye(2, count), names[:count])
+        assert read_form(2, False, False, run, ["x"]).velocities == {"x": names[count]}
+    with pytest.raises(InputError, match="rename it"):
+        read_form(2, False, False, Trajectory([0.0, 1.0], np.eye(2, 4), names), ["x"])
+
+
+def test_forms_survive_their_record_and_strange_ones_are_plain():
+    """A form is read back from settings; what is no form means first order."""
+    form = Form({"x": "x_dot"}, explicit_time=True)
+    assert form_of(form.record) == form
+    for strange in ({"velocities": 3}, {"velocities": {"x": 1}}, {"explicit_time": "yes"}):
+        assert form_of(strange) == Form()
+    assert write_lines({"x": sympy.Symbol("y")}, {}) == ["x' = y"]
+
+
+def test_the_command_takes_orders(tmp_path):
+    """--order x=2 finds the oscillator, prints x'', and --json has the first-order system."""
+    dynsr.data.write_csv(swing()[0], tmp_path / "swing.csv")
+    words = (
+        "discover",
+        tmp_path / "swing.csv",
+        "--preset",
+        "quick",
+        "--method",
+        "sindy",
+        "-j",
+        "1",
+    )
+    done = run(*words, "--order", "x=2", "--json", "--out", tmp_path / "out")
+    told = json.loads(done.stdout)
+    assert set(told["equations"]) == {"x", "x_dot"} and told["kind"] == "flow"
+    assert told["text"][0].startswith("x'' = -4*x")
+    assert told["settings"]["velocities"] == {"x": "x_dot"}
+    assert "--order x=2" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize("order", ["3", "x=two", "1,x=2", "x="])
+def test_bad_orders_of_the_command_are_one_line(tmp_path, order):
+    """A bad --order ends with exit code 2 and a line that says how to write it."""
+    dynsr.data.write_csv(swing()[0], tmp_path / "swing.csv")
+    done = run("discover", tmp_path / "swing.csv", "--order", order, code=2)
+    assert "--order" in done.stderr and "Traceback" not in done.stderr

@@ -1,0 +1,62 @@
+"""What a release rests on: one version, a changelog and a citation that can be read, templates."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import dynsr
+
+ROOT = Path(dynsr.__file__).parents[1]
+yaml = pytest.importorskip("yaml")
+
+
+def test_the_version_stands_in_one_place():
+    """pyproject reads it from the package, where it is a version of semantic versioning."""
+    text = (ROOT / "pyproject.toml").read_text()
+    project = text.partition("[project]")[2].partition("\n[")[0]
+    assert 'dynamic = ["version"]' in project and not re.search(
+        r"^version\b", project, re.MULTILINE
+    )
+    assert 'path = "dynsr/__init__.py"' in text
+    assert re.fullmatch(r"\d+\.\d+\.\d+((a|b|rc|\.dev)\d+)?", dynsr.__version__)
+
+
+def test_the_changelog_keeps_its_form():
+    """Releases with dates, newest first, changes below headings of Keep a Changelog."""
+    text = (ROOT / "CHANGELOG.md").read_text()
+    releases = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert releases[0] == "[Unreleased]"
+    for release in releases[1:]:
+        assert re.fullmatch(r"\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", release)
+    kinds = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+    assert set(re.findall(r"^### (.*)$", text, re.MULTILINE)) <= kinds
+    body = text.partition("### ")[2]
+    loose = [
+        line for line in body.splitlines()[1:] if line and not line.startswith(("- ", "  ", "#"))
+    ]
+    assert loose == []
+
+
+def test_the_citation_can_be_read():
+    """CITATION.cff has what version 1.2.0 of the format requires, and names the paper."""
+    found = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert found["cff-version"] == "1.2.0" and found["type"] == "software"
+    assert {"message", "title", "authors", "license"} <= set(found)
+    assert found["references"][0]["title"].startswith("Inferring the Structure of Ordinary")
+
+
+@pytest.mark.parametrize("name", ["fault", "equation", "wish"])
+def test_forms_for_issues_can_be_read(name):
+    """Each has a name, a description, and fields with labels and ids of their own."""
+    form = yaml.safe_load((ROOT / ".github" / "ISSUE_TEMPLATE" / f"{name}.yml").read_text())
+    assert form["name"] and form["description"]
+    ids = [field["id"] for field in form["body"]]
+    assert len(set(ids)) == len(ids) and all(f["attributes"]["label"] for f in form["body"])
+
+
+def test_scripts_that_a_template_names_are_there():
+    """What the template of a pull request asks to run exists."""
+    text = (ROOT / ".github" / "pull_request_template.md").read_text()
+    for script in re.findall(r"`(scripts/\w+)`", text):
+        assert (ROOT / script).is_file()

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+import sympy
+
+from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.scaling import Units
+from dynsr.discovery.search import discover
+from dynsr.errors import InputError
+from dynsr.expression.parsing import parse
+
+T = np.linspace(0.0, 10.0, 300)
+QUICK = {"method": "rational", "preset": "quick", "jobs": 1}
+
+
+def value_at(expr, **values):
+    """Give the number that a formula is at some values."""
+    return float(expr.subs(values))
+
+
+@pytest.mark.parametrize("size", [1e-40, 1e-9, 1e9, 1e40])
+def test_a_decay_is_found_at_any_size(size):
+    """Half a unit a second: the rate does not depend on the unit of x."""
+    found = discover((T, size * np.exp(-T / 2)[:, None]), **QUICK)
+    assert found.equations == {"x": parse("-0.5*x")}
+    assert found.simulate().x[-1, 0] == pytest.approx(size * np.exp(-5), rel=1e-6)
+
+
+@pytest.mark.parametrize("second", [1e-40, 1e-9, 3.15e7, 1e40])
+def test_a_decay_is_found_in_any_unit_of_time(second):
+    """The rate is half of one over the unit, and its standard error stands beside it."""
+    found = discover((T * second, np.exp(-T / 2)[:, None]), **QUICK)
+    assert value_at(found.equations["x"], x=1.0) == pytest.approx(-0.5 / second, rel=1e-6)
+    value, error = found.errors["x"][0]
+    assert value == pytest.approx(-0.5 / second, rel=1e-6)
+    assert 0 < error < 1e-3 / second
+
+
+def test_a_population_of_billions_keeps_its_law_and_its_constants():
+    """x' = x - x^2/1e9: equation, errors, front and score are in the units of the data."""
+    found = discover((T, 1e9 / (1 + 9 * np.exp(-T))[:, None]), **QUICK)
+    expr = found.equations["x"]
+    assert value_at(expr, x=5e8) == pytest.approx(2.5e8, rel=1e-6)
+    assert sorted(v for v, _ in found.errors["x"]) == pytest.approx([-1e-9, 1.0], rel=1e-6)
+    assert found.score()["x"]["slope_rmse"] < 1e-6 * 2.5e8
+    assert found.front["x"].best_fit.loss < 1e-6 * 2.5e8
+    assert "in units for x of 1e+08" in found.explanation["x"]
+    assert found.settings["units"] == {"t": 1.0, "x": 1e8}
+
+
+def test_known_parts_inputs_and_slopes_are_counted_in_the_same_units():
+    """x' = -2e-9 x + u with x of 1e9 and t of 1e8 s: the known part and the input are mapped."""
+    t = T * 1e8
+    x = 1e9 * (np.exp(-t * 2e-9) + 0.5 * np.sin(t * 2e-8))
+    u = 1e9 * (0.5 * 2e-8 * np.cos(t * 2e-8) + 1e-9 * np.sin(t * 2e-8))
+    run = Trajectory(t, x[:, None], ("x",), u[:, None], ("u",))
+    slopes = {"x": -2e-9 * x + u}
+    for given in ({"known": {"x": "-2e-9*x"}}, {"slopes": slopes}):
+        found = discover(run, **given, **QUICK)
+        assert value_at(found.equations["x"], x=1e9, u=0) == pytest.approx(-2.0, rel=1e-4)
+        assert value_at(found.equations["x"], x=0, u=1) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_usual_sizes_are_left_alone():
+    """From millionths to millions nothing is scaled, so nothing changes."""
+    sizes = np.column_stack([2e-6 * np.exp(-T), 9e5 * np.exp(-T)])
+    assert Units.of([Trajectory(T, sizes, ("a", "b"))]).usual
+
+
+def test_there_and_back_is_the_same_formula():
+    """A slope in scaled units and back is the formula that it was, for ratios too."""
+    units = Units.of([Trajectory(T * 1e9, 1e-12 * np.exp(-T)[:, None], ("s",))])
+    expr = parse("-3*s/(s + 2) + t*s^2")
+    again = units.restore_slope("s", units.apply_slope("s", expr))
+    assert sympy.simplify(again - expr) == 0
+
+
+@pytest.mark.parametrize(
+    ("t", "size", "name"),
+    [(1.0, 2e200, "column 'x'"), (1e-300, 1.0, "the time"), (1e-40, 1e40, "the slope of 'x'")],
+)
+def test_sizes_beyond_float64_are_refused_in_one_line(t, size, name):
+    """What cannot be multiplied without leaving float64 is named, with its size and a remedy."""
+    with pytest.raises(InputError, match=f"{name} is of the size of .*give it in a unit") as caught:
+        discover((t * T, size * np.exp(-T / 2)[:, None]), **QUICK)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,283 @@
+"""Whole systems found along noisy states, and compared there."""
+
+from dataclasses import replace
+from functools import lru_cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+from dynsr.data import Trajectory
+from dynsr.expression import parse
+from dynsr.fit import Measurements, skeleton
+from dynsr.methods.demands import read_demands
+from dynsr.selection import (
+    ComparisonSettings,
+    SystemChoice,
+    compare_systems,
+    explore,
+    other_in_halves,
+)
+from dynsr.selection.changes import drop_least, promising_changes, swap_everywhere, toggle_factors
+from dynsr.selection.comparison import SystemComparison
+from dynsr.selection.systems import _prefer_reproducing as prefer_reproducing
+from dynsr.selection.systems import distinct_shapes, integrate
+
+TRUTHS = {
+    "Lotka-Volterra": {"x": "1.1*x - 0.4*x*y", "y": "0.1*x*y - 0.4*y"},
+    "SIR": {"S": "-0.4*S*J", "J": "0.4*S*J - 0.1*J"},
+    "damped pendulum": {"q": "v", "v": "-0.2*v - 4*sin(q)"},
+}
+RUNS = {
+    "Lotka-Volterra": ((10.0, 5.0), 30.0, 150),
+    "SIR": ((0.98, 0.02), 40.0, 120),
+    "damped pendulum": ((2.5, 0.0), 15.0, 200),
+}
+SETTINGS = ComparisonSettings()
+
+
+@lru_cache
+def clean(name):
+    """Integrate a system to tight tolerances."""
+    start, end, rows = RUNS[name]
+    states = tuple(TRUTHS[name])
+    slope = sympy.lambdify(sympy.symbols(states), [parse(e) for e in TRUTHS[name].values()])
+    t = np.linspace(0, end, rows)
+    found = solve_ivp(lambda _, z: slope(*z), (0, end), start, t_eval=t, rtol=1e-9, atol=1e-9)
+    return Trajectory(t, found.y.T, states)
+
+
+@lru_cache
+def measured(name, share=0.05, seed=0):
+    """Measurements of a system, each value off by a share of itself."""
+    run = clean(name)
+    off = share * np.random.default_rng(seed).normal(size=run.x.shape)
+    noisy = Trajectory(run.t, run.x * (1 + off), run.states)
+    return Measurements.of([noisy], {}, 2000)
+
+
+@lru_cache
+def pools(name):
+    """What is found along the states for each of them."""
+    return {s: explore(s, measured(name), SETTINGS) for s in TRUTHS[name]}
+
+
+@lru_cache
+def found(name):
+    """Give the system that is best of all that was found along the states."""
+    first = {s: pool[0] for s, pool in pools(name).items()}
+    return compare_systems(first, pools(name), measured(name), SETTINGS)
+
+
+def coefficients(expr):
+    """Give term -> coefficient of an equation."""
+    return {t: float(c) for t, c in sympy.expand(expr).as_coefficients_dict().items()}
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_systems_are_found_in_multiplicative_noise(name):
+    """At 5 % of each value every equation has the true terms, and constants within 3 %."""
+    choice = found(name)
+    for state, text in TRUTHS[name].items():
+        truth, have = coefficients(parse(text)), coefficients(choice.exprs[state])
+        assert set(have) == set(truth), state
+        for term, value in truth.items():
+            assert have[term] == pytest.approx(value, rel=0.03)
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_the_true_system_explains_its_data(name):
+    """What is found leaves nothing but noise, and an integration from its start follows the run."""
+    choice = found(name)
+    assert choice.explains(SETTINGS)
+    assert integrate(choice.fit) > 0.97
+
+
+def test_a_wrong_system_does_not_explain():
+    """Growth without end instead of prey and predators leaves more than noise."""
+    comparison = SystemComparison(measured("Lotka-Volterra").mesh(("x", "y")), SETTINGS)
+    fit = comparison.fit({"x": parse("0.5*x"), "y": parse("0.5*y")})
+    assert not SystemChoice(fit.exprs, fit).explains(SETTINGS)
+    assert not SystemChoice(fit.exprs).explains(SETTINGS)
+
+
+def test_the_truth_is_among_what_is_found_alone():
+    """Each state by itself, the others read off their curves, has its true form in its pool."""
+    for name, truths in TRUTHS.items():
+        for state, text in truths.items():
+            shapes = [set(coefficients(e)) for e in pools(name)[state]]
+            assert set(coefficients(parse(text))) in shapes, (name, state)
+
+
+def test_the_exploration_is_in_the_order_of_bits():
+    """No shape comes twice, and each takes at least the bits of the one before it."""
+    data = measured("SIR")
+    comparison = SystemComparison(data.mesh(("S",)), SETTINGS)
+    pool = explore("S", data, SETTINGS)
+    bits = [comparison.fit({"S": e}).bits for e in pool[:10]]
+    assert bits == pytest.approx(sorted(bits), abs=0.5)
+    assert len({skeleton(e) for e in pool}) == len(pool)
+
+
+def test_rivals_hold_no_nested_forms():
+    """What has all terms of the law and one more is no rival; what is told apart by them is."""
+    for name in TRUTHS:
+        choice = found(name)
+        others = choice.different()
+        for state, near in others.items():
+            law = set(coefficients(choice.exprs[state]))
+            assert len(near) <= 3
+            for expr, more in near:
+                assert not law <= set(coefficients(expr)), (name, expr)
+                assert np.isfinite(more)
+    nested = [e for e, _ in found("SIR").others["S"] if set(coefficients(e)) > {parse("S*J")}]
+    assert nested, "there were nested forms to leave out"
+
+
+def test_rivals_are_other_functions():
+    """A rival is another function along the states by the share asked for; 1000 % leaves none."""
+    choice = found("Lotka-Volterra")
+    assert any(choice.different(0.02).values())
+    assert not any(choice.different(10.0).values())
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_clean_data_come_back_as_they_are(name):
+    """Where there is no noise to speak of nothing is compared: equations come back, true or not."""
+    data = Measurements.of([clean(name)], {}, 2000)
+    wrong = {s: parse("1.5*" + s) for s in TRUTHS[name]}
+    choice = compare_systems(wrong, {}, data, SETTINGS)
+    assert choice.exprs == wrong and choice.fit is None
+    assert not choice.explains(SETTINGS)
+
+
+def test_an_equation_that_nothing_beats_comes_back_as_given():
+    """Snapped numbers of the true system stay, though a fit would move them."""
+    exprs = {s: parse(e) for s, e in TRUTHS["Lotka-Volterra"].items()}
+    assert compare_systems(exprs, {}, measured("Lotka-Volterra"), SETTINGS).exprs == exprs
+
+
+@pytest.mark.parametrize(
+    "start",
+    ["0.06*q*v^2 - 0.1*v - 4.2*sin(q)", "-3.8*sin(q)", "0.4*q^3 - 3*q - 0.1*v"],
+    ids=["a term too many", "no damping", "a cubic"],
+)
+def test_a_wrong_neighbour_climbs_to_the_truth(start):
+    """From a formula beside it, with no pool at all, the damped pendulum is found."""
+    exprs = {"q": parse("v"), "v": parse(start)}
+    choice = compare_systems(exprs, {}, measured("damped pendulum"), SETTINGS)
+    assert choice.exprs["q"] == parse("v")
+    assert set(coefficients(choice.exprs["v"])) == {parse("v"), parse("sin(q)")}
+
+
+def test_the_linearised_fit_foresees_the_fit():
+    """The change expected first is the missing damping; the fit finds the bits it was to save."""
+    comparison = SystemComparison(measured("damped pendulum").mesh(("q", "v")), SETTINGS)
+    fit = comparison.fit({"q": parse("v"), "v": parse("-3.9*sin(q)")})
+    first = promising_changes(comparison, fit)[0]
+    assert first.state == "v"
+    assert set(coefficients(first.expr)) >= {parse("sin(q)")}
+    after = comparison.fit({**fit.exprs, "v": first.expr}, fit)
+    assert after.bits < fit.bits - 50
+
+
+def test_what_the_misses_feel_least_is_dropped_first():
+    """Of the true terms and a needless one the needless one goes."""
+    comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
+    fit = comparison.fit({"S": parse("-0.4*S*J + 0.01*J^3"), "J": parse("0.4*S*J - 0.1*J")})
+    assert set(coefficients(drop_least(fit, "S"))) == {parse("S*J")}
+
+
+def test_bits_are_those_of_the_information_criterion():
+    """A term that nothing needs costs its bits: the longer system takes more, and misses no more.
+
+    Misses of the nested fit are smaller by what one more constant can follow of noise.
+    """
+    comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
+    infected = parse("0.4*S*J - 0.1*J")
+    short = comparison.fit({"S": parse("-0.4*S*J"), "J": infected})
+    long = comparison.fit({"S": parse("-0.4*S*J + 0.01*J"), "J": infected})
+    assert long.bits > short.bits
+    rows = comparison.mesh.rows
+    gain = np.sum(rows * (short.fit.mean_squares - long.fit.mean_squares))
+    assert -0.5 < gain < 16
+
+
+def test_a_law_that_empties_a_store_below_zero_costs_more():
+    """A positive state that would fall below 0 from there takes 6 bits more than one that stays."""
+    mesh = measured("SIR").mesh(("S", "J"))
+    exprs = {"S": parse("-J/10"), "J": parse("0.4*S*J - 0.1*J")}
+    with_, without = (
+        SystemComparison(mesh, ComparisonSettings(leaving=bits)).fit(exprs).bits
+        for bits in (6.0, 0.0)
+    )
+    assert with_ - without == pytest.approx(6.0)
+
+
+def test_demands_are_obeyed():
+    """Signs, terms that must not be, functions and length bind all that is found and compared."""
+    name = "Lotka-Volterra"
+    x, y = sympy.symbols("x y")
+    asked = read_demands(("x", "y"), ("x", "y"), functions=[], constraints=["y: x*y = 0"])
+    settings = ComparisonSettings(demands=asked)
+    own = {s: explore(s, measured(name), settings) for s in ("x", "y")}
+    assert all(x * y not in coefficients(e) for e in own["y"])
+    first = {s: pool[0] for s, pool in own.items()}
+    choice = compare_systems(first, own, measured(name), settings)
+    assert x * y not in coefficients(choice.exprs["y"])
+    assert not any(e.atoms(sympy.Function) for e in choice.exprs.values())
+    fits = SystemComparison(measured(name).mesh(("x", "y")), settings)
+    assert fits.fit({"x": parse("x"), "y": parse("0.1*x*y")}) is None
+
+
+def test_a_system_that_reproduces_is_preferred():
+    """Of systems within so many bits that one is taken whose integration follows the run."""
+    comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
+    true = comparison.fit({s: parse(e) for s, e in TRUTHS["SIR"].items()})
+    still = comparison.fit({"S": parse("-0.01"), "J": parse("0.001")})
+    assert integrate(true) > 0.97 > SETTINGS.reproduces > integrate(still)
+    still = replace(still, bits=true.bits - 30)
+    for reach, taken in ((40.0, true), (20.0, still)):
+        fits = SimpleNamespace(
+            settings=ComparisonSettings(unfollowed=reach), fits=lambda: iter([still, true])
+        )
+        assert prefer_reproducing(fits, still) is taken
+
+
+def test_shapes_are_told_apart_by_more_than_numbers():
+    """2 x y and 3.1 x y are one shape, and x y and x^2 two; the first of each stands."""
+    same = [parse("2*x*y"), parse("3.1*x*y"), parse("0.5*x^2"), parse("4*x^2")]
+    assert [sorted(map(str, e.free_symbols)) for e in distinct_shapes(same)] == [["x", "y"], ["x"]]
+
+
+def test_one_edit_away():
+    """A sine swaps with its argument everywhere, and a term gains or loses one factor."""
+    x, y = sympy.symbols("x y")
+    assert swap_everywhere(x * sympy.cos(x)) == [sympy.sin(x) * sympy.cos(x)]
+    assert toggle_factors(parse("2*y*sin(x)*cos(x)"), [sympy.cos(x)]) == [parse("2*y*sin(x)")]
+    assert toggle_factors(parse("(x + 2)/(y + 1)"), [y]) == [
+        parse("(x + 2*y)/(y + 1)"),
+        parse("(x*y + 2)/(y + 1)"),
+    ]
+
+
+def test_a_law_is_found_again_in_either_half_of_the_rows():
+    """Every second row asks for the law's own terms; of a wrong equation another is named."""
+    data = measured("Lotka-Volterra")
+    for state, text in TRUTHS["Lotka-Volterra"].items():
+        assert other_in_halves(state, parse(text), data, SETTINGS) is None
+    other = other_in_halves("y", parse("0.05*x*y - 1.3"), data, SETTINGS)
+    assert other is not None
+    assert {str(t) for t in coefficients(other)} == {"y", "x*y"}
+
+
+def test_half_of_the_rows_are_measured_in_a_half():
+    """The halves share no row and together have all; curves stay those of all rows."""
+    data = measured("SIR")
+    halves = [data.half(which).mesh(("S", "J")) for which in (0, 1)]
+    whole = data.mesh(("S", "J"))
+    assert np.array_equal(sum(h.weights for h in halves), whole.weights)
+    assert not np.any(halves[0].weights * halves[1].weights)
+    assert all(np.array_equal(h.start, whole.start) for h in halves)

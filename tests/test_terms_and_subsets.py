@@ -1,0 +1,228 @@
+"""The terms that sums are made of, and the best sums of them."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+import sympy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dynsr.data import Trajectory
+from dynsr.expression import parse
+from dynsr.fit import Measurements, structure_bits
+from dynsr.methods.demands import read_demands
+from dynsr.selection import ComparisonSettings
+from dynsr.selection.comparison import SystemComparison
+from dynsr.selection.subsets import best_subsets
+from dynsr.selection.systems import explore
+from dynsr.selection.terms import Terms, TermSettings, cited_bits, unusual_bits
+
+X, Y = sympy.symbols("x y")
+RNG = np.random.default_rng(0)
+POSITIVE = RNG.uniform(0.5, 4, (2, 200))
+BOTH_SIGNS = RNG.uniform(-2, 2, (2, 200))
+
+
+def grow(points, names=("x", "y"), angles=(), own=(), **changed):
+    """Make terms in variables that take these values."""
+    return Terms.grow(names, points, TermSettings(**changed), angles, own)
+
+
+def bare(terms):
+    """Give the terms with every constant inside replaced by its sign."""
+    return {e.xreplace({f: sympy.sign(f) for f in e.atoms(sympy.Float)}) for e in terms.exprs}
+
+
+def test_products_up_to_the_degree_are_terms():
+    """All ten products of two variables up to the third degree are there, and none above."""
+    found = grow(BOTH_SIGNS)
+    powers = {X**i * Y**j for i in range(4) for j in range(4 - i)}
+    assert powers <= set(found.exprs)
+    assert not {X**4, X**2 * Y**2} & set(found.exprs)
+    assert not {X**3, X**2 * Y} & set(grow(BOTH_SIGNS, degree=2).exprs)
+
+
+def test_positive_variables_saturate():
+    """Of positive variables there are roots, logarithms, inverses, x/(x + c), Hill's form."""
+    found = bare(grow(POSITIVE))
+    assert {sympy.sqrt(X), sympy.log(X), 1 / X, X * sympy.log(X), Y / (X + 1)} <= found
+    assert {X**2 / (X**2 + 1), Y * X**2 / (X**2 + 1), sympy.exp(-X), X * Y / X**2} <= found
+    assert not any(e.has(sympy.sin, sympy.cos) for e in found)
+
+
+def test_variables_of_both_signs_have_no_poles():
+    """Where a variable passes 0 nothing is divided by it and no root or logarithm is taken."""
+    for expr in grow(BOTH_SIGNS).exprs:
+        assert not expr.has(sympy.log)
+        for power in expr.atoms(sympy.Pow):
+            assert power.exp.is_Integer
+            assert power.exp > 0 or power.base not in (X, Y)
+    assert np.isfinite(grow(BOTH_SIGNS).values(BOTH_SIGNS)).all()
+
+
+def test_only_angles_have_sines():
+    """Sines and cosines are of the angles named, alone and times a variable."""
+    found = grow(BOTH_SIGNS, angles=("x",)).exprs
+    assert {sympy.sin(X), sympy.cos(X), Y * sympy.sin(X)} <= set(found)
+    assert not {sympy.sin(Y), sympy.cos(Y)} & set(found)
+
+
+def test_no_term_repeats_another():
+    """No two terms are proportional on the points, and all are finite there."""
+    values = grow(POSITIVE).values(POSITIVE)
+    units = values / np.linalg.norm(values, axis=1)[:, None]
+    cosines = np.abs(units @ units.T - np.eye(len(units)))
+    assert cosines.max() < 1 - 5e-9
+
+
+def test_a_copy_of_a_variable_is_left_out():
+    """Of two columns of which one is twice the other only one makes terms."""
+    found = grow(np.stack([POSITIVE[0], 2 * POSITIVE[0]])).exprs
+    assert len({X, Y} & set(found)) == len({X**2, X * Y, Y**2} & set(found)) == 1
+
+
+def test_terms_cost_their_length_and_their_functions():
+    """A term costs the bits of its structure with one constant before it; functions cost more."""
+    found = grow(POSITIVE, angles=())
+    for expr, bits, inside in zip(found.exprs, found.bits, found.inside, strict=True):
+        assert bits == pytest.approx(
+            structure_bits(sympy.Float(0.5) * expr) + unusual_bits(expr, ())
+        )
+        assert inside == len(expr.atoms(sympy.Float))
+    cost = dict(zip(found.exprs, found.bits, strict=True))
+    assert cost[X] < cost[X**2] < cost[X**3]
+    assert cost[X * Y] < cost[X * sympy.log(Y)]
+
+
+def test_a_sine_of_what_is_no_angle_costs_more():
+    """sin(x) costs 3 bits where x may be an angle and 4 more where not."""
+    assert unusual_bits(sympy.sin(X), ("x",)) == 3
+    assert unusual_bits(sympy.sin(X), ("y",)) == 7
+    assert unusual_bits(X**2 / (1 + X), ()) == 0
+    assert unusual_bits(sympy.tanh(X), ()) == 5
+
+
+def test_the_cheapest_are_kept():
+    """With room for so many only, none that is left out is cheaper than one that stays."""
+    few, all_ = grow(POSITIVE, most=20), grow(POSITIVE)
+    assert len(few.exprs) <= 20
+    left_out = [b for e, b in zip(all_.exprs, all_.bits, strict=True) if e not in few.exprs]
+    assert few.bits.max() <= min(left_out) + 1e-9
+
+
+def test_terms_of_the_users_own_are_there():
+    """A term that the library lacks is there when it is asked for, with its cost."""
+    own = parse("exp(-x*y)")
+    assert own not in grow(POSITIVE).exprs
+    assert own in grow(POSITIVE, own=[own]).exprs
+
+
+def test_values_are_those_of_the_terms():
+    """Values are the terms' own at any points, constants too."""
+    found = grow(POSITIVE)
+    at = np.array([[2.0, 3.0], [0.5, 1.5]])
+    values = found.values(at)
+    for expr, row in zip(found.exprs, values, strict=True):
+        expected = [float(expr.subs({X: a, Y: b})) for a, b in at.T]
+        np.testing.assert_allclose(row, expected, rtol=1e-10)
+
+
+def exhaustive(columns, y, costs, rows, most):
+    """Give the subset of fewest bits by trying all of them."""
+
+    def bits(places):
+        a = columns[:, places]
+        left = np.sum((y - a @ np.linalg.lstsq(a, y, rcond=None)[0]) ** 2)
+        return rows / 2 * np.log2(left / rows) + costs[list(places)].sum()
+
+    every = (c for n in range(1, most + 1) for c in combinations(range(columns.shape[1]), n))
+    return min((bits(places), places) for places in every)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.sampled_from([0.03, 0.3, 3.0]))
+def test_best_subsets_are_those_of_trying_all(seed, noise):
+    """Up to four of nine columns: the subset of fewest bits, with its coefficients and squares."""
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(40, 9)) * 10.0 ** rng.uniform(-3, 3, 9)
+    y = columns[:, [1, 4, 7]] @ (rng.normal(size=3) / columns[:, [1, 4, 7]].std(axis=0))
+    y += noise * rng.normal(size=40)
+    costs = rng.uniform(5, 20, 9)
+    best = best_subsets(columns.T @ columns, columns.T @ y, y @ y, costs, 40.0, most=4)[0]
+    bits, places = exhaustive(columns, y, costs, 40.0, 4)
+    assert best.places == places
+    assert best.bits == pytest.approx(bits, abs=1e-6)
+    coefficients, squares = np.linalg.lstsq(columns[:, places], y, rcond=None)[:2]
+    np.testing.assert_allclose(best.coefficients, coefficients, rtol=1e-6)
+    assert best.squares == pytest.approx(squares[0], rel=1e-6)
+
+
+def test_subsets_come_in_order_of_their_bits():
+    """They are sorted, all different, no more than asked for, and never larger than allowed."""
+    rng = np.random.default_rng(1)
+    columns = rng.normal(size=(60, 12))
+    y = columns[:, 0] - columns[:, 3] + 0.2 * rng.normal(size=60)
+    found = best_subsets(
+        columns.T @ columns, columns.T @ y, y @ y, np.full(12, 8.0), 60.0, most=3, keep=15
+    )
+    assert len(found) == 15
+    assert [s.bits for s in found] == sorted(s.bits for s in found)
+    assert len({s.places for s in found}) == 15
+    assert max(len(s.places) for s in found) <= 3
+
+
+def test_a_column_that_others_make_up_is_never_added():
+    """Of three columns with a + b = c no subset holds all, and coefficients stay of usual size."""
+    rng = np.random.default_rng(2)
+    columns = rng.normal(size=(50, 3))
+    columns[:, 2] = columns[:, 0] + columns[:, 1]
+    y = columns[:, 0] + 2 * columns[:, 1] + 0.01 * rng.normal(size=50)
+    found = best_subsets(columns.T @ columns, columns.T @ y, y @ y, np.full(3, 5.0), 50.0)
+    assert all(len(s.places) < 3 for s in found)
+    assert max(np.abs(s.coefficients).max() for s in found) < 10
+
+
+def test_a_term_of_infinite_cost_is_never_taken():
+    """What the user's demands rule out is in no subset, however well it fits."""
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(50, 4))
+    y = columns[:, 2] + 0.01 * rng.normal(size=50)
+    costs = np.array([5.0, 5.0, np.inf, 5.0])
+    found = best_subsets(columns.T @ columns, columns.T @ y, y @ y, costs, 50.0)
+    assert found and all(2 not in s.places for s in found)
+
+
+def test_exploration_keeps_to_the_vocabulary():
+    """With no functions allowed a saturation is described by powers and ratios only."""
+    rng = np.random.default_rng(4)
+    t = np.linspace(0, 6, 80)
+    x = 2 / (1 + 9 * np.exp(-1.2 * t))
+    run = Trajectory(t, (x * (1 + 0.03 * rng.normal(size=80)))[:, None], ("x",))
+    data = Measurements.of([run], {}, 2000)
+    demands = read_demands(("x",), ("x",), functions=[])
+    found = explore("x", data, ComparisonSettings(demands=demands))
+    assert found and not any(e.atoms(sympy.Function) for e in found)
+    assert set(sympy.expand(found[0]).as_coefficients_dict()) == {X, X**2}
+
+
+def test_own_terms_take_part_in_the_exploration():
+    """A comparison's terms hold those that the user asks for."""
+    t = np.linspace(0, 6, 80)
+    run = Trajectory(t, (1 + 0.5 * np.sin(t))[:, None], ("x",))
+    data = Measurements.of([run], {}, 2000)
+    demands = read_demands(("x",), ("x",), terms=["exp(-x^4)"])
+    mesh = data.mesh(("x",))
+    own = parse("exp(-x^4)")
+    assert own in SystemComparison(mesh, ComparisonSettings(demands=demands)).terms.exprs
+    assert own not in SystemComparison(mesh).terms.exprs
+
+
+def test_terms_that_equations_share_cost_less():
+    """A product that leaves one equation for another is written out once; a variable saves none."""
+    x, y = sympy.symbols("x y")
+    lost, gained = -0.5 * x * y**2, 0.25 * x * y**2
+    saved = cited_bits([0.7 * x + lost, gained - 0.2 * y])
+    assert saved == pytest.approx(structure_bits(gained) - structure_bits(0.25 * x))
+    assert cited_bits([0.7 * x + lost, gained * x - 0.2 * y]) == 0
+    assert cited_bits([0.7 * x, 0.3 * x]) == 0

@@ -1,0 +1,260 @@
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy
+
+from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.following import open_constants
+from dynsr.discovery.intervals import list_constants
+from dynsr.discovery.prediction import predict
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.search import discover
+from dynsr.discovery.verdict import explain, judge
+from dynsr.errors import InputError
+from dynsr.expression.evaluation import evaluate
+from dynsr.expression.export import shown
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.methods.rational import RationalSearch
+
+sys.path.insert(0, str(Path(__file__).parent))
+from command_line import run
+
+QUICK = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
+PREY = {"x": parse("1.3*x - 0.9*x*y"), "y": parse("0.8*x*y - 1.6*y")}
+OSCILLATOR = {"x": parse("y"), "y": parse("-2*x - 0.3*y")}
+
+
+def measure(exprs, x0, end, rows, noise=0.0, seed=0):
+    """Integrate and add noise, a share of each state's spread."""
+    x = predict(exprs, x0, np.linspace(0, end, rows)).x
+    drawn = np.random.default_rng(seed).standard_normal(x.shape)
+    return Trajectory(np.linspace(0, end, rows), x + noise * x.std(axis=0) * drawn, tuple(exprs))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
+def test_the_true_equations_are_a_law(noise):
+    """Lotka-Volterra as it is follows and forecasts its data, clean or noisy, to the noise."""
+    found = judge(PREY, [measure(PREY, [1.5, 1.0], 12, 150, noise)])
+    assert found.level == "law"
+    for own in found.states.values():
+        assert own.level == "law" and own.r2 > 0.97
+        assert own.noise == pytest.approx(noise, rel=0.4, abs=1e-6)
+        assert all(term.probability > 0.99 for term in own.terms)
+        if noise:
+            assert 0.6 < own.chi_square < 1.6
+
+
+def test_a_missing_state_is_not_found():
+    """The position of a pendulum alone has no equation; 0 is none, and the cause is said."""
+    both = {"q": parse("p"), "p": parse("-9.81*sin(q)")}
+    whole = measure(both, [1.0, 0.0], 8, 200)
+    alone = Trajectory(whole.t, whole.x[:, :1], ("q",))
+    for text in ("0", "-0.5*q"):
+        found = judge({"q": parse(text)}, [alone], causes={"q": "A state seems to be missing."})
+        assert found.level == found.states["q"].level == "not found"
+        assert found.states["q"].reason.endswith("A state seems to be missing.")
+
+
+def test_a_state_that_rests_has_a_law_and_one_that_moves_has_none():
+    """0 is right for noise alone and never for a ramp, which a constant is right for."""
+    t = np.linspace(0, 5, 120)
+    rest = 3 + 0.01 * np.random.default_rng(0).standard_normal(120)
+    data = [Trajectory(t, np.column_stack([rest, 2 * t]), ("x", "y"))]
+    still = judge({"x": sympy.S.Zero, "y": sympy.S.Zero}, data).states
+    assert still["x"].level == "law" and "does not change" in still["x"].reason
+    assert still["y"].level == "not found"
+    assert judge({"x": sympy.S.Zero, "y": parse("2.0")}, data).level == "law"
+
+
+def test_what_follows_but_leaves_more_than_noise_is_an_approximation():
+    """A pendulum without the sine explains nine tenths of its data, and is no law."""
+    true = {"q": parse("p"), "p": parse("-4*sin(q)")}
+    data = measure(true, [0.9, 0.0], 6, 200, 0.01)
+    found = judge({"q": parse("p"), "p": parse("-3.6*q")}, [data])
+    assert found.level == "approximation"
+    assert all(own.r2 > 0.9 for own in found.states.values())
+    assert "not noise" in found.states["p"].reason
+
+
+def test_a_term_that_the_data_do_not_ask_for_keeps_an_equation_from_being_a_law():
+    """A cubic damping that is not there has a small ratio and probability, and is named."""
+    data = measure(OSCILLATOR, [1.0, 0.0], 10, 150, 0.03)
+    found = judge({"x": parse("y"), "y": parse("-2*x - 0.3*y + 0.001*y**3")}, [data]).states["y"]
+    cubic = next(term for term in found.terms if term.term == "y**3")
+    assert found.level == "approximation" and "sure of y**3" in found.reason
+    assert cubic.ratio < 3 and cubic.probability < 0.9
+    assert min(t.probability for t in found.terms if t.term != "y**3") > 0.999
+
+
+def test_a_different_formula_that_does_as_well_keeps_an_equation_from_being_a_law():
+    """On an arc of small swings sin(q) cannot be told from q, and the explanation says so."""
+    true = {"q": parse("p"), "p": parse("-4*sin(q)")}
+    data = measure(true, [0.15, 0.0], 3, 60, 0.03)
+    front = {
+        "p": ParetoFront([Candidate(parse("-4.0*q"), 0.1, 9.0), Candidate(PREY["x"], 9.0, 1.0)])
+    }
+    found = judge(true, [data], front=front).states["p"]
+    assert found.level == "approximation" and found.rivals[0].bits < 8
+    assert "cannot be told apart from" in found.reason and "*q" in found.rivals[0].equation
+    assert "follows the trajectories better" in explain("p", true["p"], found)
+
+
+def test_a_formula_that_can_be_the_same_function_is_no_rival():
+    """log(exp(x)) in disguise and a longer form of the equation are not different formulas."""
+    data = measure(OSCILLATOR, [1.0, 0.0], 10, 150, 0.03)
+    same = ["-2.0*log(exp(x)) - 0.3*y", "-2.0*x - 0.3*y + 0.01*x*y"]
+    front = {"y": ParetoFront([Candidate(parse(f), 0.1 / i, i) for i, f in enumerate(same, 1)])}
+    found = judge(OSCILLATOR, [data], front=front)
+    assert found.level == "law" and found.rivals["y"] == ()
+
+
+def test_chaos_is_followed_for_as_long_as_errors_allow():
+    """Lorenz with noise is a law over windows, whose length is said."""
+    lorenz = {"x": parse("10*y - 10*x"), "y": parse("28*x - y - x*z"), "z": parse("x*y - 8*z/3")}
+    data = measure(lorenz, [-8.0, 7.0, 27.0], 15, 1500, 0.01)
+    found = judge(lorenz, [data])
+    assert found.level == "law" and 0.5 < found.span < 8
+    assert "at a time" in found.states["x"].reason
+
+
+def test_noise_of_every_row_is_what_misses_are_weighed_by():
+    """With the multiplicative noise that the data have, given row by row, chi-square is 1."""
+    clean = measure(PREY, [1.5, 1.0], 12, 300)
+    level = 0.05 * np.abs(clean.x)
+    drawn = np.random.default_rng(0).standard_normal(level.shape)
+    data = Trajectory(clean.t, clean.x + level * drawn, clean.states)
+    for own in judge(PREY, [data], noise=[level]).states.values():
+        assert own.level == "law" and own.chi_square == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "-5*x*y/6 + 1.375*x",
+        "9.81*sin(x) - 0.5*y",
+        "(3*x - y)/(x*cos(3*y) + 2.5)",
+        "4*exp(-0.3*x) + 1",
+    ],
+)
+def test_constants_come_in_the_order_in_which_they_are_read(text):
+    """The numbers of the printed formula, from left to right, are those of the list."""
+    expr = parse(text)
+    found = [abs(c.value) for c in list_constants(expr, [])]
+    named = [n for n in ("5/6", "1.375", "9.81", "0.5", "2.5", "0.3", "4", "3", "1") if n in text]
+    places = {float(sympy.Rational(n)): shown(expr).find(n.split("/")[0]) for n in named}
+    read = sorted((v for v in found if v in places), key=places.get)
+    assert [v for v in found if v in places] == read and len(found) >= 2
+
+
+def test_an_interval_is_about_the_fitted_number():
+    """2 that was 2.02 before it was made simple keeps 2.02 and its interval, wherever it stands."""
+    x, y = sympy.symbols("x y")
+    own = list_constants(2 * x - 3 * x * y, [(2.0, 0.01), (-3.0, 0.1)], [2.02, -2.9])
+    assert [(c.value, c.fitted, c.of) for c in own] == [(-3.0, -2.9, "x*y"), (2.0, 2.02, "x")]
+    assert (own[1].low, own[1].high) == pytest.approx((2.02 - 0.0196, 2.02 + 0.0196), abs=1e-5)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Give the discovery of two linear states."""
+    t = np.linspace(0, 6, 301)
+    x = np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * t + np.exp(-0.5 * t)])
+    return discover((t, x), method=QUICK, jobs=1)
+
+
+def test_a_verdict_is_saved_and_old_files_have_none(found, tmp_path):
+    """What was saved is read back; a file from before verdicts is not judged."""
+    again = Discovery.load(found.save(tmp_path / "new.json"))
+    assert again.verdict == found.verdict and again.details == found.details
+    record = json.loads((tmp_path / "new.json").read_text())
+    for key in ("verdict", "details", "fitted", "checksum"):
+        del record[key]
+    (tmp_path / "old.json").write_text(json.dumps(record))
+    old = Discovery.load(tmp_path / "old.json")
+    assert old.verdict is None and old.heading == "Not judged."
+    assert "Not judged." in old._repr_html_()
+
+
+def test_another_formula_of_the_front_can_be_adopted(found):
+    """It comes with constants fitted again and its own verdict; nonsense is refused in one line."""
+    formulas = found.front["y"].to_pandas()
+    assert list(formulas) == ["formula", "bits", "rmse", "source"]
+    k = list(formulas.formula).index("0")
+    other = found.with_choice("y", k)
+    assert other.equations["y"] == 0 and other.equations["x"] == found.equations["x"]
+    assert other.verdict.states["y"].level == "not found" and found.verdict.level == "law"
+    assert "Chosen by hand" in other.explanation["y"]
+    with pytest.raises(InputError, match="k = 99"):
+        found.with_choice("y", 99)
+    with pytest.raises(InputError, match="data are not here"):
+        replace(found, trajectories=()).with_choice("y", 0)
+
+
+def test_the_heading_never_says_found_of_what_is_not(found, tmp_path):
+    """The page of equations that are not found says so in its title, and shows the verdict."""
+    page = found.with_choice("y", 0).report(tmp_path / "page.html").read_text()
+    assert "<h1>Equations not found</h1>" in page and "Equations found" not in page
+    assert 'class="verdict not-found"' in page and "R2" in page
+    assert "<h1>Equations found</h1>" in found.report(tmp_path / "page.html").read_text()
+
+
+def test_programs_get_verdict_and_constants(tmp_path):
+    """The JSON of the command has levels, numbers and intervals; readers get the verdict first."""
+    t = np.linspace(0, 3, 151)
+    path = tmp_path / "decay.csv"
+    np.savetxt(path, np.column_stack([t, np.exp(-0.5 * t)]), "%.9g", ",", header="t,x", comments="")
+    words = ["discover", path, "--method", "sindy", "--preset", "quick", "-j", 1]
+    result = run(*words, "--json")
+    said = json.loads(result.stdout)
+    assert result.exit_code == 0
+    assert said["verdict"]["system"] == said["verdict"]["states"]["x"]["level"] == "law"
+    assert said["verdict"]["states"]["x"]["r2"] > 0.999 and said["verdict"]["states"]["x"]["reason"]
+    (constant,) = said["constants"]["x"]
+    assert constant["value"] == -0.5 and constant["low"] <= constant["fitted"] <= constant["high"]
+    shown_to_readers = run(*words, "--out", tmp_path / "kept").stdout
+    assert shown_to_readers.startswith("Law: ") and "95 % interval" in shown_to_readers
+    assert "bits" not in shown_to_readers
+    assert "bits" in run(*words, "--out", tmp_path / "kept", "--details").stdout
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "-5*x/7",
+        "x/(x + 2) - x/3",
+        "(2*x - 1)/(3*x**2 + 4)",
+        "0.3*x*exp(-2*x) + 1",
+        "sin(2*x)/3",
+        "7",
+    ],
+)
+def test_opened_constants_give_back_the_equation(text):
+    """With every opened constant at its own value the equation is what it was."""
+    expr = parse(text)
+    opened, places = open_constants({"x": expr})
+    closed = opened["x"].xreplace({s: sympy.Float(p.value) for s, p in places.items()})
+    at = {"x": np.linspace(0.5, 2.0, 7)}
+    np.testing.assert_allclose(evaluate(closed, at), evaluate(expr, at), rtol=1e-12)
+    assert len(places) >= 1
+
+
+def test_a_root_in_noise_is_a_law_only_far_ahead_of_others():
+    """A tank that drains by a root is a law where others are 60 bits behind, not where 20 are.
+
+    Where the data are exact the root is seen as such, and needs no distance.
+    """
+    tank = {"h": parse("0.5 - 0.4*sqrt(h)")}
+    other = parse("0.3 - 0.1*h")
+    noisy, exact = (measure(tank, [4.0], 20, 200, noise) for noise in (0.02, 0.0))
+    for bits, level in ((20.0, "approximation"), (60.0, "law")):
+        found = judge(tank, [noisy], rivals={"h": [(other, bits)]})
+        assert found.level == level
+    assert judge(tank, [noisy], rivals={"h": []}).level == "approximation"
+    near = judge(tank, [noisy], rivals={"h": [(other, 20.0)]}).states["h"].reason
+    assert "may stand for others, such as 0.3 - 0.1*h" in near
+    assert judge(tank, [exact], rivals={"h": [(other, 20.0)]}).level == "law"

@@ -1,0 +1,210 @@
+"""Records as people have them: the right law, or a verdict that says what is missing."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+import dynsr
+from dynsr.data import Trajectory
+from dynsr.discovery.map_verdict import judge_map
+from dynsr.discovery.verdict import judge
+
+RECORDS = Path(__file__).parents[1] / "docs" / "records"
+
+
+def solve(slope, start, t, names, noise=0.0):
+    """Integrate a system; noise of this share of each state's spread is added."""
+    x = solve_ivp(slope, (t[0], t[-1]), start, "LSODA", t, rtol=1e-10, atol=1e-12).y.T
+    x = x + noise * x.std(axis=0) * np.random.default_rng(3).standard_normal(x.shape)
+    return Trajectory(t, x, names)
+
+
+def coefficients(expr):
+    """Term -> coefficient of the expanded expression."""
+    return {str(t): float(c) for t, c in sympy.expand(expr).as_coefficients_dict().items()}
+
+
+def check_what_is_said(found):
+    """Every explanation begins with the printed formula and its level."""
+    for line, (state, own) in zip(
+        str(found).splitlines(), found.verdict.states.items(), strict=True
+    ):
+        assert found.explanation[state].startswith(f"{line}: {own.level}; ")
+
+
+@pytest.mark.slow
+def test_hare_and_lynx_follow_lotka_and_volterra():
+    """21 yearly counts give the form, and constants inside the published intervals."""
+    found = dynsr.discover(RECORDS / "hare-lynx.csv", jobs=1)
+    hare, lynx = (coefficients(found.equations[s]) for s in ("hare", "lynx"))
+    assert set(hare) == {"hare", "hare*lynx"} and set(lynx) == {"lynx", "hare*lynx"}
+    assert hare["hare"] == pytest.approx(0.55, abs=0.07)
+    assert hare["hare*lynx"] == pytest.approx(-0.028, abs=0.004)
+    assert lynx["lynx"] == pytest.approx(-0.80, abs=0.09)
+    assert lynx["hare*lynx"] == pytest.approx(0.024, abs=0.004)
+    # 21 rows do not make a law.
+    assert found.verdict.level == "approximation"
+    assert "21 rows are few" in found.verdict.states["hare"].reason
+    check_what_is_said(found)
+
+
+def test_an_epidemic_of_one_column_lacks_a_state():
+    """Boys in bed rise and fall again: what moves them is not in the table."""
+    found = dynsr.discover(RECORDS / "influenza.csv", jobs=1, method="sindy")
+    assert found.verdict.level == "not found"
+    assert "not among the columns" in found.verdict.states["in_bed"].reason
+    check_what_is_said(found)
+
+
+@pytest.mark.slow
+def test_two_species_with_one_percent_noise_are_a_law():
+    """Constants of Lotka-Volterra lie in their own intervals, and the verdict is law."""
+    run = solve(
+        lambda t, x: [1.37 * x[0] - 0.83 * x[0] * x[1], 0.91 * x[0] * x[1] - 2.63 * x[1]],
+        [2.0, 1.0],
+        np.linspace(0, 20, 500),
+        ("prey", "pred"),
+        0.01,
+    )
+    found = dynsr.discover(run, jobs=1)
+    truth = {
+        "prey": {"prey": 1.37, "pred*prey": -0.83},
+        "pred": {"pred": -2.63, "pred*prey": 0.91},
+    }
+    assert {s: set(coefficients(e)) for s, e in found.equations.items()} == {
+        s: set(own) for s, own in truth.items()
+    }
+    assert found.verdict.level == "law"
+    for state, constants in found.constants.items():
+        for constant in constants:
+            # Three standard errors: four intervals of 95 % may well miss one of four constants.
+            reach = 1.5 * (constant.high - constant.low) / 2
+            assert min(abs(abs(v) - abs(constant.value)) for v in truth[state].values()) < reach
+    check_what_is_said(found)
+
+
+def test_gompertz_growth_is_found():
+    """With 5 % noise the answer is V and V log V, or says what it cannot be told apart from."""
+    run = solve(lambda t, v: 0.5 * v * np.log(10 / v), [0.5], np.linspace(0, 20, 100), ("V",), 0.05)
+    found = dynsr.discover(run, jobs=1)
+    assert set(coefficients(found.equations["V"])) == {"V", "V*log(V)"}
+    assert coefficients(found.equations["V"])["V*log(V)"] == pytest.approx(-0.5, abs=0.05)
+    check_what_is_said(found)
+
+
+@pytest.mark.slow
+def test_saturation_is_no_other_law_without_a_word():
+    """Michaelis-Menten with 1 % noise: the ratio, or an approximation with formulas as good."""
+    run = solve(lambda t, s: -1.2 * s / (0.8 + s), [8.0], np.linspace(0, 20, 200), ("S",), 0.01)
+    found = dynsr.discover(run, jobs=1)
+    s = sympy.Symbol("S")
+    slope = sympy.lambdify(s, found.equations["S"])
+    for value in (2.0, 4.0, 6.0):
+        assert slope(value) == pytest.approx(-1.2 * value / (0.8 + value), rel=0.05)
+    own = found.verdict.states["S"]
+    if sympy.simplify(sympy.numer(sympy.together(found.equations["S"])) / s).free_symbols:
+        assert own.level == "approximation" and "cannot be told apart" in own.reason
+    check_what_is_said(found)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_another_form_is_no_law_of_a_map(noise):
+    """Ricker's map and a ratio with sines that follows it closely: the first alone is a law."""
+    rng, values = np.random.default_rng(0), [0.3]
+    while len(values) < 200:
+        chance = np.exp(noise * rng.standard_normal())
+        values.append(values[-1] * np.exp(2.8 * (1 - values[-1])) * chance)
+    run = Trajectory(np.arange(200.0), np.array(values)[:, None], ("x",))
+    x = sympy.Symbol("x")
+    ratio = (-9 * x**2 + 27.25 * x - 20 * sympy.sin(x)) / (x + 0.4)
+    assert judge_map({"x": ratio}, [run]).level != "law"
+    assert judge_map({"x": x * sympy.exp(2.8 - 2.8 * x)}, [run]).level == "law"
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [("q", ["--order 2"]), ("z", ["--order 2", "--explicit-time", "period 6.28"])],
+)
+def test_one_column_that_swings_lacks_something(name, wanted):
+    """The position alone of a pendulum, and sin t: order, or time, is named as the cause."""
+    t = np.linspace(0, 20, 400)
+    run = (
+        solve(lambda t, x: [x[1], -9.81 * np.sin(x[0])], [1.0, 0.0], t, ("q", "v"))
+        if name == "q"
+        else Trajectory(t, np.column_stack([np.sin(t), np.cos(t)]), ("z", "v"))
+    )
+    alone = Trajectory(run.t, run.x[:, :1], (name,))
+    found = dynsr.discover(alone, jobs=1, method="sindy")
+    assert found.verdict.level == "not found"
+    for word in wanted:
+        assert word in found.verdict.states[name].reason
+    check_what_is_said(found)
+
+
+def chaotic(rows=200):
+    """Iterate x -> 3.8 x (1 - x)."""
+    x = [0.3]
+    while len(x) < rows:
+        x.append(3.8 * x[-1] * (1 - x[-1]))
+    return Trajectory(np.arange(float(rows)), np.array(x)[:, None], ("x",))
+
+
+def test_a_map_taken_for_a_flow_is_called_a_map():
+    """A chaotic map is no state at rest with noise: the verdict names --map."""
+    found = dynsr.discover(chaotic(), jobs=1, method="sindy")
+    assert found.verdict.level == "not found"
+    assert "--map" in found.verdict.states["x"].reason
+    assert judge({"x": sympy.S.Zero}, [chaotic()]).level == "not found"
+
+
+def test_noise_around_a_state_at_rest_is_still_rest():
+    """White noise follows from nothing: x' = 0 stands."""
+    x = 1 + 0.1 * np.random.default_rng(0).standard_normal((300, 1))
+    assert (
+        judge({"x": sympy.S.Zero}, [Trajectory(np.linspace(0, 9, 300), x, ("x",))]).level == "law"
+    )
+
+
+def test_a_map_has_a_verdict():
+    """Clean: a law; and the explanation is about x[n+1]."""
+    found = dynsr.discover(chaotic(), discrete=True, jobs=1, method="sindy")
+    assert found.verdict.level == "law"
+    assert [t.term for t in found.verdict.states["x"].terms] == ["x", "x**2"]
+    check_what_is_said(found)
+    adopted = found.with_choice("x", 0)
+    assert adopted.is_map and adopted.verdict.level == "not found"
+
+
+def test_layers_that_hold_few_rows_are_named():
+    """Van der Pol, mu = 50, over evenly spaced rows: the right equations, and what is missing."""
+    x, y = sympy.symbols("x y")
+    run = solve(
+        lambda t, s: [s[1], 50 * (1 - s[0] ** 2) * s[1] - s[0]],
+        [2.0, 0.0],
+        np.linspace(0, 200, 1000),
+        ("x", "y"),
+    )
+    said = judge({"x": y, "y": 50 * (1 - x**2) * y - x}, [run])
+    assert "fast layers" in said.states["y"].reason
+
+
+@pytest.mark.slow
+def test_a_law_is_none_beside_an_equation_that_is_none():
+    """Two states are followed together; what one gets wrong the other may make up for."""
+    x, y = sympy.symbols("x y")
+    run = solve(
+        lambda t, s: [s[0] * (1.5 - s[0] - 0.5 * s[1]), s[1] * (1 - s[1] - 0.4 * s[0])],
+        [0.1, 0.2],
+        np.linspace(0, 100, 500),
+        ("x", "y"),
+        0.05,
+    )
+    root = -2.63 * x ** sympy.Rational(3, 2) + 3.17 * x - 0.572 * y
+    other = -0.945 * y**2 + 1.58 * y / (x**2 + 1.83) + 0.0033 / x
+    said = judge({"x": root, "y": other}, [run])
+    assert said.states["x"].level == said.states["y"].level == "approximation"
+    right = judge({"x": 1.5 * x - x**2 - 0.5 * x * y, "y": y - y**2 - 0.4 * x * y}, [run])
+    assert right.level == "law"
