@@ -24,6 +24,9 @@ from dynsr.fit import (
     loosen,
 )
 
+# One over the shares of a window that a fit grows through.
+_PARTS = (16, 4, 1)
+
 
 def first_rows(shooting: Shooting, rows: int) -> Shooting:
     """Give the same misses over the first rows of every window."""
@@ -208,7 +211,10 @@ def follow(
     starts: Sequence[np.ndarray] = (),
     free: bool = False,
 ) -> Followed:
-    """Fit the starts, and with ``free`` the constants too, from growing parts of the windows.
+    """Fit the starts, and with ``free`` the constants too.
+
+    From growing parts of the windows, with steps that are short enough; or, where starts are given,
+    over the whole at once, with the steps that the windows have.
 
     Parameters
     ----------
@@ -218,17 +224,17 @@ def follow(
     free : fit the constants too; only for a single group, others keep their constants.
     """
     begin = list(starts) or [s.windows.x[0] for s in shootings]
+    parts = (1,) if starts else _PARTS
     with np.errstate(all="ignore"):
-        chosen = [
-            replace(s, substeps=_choose_substeps(s, constants, at))
-            for s, at in zip(shootings, begin, strict=True)
-        ]
+        chosen = list(shootings)
+        if not starts:
+            chosen = [replace(s, substeps=_choose_substeps(s, constants)) for s in shootings]
         if free and len(chosen) == 1:
-            constants, begin[0] = _grow(chosen[0], constants, begin[0])
+            constants, begin[0] = _grow(chosen[0], constants, begin[0], parts)
         else:
             closed = _close(chosen[0], constants).flow
             begin = [
-                _grow(replace(s, flow=closed), np.empty(0), at)[1]
+                _grow(replace(s, flow=closed), np.empty(0), at, parts)[1]
                 for s, at in zip(chosen, begin, strict=True)
             ]
         misses = tuple(s.misses(constants, at) for s, at in zip(chosen, begin, strict=True))
@@ -236,12 +242,13 @@ def follow(
     return Followed(tuple(chosen), constants, tuple(begin), misses, length)
 
 
-def _choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
-    """Halve the step until that moves no state by more than a hundredth of its noise."""
+def _choose_substeps(shooting: Shooting, constants: np.ndarray) -> int:
+    """Halve the step until that moves no state by more than a tenth of its noise."""
+    starts = shooting.windows.x[0]
     coarse = shooting.misses(constants, starts)
     for substeps in (2, 4, 8, 16, 32):
         fine = replace(shooting, substeps=substeps).misses(constants, starts)
-        if np.max(np.abs(fine - coarse)) < 0.01:
+        if np.max(np.abs(fine - coarse)) < 0.1:
             return substeps // 2
         coarse = fine
     return 32
@@ -255,12 +262,13 @@ def _close(shooting: Shooting, constants: np.ndarray) -> Shooting:
 
 
 def _grow(
-    shooting: Shooting, constants: np.ndarray, starts: np.ndarray
+    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, parts: Sequence[int] = _PARTS
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fit over the first sixteenth, quarter and whole of the windows."""
+    """Fit over growing parts of the windows; near its end a fit needs the last loss alone."""
     rows = len(shooting.windows.t)
     closed = _close(shooting, constants).flow if len(constants) else shooting.flow
-    for part in dict.fromkeys(max(min(rows, 8), rows // share) for share in (16, 4, 1)):
+    losses = ("linear", "soft_l1") if len(parts) > 1 else ("soft_l1",)
+    for part in dict.fromkeys(max(min(rows, 8), rows // share) for share in parts):
         some = first_rows(shooting, part)
         if not np.all(np.isfinite(some.misses(constants, starts))):
             break
@@ -270,6 +278,6 @@ def _grow(
                 np.empty(0), starts, "linear", most=6, gain=1e-3
             )
             continue
-        for loss in ("linear", "soft_l1") if part == rows else ("linear",):
+        for loss in losses if part == rows else ("linear",):
             constants, starts = some.minimise(constants, starts, loss, most=6, gain=1e-3)
     return constants, starts

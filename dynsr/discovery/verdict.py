@@ -79,7 +79,7 @@ class VerdictSettings:
     rows: int = 400
     fewest: float = 8.0
     growth: float = 50.0
-    hopeless: float = 1e4
+    hopeless: float = 1e3
     windows: int = 64
     steps: int = 5
     free: float = 3.0

@@ -54,6 +54,8 @@ class CollocationSettings:
 
 
 COLLOCATION = CollocationSettings()
+# Simple numbers are judged by differences of some units in a sum of squares of thousands.
+_CLOSELY = replace(COLLOCATION, steps=40, gain=1e-8)
 # Share of its spread in which the defects of a state that is not measured are counted.
 _UNMEASURED = 0.01
 
@@ -432,8 +434,8 @@ class Collocation:
         beside = np.zeros((n, k, k))
         beside[left] = stiffness * lowt @ high
         gradient = squared * (states - self.mesh.x)
-        gradient[left] += stiffness * np.einsum("mij,mj->mi", lowt, defects)
-        gradient[right] += stiffness * np.einsum("mij,mj->mi", hight, defects)
+        gradient[left] += stiffness * (lowt @ defects[..., None])[..., 0]
+        gradient[right] += stiffness * (hight @ defects[..., None])[..., 0]
         count = by_c.shape[2]
         border = np.zeros((n, k, count))
         border[left] += stiffness * lowt @ by_c
@@ -443,8 +445,9 @@ class Collocation:
         if not np.all(np.isfinite(solved)):
             raise LinAlgError
         flat = border.reshape(n * k, count)
-        corner = stiffness * np.einsum("mip,miq->pq", by_c, by_c)
-        pull = stiffness * np.einsum("mip,mi->p", by_c, defects) - flat.T @ solved[:, 0]
+        own = by_c.reshape(defects.size, count)
+        corner = stiffness * (own.T @ own)
+        pull = stiffness * (own.T @ defects.ravel()) - flat.T @ solved[:, 0]
         centre = corner - flat.T @ solved[:, 1:]
         squares = float(
             np.sum(squared * (states - self.mesh.x) ** 2)
@@ -745,6 +748,6 @@ def fit_along(
     near : a fit of similar equations of the same states, which gives the start.
     """
     mesh = data.mesh(tuple(exprs)) if near is None else near.problem.mesh
-    problem = Collocation(exprs, mesh)
+    problem = Collocation(exprs, mesh, _CLOSELY)
     found = problem.fit(None if near is None else near.found)
     return None if found is None else AlongFit(problem, found)

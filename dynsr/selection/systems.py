@@ -154,7 +154,7 @@ def compare_systems(
         return SystemChoice(dict(exprs))
     # A system that follows the data is the best smoother: terms are looked for along it again.
     for number in range(settings.again):
-        if number and leaves_noise(best, settings):
+        if (number or data.noise_share < settings.doubtful) and leaves_noise(best, settings):
             break
         follower = data.along(best.fit.states, states)
         found = {
@@ -189,7 +189,12 @@ def _search(
     leaders = {s: own or [_Leader(pools[s][0], 0.0)] for s, own in leaders.items()}
     together = comparison or SystemComparison(data.mesh(tuple(pools)), settings)
     best = _compose(together, leaders)
-    return best and _climb(together, best, leaders), together
+    if best is None:
+        return None, together
+    # Alone, terms make up for the errors of the curves that the others are read off.
+    for state in pools:
+        best = prune(together, best, state)
+    return _climb(together, best, leaders), together
 
 
 def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
@@ -218,11 +223,12 @@ def explore(
     ratios : whether ratios that follow the smoothed slopes are tried too.
     """
     alone = _Alone.of(state, data, settings)
-    pool = alone.sums_of_terms()
-    if ratios:
+    found = alone.rank(alone.sums_of_terms())
+    best = alone.best()
+    if ratios and not (best and leaves_noise(best, settings)):
         seen = look(data.samples(state), settings.demands.limits(state))
-        pool += [c.expr for c in seen.candidates]
-    return alone.rank(pool)
+        found = alone.rank([c.expr for c in seen.candidates])
+    return found
 
 
 def other_in_halves(
