@@ -26,6 +26,8 @@ from dynsr.fit import (
 
 # One over the shares of a window that a fit grows through.
 _PARTS = (16, 4, 1)
+# Miss in units of the noise below which starts and constants are as good as fitted.
+_NOTHING = 0.01
 
 
 def first_rows(shooting: Shooting, rows: int) -> Shooting:
@@ -264,7 +266,12 @@ def _close(shooting: Shooting, constants: np.ndarray) -> Shooting:
 def _grow(
     shooting: Shooting, constants: np.ndarray, starts: np.ndarray, parts: Sequence[int] = _PARTS
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fit over growing parts of the windows; near its end a fit needs the last loss alone."""
+    """Fit over growing parts of the windows; near its end a fit needs the last loss alone.
+
+    Where nothing is missed beyond a hundredth of the noise there is nothing to fit.
+    """
+    if np.max(np.abs(shooting.misses(constants, starts))) < _NOTHING:
+        return constants, starts
     rows = len(shooting.windows.t)
     closed = _close(shooting, constants).flow if len(constants) else shooting.flow
     losses = ("linear", "soft_l1") if len(parts) > 1 else ("soft_l1",)

@@ -388,9 +388,10 @@ def fitted_values(
     inputs: Mapping[str, sympy.Expr],
     settings: FitSettings = FIT,
 ) -> dict[str, tuple[float, ...]]:
-    """Give what every float of the equations becomes when all are fitted to the states.
+    """Give what every float of fitted equations becomes when all are fitted to the states again.
 
-    In the order of :func:`measure_errors`; the values themselves where no fit can be done.
+    In the order of :func:`measure_errors`; the values themselves where no fit can be done. They are
+    near already, so that the last loss is enough.
 
     >>> t = np.linspace(0, 1, 51)
     >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
@@ -402,7 +403,8 @@ def fitted_values(
         free = is_noisy(runs)
         length = _window_length(runs, free)
         shooting = build_shooting(flow, runs, inputs, length, free, settings.match_windows)
-        fitted = _fit(shooting, np.array(values), settings)
+        near = replace(settings, match_losses=settings.match_losses[-1:])
+        fitted = _fit(shooting, np.array(values), near)
         values = values if fitted is None else fitted[0].tolist()
     pairs = list(zip(owners, values, strict=True))
     return {s: tuple(value for owner, value in pairs if owner == s) for s in exprs}
