@@ -1,5 +1,12 @@
 from .candidates import Candidate, ParetoFront, r_squared, rmse, score_candidate
-from .collocation import Collocation, CollocationFit, CollocationSettings, Measurements, Mesh
+from .collocation import (
+    Collocation,
+    CollocationFit,
+    CollocationSettings,
+    Linearised,
+    Measurements,
+    Mesh,
+)
 from .constants import free_constants, refit, skeleton
 from .description import (
     choose,
@@ -43,6 +50,7 @@ from .shooting import (
     prepare,
     read_inputs,
 )
+from .simple import simplicity_bits
 from .snapping import one_a_shape, score_snapped, snap_best, tidy
 from .variation import improve, loosen, neighbours, with_floats
 
@@ -54,6 +62,7 @@ __all__ = [
     "CollocationSettings",
     "FitSettings",
     "Flow",
+    "Linearised",
     "Match",
     "Measurements",
     "Mesh",
@@ -99,6 +108,7 @@ __all__ = [
     "score_snapped",
     "shift_bits",
     "simplest_form",
+    "simplicity_bits",
     "skeleton",
     "slope_size",
     "snap_best",

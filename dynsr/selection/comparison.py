@@ -22,10 +22,18 @@ from dynsr.fit import (
     CollocationSettings,
     Mesh,
     information_criterion,
+    simplicity_bits,
     skeleton,
 )
 from dynsr.methods import Demands, MonomialLibrary
-from dynsr.selection.terms import Terms, TermSettings, cited_bits, find_angles, unusual_bits
+from dynsr.selection.terms import (
+    Terms,
+    TermSettings,
+    cited_bits,
+    find_angles,
+    in_coordinates,
+    unusual_bits,
+)
 
 Equations = dict[str, sympy.Expr]
 
@@ -169,12 +177,12 @@ class SystemComparison:
     def bits(self, fit: CollocationFit) -> float:
         """Bits of misses, terms and constants."""
         squares = np.maximum(fit.mean_squares, 1e-12)
-        unusual = sum(unusual_bits(e, self.angles) for e in fit.exprs.values())
-        unusual += sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
-        length = information_criterion(
-            squares, self.mesh.rows, fit.exprs.values(), len(fit.constants)
-        )
-        return length + unusual - cited_bits(fit.exprs.values())
+        exprs, said = in_coordinates(list(fit.exprs.values()), self.angles)
+        said += sum(unusual_bits(e, self.angles) for e in exprs)
+        said += sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
+        length = information_criterion(squares, self.mesh.rows, exprs, len(fit.constants))
+        simple = simplicity_bits(fit.constants, fit.errors)
+        return length + said - cited_bits(exprs) - simple
 
     def _leaves(self, state: str, expr: sympy.Expr) -> bool:
         """Whether a state that was positive throughout would fall below 0 from there."""

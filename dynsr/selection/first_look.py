@@ -29,7 +29,7 @@ from dynsr.fit import (
 )
 from dynsr.methods import Limits
 from dynsr.selection.subsets import best_subsets
-from dynsr.selection.terms import Terms, TermSettings, find_angles
+from dynsr.selection.terms import Joint, Terms, TermSettings, find_angles, products
 
 SOURCE = "the first look"
 # Of more columns none is surely left out by chance; steps that are looked at; rounds of a fit.
@@ -150,13 +150,11 @@ class _Search:
         cls, angle: str, samples: Samples, limits: Limits, settings: LookSettings
     ) -> _Search:
         """Take what hangs from a joint: products with the sine and cosine of one angle."""
+        joint = Joint.of(angle, samples.names, settings.below)
+        bits = np.array([structure_bits(0.5 * e) for e in joint.above])
         sine, cosine = sympy.sin(sympy.Symbol(angle)), sympy.cos(sympy.Symbol(angle))
-        others = _products([n for n in samples.names if n != angle], settings.below)
-        waves = (sympy.S.One, sine, cosine, sine * cosine)
-        over = [wave * other for wave in waves for other in (sympy.S.One, *others)]
-        bits = np.array([structure_bits(0.5 * e) for e in over])
         under = [cosine, sine * cosine, sine**2]
-        return cls._make(over, bits, under, samples, limits, settings)
+        return cls._make(joint.above, bits, under, samples, limits, settings)
 
     @classmethod
     def _make(
@@ -317,18 +315,10 @@ class _Search:
         return Look(tuple(score_candidate(e, self.samples, SOURCE) for e in named), final)
 
 
-def _products(names: Sequence[str], degree: int) -> list[sympy.Expr]:
-    """Give the products of one variable up to as many as the degree says."""
-    symbols = [sympy.Symbol(name) for name in names]
-    degrees = range(1, degree + 1)
-    chosen = (c for power in degrees for c in combinations_with_replacement(symbols, power))
-    return list(dict.fromkeys(sympy.Mul(*c) for c in chosen))
-
-
 def _factors(names: Sequence[str], angles: Sequence[str], degree: int) -> list[sympy.Expr]:
     """Give what may stand below the line beside 1."""
     waves = [f(sympy.Symbol(name)) for name in angles for f in (sympy.sin, sympy.cos)]
     pairs = combinations_with_replacement(waves, 2)
     # cos^2 is 1 - sin^2.
     squares = [a * b for a, b in pairs if not (a == b and a.func is sympy.cos)]
-    return [*_products(names, degree), *waves, *squares]
+    return [*products(names, degree), *waves, *squares]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -19,13 +20,15 @@ import sympy
 from scipy.integrate import solve_ivp
 from scipy.linalg import LinAlgError
 
-from dynsr.expression import evaluate
+from dynsr.expression import compile_columns, evaluate
 from dynsr.fit import (
     Collocation,
+    Linearised,
     Measurements,
     constant_bits,
     r_squared,
     skeleton,
+    structure_bits,
     with_floats,
 )
 from dynsr.selection.changes import promising_changes, prune
@@ -39,6 +42,10 @@ from dynsr.selection.comparison import (
 from dynsr.selection.first_look import look
 from dynsr.selection.stand_ins import try_stand_ins
 from dynsr.selection.subsets import best_subsets
+from dynsr.selection.terms import Joint
+
+# More terms may make up for a function that is none of theirs.
+_PLAIN = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,10 +232,19 @@ def explore(
     alone = _Alone.of(state, data, settings)
     found = alone.rank(alone.sums_of_terms())
     best = alone.best()
-    if ratios and not (best and leaves_noise(best, settings)):
-        seen = look(data.samples(state), settings.demands.limits(state))
-        found = alone.rank([c.expr for c in seen.candidates])
-    return found
+    if not ratios or (best and _is_plain(best.exprs[state]) and leaves_noise(best, settings)):
+        return found
+    seen = look(data.samples(state), settings.demands.limits(state))
+    used = best.exprs[state].free_symbols if best else set()
+    angles = [a for a in alone.comparison.angles if sympy.Symbol(a) in used]
+    joints = [one for angle in angles for one in alone.sums_around(angle)]
+    return alone.rank([*joints, *(c.expr for c in seen.candidates)])
+
+
+def _is_plain(expr: sympy.Expr) -> bool:
+    """Whether a formula is a polynomial of few terms."""
+    few = len(sympy.Add.make_args(expr)) <= _PLAIN
+    return few and bool(expr.is_polynomial(*expr.free_symbols))
 
 
 def other_in_halves(
@@ -301,6 +317,67 @@ class _Alone:
             for f in close[: settings.together]
         ]
 
+    def sums_around(self, angle: str) -> list[sympy.Expr]:
+        """Give sums of what hangs from a joint that a linear fit expects most of.
+
+        Below the line stands 1 + c sin^2 or 1 + c cos of the angle, with c near one of a few.
+
+        Parameters
+        ----------
+        angle : of the joint.
+        """
+        joint = Joint.of(angle, self.comparison.names)
+        allow = self.comparison.settings.demands.limits(self.state).allow
+        exprs = [e for e in joint.above if allow(e)]
+        bits = np.array([structure_bits(0.5 * e) for e in exprs])
+        values = compile_columns(exprs, self.comparison.names)(*self._points)
+        rows, found = self._rows, []
+        for below in joint.below:
+            line = 1 + below
+            normal = None
+            if allow(1 / line):
+                normal = self._normal(values / evaluate(line, self._named))
+            if normal is not None:
+                subsets = best_subsets(
+                    normal.information,
+                    -normal.pull,
+                    normal.squares,
+                    bits + constant_bits(rows),
+                    rows,
+                )
+                found += [(s.bits, _add(exprs, s.places, s.coefficients) / line) for s in subsets]
+        found.sort(key=lambda pair: (pair[0], str(pair[1])))
+        return [expr for _, expr in found[: self.comparison.settings.sums]]
+
+    @cached_property
+    def _points(self) -> np.ndarray:
+        """Values of all columns but the time at the rows and between them."""
+        return self._still.points(self.comparison.mesh.start, np.zeros(0))[:-1]
+
+    @property
+    def _named(self) -> dict[str, np.ndarray]:
+        return dict(zip(self.comparison.names, self._points, strict=True))
+
+    @cached_property
+    def _still(self) -> Collocation:
+        exprs = {**self.beside, self.state: sympy.S.Zero}
+        return Collocation(exprs, self.comparison.mesh, self.comparison.settings.fit)
+
+    @property
+    def _rows(self) -> float:
+        return float(np.max(self.comparison.mesh.rows))
+
+    def _normal(self, values: np.ndarray) -> Linearised | None:
+        """Give the normal equations of terms with these values; None where they do not tell."""
+        mesh = self.comparison.mesh
+        slopes = np.zeros((len(mesh.states), len(values), values.shape[1]))
+        slopes[-1] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        softness = self.comparison.settings.softness
+        try:
+            return self._still.normal(mesh.start, np.zeros(0), slopes, softness)
+        except LinAlgError:
+            return None
+
     def best(self) -> SystemFit | None:
         """Give the fit of fewest bits."""
         return next(iter(self._ranked()), None)
@@ -310,17 +387,11 @@ class _Alone:
 
     def sums_of_terms(self) -> list[sympy.Expr]:
         """Give the sums that a linear fit expects most of, the best first."""
-        mesh, settings = self.comparison.mesh, self.comparison.settings
-        problem = Collocation({**self.beside, self.state: sympy.S.Zero}, mesh, settings.fit)
-        points = problem.points(mesh.start, np.zeros(0))[:-1]
-        terms = self.comparison.terms
-        slopes = np.zeros((len(mesh.states), len(terms.exprs), points.shape[1]))
-        slopes[-1] = np.nan_to_num(terms.values(points), nan=0.0, posinf=0.0, neginf=0.0)
-        try:
-            normal = problem.normal(mesh.start, np.zeros(0), slopes, settings.softness)
-        except LinAlgError:
+        settings, terms = self.comparison.settings, self.comparison.terms
+        normal = self._normal(terms.values(self._points))
+        if normal is None:
             return [sympy.S.Zero]
-        rows = float(np.max(mesh.rows))
+        rows = self._rows
         costs = terms.bits + constant_bits(rows) * (1 + terms.inside)
         limits = settings.demands.limits(self.state)
         costs[[not limits.allow(term) for term in terms.exprs]] = np.inf
@@ -332,14 +403,13 @@ class _Alone:
             for subset in subsets[: settings.sums]:
                 places = tuple(int(tier[i]) for i in subset.places)
                 found.setdefault(places, subset.coefficients)
-        sums = [
-            sympy.Add(
-                *[sympy.Float(c) * terms.exprs[i] for c, i in zip(values, places, strict=True)]
-            )
-            for places, values in found.items()
-        ]
+        sums = [_add(terms.exprs, places, values) for places, values in found.items()]
         columns = [sympy.Symbol(n) for n in self.comparison.names if n != self.state]
         return [sympy.S.Zero, *columns, *sums]
+
+
+def _add(exprs: Sequence[sympy.Expr], places: Sequence[int], values: np.ndarray) -> sympy.Expr:
+    return sympy.Add(*[sympy.Float(c) * exprs[i] for c, i in zip(values, places, strict=True)])
 
 
 def _compose(

@@ -21,6 +21,10 @@ from dynsr.expression import compile_columns, plausibility_bits
 from dynsr.fit import skeleton, structure_bits
 
 _NO_POLYNOMIAL = 99
+# Bits of saying that a variable is an angle.
+_ANGLE = 8.0
+# Constants of sin^2 and of cos beside 1 below the line, from which a fit reaches any other.
+_SQUARES, _COSINES = (-0.75, -0.5, 0.3, 1.0, 3.0), (-0.8, -0.5, 0.5, 0.8)
 # Bits that a function costs beside its length: laws are mostly made of powers and their ratios.
 FUNCTION_BITS = {
     sympy.log: 3.0,
@@ -84,8 +88,46 @@ def term_bodies(expr: sympy.Expr) -> set[sympy.Expr]:
     ----------
     expr : the sum.
     """
-    bodies = (skeleton(t.as_coeff_Mul()[1]) for t in sympy.Add.make_args(expr))
+    above, below = sympy.fraction(expr)
+    bodies = [skeleton(t.as_coeff_Mul()[1]) for t in sympy.Add.make_args(above)]
+    bodies += [skeleton(below)] if below.is_Add else []
     return {b for b in bodies if b.free_symbols and not b.is_Symbol}
+
+
+def in_coordinates(
+    exprs: Sequence[sympy.Expr], angles: Iterable[str]
+) -> tuple[list[sympy.Expr], float]:
+    """Write equations in the sine and cosine of what is an angle; gives the bits of saying so too.
+
+    A variable that stands in all equations inside sines and cosines only is an angle. Once that is
+    said, these are two coordinates like others, which saves bits where they are used often.
+
+    Parameters
+    ----------
+    exprs : the equations.
+    angles : columns that may be angles.
+
+    >>> w, v = sympy.symbols("w v")
+    >>> joint = [(v * sympy.sin(w) - sympy.sin(w) * sympy.cos(w)) / (1.5 + sympy.sin(w) ** 2)]
+    >>> in_coordinates(joint, ["w"])[0][0].free_symbols == {v, *sympy.symbols("sin_w cos_w")}
+    True
+    >>> in_coordinates([w * e for e in joint], ["w"])[1]
+    0.0
+    """
+    found, said = list(exprs), 0.0
+    for name in angles:
+        angle = sympy.Symbol(name)
+        waves = {f(angle): sympy.Symbol(f"{f}_{name}") for f in (sympy.sin, sympy.cos)}
+        flat = [expr.xreplace(waves) for expr in found]
+        if flat != found and not any(angle in expr.free_symbols for expr in flat):
+            saved = sum(map(_written, found)) - sum(map(_written, flat))
+            if saved > _ANGLE:
+                found, said = flat, said + _ANGLE
+    return found, said
+
+
+def _written(expr: sympy.Expr) -> float:
+    return structure_bits(expr) + unusual_bits(expr, ())
 
 
 def find_angles(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str, ...]:
@@ -203,6 +245,47 @@ class Terms:
     def values(self, points: np.ndarray) -> np.ndarray:
         """(p, n) values at points (len(names), n)."""
         return self._program(*points)
+
+
+def products(names: Sequence[str], degree: int) -> list[sympy.Expr]:
+    """Give the products of one variable up to as many as the degree says.
+
+    Parameters
+    ----------
+    names, degree : the variables, and how many a product has at most.
+    """
+    symbols = [sympy.Symbol(name) for name in names]
+    degrees = range(1, degree + 1)
+    chosen = (c for power in degrees for c in combinations_with_replacement(symbols, power))
+    return list(dict.fromkeys(sympy.Mul(*c) for c in chosen))
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """What hangs from a joint: products with the sine and cosine of one angle.
+
+    ``above`` are the terms above the line of such an acceleration, ``below`` what may stand beside
+    1 below it, with a few values of its constant.
+    """
+
+    above: tuple[sympy.Expr, ...]
+    below: tuple[sympy.Expr, ...]
+
+    @classmethod
+    def of(cls, angle: str, names: Sequence[str], degree: int = 2) -> Joint:
+        """Make the terms of one angle.
+
+        Parameters
+        ----------
+        angle, names : the angle among the variables.
+        degree : most other variables in a term.
+        """
+        sine, cosine = sympy.sin(sympy.Symbol(angle)), sympy.cos(sympy.Symbol(angle))
+        others = (sympy.S.One, *products([n for n in names if n != angle], degree))
+        waves = (sympy.S.One, sine, cosine, sine * cosine)
+        bottoms = [sympy.Float(c) * sine**2 for c in _SQUARES]
+        bottoms += [sympy.Float(c) * cosine for c in _COSINES]
+        return cls(tuple(w * o for w in waves for o in others), (sympy.S.Zero, *bottoms))
 
 
 def _functions(
