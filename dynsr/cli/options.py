@@ -194,6 +194,14 @@ Terms = Annotated[
         rich_help_panel=SAY,
     ),
 ]
+Must = Annotated[
+    Names,
+    typer.Option(
+        "--must",
+        help='Term that an equation holds, its coefficient fitted: "x: x*y".',
+        rich_help_panel=SAY,
+    ),
+]
 Constraint = Annotated[
     Names,
     typer.Option(

@@ -79,6 +79,7 @@ from dynsr.methods import (
     DEFAULT_PRESET,
     AbstractMethod,
     Constraints,
+    Must,
     choose_methods,
     read_demands,
 )
@@ -116,6 +117,7 @@ def discover(
     functions: Sequence[str] | None = None,
     max_complexity: float | None = None,
     terms: Sequence[str | sympy.Expr] = (),
+    must: Must | None = None,
     constraints: Constraints | None = None,
     conserved: Sequence[str | sympy.Expr] = (),
     nonnegative: Sequence[str] = (),
@@ -164,6 +166,8 @@ def discover(
     max_complexity : most bits of an equation, each fitted constant counted as one symbol
         (:func:`dynsr.fit.structure_bits`).
     terms : terms in the columns that every method searches beside its own.
+    must : state -> a term, or several, that its equation holds, coefficients fitted, whether the
+        data ask for it or not; or lines such as "x: x*y". Floats inside a term are fitted too.
     constraints : state -> term -> "+", "-" or 0, the sign of its coefficient where the equation is
         multiplied out; or lines such as "x: x*y < 0".
     conserved : linear combinations of states that do not change, such as "S + I + R"; the equation
@@ -222,6 +226,7 @@ def discover(
         functions=functions,
         max_complexity=max_complexity,
         terms=terms,
+        must=must,
         constraints=constraints,
         conserved=conserved,
         nonnegative=nonnegative,

@@ -13,6 +13,7 @@ from .description import (
 )
 from .exact import confirm, simplest_form
 from .flow import Flow, Windows, cut_windows
+from .forced import missing_terms
 from .linear import (
     RatioFit,
     cauchy_weights,
@@ -40,6 +41,7 @@ from .shooting import (
     build_shooting,
     choose_substeps,
     drives_of,
+    match_trajectories,
     prepare,
     read_inputs,
 )
@@ -83,7 +85,9 @@ __all__ = [
     "is_noisy",
     "linearly_independent",
     "loosen",
+    "match_trajectories",
     "mean_error_bits",
+    "missing_terms",
     "neighbours",
     "noise_and_spread",
     "noise_of",
