@@ -185,6 +185,13 @@ MaxComplexity = Annotated[
         rich_help_panel=SAY,
     ),
 ]
+Complexity = Annotated[
+    Names,
+    typer.Option(
+        help="Bits that each function or operator costs more: sin=8,/=4.",
+        rich_help_panel=SAY,
+    ),
+]
 Terms = Annotated[
     Names,
     typer.Option(
@@ -282,6 +289,31 @@ def read_names(values: Sequence[str] | None, option: str = "") -> list[str] | No
 
         raise InputError(f"{option} names nothing; name at least one, or leave the option out")
     return names
+
+
+def read_pairs(values: Sequence[str] | None, option: str) -> dict[str, float] | None:
+    """Read ``sin=8,/=4`` as numbers by name; None where the option was not given.
+
+    Raises InputError that names what is no such pair.
+
+    >>> read_pairs(["sin=8,/=4.5"], "--complexity")
+    {'sin': 8.0, '/': 4.5}
+    """
+    from dynsr.errors import InputError
+
+    names = read_names(values, option)
+    if names is None:
+        return None
+    found: dict[str, float] = {}
+    for pair in names:
+        name, _, number = pair.rpartition("=")
+        try:
+            found[name.strip()] = float(number)
+        except ValueError:
+            name = ""
+        if not name.strip():
+            raise InputError(f"{option} {pair!r} must be a name and a number, such as sin=8")
+    return found
 
 
 def read_orders(values: Sequence[str] | None) -> int | dict[str, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,14 @@ from sympy import Expr, Float
 from dynsr.data import Samples
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
 from dynsr.errors import InputError
-from dynsr.expression import check_name, evaluate, shown, to_latex_formula
+from dynsr.expression import (
+    check_name,
+    counting,
+    evaluate,
+    read_own_bits,
+    shown,
+    to_latex_formula,
+)
 from dynsr.fit import (
     Candidate,
     ParetoFront,
@@ -50,6 +57,8 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
     random_state : seed of all chance.
     engine : "embedded", "julia" or an engine: what regresses for SINDy. Another than the embedded
         one needs a method that solves regressions.
+    complexity : function or operator -> bits that each of it costs more, such as {"sin": 8}; in
+        the searches, the front and the choice alike.
 
     Attributes
     ----------
@@ -74,6 +83,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         most_snapped: int = 6,
         random_state: int | np.random.RandomState | None = 0,
         engine: str | AbstractEngine = DEFAULT_ENGINE,
+        complexity: Mapping[str, float] | None = None,
     ) -> None:
         """Keep the settings; they are checked in :meth:`fit`."""
         self.method = method
@@ -83,6 +93,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         self.most_snapped = most_snapped
         self.random_state = random_state
         self.engine = engine
+        self.complexity = complexity
 
     def fit(self, X: Any, y: Any, sample_weight: Any = None) -> DynsrRegressor:
         """Search for a formula.
@@ -107,8 +118,9 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
             rows = _repeated(_check_sample_weight(sample_weight, X, ensure_non_negative=True))
             X, y = X[rows], y[rows]
         samples = self._samples(X, y)
-        front = ParetoFront([score_candidate(Float(float(np.mean(y))), samples, "the mean")])
-        self.expr_, self.front_ = self._choose(self._search(front, samples), samples)
+        with counting(read_own_bits(self.complexity)):
+            front = ParetoFront([score_candidate(Float(float(np.mean(y))), samples, "the mean")])
+            self.expr_, self.front_ = self._choose(self._search(front, samples), samples)
         self.equations_ = _list_equations(self.front_)
         return self
 

@@ -19,6 +19,7 @@ from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
 from dynsr.engines import DEFAULT_ENGINE, start_engine
 from dynsr.errors import InputError
+from dynsr.expression import counting, read_own_bits
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
 
 # Columns and spans of these sizes are searched as they are.
@@ -183,10 +184,12 @@ def in_fitting_units(search: Search) -> Search:
         seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
         units = Units.of(runs)
+        bits = read_own_bits(settings.get("complexity"))
         # Its arrays are small: more threads than one only wait for each other.
-        with threadpool_limits(1):
-            found = confirm(_search_in(units, runs, settings))
-        return with_ensemble(with_told(found, runs), members, seed)
+        with counting(bits):
+            with threadpool_limits(1):
+                found = confirm(_search_in(units, runs, settings))
+            return with_ensemble(with_told(found, runs), members, seed)
 
     def _search_in(units: Units, runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery:
         if units.usual:

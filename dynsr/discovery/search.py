@@ -54,12 +54,13 @@ from dynsr.discovery.tasks import (
     plan_tasks,
     search_tasks,
     tasks_of,
+    with_bits,
 )
 from dynsr.discovery.verdict import explain
 from dynsr.discovery.watching import with_progress
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle, share_engine
 from dynsr.errors import InputError
-from dynsr.expression import arguments_of, to_text
+from dynsr.expression import arguments_of, read_own_bits, to_text
 from dynsr.fit import (
     Candidate,
     read_inputs,
@@ -116,6 +117,7 @@ def discover(
     settings: DiscoverySettings = DISCOVERY,
     functions: Sequence[str] | None = None,
     max_complexity: float | None = None,
+    complexity: Mapping[str, float] | None = None,
     terms: Sequence[str | sympy.Expr] = (),
     must: Must | None = None,
     constraints: Constraints | None = None,
@@ -165,6 +167,8 @@ def discover(
         of powers. See :meth:`dynsr.expression.Vocabulary.read`.
     max_complexity : most bits of an equation, each fitted constant counted as one symbol
         (:func:`dynsr.fit.structure_bits`).
+    complexity : function or operator -> bits that each of it adds to the description length of a
+        formula, such as {"sin": 8, "/": 4}; in searches, fits, choices and fronts alike.
     terms : terms in the columns that every method searches beside its own.
     must : state -> a term, or several, that its equation holds, coefficients fitted, whether the
         data ask for it or not; or lines such as "x: x*y". Floats inside a term are fitted too.
@@ -234,6 +238,7 @@ def discover(
     )
     settings = replace(settings, selection=settle(settings.selection, demands))
     states = searched_states(form.searched(targeted), demands)
+    bits = read_own_bits(complexity)
     given = read_inputs(known or {}, (*runs[0].names, "t"))
     for state in given:
         runs[0].index(state)
@@ -251,6 +256,7 @@ def discover(
         **form.record,
         **demands.as_record(),
         **({} if units is None else {"column_units": column_units(runs[0], units)}),
+        **({"complexity": bits} if bits else {}),
         **({} if time_budget is None else {"time_budget": time_budget}),
         "preset": preset,
         "seed": seed,
@@ -266,7 +272,7 @@ def discover(
     folder = RunFolder(None if out is None else Path(out).absolute())
     key = _claim(folder, problem, states, methods, record)
     first = _choose_first(method, preset, problem, chosen)
-    steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first)
+    steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first, bits)
     found, rivals, cut = steps.run(progress if callable(progress) else None, record)
     if cut:
         record["ended_by_budget"] = cut
@@ -366,6 +372,7 @@ class _Steps:
     jobs: int
     workers: int
     first: tuple[str, ...]
+    bits: Mapping[str, float]
 
     def run(
         self, progress: Callable[[Step], None] | None, record: dict[str, Any]
@@ -411,7 +418,7 @@ class _Steps:
         problem = self.problem
         tasks = look_tasks(samples, problem.demands, problem.settings.selection.look, self.key)
         # Workers take longer to start than all of it.
-        return run_tasks(tasks, self.folder, 1, watch)
+        return run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
 
     def _end_early(
         self, watch: Watch, looked: Sequence[Found], record: dict[str, Any]
@@ -443,7 +450,7 @@ class _Steps:
         comparison = self.problem.settings.selection.comparison
         assert self.problem.measurements is not None
         tasks = explore_tasks(self.states, self.problem.measurements, comparison, self.key)
-        return run_tasks(tasks, self.folder, self.jobs, watch)
+        return run_tasks(with_bits(tasks, self.bits), self.folder, self.jobs, watch)
 
     def _search(
         self,
@@ -455,7 +462,13 @@ class _Steps:
         until = self.problem.budget.until(self.problem.settings.shares.searches)
         turns = give_turns(self.states, methods, until, self.workers)
         tasks = search_tasks(samples, methods, self.seed, self.key, turns)
-        return run_tasks(tasks, self.folder, self.jobs, watch, finished=lambda f: not f.error)
+        return run_tasks(
+            with_bits(tasks, self.bits),
+            self.folder,
+            self.jobs,
+            watch,
+            finished=lambda f: not f.error,
+        )
 
     def _choose(
         self,
@@ -483,7 +496,7 @@ class _Steps:
         )
         # A choice among other formulas, since another method had failed, is none among these.
         return ended + run_tasks(
-            tasks,
+            with_bits(tasks, self.bits),
             self.folder,
             self.jobs,
             watch,

@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 import time
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 import sympy
@@ -18,6 +19,7 @@ import sympy
 from dynsr import errors
 from dynsr.data import Samples, Trajectory
 from dynsr.discovery.result import Discovery
+from dynsr.expression import counting
 from dynsr.fit import Candidate, Measurements, ParetoFront, choose, score_candidate, tidy
 from dynsr.jobs import Task, TimeUp, Turn, Watch, best_equation, finish_by, time_limit
 from dynsr.methods import (
@@ -382,6 +384,24 @@ def pick_tasks(
         )
         for state, pool in pools.items()
     ]
+
+
+def with_bits(tasks: Sequence[Task], bits: Mapping[str, float]) -> Sequence[Task]:
+    """Give tasks that count the user's own bits, wherever they run; the same where there are none.
+
+    Parameters
+    ----------
+    tasks : of a discovery.
+    bits : function or operator -> bits.
+    """
+    if not bits:
+        return tasks
+    return [replace(task, work=partial(_count, bits, task.work)) for task in tasks]
+
+
+def _count(bits: Mapping[str, float], work: Callable[..., Any], *arguments: Any) -> Any:
+    with counting(bits):
+        return work(*arguments)
 
 
 def _search_name(state: str, method: str) -> str:
