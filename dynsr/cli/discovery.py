@@ -256,6 +256,13 @@ def discover(
             rich_help_panel=options.SEARCH,
         ),
     ] = False,
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            help="Go out from the formulas of an earlier discovery: its discovery.json or folder.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = -1,
     engine: options.Engine = DEFAULT_ENGINE,
@@ -324,6 +331,7 @@ def discover(
                 units=units,
                 time_budget=time_budget,
                 ensemble=ensemble,
+                start=start,
                 seed=seed,
                 jobs=jobs,
                 engine=engine,

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from dynsr.data import Trajectory, take_trajectories
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.result import Discovery
+from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
 from dynsr.engines import DEFAULT_ENGINE, start_engine
@@ -194,6 +195,12 @@ def in_fitting_units(search: Search) -> Search:
     def _search_in(units: Units, runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery:
         if units.usual:
             return search(runs, **settings)
+        if settings.get("start") is not None:
+            begun = Start.read(settings["start"])
+            settings["start"] = begun.rewrite(
+                # Columns that these data lack are refused later.
+                lambda s, e: units.apply_slope(s, e) if s in units.columns else e
+            )
         drives = settings["inputs"]
         given = read_inputs(settings.get("known") or {}, (*runs[0].names, "t"))
         settings["known"] = {s: units.apply_slope(s, e) for s, e in given.items()}

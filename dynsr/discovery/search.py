@@ -38,9 +38,11 @@ from dynsr.discovery.problem import (
 )
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.scaling import in_fitting_units
+from dynsr.discovery.start import Start
 from dynsr.discovery.tasks import (
     EXPLORATION,
     FIRST_LOOK,
+    START,
     Choice,
     Found,
     check_found,
@@ -53,10 +55,11 @@ from dynsr.discovery.tasks import (
     pick_tasks,
     plan_tasks,
     search_tasks,
+    start_tasks,
     tasks_of,
     with_bits,
 )
-from dynsr.discovery.verdict import explain
+from dynsr.discovery.verdict import LAW, explain
 from dynsr.discovery.watching import with_progress
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle, share_engine
 from dynsr.errors import InputError
@@ -126,6 +129,7 @@ def discover(
     units: Mapping[str, str] | str | None = None,
     time_budget: float | None = None,
     ensemble: bool | int = False,
+    start: Discovery | Start | str | Path | None = None,
 ) -> Discovery:
     """Find the equation of every state from trajectories.
 
@@ -186,6 +190,9 @@ def discover(
     ensemble : True, or a number of draws: how often each term is kept, and the interval of its
         coefficient, over fits to data drawn with replacement (:func:`dynsr.bootstrap`); it stands
         in ``found.ensemble``, the report and the shell.
+    start : an earlier discovery of the same columns, or the file or folder that it was saved to:
+        its formulas are fitted to these data and are candidates from the start; where they are a
+        law of these data too, nothing else is searched.
 
     Ctrl-C ends the searches: what they have found is given as a Discovery whose ``complete`` is
     False, and the same call on the same ``out`` goes on from there; with nothing found yet it
@@ -249,6 +256,9 @@ def discover(
         refuse_idle(chosen, "a map is iterated, and no method here solves regressions")
     methods = ask_methods(methods, demands, given)
     problem = Problem(runs, drives, scheme, slopes or {}, given, form, settings, demands, budget)
+    begun = None if start is None else Start.read(start)
+    if begun is not None:
+        begun.check(runs[0], form)
     record: dict[str, Any] = {
         "method": method if isinstance(method, str) else ",".join(methods),
         "methods": list(methods),
@@ -257,6 +267,7 @@ def discover(
         **demands.as_record(),
         **({} if units is None else {"column_units": column_units(runs[0], units)}),
         **({"complexity": bits} if bits else {}),
+        **({} if begun is None else {"start": begun.record}),
         **({} if time_budget is None else {"time_budget": time_budget}),
         "preset": preset,
         "seed": seed,
@@ -272,7 +283,8 @@ def discover(
     folder = RunFolder(None if out is None else Path(out).absolute())
     key = _claim(folder, problem, states, methods, record)
     first = _choose_first(method, preset, problem, chosen)
-    steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first, bits)
+    first = first if begun is None else (START, *first)
+    steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first, bits, begun)
     found, rivals, cut = steps.run(progress if callable(progress) else None, record)
     if cut:
         record["ended_by_budget"] = cut
@@ -286,7 +298,8 @@ def discover(
     along = EXPLORATION in first and not shown
     record["engines"] = name_engines(ran, chosen, measured, along, FIRST_LOOK in first)
     record["engines"] |= ENGINES if discrete else {}
-    verdict = problem.judge(found, rivals)
+    settled = None if demands.conserved else found.verdict
+    verdict = settled or problem.judge(found, rivals)
     return replace(
         found,
         verdict=verdict,
@@ -373,6 +386,7 @@ class _Steps:
     workers: int
     first: tuple[str, ...]
     bits: Mapping[str, float]
+    begun: Start | None = None
 
     def run(
         self, progress: Callable[[Step], None] | None, record: dict[str, Any]
@@ -386,6 +400,10 @@ class _Steps:
                 plain = FIRST_LOOK in self.first
                 if self.first:
                     samples |= {s: problem.samples(s, problem.runs, plain=plain) for s in states}
+                begun = self._begin(watch, samples)
+                ended = self._end_with(watch, begun, samples, record)
+                if ended is not None:
+                    return *ended, problem.cut
                 looked = self._look(watch, samples) if plain else []
                 final = self._end_early(watch, looked, record)
                 open_ = EXPLORATION in self.first and not final
@@ -398,7 +416,7 @@ class _Steps:
                 training, held_back = problem.split()
                 samples |= {s: problem.samples(s, training) for s in states}
                 rest = {s: own for s, own in samples.items() if s not in final}
-                searched = [*explored, *looked, *self._search(watch, methods, rest)]
+                searched = [*begun, *explored, *looked, *self._search(watch, methods, rest)]
                 failures = check_found(searched, states)
                 pools = pool_formulas(searched, samples, problem.demands, problem.known)
                 choices = self._choose(watch, pools, samples, held_back, failures, final)
@@ -412,6 +430,40 @@ class _Steps:
                 if best is None:
                     raise
                 return with_velocities(best, problem.form), None, []
+
+    def _begin(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
+        """Fit the formulas of the earlier discovery to these data."""
+        if self.begun is None:
+            return []
+        known = self.problem.known
+        formulas = {s: self.begun.formulas(s, known.get(s, sympy.S.Zero)) for s in samples}
+        tasks = start_tasks(formulas, samples, self.key)
+        return run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
+
+    def _end_with(
+        self,
+        watch: Watch,
+        begun: Sequence[Found],
+        samples: Mapping[str, Samples],
+        record: dict[str, Any],
+    ) -> tuple[Discovery, Rivals | None] | None:
+        """Give the discovery of the earlier formulas where they are a law of these data."""
+        problem = self.problem
+        if not begun or not all(found.candidates for found in begun):
+            return None
+        pools = pool_formulas(begun, samples, problem.demands, problem.known)
+        picks = {s: rank_by_length(s, pool, samples[s]) for s, pool in pools.items()}
+        held = " It holds on these data too, and nothing else was searched."
+        found, rivals = problem.fit(picks, pools, dict.fromkeys(picks, held))
+        if not all(problem.is_allowed(s, e) for s, e in found.equations.items()):
+            return None
+        verdict = problem.judge(found, rivals)
+        if verdict.level != LAW:
+            return None
+        record["methods"] = [START]
+        first = [name for name in self.first if name != START]
+        watch.skip([*tasks_of(self.states, self.methods), *plan_tasks(self.states, {}, first)])
+        return replace(found, verdict=verdict), rivals
 
     def _look(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
         """Have a first look at the slopes of every state."""
