@@ -200,7 +200,7 @@ def discover(
     scheme: Annotated[
         str | None,
         typer.Option(
-            help="How slopes are made: auto (the data choose), forward, central4, ...; forward by "
+            help="How slopes are made: auto (the data choose), forward, central4, weak, ...; forward by "
             "default with preset paper, else auto.",
             autocompletion=options.complete_scheme,
             rich_help_panel=options.SEARCH,

@@ -66,9 +66,9 @@ def _columns_of(file: Path) -> tuple[str, ...]:
 
 def complete_scheme(incomplete: str) -> list[str]:
     """Offer the schemes of slopes to the shell."""
-    from dynsr.data import SCHEMES
+    from dynsr.data import SCHEMES, SMOOTHERS
 
-    names = ("auto", *SCHEMES, "gp", "savgol(11,3)", "spline", "total-variation")
+    names = ("auto", *SCHEMES, "savgol(11,3)", *SMOOTHERS)
     return [name for name in names if name.startswith(incomplete)]
 
 

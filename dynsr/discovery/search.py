@@ -153,7 +153,9 @@ def discover(
         (``settings["engines"]``). Another engine than that one also follows what was found over
         the data (``settings["confirmed"]``).
     scheme : how slopes are made; by default forward differences with preset "paper", as there,
-        and with the others "auto", which lets the data choose.
+        and with the others "auto", which lets the data choose. Of the names that
+        :func:`dynsr.data.slopes.smooth_column` takes, "weak" is the weak form; in noise "auto" is
+        better than any of them, since it searches along the states and not on slopes.
     slopes : state -> the user's own slopes, one array (or one a trajectory).
     out : folder that keeps every finished task; the same call on it goes on where it was killed.
     progress : called with a :class:`Step` as tasks end, and every half second while they run; True
