@@ -200,8 +200,8 @@ def discover(
     scheme: Annotated[
         str | None,
         typer.Option(
-            help="How slopes are made: auto (the data choose), forward, central4, weak, ...; forward by "
-            "default with preset paper, else auto.",
+            help="How slopes are made: auto (the data choose), forward, central4, weak, ...; "
+            "forward by default with preset paper, else auto.",
             autocompletion=options.complete_scheme,
             rich_help_panel=options.SEARCH,
         ),
@@ -241,6 +241,7 @@ def discover(
     functions: options.Functions = None,
     max_complexity: options.MaxComplexity = None,
     complexity: options.Complexity = None,
+    loss: options.Loss = None,
     terms: options.Terms = None,
     must: options.Must = None,
     constraints: options.Constraint = None,
@@ -322,6 +323,7 @@ def discover(
                 discrete=discrete,
                 functions=options.read_functions(functions),
                 max_complexity=max_complexity,
+                loss=loss,
                 complexity=options.read_pairs(complexity, "--complexity"),
                 terms=options.read_names(terms) or (),
                 must=options.read_names(must),

@@ -192,6 +192,14 @@ Complexity = Annotated[
         rich_help_panel=SAY,
     ),
 ]
+Loss = Annotated[
+    str | None,
+    typer.Option(
+        help="What a miss counts where formulas are ranked on slopes: squared, absolute, huber or "
+        "cauchy.",
+        rich_help_panel=SAY,
+    ),
+]
 Terms = Annotated[
     Names,
     typer.Option(

@@ -31,6 +31,7 @@ from dynsr.expression import compile_numpy
 from dynsr.fit import (
     Candidate,
     FitSettings,
+    Loss,
     Match,
     Measurements,
     Noise,
@@ -122,6 +123,13 @@ class Problem:
     budget: Budget
     cut: list[str] = field(default_factory=list)
     confirmed: list[Match] = field(default_factory=list)
+
+    def counting(self, loss: Loss | None) -> Problem:
+        """Give the same problem, in which the choice of a formula counts misses by a loss."""
+        if loss is None:
+            return self
+        selection = replace(self.settings.selection, loss=loss)
+        return replace(self, settings=replace(self.settings, selection=selection))
 
     def samples(
         self,

@@ -66,7 +66,10 @@ from dynsr.errors import InputError
 from dynsr.expression import arguments_of, read_own_bits, to_text
 from dynsr.fit import (
     Candidate,
+    Loss,
+    LossFunction,
     read_inputs,
+    read_loss,
 )
 from dynsr.jobs import (
     Budget,
@@ -121,6 +124,7 @@ def discover(
     functions: Sequence[str] | None = None,
     max_complexity: float | None = None,
     complexity: Mapping[str, float] | None = None,
+    loss: str | LossFunction | None = None,
     terms: Sequence[str | sympy.Expr] = (),
     must: Must | None = None,
     constraints: Constraints | None = None,
@@ -175,6 +179,12 @@ def discover(
         (:func:`dynsr.fit.structure_bits`).
     complexity : function or operator -> bits that each of it adds to the description length of a
         formula, such as {"sin": 8, "/": 4}; in searches, fits, choices and fronts alike.
+    loss : "squared", "absolute", "huber", "cauchy", or a function of predicted and actual slopes
+        (n,) that gives the loss of each row: what a miss counts where formulas that forecast
+        held-back data alike are ranked on the slopes, and in fits of the constants of the best of
+        them. It has no say in the searches, where the noise is so large that whole systems are
+        compared on the states, where exact slopes or a start end the search, nor in the last fit
+        of the constants to the states and in the verdict; errors on fronts are of least squares.
     terms : terms in the columns that every method searches beside its own.
     must : state -> a term, or several, that its equation holds, coefficients fitted, whether the
         data ask for it or not; or lines such as "x: x*y". Floats inside a term are fitted too.
@@ -258,9 +268,8 @@ def discover(
         refuse_idle(chosen, "a map is iterated, and no method here solves regressions")
     methods = ask_methods(methods, demands, given)
     problem = Problem(runs, drives, scheme, slopes or {}, given, form, settings, demands, budget)
-    begun = None if start is None else Start.read(start)
-    if begun is not None:
-        begun.check(runs[0], form)
+    problem = problem.counting(read_loss(loss))
+    begun = None if start is None else Start.read(start).check(runs[0], form)
     record: dict[str, Any] = {
         "method": method if isinstance(method, str) else ",".join(methods),
         "methods": list(methods),
@@ -269,6 +278,7 @@ def discover(
         **demands.as_record(),
         **({} if units is None else {"column_units": column_units(runs[0], units)}),
         **({"complexity": bits} if bits else {}),
+        **({} if loss in (None, "squared") else {"loss": Loss(loss).name}),
         **({} if begun is None else {"start": begun.record}),
         **({} if time_budget is None else {"time_budget": time_budget}),
         "preset": preset,
@@ -350,6 +360,9 @@ def _claim(
     key = fingerprint(
         about, details, problem.slopes, problem.known, problem.inputs, repr(dict(methods))
     )
+    if problem.settings.selection.loss is not None:
+        # Two functions may have one name.
+        key = fingerprint(key, problem.settings.selection.loss.values)
     folder.claim("discovery", about, key)
     return key
 

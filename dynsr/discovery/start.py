@@ -61,8 +61,8 @@ class Start:
         }
         return cls(dict(given.equations), front, given.is_map, label)
 
-    def check(self, run: Trajectory, form: Form) -> None:
-        """Raise InputError where the formulas are of other columns or another kind.
+    def check(self, run: Trajectory, form: Form) -> Start:
+        """Give it back; raises InputError where it is of other columns or another kind.
 
         Parameters
         ----------
@@ -86,6 +86,7 @@ class Start:
                 + (f" and the inputs {', '.join(run.input_names)}" if run.input_names else "")
                 + "; give data of the same columns and kind"
             )
+        return self
 
     def formulas(self, state: str, known: sympy.Expr) -> tuple[sympy.Expr, ...]:
         """Give the formulas of a state without a given part, the chosen one first.

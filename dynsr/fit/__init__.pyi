@@ -22,6 +22,7 @@ from .linear import (
     fit_robustly,
     linearly_independent,
 )
+from .losses import Loss, LossFunction, judge_by_loss, read_loss
 from .noise import (
     FINEST_SLOPES,
     Noise,
@@ -56,6 +57,8 @@ __all__ = [
     "CollocationSettings",
     "FitSettings",
     "Flow",
+    "Loss",
+    "LossFunction",
     "Match",
     "Measurements",
     "Mesh",
@@ -83,6 +86,7 @@ __all__ = [
     "independent_rows",
     "information_criterion",
     "is_noisy",
+    "judge_by_loss",
     "linearly_independent",
     "loosen",
     "match_trajectories",
@@ -96,6 +100,7 @@ __all__ = [
     "prepare",
     "r_squared",
     "read_inputs",
+    "read_loss",
     "refit",
     "residual_noise",
     "rmse",
