@@ -72,6 +72,13 @@ def complete_scheme(incomplete: str) -> list[str]:
     return [name for name in names if name.startswith(incomplete)]
 
 
+def complete_loss(incomplete: str) -> list[str]:
+    """Offer the losses to the shell."""
+    from dynsr.fit import LOSSES
+
+    return [name for name in LOSSES if name.startswith(incomplete)]
+
+
 Json = Annotated[
     bool, typer.Option("--json", help="Print JSON alone on stdout.", rich_help_panel=OUTPUT)
 ]
@@ -197,6 +204,7 @@ Loss = Annotated[
     typer.Option(
         help="What a miss counts where formulas are ranked on slopes: squared, absolute, huber or "
         "cauchy.",
+        autocompletion=complete_loss,
         rich_help_panel=SAY,
     ),
 ]

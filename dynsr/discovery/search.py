@@ -178,7 +178,8 @@ def discover(
     max_complexity : most bits of an equation, each fitted constant counted as one symbol
         (:func:`dynsr.fit.structure_bits`).
     complexity : function or operator -> bits that each of it adds to the description length of a
-        formula, such as {"sin": 8, "/": 4}; in searches, fits, choices and fronts alike.
+        formula, such as {"sin": 8, "/": 4}; in searches, fits, choices, fronts and
+        ``max_complexity`` alike.
     loss : "squared", "absolute", "huber", "cauchy", or a function of predicted and actual slopes
         (n,) that gives the loss of each row: what a miss counts where formulas that forecast
         held-back data alike are ranked on the slopes, and in fits of the constants of the best of

@@ -22,7 +22,7 @@ from .linear import (
     fit_robustly,
     linearly_independent,
 )
-from .losses import Loss, LossFunction, judge_by_loss, read_loss
+from .losses import LOSSES, Loss, LossFunction, judge_by_loss, read_loss
 from .noise import (
     FINEST_SLOPES,
     Noise,
@@ -51,6 +51,7 @@ from .variation import improve, loosen, neighbours, with_floats
 
 __all__ = [
     "FINEST_SLOPES",
+    "LOSSES",
     "Candidate",
     "Collocation",
     "CollocationFit",
