@@ -423,6 +423,8 @@ def test_shell_completion(typed, offered):
         ("--trajectory xx", ["xx"]),
         ("--json --inputs y", ["y"]),
         ("--scheme central4", ["central4"]),
+        ("--scheme w", ["weak"]),
+        ("--loss h", ["huber"]),
     ],
 )
 def test_the_shell_completes_the_columns_of_the_file(tmp_path, typed, offered):
@@ -436,4 +438,4 @@ def test_the_shell_completes_the_columns_of_the_file(tmp_path, typed, offered):
     assert result.stdout.split() == offered
     environment["COMP_WORDS"] = line.replace("data.csv", "none.csv")
     result = CliRunner().invoke(app, [], prog_name="dynsr", env=environment)
-    assert result.stdout.split() == (offered if "scheme" in typed else [])
+    assert result.stdout.split() == (offered if "scheme" in typed or "loss" in typed else [])

@@ -1,5 +1,6 @@
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -52,6 +53,26 @@ def test_the_wheel_holds_all_that_dynsr_needs_at_run_time(wheel):
     assert wanted <= names
     here = {p.relative_to(ROOT).as_posix() for p in (ROOT / "dynsr").rglob("*") if p.is_file()}
     assert {n for n in here if "__pycache__" not in n} <= names
+
+
+def test_the_sdist_gives_the_same_wheel(wheel, tmp_path):
+    """The archive of the sources, unpacked elsewhere, builds a wheel of the very same files."""
+    build = [sys.executable, "-m", "hatchling", "build"]
+    command = [*build, "-t", "sdist", "-d", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (archive,) = tmp_path.glob("dynsr-*.tar.gz")
+    with tarfile.open(archive) as sources:
+        sources.extractall(tmp_path, filter="data")
+    (folder,) = (path for path in tmp_path.iterdir() if path.is_dir())
+    assert {"pyproject.toml", "README.md", "LICENSE"} <= {path.name for path in folder.iterdir()}
+    command = [*build, "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    (again,) = tmp_path.glob("dynsr-*.whl")
+    files = [
+        {info.filename: info.CRC for info in zipfile.ZipFile(path).infolist()}
+        for path in (wheel, again)
+    ]
+    assert files[0] == files[1]
 
 
 def test_an_installed_dynsr_finds_julias_sources(installed, tmp_path):

@@ -200,8 +200,8 @@ def discover(
     scheme: Annotated[
         str | None,
         typer.Option(
-            help="How slopes are made: auto (the data choose), forward, central4, ...; forward by "
-            "default with preset paper, else auto.",
+            help="How slopes are made: auto (the data choose), forward, central4, weak, ...; "
+            "forward by default with preset paper, else auto.",
             autocompletion=options.complete_scheme,
             rich_help_panel=options.SEARCH,
         ),
@@ -240,7 +240,10 @@ def discover(
     ] = False,
     functions: options.Functions = None,
     max_complexity: options.MaxComplexity = None,
+    complexity: options.Complexity = None,
+    loss: options.Loss = None,
     terms: options.Terms = None,
+    must: options.Must = None,
     constraints: options.Constraint = None,
     conserved: options.Conserved = None,
     nonnegative: options.Nonnegative = None,
@@ -254,6 +257,13 @@ def discover(
             rich_help_panel=options.SEARCH,
         ),
     ] = False,
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            help="Go out from the formulas of an earlier discovery: its discovery.json or folder.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = -1,
     engine: options.Engine = DEFAULT_ENGINE,
@@ -313,13 +323,17 @@ def discover(
                 discrete=discrete,
                 functions=options.read_functions(functions),
                 max_complexity=max_complexity,
+                loss=loss,
+                complexity=options.read_pairs(complexity, "--complexity"),
                 terms=options.read_names(terms) or (),
+                must=options.read_names(must),
                 constraints=options.read_names(constraints),
                 conserved=options.read_names(conserved) or (),
                 nonnegative=options.read_names(nonnegative) or (),
                 units=units,
                 time_budget=time_budget,
                 ensemble=ensemble,
+                start=start,
                 seed=seed,
                 jobs=jobs,
                 engine=engine,

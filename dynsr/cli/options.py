@@ -66,10 +66,17 @@ def _columns_of(file: Path) -> tuple[str, ...]:
 
 def complete_scheme(incomplete: str) -> list[str]:
     """Offer the schemes of slopes to the shell."""
-    from dynsr.data import SCHEMES
+    from dynsr.data import SCHEMES, SMOOTHERS
 
-    names = ("auto", *SCHEMES, "gp", "savgol(11,3)", "spline", "total-variation")
+    names = ("auto", *SCHEMES, "savgol(11,3)", *SMOOTHERS)
     return [name for name in names if name.startswith(incomplete)]
+
+
+def complete_loss(incomplete: str) -> list[str]:
+    """Offer the losses to the shell."""
+    from dynsr.fit import LOSSES
+
+    return [name for name in LOSSES if name.startswith(incomplete)]
 
 
 Json = Annotated[
@@ -185,12 +192,36 @@ MaxComplexity = Annotated[
         rich_help_panel=SAY,
     ),
 ]
+Complexity = Annotated[
+    Names,
+    typer.Option(
+        help="Bits that each function or operator costs more: sin=8,/=4.",
+        rich_help_panel=SAY,
+    ),
+]
+Loss = Annotated[
+    str | None,
+    typer.Option(
+        help="What a miss counts where formulas are ranked on slopes: squared, absolute, huber or "
+        "cauchy.",
+        autocompletion=complete_loss,
+        rich_help_panel=SAY,
+    ),
+]
 Terms = Annotated[
     Names,
     typer.Option(
         "--terms",
         "--term",
         help='Terms of your own to try: "x*y/(1+x)".',
+        rich_help_panel=SAY,
+    ),
+]
+Must = Annotated[
+    Names,
+    typer.Option(
+        "--must",
+        help='Term that an equation holds, its coefficient fitted: "x: x*y".',
         rich_help_panel=SAY,
     ),
 ]
@@ -274,6 +305,31 @@ def read_names(values: Sequence[str] | None, option: str = "") -> list[str] | No
 
         raise InputError(f"{option} names nothing; name at least one, or leave the option out")
     return names
+
+
+def read_pairs(values: Sequence[str] | None, option: str) -> dict[str, float] | None:
+    """Read ``sin=8,/=4`` as numbers by name; None where the option was not given.
+
+    Raises InputError that names what is no such pair.
+
+    >>> read_pairs(["sin=8,/=4.5"], "--complexity")
+    {'sin': 8.0, '/': 4.5}
+    """
+    from dynsr.errors import InputError
+
+    names = read_names(values, option)
+    if names is None:
+        return None
+    found: dict[str, float] = {}
+    for pair in names:
+        name, _, number = pair.rpartition("=")
+        try:
+            found[name.strip()] = float(number)
+        except ValueError:
+            name = ""
+        if not name.strip():
+            raise InputError(f"{option} {pair!r} must be a name and a number, such as sin=8")
+    return found
 
 
 def read_orders(values: Sequence[str] | None) -> int | dict[str, int]:

@@ -12,7 +12,7 @@ from .reading import (
     write_csv,
 )
 from .samples import SCHEMES, Samples, join_samples, make_samples
-from .slopes import SlopeSettings, choose_samples
+from .slopes import SMOOTHERS, SlopeSettings, choose_samples
 from .smoothing import SmoothedTrajectory, estimate_noise, smooth
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .times import check_time_unit
@@ -34,6 +34,7 @@ __all__ = [
     "PAPER_SYSTEMS",
     "RECORD_MARK",
     "SCHEMES",
+    "SMOOTHERS",
     "SYSTEMS",
     "Cause",
     "DiagnosisSettings",

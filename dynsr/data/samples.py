@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,7 @@ class Samples:
     noise : typical error of ``y`` (one standard deviation, state units per second); None when
         nobody has estimated it.
     layers : whether the states pass fast layers; large terms cancel each other on the other rows.
+    loss : loss of each row (n,) from predicted and actual values, in the place of the square.
     slope_sd : (n,) error of each of ``y``, by the scheme that made them; None when it tells none.
 
     >>> t = np.arange(3.0)
@@ -42,6 +43,7 @@ class Samples:
     noise: float | None = None
     slope_sd: np.ndarray | None = None
     layers: bool = False
+    loss: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
 
     def __len__(self) -> int:
         """Count the rows."""
@@ -51,6 +53,18 @@ class Samples:
     def columns(self) -> dict[str, np.ndarray]:
         """Every column of ``X`` by name."""
         return {name: self.X[:, j] for j, name in enumerate(self.names)}
+
+    def misses(self, predicted: np.ndarray) -> np.ndarray:
+        """Give (n,) misses whose squares are the loss: y - f(X), unless there is a loss of its own.
+
+        Parameters
+        ----------
+        predicted : (n,) values of a formula.
+        """
+        if self.loss is None:
+            return self.y - predicted
+        with np.errstate(all="ignore"):
+            return np.copysign(np.sqrt(self.loss(predicted, self.y)), self.y - predicted)
 
     def select(self, rows: slice | np.ndarray) -> Samples:
         """Give the samples of some rows."""

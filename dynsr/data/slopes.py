@@ -22,8 +22,11 @@ from dynsr.data.samples import (
 )
 from dynsr.data.smoothing import SmoothColumn, estimate_noise, smooth_values
 from dynsr.data.trajectory import Trajectory, as_floats
+from dynsr.data.weak import weak_slopes
 from dynsr.errors import InputError, need
 
+# The smoothers that have no settings.
+SMOOTHERS = ("gp", "spline", "total-variation", "weak")
 _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
 
 
@@ -143,7 +146,8 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     t : (n,) times in seconds, strictly increasing.
     x : (n,) values of one state.
     scheme : "forward", "backward", "central2" to "central8", "savgol(WINDOW,DEGREE)", "gp" (a
-        Gaussian process), "spline" or "total-variation".
+        Gaussian process), "spline", "total-variation" or "weak" (the slope that has the weak
+        form's means over windows, and its integral; no row is differentiated).
 
     Raises InputError on any other name, and when there are too few rows for a difference.
 
@@ -157,6 +161,8 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
         if len(t) < 4:
             raise InputError(f"{len(t)} rows are too few for scheme 'gp'; give at least 4")
         return _gaussian_process(t, x)
+    if scheme == "weak":
+        return Smooth(*weak_slopes(t.tobytes(), x.tobytes()))
     if scheme == "total-variation":
         return _total_variation(t, x)
     if scheme in SCHEMES:
@@ -170,7 +176,7 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
                 "many, larger than the degree"
             )
         return _savgol(t, x, int(match[1]), int(match[2]))
-    known = ", ".join([*SCHEMES, "savgol(WINDOW,DEGREE)", "gp", "spline", "total-variation"])
+    known = ", ".join([*SCHEMES, "savgol(WINDOW,DEGREE)", *SMOOTHERS])
     raise InputError(f"unknown scheme {scheme!r}; the schemes are: {known}")
 
 

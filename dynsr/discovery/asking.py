@@ -44,13 +44,13 @@ def settle(settings: SelectionSettings, demands: Demands) -> SelectionSettings:
     demands : what is asked.
     """
     vocabulary = demands.vocabulary
-    factors = replace(settings.comparison.factors, own=demands.terms)
+    factors = replace(settings.comparison.factors, own=demands.offered)
     if vocabulary is not None:
         allowed = tuple(name for name in factors.functions if name in vocabulary.functions)
         factors = replace(factors, functions=allowed)
     return replace(
         settings,
-        fit=replace(settings.fit, vocabulary=vocabulary),
+        fit=replace(settings.fit, vocabulary=vocabulary, must=demands.must),
         comparison=replace(settings.comparison, demands=demands, factors=factors),
     )
 
@@ -79,7 +79,8 @@ def searched_states(states: Sequence[str], demands: Demands) -> tuple[str, ...]:
     states : the targets.
     demands : what is asked.
 
-    Raises InputError when the equation of a target follows from one that is no target.
+    Raises InputError when the equation of a target follows from one that is no target, or a term
+    must occur in an equation that is not searched.
     """
     for state, total in demands.conserved:
         missing = sorted({str(s) for s in total.free_symbols} - {*states})
@@ -88,7 +89,14 @@ def searched_states(states: Sequence[str], demands: Demands) -> tuple[str, ...]:
                 f"the equation of {state!r} follows from {to_text(total)}, which needs that of "
                 f"{missing[0]!r}; make it a target too"
             )
-    return tuple(state for state in states if state not in dict(demands.conserved))
+    searched = tuple(state for state in states if state not in dict(demands.conserved))
+    for state, term in demands.must:
+        if state not in searched:
+            raise InputError(
+                f"must of {state!r} has {to_text(term)!r}, but its equation is not searched; "
+                f"those searched are of: {', '.join(searched)}"
+            )
+    return searched
 
 
 def add_conserved(

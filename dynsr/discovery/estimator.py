@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,13 +15,23 @@ from sympy import Expr, Float
 from dynsr.data import Samples
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
 from dynsr.errors import InputError
-from dynsr.expression import check_name, evaluate, shown, to_latex_formula
+from dynsr.expression import (
+    check_name,
+    counting,
+    evaluate,
+    read_own_bits,
+    shown,
+    to_latex_formula,
+)
 from dynsr.fit import (
     Candidate,
+    LossFunction,
     ParetoFront,
     choose,
     description_length,
+    judge_by_loss,
     noise_of,
+    read_loss,
     score_candidate,
     score_snapped,
     tidy,
@@ -50,14 +61,20 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
     random_state : seed of all chance.
     engine : "embedded", "julia" or an engine: what regresses for SINDy. Another than the embedded
         one needs a method that solves regressions.
+    loss : "squared", "absolute", "huber", "cauchy", or a function of predicted and actual values
+        (n,) that gives the loss of each row. It decides on the front and the choice, and fits the
+        constants of the best formulas; the searches before go by least squares. The units of
+        "huber" and "cauchy" are 1.345 and 2.385 times the size of the errors.
+    complexity : function or operator -> bits that each of it costs more, such as {"sin": 8}; in
+        the searches, the front and the choice alike.
 
     Attributes
     ----------
     expr_ : the formula (SymPy) in the names of the columns, ``x0, x1, ...`` without names.
     front_ : all formulas found (:class:`dynsr.fit.candidates.ParetoFront`).
     equations_ : the same as a data frame, simplest first: ``complexity`` in bits, ``loss`` (mean
-        squared error), ``score`` (drop of the logarithm of the loss a bit), ``equation``,
-        ``sympy_format`` and ``source``.
+        squared error, or the mean of ``loss``), ``score`` (drop of the logarithm of the loss a
+        bit), ``equation``, ``sympy_format`` and ``source``.
 
     >>> X = np.linspace(0.5, 2.0, 80)[:, None]
     >>> model = DynsrRegressor().fit(X, 3 * X[:, 0] ** 2)
@@ -74,6 +91,8 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         most_snapped: int = 6,
         random_state: int | np.random.RandomState | None = 0,
         engine: str | AbstractEngine = DEFAULT_ENGINE,
+        loss: str | LossFunction | None = None,
+        complexity: Mapping[str, float] | None = None,
     ) -> None:
         """Keep the settings; they are checked in :meth:`fit`."""
         self.method = method
@@ -83,6 +102,8 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         self.most_snapped = most_snapped
         self.random_state = random_state
         self.engine = engine
+        self.loss = loss
+        self.complexity = complexity
 
     def fit(self, X: Any, y: Any, sample_weight: Any = None) -> DynsrRegressor:
         """Search for a formula.
@@ -106,9 +127,14 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         if sample_weight is not None:
             rows = _repeated(_check_sample_weight(sample_weight, X, ensure_non_negative=True))
             X, y = X[rows], y[rows]
-        samples = self._samples(X, y)
-        front = ParetoFront([score_candidate(Float(float(np.mean(y))), samples, "the mean")])
-        self.expr_, self.front_ = self._choose(self._search(front, samples), samples)
+        samples, loss = self._samples(X, y), read_loss(self.loss)
+        with counting(read_own_bits(self.complexity)):
+            front = ParetoFront([score_candidate(Float(float(np.mean(y))), samples, "the mean")])
+            front = self._search(front, samples)
+            if loss is not None:
+                pool, samples = judge_by_loss([*front, *front.leaders], samples, loss)
+                front = ParetoFront(pool)
+            self.expr_, self.front_ = self._choose(front, samples)
         self.equations_ = _list_equations(self.front_)
         return self
 
@@ -141,7 +167,11 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
         noise = noise_of(front, samples)
         if self.snap:
             ranked = sorted(front, key=lambda c: description_length(c, samples, noise))
-            front = front.add(*self._snapped(ranked[: self.most_snapped], samples, noise))
+            # Numbers are simple by the errors of the target, whatever a miss counts.
+            plain = replace(samples, loss=None)
+            level = noise if samples.loss is None else noise_of(front, plain)
+            snapped = self._snapped(ranked[: self.most_snapped], plain, level)
+            front = front.add(*(score_candidate(c.expr, samples, c.source) for c in snapped))
         return choose(front, samples, noise).expr, front
 
     def _snapped(self, ranked: list[Candidate], samples: Samples, noise: Any) -> list[Candidate]:

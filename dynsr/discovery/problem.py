@@ -31,6 +31,7 @@ from dynsr.expression import compile_numpy
 from dynsr.fit import (
     Candidate,
     FitSettings,
+    Loss,
     Match,
     Measurements,
     Noise,
@@ -38,7 +39,9 @@ from dynsr.fit import (
     confirm,
     description_length,
     is_noisy,
+    match_trajectories,
     polish,
+    refit,
     tidy,
 )
 from dynsr.jobs import (
@@ -121,6 +124,13 @@ class Problem:
     cut: list[str] = field(default_factory=list)
     confirmed: list[Match] = field(default_factory=list)
 
+    def counting(self, loss: Loss | None) -> Problem:
+        """Give the same problem, in which the choice of a formula counts misses by a loss."""
+        if loss is None:
+            return self
+        selection = replace(self.settings.selection, loss=loss)
+        return replace(self, settings=replace(self.settings, selection=selection))
+
     def samples(
         self,
         state: str,
@@ -186,6 +196,7 @@ class Problem:
         if mended != fitted.exprs:
             system = mended
             fitted = self._polish(system, picks)
+        fitted = self._with_forced(fitted, picks)
         found = Discovery(
             equations=fitted.exprs,
             errors=fitted.errors,
@@ -204,7 +215,9 @@ class Problem:
     def _allowed(self, pick: Pick) -> sympy.Expr:
         """Give the best formula that keeps to the demands; the choice varies those of the pool."""
         formulas = (r.candidate.expr for r in pick.ranked)
-        return next(filter(self.demands.allows, formulas), pick.candidate.expr)
+        best = next(filter(self.demands.allows, formulas), pick.candidate.expr)
+        forced = self.demands.force(pick.state, best, self.known.get(pick.state, sympy.S.Zero))
+        return best if forced == best else refit(forced, self.samples(pick.state, self.runs))
 
     def _fit_map(
         self,
@@ -265,10 +278,25 @@ class Problem:
             )
         return polish(system, self.runs, self.inputs, samples, noise, settings, data)
 
+    def _with_forced(self, fitted: Match, picks: Mapping[str, Pick]) -> Match:
+        """Put forced terms that snapping took for nothing back, with coefficients as fitted."""
+        whole = {s: self.demands.force(s, e) for s, e in fitted.exprs.items()}
+        if whole == fitted.exprs:
+            return fitted
+        samples = {s: self.samples(s, self.runs, known_left_out=False) for s in whole}
+        begun = {s: refit(e, samples[s]) if e != fitted.exprs[s] else e for s, e in whole.items()}
+        settings = self.settings.selection.fit
+        match = match_trajectories(begun, self.runs, inputs=self.inputs, settings=settings)
+        noise = {s: picks[self.form.velocities.get(s, s)].noise for s in whole}
+        return polish(match.exprs, self.runs, self.inputs, samples, noise, settings, None, match)
+
     def _front(self, pool: Sequence[Candidate], pick: Pick) -> ParetoFront:
         """Merge what the methods found with what fitting and snapping made of it."""
         last = [replace(r.candidate, expr=tidy(r.candidate.expr)) for r in pick.ranked]
-        return ParetoFront([*pool, *(c for c in last if self.demands.allows(c.expr))])
+        given = self.known.get(pick.state, sympy.S.Zero)
+        kept = (c for c in last if self.demands.allows(c.expr))
+        whole = (c for c in kept if not self.demands.lacking(pick.state, given + c.expr))
+        return ParetoFront([*pool, *whole])
 
     @property
     def columns(self) -> dict[str, np.ndarray]:

@@ -39,8 +39,10 @@ from dynsr.expression import (
     Units,
     arguments_of,
     bare_term,
+    counting,
     evaluate,
     parse,
+    read_own_bits,
     read_units,
     shown,
     to_julia,
@@ -184,7 +186,15 @@ class Discovery:
         if not -len(front) <= k < len(front):
             raise InputError(f"the front of {state} has {len(front)} formulas; k = {k} is none")
         given = parse(str(self.settings.get("known", {}).get(state, "0")))
-        chosen = {**self.equations, state: given + front[k].expr}
+        with counting(self.own_bits):
+            return self._adopt({**self.equations, state: given + front[k].expr}, state)
+
+    @property
+    def own_bits(self) -> dict[str, float]:
+        """Function or operator -> the bits of the user's own that each of it was counted with."""
+        return read_own_bits(self.settings.get("complexity"))
+
+    def _adopt(self, chosen: dict[str, sympy.Expr], state: str) -> Discovery:
         if self.is_map:
             steps = {
                 s: measure_step_errors(e, pair_rows(self.trajectories, s))

@@ -15,10 +15,12 @@ from threadpoolctl import threadpool_limits
 from dynsr.data import Trajectory, take_trajectories
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.result import Discovery
+from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
 from dynsr.engines import DEFAULT_ENGINE, start_engine
 from dynsr.errors import InputError
+from dynsr.expression import counting, read_own_bits
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
 
 # Columns and spans of these sizes are searched as they are.
@@ -183,14 +185,22 @@ def in_fitting_units(search: Search) -> Search:
         seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
         units = Units.of(runs)
+        bits = read_own_bits(settings.get("complexity"))
         # Its arrays are small: more threads than one only wait for each other.
-        with threadpool_limits(1):
-            found = confirm(_search_in(units, runs, settings))
-        return with_ensemble(with_told(found, runs), members, seed)
+        with counting(bits):
+            with threadpool_limits(1):
+                found = confirm(_search_in(units, runs, settings))
+            return with_ensemble(with_told(found, runs), members, seed)
 
     def _search_in(units: Units, runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery:
         if units.usual:
             return search(runs, **settings)
+        if settings.get("start") is not None:
+            begun = Start.read(settings["start"])
+            settings["start"] = begun.rewrite(
+                # Columns that these data lack are refused later.
+                lambda s, e: units.apply_slope(s, e) if s in units.columns else e
+            )
         drives = settings["inputs"]
         given = read_inputs(settings.get("known") or {}, (*runs[0].names, "t"))
         settings["known"] = {s: units.apply_slope(s, e) for s, e in given.items()}

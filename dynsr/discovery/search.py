@@ -38,9 +38,11 @@ from dynsr.discovery.problem import (
 )
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.scaling import in_fitting_units
+from dynsr.discovery.start import Start
 from dynsr.discovery.tasks import (
     EXPLORATION,
     FIRST_LOOK,
+    START,
     Choice,
     Found,
     check_found,
@@ -53,16 +55,21 @@ from dynsr.discovery.tasks import (
     pick_tasks,
     plan_tasks,
     search_tasks,
+    start_tasks,
     tasks_of,
+    with_bits,
 )
-from dynsr.discovery.verdict import explain
+from dynsr.discovery.verdict import LAW, explain
 from dynsr.discovery.watching import with_progress
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle, share_engine
 from dynsr.errors import InputError
-from dynsr.expression import arguments_of, to_text
+from dynsr.expression import arguments_of, read_own_bits, to_text
 from dynsr.fit import (
     Candidate,
+    Loss,
+    LossFunction,
     read_inputs,
+    read_loss,
 )
 from dynsr.jobs import (
     Budget,
@@ -79,6 +86,7 @@ from dynsr.methods import (
     DEFAULT_PRESET,
     AbstractMethod,
     Constraints,
+    Must,
     choose_methods,
     read_demands,
 )
@@ -115,13 +123,17 @@ def discover(
     settings: DiscoverySettings = DISCOVERY,
     functions: Sequence[str] | None = None,
     max_complexity: float | None = None,
+    complexity: Mapping[str, float] | None = None,
+    loss: str | LossFunction | None = None,
     terms: Sequence[str | sympy.Expr] = (),
+    must: Must | None = None,
     constraints: Constraints | None = None,
     conserved: Sequence[str | sympy.Expr] = (),
     nonnegative: Sequence[str] = (),
     units: Mapping[str, str] | str | None = None,
     time_budget: float | None = None,
     ensemble: bool | int = False,
+    start: Discovery | Start | str | Path | None = None,
 ) -> Discovery:
     """Find the equation of every state from trajectories.
 
@@ -145,7 +157,9 @@ def discover(
         (``settings["engines"]``). Another engine than that one also follows what was found over
         the data (``settings["confirmed"]``).
     scheme : how slopes are made; by default forward differences with preset "paper", as there,
-        and with the others "auto", which lets the data choose.
+        and with the others "auto", which lets the data choose. Of the names that
+        :func:`dynsr.data.slopes.smooth_column` takes, "weak" is the weak form; in noise "auto" is
+        better than any of them, since it searches along the states and not on slopes.
     slopes : state -> the user's own slopes, one array (or one a trajectory).
     out : folder that keeps every finished task; the same call on it goes on where it was killed.
     progress : called with a :class:`Step` as tasks end, and every half second while they run; True
@@ -163,7 +177,18 @@ def discover(
         of powers. See :meth:`dynsr.expression.Vocabulary.read`.
     max_complexity : most bits of an equation, each fitted constant counted as one symbol
         (:func:`dynsr.fit.structure_bits`).
+    complexity : function or operator -> bits that each of it adds to the description length of a
+        formula, such as {"sin": 8, "/": 4}; in searches, fits, choices, fronts and
+        ``max_complexity`` alike.
+    loss : "squared", "absolute", "huber", "cauchy", or a function of predicted and actual slopes
+        (n,) that gives the loss of each row: what a miss counts where formulas that forecast
+        held-back data alike are ranked on the slopes, and in fits of the constants of the best of
+        them. It has no say in the searches, where the noise is so large that whole systems are
+        compared on the states, where exact slopes or a start end the search, nor in the last fit
+        of the constants to the states and in the verdict; errors on fronts are of least squares.
     terms : terms in the columns that every method searches beside its own.
+    must : state -> a term, or several, that its equation holds, coefficients fitted, whether the
+        data ask for it or not; or lines such as "x: x*y". Floats inside a term are fitted too.
     constraints : state -> term -> "+", "-" or 0, the sign of its coefficient where the equation is
         multiplied out; or lines such as "x: x*y < 0".
     conserved : linear combinations of states that do not change, such as "S + I + R"; the equation
@@ -178,6 +203,9 @@ def discover(
     ensemble : True, or a number of draws: how often each term is kept, and the interval of its
         coefficient, over fits to data drawn with replacement (:func:`dynsr.bootstrap`); it stands
         in ``found.ensemble``, the report and the shell.
+    start : an earlier discovery of the same columns, or the file or folder that it was saved to:
+        its formulas are fitted to these data and are candidates from the start; where they are a
+        law of these data too, nothing else is searched.
 
     Ctrl-C ends the searches: what they have found is given as a Discovery whose ``complete`` is
     False, and the same call on the same ``out`` goes on from there; with nothing found yet it
@@ -222,6 +250,7 @@ def discover(
         functions=functions,
         max_complexity=max_complexity,
         terms=terms,
+        must=must,
         constraints=constraints,
         conserved=conserved,
         nonnegative=nonnegative,
@@ -229,6 +258,7 @@ def discover(
     )
     settings = replace(settings, selection=settle(settings.selection, demands))
     states = searched_states(form.searched(targeted), demands)
+    bits = read_own_bits(complexity)
     given = read_inputs(known or {}, (*runs[0].names, "t"))
     for state in given:
         runs[0].index(state)
@@ -239,6 +269,8 @@ def discover(
         refuse_idle(chosen, "a map is iterated, and no method here solves regressions")
     methods = ask_methods(methods, demands, given)
     problem = Problem(runs, drives, scheme, slopes or {}, given, form, settings, demands, budget)
+    problem = problem.counting(read_loss(loss))
+    begun = None if start is None else Start.read(start).check(runs[0], form)
     record: dict[str, Any] = {
         "method": method if isinstance(method, str) else ",".join(methods),
         "methods": list(methods),
@@ -246,6 +278,9 @@ def discover(
         **form.record,
         **demands.as_record(),
         **({} if units is None else {"column_units": column_units(runs[0], units)}),
+        **({"complexity": bits} if bits else {}),
+        **({} if loss in (None, "squared") else {"loss": Loss(loss).name}),
+        **({} if begun is None else {"start": begun.record}),
         **({} if time_budget is None else {"time_budget": time_budget}),
         "preset": preset,
         "seed": seed,
@@ -261,7 +296,8 @@ def discover(
     folder = RunFolder(None if out is None else Path(out).absolute())
     key = _claim(folder, problem, states, methods, record)
     first = _choose_first(method, preset, problem, chosen)
-    steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first)
+    first = first if begun is None else (START, *first)
+    steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first, bits, begun)
     found, rivals, cut = steps.run(progress if callable(progress) else None, record)
     if cut:
         record["ended_by_budget"] = cut
@@ -275,7 +311,8 @@ def discover(
     along = EXPLORATION in first and not shown
     record["engines"] = name_engines(ran, chosen, measured, along, FIRST_LOOK in first)
     record["engines"] |= ENGINES if discrete else {}
-    verdict = problem.judge(found, rivals)
+    settled = None if demands.conserved else found.verdict
+    verdict = settled or problem.judge(found, rivals)
     return replace(
         found,
         verdict=verdict,
@@ -324,6 +361,9 @@ def _claim(
     key = fingerprint(
         about, details, problem.slopes, problem.known, problem.inputs, repr(dict(methods))
     )
+    if problem.settings.selection.loss is not None:
+        # Two functions may have one name.
+        key = fingerprint(key, problem.settings.selection.loss.values)
     folder.claim("discovery", about, key)
     return key
 
@@ -361,6 +401,8 @@ class _Steps:
     jobs: int
     workers: int
     first: tuple[str, ...]
+    bits: Mapping[str, float]
+    begun: Start | None = None
 
     def run(
         self, progress: Callable[[Step], None] | None, record: dict[str, Any]
@@ -374,6 +416,10 @@ class _Steps:
                 plain = FIRST_LOOK in self.first
                 if self.first:
                     samples |= {s: problem.samples(s, problem.runs, plain=plain) for s in states}
+                begun = self._begin(watch, samples)
+                ended = self._end_with(watch, begun, samples, record)
+                if ended is not None:
+                    return *ended, problem.cut
                 looked = self._look(watch, samples) if plain else []
                 final = self._end_early(watch, looked, record)
                 open_ = EXPLORATION in self.first and not final
@@ -386,7 +432,7 @@ class _Steps:
                 training, held_back = problem.split()
                 samples |= {s: problem.samples(s, training) for s in states}
                 rest = {s: own for s, own in samples.items() if s not in final}
-                searched = [*explored, *looked, *self._search(watch, methods, rest)]
+                searched = [*begun, *explored, *looked, *self._search(watch, methods, rest)]
                 failures = check_found(searched, states)
                 pools = pool_formulas(searched, samples, problem.demands, problem.known)
                 choices = self._choose(watch, pools, samples, held_back, failures, final)
@@ -401,12 +447,46 @@ class _Steps:
                     raise
                 return with_velocities(best, problem.form), None, []
 
+    def _begin(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
+        """Fit the formulas of the earlier discovery to these data."""
+        if self.begun is None:
+            return []
+        known = self.problem.known
+        formulas = {s: self.begun.formulas(s, known.get(s, sympy.S.Zero)) for s in samples}
+        tasks = start_tasks(formulas, samples, self.key)
+        return run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
+
+    def _end_with(
+        self,
+        watch: Watch,
+        begun: Sequence[Found],
+        samples: Mapping[str, Samples],
+        record: dict[str, Any],
+    ) -> tuple[Discovery, Rivals | None] | None:
+        """Give the discovery of the earlier formulas where they are a law of these data."""
+        problem = self.problem
+        if not begun or not all(found.candidates for found in begun):
+            return None
+        pools = pool_formulas(begun, samples, problem.demands, problem.known)
+        picks = {s: rank_by_length(s, pool, samples[s]) for s, pool in pools.items()}
+        held = " It holds on these data too, and nothing else was searched."
+        found, rivals = problem.fit(picks, pools, dict.fromkeys(picks, held))
+        if not all(problem.is_allowed(s, e) for s, e in found.equations.items()):
+            return None
+        verdict = problem.judge(found, rivals)
+        if verdict.level != LAW:
+            return None
+        record["methods"] = [START]
+        first = [name for name in self.first if name != START]
+        watch.skip([*tasks_of(self.states, self.methods), *plan_tasks(self.states, {}, first)])
+        return replace(found, verdict=verdict), rivals
+
     def _look(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
         """Have a first look at the slopes of every state."""
         problem = self.problem
         tasks = look_tasks(samples, problem.demands, problem.settings.selection.look, self.key)
         # Workers take longer to start than all of it.
-        return run_tasks(tasks, self.folder, 1, watch)
+        return run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
 
     def _end_early(
         self, watch: Watch, looked: Sequence[Found], record: dict[str, Any]
@@ -438,7 +518,7 @@ class _Steps:
         comparison = self.problem.settings.selection.comparison
         assert self.problem.measurements is not None
         tasks = explore_tasks(self.states, self.problem.measurements, comparison, self.key)
-        return run_tasks(tasks, self.folder, self.jobs, watch)
+        return run_tasks(with_bits(tasks, self.bits), self.folder, self.jobs, watch)
 
     def _search(
         self,
@@ -450,7 +530,13 @@ class _Steps:
         until = self.problem.budget.until(self.problem.settings.shares.searches)
         turns = give_turns(self.states, methods, until, self.workers)
         tasks = search_tasks(samples, methods, self.seed, self.key, turns)
-        return run_tasks(tasks, self.folder, self.jobs, watch, finished=lambda f: not f.error)
+        return run_tasks(
+            with_bits(tasks, self.bits),
+            self.folder,
+            self.jobs,
+            watch,
+            finished=lambda f: not f.error,
+        )
 
     def _choose(
         self,
@@ -478,7 +564,7 @@ class _Steps:
         )
         # A choice among other formulas, since another method had failed, is none among these.
         return ended + run_tasks(
-            tasks,
+            with_bits(tasks, self.bits),
             self.folder,
             self.jobs,
             watch,

@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 import time
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 import sympy
@@ -18,7 +19,18 @@ import sympy
 from dynsr import errors
 from dynsr.data import Samples, Trajectory
 from dynsr.discovery.result import Discovery
-from dynsr.fit import Candidate, Measurements, ParetoFront, choose, score_candidate, tidy
+from dynsr.discovery.start import SOURCE
+from dynsr.expression import counting
+from dynsr.fit import (
+    Candidate,
+    Measurements,
+    ParetoFront,
+    choose,
+    loosen,
+    refit,
+    score_candidate,
+    tidy,
+)
 from dynsr.jobs import Task, TimeUp, Turn, Watch, best_equation, finish_by, time_limit
 from dynsr.methods import (
     AbstractMethod,
@@ -48,7 +60,8 @@ _USUAL_SEARCH, _USUAL_PICK = 10.0, 6.0
 # What looks for sums of terms along noisy states, in the names of its tasks.
 EXPLORATION = "states"
 FIRST_LOOK = "look"
-_USUAL_FIRST = {EXPLORATION: 3.0, FIRST_LOOK: 0.3}
+START = "start"
+_USUAL_FIRST = {EXPLORATION: 3.0, FIRST_LOOK: 0.3, START: 0.5}
 
 
 @dataclass(frozen=True)
@@ -167,6 +180,40 @@ def look_one(
     taken = time.monotonic() - began
     pool = (*found.candidates, *trivial)
     return Found(samples.target, FIRST_LOOK, pool, taken, final=found.final)
+
+
+def start_one(exprs: Sequence[sympy.Expr], samples: Samples, report: Report = silent) -> Found:
+    """Fit the formulas of an earlier discovery to one state's samples."""
+    began = time.monotonic()
+    fitted = dict.fromkeys(refit(e, samples) for expr in exprs for e in (expr, loosen(expr)))
+    finite = (score_candidate(e, samples, SOURCE) for e in fitted)
+    candidates = tuple(c for c in finite if math.isfinite(c.loss))
+    report(Progress(SOURCE, 0, None, ParetoFront(candidates)))
+    return Found(samples.target, START, candidates, time.monotonic() - began)
+
+
+def start_tasks(
+    formulas: Mapping[str, Sequence[sympy.Expr]], samples: Mapping[str, Samples], key: str
+) -> list[Task]:
+    """Give a task for every state that fits the formulas of an earlier discovery.
+
+    Parameters
+    ----------
+    formulas : state -> those formulas.
+    samples : state -> its samples.
+    key : digest of all that the result depends on.
+    """
+    return [
+        Task(
+            _search_name(state, START),
+            f"{state}' from the start",
+            start_one,
+            (formulas[state], own),
+            Found,
+            key,
+        )
+        for state, own in samples.items()
+    ]
 
 
 def look_tasks(
@@ -382,6 +429,24 @@ def pick_tasks(
         )
         for state, pool in pools.items()
     ]
+
+
+def with_bits(tasks: Sequence[Task], bits: Mapping[str, float]) -> Sequence[Task]:
+    """Give tasks that count the user's own bits, wherever they run; the same where there are none.
+
+    Parameters
+    ----------
+    tasks : of a discovery.
+    bits : function or operator -> bits.
+    """
+    if not bits:
+        return tasks
+    return [replace(task, work=partial(_count, bits, task.work)) for task in tasks]
+
+
+def _count(bits: Mapping[str, float], work: Callable[..., Any], *arguments: Any) -> Any:
+    with counting(bits):
+        return work(*arguments)
 
 
 def _search_name(state: str, method: str) -> str:

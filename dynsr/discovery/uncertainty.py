@@ -21,7 +21,7 @@ import sympy
 from dynsr.data import Trajectory, weak_form
 from dynsr.discovery.result import Discovery, Inclusion
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy, shown
+from dynsr.expression import compile_numpy, counting, shown
 from dynsr.fit import (
     Noise,
     ParetoFront,
@@ -92,7 +92,8 @@ def bootstrap(
         whole = _join(blocks)
         coefficients = np.linalg.lstsq(whole.values.T, whole.y, rcond=None)[0]
         noise = residual_noise([whole.y - coefficients @ whole.values], whole.y)
-        bits = term_bits(exprs, noise)
+        with counting(found.own_bits):
+            bits = term_bits(exprs, noise)
         calls = [(blocks, noise, bits, child) for child in sequence.spawn(members)]
         draws = dict(spread(_fit_member, calls, jobs))
         result[state] = _summarise(exprs, np.array([draws[i] for i in range(members)]), level)

@@ -16,6 +16,7 @@ from .export import (
     with_signs,
 )
 from .operators import FUNCTIONS, OPERATORS
+from .own_bits import counting, read_own_bits
 from .parsing import check_name, parse
 from .plausibility import Prior, plausibility_bits
 from .program import compile_columns
@@ -41,11 +42,13 @@ __all__ = [
     "compile_numpy",
     "compile_scalar",
     "complexity",
+    "counting",
     "evaluate",
     "number_bits",
     "parse",
     "plausibility_bits",
     "ratio_forms",
+    "read_own_bits",
     "read_units",
     "round_constants",
     "shown",

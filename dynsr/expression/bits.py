@@ -9,6 +9,8 @@ from typing import Any
 
 import sympy
 
+from dynsr.expression.own_bits import added_bits
+
 REAL_RESOLUTION = 2.0**-30
 # Fractions of larger numbers are written as decimals.
 LARGEST_IN_FRACTION = 12
@@ -53,7 +55,8 @@ def complexity(expr: sympy.Expr, constants: Collection[sympy.Symbol] = ()) -> fl
     k log2(n) bits for k occurrences of n distinct variables, functions and operations, plus
     :func:`number_bits` of every number (Udrescu et al. 2020, eq. 4). A sum of j terms holds j - 1
     additions; the signs -1 and the reciprocal in a quotient count as operations. ``constants``
-    are symbols that stand for numbers yet unknown: all of them count as one kind.
+    are symbols that stand for numbers yet unknown: all of them count as one kind. Bits of the
+    user's own (:func:`dynsr.expression.counting`) come on top.
 
     >>> from dynsr.expression import parse
     >>> complexity(parse("x")) < complexity(parse("x + y")) < complexity(parse("2.718*x + sin(y)"))
@@ -81,4 +84,4 @@ def complexity(expr: sympy.Expr, constants: Collection[sympy.Symbol] = ()) -> fl
         else:
             kinds.append(node.func)
             stack.extend(node.args)
-    return len(kinds) * math.log2(max(len(set(kinds)), 2)) + bits
+    return len(kinds) * math.log2(max(len(set(kinds)), 2)) + bits + added_bits(expr)

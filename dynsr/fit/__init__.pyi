@@ -20,6 +20,7 @@ from .description import (
 )
 from .exact import confirm, simplest_form
 from .flow import Flow, Windows, cut_windows
+from .forced import missing_terms
 from .linear import (
     RatioFit,
     cauchy_weights,
@@ -28,6 +29,7 @@ from .linear import (
     fit_robustly,
     linearly_independent,
 )
+from .losses import LOSSES, Loss, LossFunction, judge_by_loss, read_loss
 from .noise import (
     FINEST_SLOPES,
     Noise,
@@ -47,6 +49,7 @@ from .shooting import (
     build_shooting,
     choose_substeps,
     drives_of,
+    match_trajectories,
     prepare,
     read_inputs,
 )
@@ -56,6 +59,7 @@ from .variation import improve, loosen, neighbours, with_floats
 
 __all__ = [
     "FINEST_SLOPES",
+    "LOSSES",
     "Candidate",
     "Collocation",
     "CollocationFit",
@@ -63,6 +67,8 @@ __all__ = [
     "FitSettings",
     "Flow",
     "Linearised",
+    "Loss",
+    "LossFunction",
     "Match",
     "Measurements",
     "Mesh",
@@ -90,9 +96,12 @@ __all__ = [
     "independent_rows",
     "information_criterion",
     "is_noisy",
+    "judge_by_loss",
     "linearly_independent",
     "loosen",
+    "match_trajectories",
     "mean_error_bits",
+    "missing_terms",
     "neighbours",
     "noise_and_spread",
     "noise_of",
@@ -101,6 +110,7 @@ __all__ = [
     "prepare",
     "r_squared",
     "read_inputs",
+    "read_loss",
     "refit",
     "residual_noise",
     "rmse",

@@ -26,7 +26,8 @@ class Candidate:
     Parameters
     ----------
     expr : the formula.
-    loss : its RMSE on the samples, state units per second.
+    loss : its RMSE on the samples, state units per second; with a loss of the user's own the root
+        of the mean loss.
     complexity : its description length in bits, :func:`dynsr.expression.complexity`.
     source : the stage that found it, with how after a colon.
 
@@ -56,7 +57,10 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
     0.0
     """
     predicted = evaluate(expr, samples.columns)
-    return Candidate(expr, rmse(predicted, samples.y), complexity(expr), source)
+    missed = rmse(predicted, samples.y)
+    if samples.loss is not None:
+        missed = rmse(samples.misses(predicted), np.zeros(len(samples)))
+    return Candidate(expr, missed, complexity(expr), source)
 
 
 @lru_cache(maxsize=4096)

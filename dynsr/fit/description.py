@@ -57,8 +57,17 @@ def mean_error_bits(residual: np.ndarray, resolution: float) -> np.ndarray:
 
 
 def description_length(candidate: Candidate, samples: Samples, noise: Noise) -> float:
-    """Bits of the formula plus bits of its residuals."""
-    return complexity(candidate.expr) + data_bits(residuals(candidate, samples), noise)
+    """Bits of the formula plus bits of its residuals.
+
+    With a loss of the user's own these are m/2 log2(mean loss), so that all of it counts.
+    """
+    bits = complexity(candidate.expr)
+    if samples.loss is None:
+        return bits + data_bits(residuals(candidate, samples), noise)
+    mean = float(np.mean(np.square(residuals(candidate, samples))))
+    if not math.isfinite(mean):
+        return math.inf
+    return bits + noise.effective_rows / 2 * math.log2(max(mean, noise.floor**2))
 
 
 def structure_bits(expr: sympy.Expr) -> float:

@@ -15,6 +15,7 @@ from dynsr.expression import complexity, number_bits
 from dynsr.fit.collocation import AlongFit, Measurements, fit_along
 from dynsr.fit.constants import as_floats, free_constants
 from dynsr.fit.description import data_bits, shift_bits, written_bits, written_constant
+from dynsr.fit.forced import missing_terms
 from dynsr.fit.noise import NOISY, Noise, is_noisy, noise_and_spread, residual_noise
 from dynsr.fit.settings import FIT, FitSettings
 from dynsr.fit.shooting import Match, fitted_values, match_trajectories, measure_errors, prepare
@@ -217,6 +218,8 @@ def _drop_terms(
         for i, (value, error) in enumerate(zip(fit.constants, errors, strict=True)):
             without = fit.put([*written[:i], sympy.S.Zero, *written[i + 1 :]])
             if any(e.has(sympy.zoo, sympy.nan) for e in without.values()):
+                continue
+            if any(missing_terms(without[s], [term]) for s, term in settings.must if s in without):
                 continue
             saved = before - sum(map(complexity, without.values()))
             gains[i] = saved - shift_bits(value, max(error, 1e-300))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import sympy
+
 from dynsr.expression import Vocabulary
 
 
@@ -50,6 +52,7 @@ class FitSettings:
     within : a simple number lies within so many standard errors of the fitted value.
     joint : level of the likelihood ratio that all simple numbers together must pass.
     vocabulary : functions and operators that a varied formula may hold; None allows all.
+    must : (state, term) that the equation of the state keeps, however unsure its coefficient.
     """
 
     most_constants: int = 12
@@ -81,6 +84,7 @@ class FitSettings:
     within: float = 2.0
     joint: float = 0.95
     vocabulary: Vocabulary | None = None
+    must: tuple[tuple[str, sympy.Expr], ...] = ()
 
 
 FIT = FitSettings()

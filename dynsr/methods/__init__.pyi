@@ -1,6 +1,6 @@
 from .asked import AskedMethod, fit_quadratics
 from .base import AbstractMethod, Progress, Report, silent
-from .demands import Constraints, Demands, read_demands
+from .demands import Constraints, Demands, Must, read_demands
 from .feynman.search import DynAIFeynman
 from .genetic import GeneticAlgorithm
 from .library import Library, MonomialLibrary
@@ -35,6 +35,7 @@ __all__ = [
     "Library",
     "Limits",
     "MonomialLibrary",
+    "Must",
     "Progress",
     "RationalSearch",
     "Report",

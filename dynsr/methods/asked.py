@@ -55,7 +55,11 @@ class AskedMethod(AbstractMethod):
         known = dict(self.known).get(samples.target, sympy.S.Zero)
         limited = self.method.within(self.demands.limits(samples.target))
         found = limited.search(samples, rng, report)
-        pool = [*found, *found.leaders, *fit_terms(self.demands.terms, samples)]
+        pool = [
+            *found,
+            *found.leaders,
+            *fit_terms(self.demands.limits(samples.target).terms, samples),
+        ]
         return ParetoFront(self.demands.select(pool, samples, known))
 
 

@@ -27,7 +27,14 @@ from dynsr.expression import (
     read_units,
     to_text,
 )
-from dynsr.fit import Candidate, loosen, refit, score_candidate, structure_bits
+from dynsr.fit import (
+    Candidate,
+    loosen,
+    missing_terms,
+    refit,
+    score_candidate,
+    structure_bits,
+)
 from dynsr.methods.limits import Limits
 
 SIGNS = {"-": "negative", "+": "positive", "0": "zero"}
@@ -36,7 +43,11 @@ _OF_RELATION = {"<": "-", ">": "+", "=": "0"}
 # Slopes below this share of their root mean square are rounding.
 _ROUNDING = 1e-6
 
+# A coefficient from which the fit of a forced term begins.
+_BEGIN = 0.1
+
 Constraints = Mapping[str, Mapping[str, str | int]] | Sequence[str] | str
+Must = Mapping[str, Any] | Sequence[str] | str
 
 
 @dataclass(frozen=True)
@@ -104,6 +115,7 @@ class Demands:
         state follows from those of the others.
     nonnegative : states that never fall below 0.
     units : the units of columns, in which formulas must make sense.
+    must : (state, term) that the equation of the state holds, with a coefficient of its own.
     """
 
     vocabulary: Vocabulary | None = None
@@ -113,6 +125,12 @@ class Demands:
     conserved: tuple[tuple[str, sympy.Expr], ...] = ()
     nonnegative: tuple[str, ...] = ()
     units: Units | None = None
+    must: tuple[tuple[str, sympy.Expr], ...] = ()
+
+    @property
+    def offered(self) -> tuple[sympy.Expr, ...]:
+        """Every term that the user named for the equations."""
+        return tuple(dict.fromkeys([*self.terms, *(term for _, term in self.must)]))
 
     @property
     def asked(self) -> bool:
@@ -127,7 +145,35 @@ class Demands:
         state : whose equation is searched.
         """
         never = tuple(c.term for c in self.constraints if c.state == state and c.sign == "0")
-        return Limits(self.vocabulary, self.terms, never, self.max_complexity)
+        own = [term for s, term in self.must if s == state]
+        terms = tuple(dict.fromkeys([*self.terms, *own]))
+        return Limits(self.vocabulary, terms, never, self.max_complexity)
+
+    def lacking(self, state: str, expr: sympy.Expr) -> list[sympy.Expr]:
+        """Give the terms that an equation must hold and does not.
+
+        Parameters
+        ----------
+        state : whose equation it is.
+        expr : the equation, its known part included.
+        """
+        return missing_terms(expr, [term for s, term in self.must if s == state])
+
+    def force(self, state: str, expr: sympy.Expr, known: sympy.Expr = sympy.S.Zero) -> sympy.Expr:
+        """Give an equation with the terms that it must hold, their coefficients to be fitted.
+
+        Parameters
+        ----------
+        state : whose equation it is.
+        expr : the equation without its known part.
+        known : that part.
+
+        >>> x, y = sympy.symbols("x y")
+        >>> Demands(must=(("x", x * y),)).force("x", 2 * x)
+        0.1*x*y + 2*x
+        """
+        missing = self.lacking(state, known + expr)
+        return sympy.Add(expr, *(sympy.Float(_BEGIN) * term for term in missing))
 
     def allows(self, expr: sympy.Expr) -> bool:
         """Whether a formula keeps to the functions, operators, length and units allowed.
@@ -210,7 +256,7 @@ class Demands:
         columns : name -> (n,) values of the data, for the slopes at 0; without, these are not
             looked at.
         """
-        if not self.allows(expr) or self.broken(state, expr):
+        if not self.allows(expr) or self.broken(state, expr) or self.lacking(state, expr):
             return False
         return columns is None or self.stays_positive(state, expr, columns)
 
@@ -253,7 +299,8 @@ class Demands:
                 if mended is not None:
                     kept.setdefault(mended.expr, mended)
         if not kept:
-            return [score_candidate(sympy.S.Zero, samples, "no term")]
+            least = self.force(samples.target, sympy.S.Zero, known)
+            return [score_candidate(refit(least, samples), samples, "no term")]
         return list(kept.values())
 
     def _mend(self, candidate: Candidate, samples: Samples, known: sympy.Expr) -> Candidate | None:
@@ -266,6 +313,9 @@ class Demands:
             candidate = score_candidate(fitted, samples, candidate.source)
         else:
             return None
+        whole = self.force(state, candidate.expr, known)
+        if whole != candidate.expr:
+            candidate = score_candidate(refit(loosen(whole), samples), samples, candidate.source)
         positive = self.stays_positive(state, known + candidate.expr, _columns(samples))
         return candidate if positive and self.allows(candidate.expr) else None
 
@@ -299,6 +349,7 @@ class Demands:
             "constraints": [str(constraint) for constraint in self.constraints],
             "conserved": [to_text(total) for _, total in self.conserved],
             "nonnegative": list(self.nonnegative),
+            "must": [f"{state}: {to_text(term)}" for state, term in self.must],
         }
         record = {name: value for name, value in record.items() if value}
         if vocabulary is not None:
@@ -331,6 +382,7 @@ def read_demands(
     conserved: Sequence[str | sympy.Expr] = (),
     nonnegative: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
+    must: Must | None = None,
 ) -> Demands:
     """Read what the user asks.
 
@@ -345,6 +397,7 @@ def read_demands(
     conserved : linear combinations of states whose slope is 0.
     nonnegative : states that never fall below 0.
     units : column, or "t", -> its unit.
+    must : state -> a term, or several, that its equation holds; or lines such as "x: x*y".
 
     Raises InputError, one line that names the value, for what cannot be read.
 
@@ -360,6 +413,7 @@ def read_demands(
         _read_conserved(_listed(conserved), states),
         tuple(_read_state(state, states, "nonnegative") for state in _listed(nonnegative)),
         None if units is None else _read_units(units, names),
+        tuple(dict.fromkeys(_read_must(must, states, names))),
     )
     _check(demands, states)
     return demands
@@ -441,6 +495,29 @@ def _make_constraint(
     return SignConstraint(state, rest, sign)
 
 
+def _read_must(
+    given: Must | None, states: Sequence[str], names: Sequence[str]
+) -> Iterable[tuple[str, sympy.Expr]]:
+    pairs: list[tuple[str, Any]] = []
+    if isinstance(given, Mapping):
+        pairs = [(state, term) for state, own in given.items() for term in _listed(own)]
+    else:
+        for line in _listed(given or ()):
+            state, colon, term = str(line).partition(":")
+            if not colon or not term.strip():
+                raise InputError(f"cannot read must {str(line)[:60]!r}; write it like 'x: x*y'")
+            pairs.append((state.strip(), term))
+    for state, term in pairs:
+        _read_state(state, states, "must")
+        expanded = sympy.expand(parse(term, names))
+        if expanded.is_Add or expanded == 0:
+            raise InputError(
+                f"must of {state!r} has {str(term).strip()[:60]!r}, which is not one term; name "
+                "its terms one by one, without their coefficients"
+            )
+        yield state, bare_term(expanded)
+
+
 def _read_conserved(
     totals: Sequence[str | sympy.Expr], states: Sequence[str]
 ) -> tuple[tuple[str, sympy.Expr], ...]:
@@ -470,6 +547,14 @@ def _check(demands: Demands, states: Sequence[str]) -> None:
             raise InputError(
                 f"term {to_text(term)!r} holds what functions do not allow; allow it or drop it"
             )
+    for state, term in demands.must:
+        text = f"must of {state!r} has {to_text(term)!r}"
+        if demands.vocabulary is not None and not demands.vocabulary.allows(term):
+            raise InputError(f"{text}, which functions do not allow; allow it or drop it")
+        if state in dict(demands.conserved):
+            raise InputError(f"{text}, but that equation follows from conserved; drop one of them")
+        if any((c.state, c.term, c.sign) == (state, term, "0") for c in demands.constraints):
+            raise InputError(f"{text}, which a constraint sets to 0; drop one of them")
     signs: dict[tuple[str, sympy.Expr], str] = {}
     for constraint in demands.constraints:
         key = (constraint.state, constraint.term)

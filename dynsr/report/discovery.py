@@ -25,7 +25,7 @@ from dynsr.discovery import (
     write_map_mathml,
 )
 from dynsr.errors import DynsrError, InputError
-from dynsr.expression import complexity, evaluate, shown, to_mathml
+from dynsr.expression import complexity, counting, evaluate, shown, to_mathml
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, rmse
 from dynsr.report.page import Picture, render_page
 from dynsr.report.plots import draw_phase_portrait, draw_residuals, draw_slopes, draw_states
@@ -289,7 +289,9 @@ def _front(found: Discovery, state: str, samples: tuple[Samples, np.ndarray] | N
     loss = rmse(samples[1], samples[0].y)
     if not np.isfinite(loss):
         return place_front(found.front[state], shown(expr))
-    return place_front(found.front[state], Candidate(expr, loss, complexity(expr), "polishing"))
+    with counting(found.own_bits):
+        shown_bits = complexity(expr)
+    return place_front(found.front[state], Candidate(expr, loss, shown_bits, "polishing"))
 
 
 def _trajectories(found: Discovery) -> Iterator[Picture]:

@@ -205,7 +205,7 @@ class SystemComparison:
         """What sums may be made of, where the smoothed states are."""
         n = len(self.mesh.t)
         points = np.concatenate([self.mesh.start.T, self.mesh.driven[:-1, :n]])
-        own = self.settings.demands.terms
+        own = self.settings.demands.offered
         return Terms.grow(self.names, points, self.settings.terms, self.angles, own)
 
     @cached_property

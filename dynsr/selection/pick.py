@@ -14,12 +14,14 @@ from dynsr.expression import evaluate, shown
 from dynsr.fit import (
     Candidate,
     FitSettings,
+    Loss,
     Noise,
     build_shooting,
     choose_substeps,
     collapse,
     description_length,
     improve,
+    judge_by_loss,
     noise_of,
     one_a_shape,
     prepare,
@@ -88,6 +90,7 @@ class SelectionSettings:
     fit : how constants are fitted and snapped.
     comparison : how whole systems are compared.
     look : the first look at exact slopes.
+    loss : the user's own loss, by which description lengths count misses; None for squares.
     """
 
     snapped: int = 6
@@ -99,6 +102,7 @@ class SelectionSettings:
     fit: FitSettings = FitSettings()
     comparison: ComparisonSettings = ComparisonSettings()
     look: LookSettings = LookSettings()
+    loss: Loss | None = None
 
 
 SELECTION = SelectionSettings()
@@ -185,18 +189,24 @@ def pick_equation(
     candidates = _distinct(pool)
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
-    noise = noise_of(candidates, samples)
-    ranked = one_a_shape(_rank(candidates, samples, noise))[: settings.snapped]
+    noise, judged, own = noise_of(candidates, samples), samples, []
+    level = noise
+    if settings.loss is not None:
+        candidates, judged = judge_by_loss(candidates, samples, settings.loss)
+        level = noise_of(candidates, judged)
+        own = _rank(candidates, judged, level)[: settings.snapped]
+    ranked = one_a_shape(_rank(candidates, judged, level))[: settings.snapped]
     fit = settings.fit
+    # Constants are snapped by the errors of the slopes, whatever a miss counts.
     scored = _distinct(score_snapped(c, samples, noise, fit) for c in ranked)
-    snapped = _rank(scored, samples, noise)
+    snapped = _rank(scored, judged, level)
     varied = [improve(c, samples, noise, fit) for c in snapped[: settings.improved]]
-    last = _rank(_distinct([*varied, *snapped]), samples, noise)[: settings.compared]
+    last = _rank(_distinct([*varied, *snapped, *own]), judged, level)[: settings.compared]
     # What is no shorter than another that misses as little cannot be the choice.
     last = _rank(
         _distinct(collapse(c, [*last, *candidates], samples, noise, fit) for c in last),
-        samples,
-        noise,
+        judged,
+        level,
     )
     misses = {
         c.expr: forecast_misses({state: known + c.expr}, held_back, window=settings.window)
@@ -205,8 +215,8 @@ def pick_equation(
     }
     compared = [
         RankedCandidate(
-            c,
-            description_length(c, samples, noise),
+            c if judged is samples else score_candidate(c.expr, samples, c.source),
+            description_length(c, judged, level),
             float(np.median(misses[c.expr])) if held_back else None,
         )
         for c in last

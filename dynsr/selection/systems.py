@@ -153,9 +153,12 @@ def compare_systems(
     if data.noise_share < settings.noisy:
         return SystemChoice(dict(exprs))
     states = tuple(exprs)
+    force = settings.demands.force
     pools = {
-        s: distinct_shapes([exprs[s], *alternatives.get(s, ())])[: settings.alone] for s in states
+        s: distinct_shapes(force(s, e) for e in [exprs[s], *alternatives.get(s, ())])
+        for s in states
     }
+    pools = {s: pool[: settings.alone] for s, pool in pools.items()}
     best, comparison = _search(pools, data, settings)
     if best is None:
         return SystemChoice(dict(exprs))
@@ -301,8 +304,9 @@ class _Alone:
 
     def rank(self, pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
         """Give the formulas that can be fitted, fewest bits first."""
+        force = self.comparison.settings.demands.force
         for expr in pool:
-            self.comparison.fit({**self.beside, self.state: expr})
+            self.comparison.fit({**self.beside, self.state: force(self.state, expr)})
         for fit in self._ranked()[: self.comparison.settings.pruned]:
             prune(self.comparison, fit, self.state)
         return [f.exprs[self.state] for f in self._ranked()]

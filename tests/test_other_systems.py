@@ -1,0 +1,68 @@
+"""Other systems: what Windows lacks is asked for before it is used."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+# What signal and os have on Linux and not on Windows; libraries are loaded before it goes.
+_WITHOUT = """
+import os, signal, sys
+import joblib, numpy, scipy.integrate, scipy.optimize, scipy.stats, sympy, threadpoolctl
+for module, names in (
+    (signal, "SIGALRM SIGKILL SIGHUP SIGQUIT SIGPIPE SIG_BLOCK SIG_SETMASK SIG_UNBLOCK setitimer "
+             "getitimer ITIMER_REAL alarm pthread_sigmask sigwait siginterrupt pause"),
+    (os, "fork forkpty killpg getpgid setsid geteuid getuid getgid uname getloadavg "
+         "sched_getaffinity mkfifo statvfs"),
+):
+    for name in names.split():
+        if hasattr(module, name):
+            delattr(module, name)
+for name in ("fcntl", "resource", "termios", "pwd", "grp"):
+    sys.modules[name] = None
+sys.path.insert(0, ROOT)
+"""
+
+
+def run_without(code: str) -> str:
+    """Run code in a Python that lacks what Windows lacks."""
+    setup = _WITHOUT.replace("ROOT", repr(str(ROOT)))
+    command = [sys.executable, "-c", setup + code]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_discovery_needs_nothing_that_windows_lacks(tmp_path: Path) -> None:
+    """Without alarms, forks and masks of signals: a budget, a folder, a file and a report."""
+    code = f"""
+import dynsr, numpy as np, pathlib
+t = np.linspace(0, 4, 90)
+data = dynsr.Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
+out = pathlib.Path({str(tmp_path)!r}) / "a folder"
+found = dynsr.discover(data, method="sindy", jobs=1, time_budget=600, out=out)
+found.save(out / "discovery.json")
+found.report(out / "report.html")
+print(dynsr.Discovery.load(out / "discovery.json"))
+"""
+    assert run_without(code).strip() == "x' = -0.5*x"
+    assert (tmp_path / "a folder" / "report.html").stat().st_size > 10_000
+
+
+def test_a_command_needs_nothing_that_windows_lacks(tmp_path: Path) -> None:
+    """The program reads a file with Windows' ends of lines and answers in JSON."""
+    path = tmp_path / "decay.csv"
+    rows = "\r\n".join(f"{k / 20},{2.0 ** (-k / 20)!r}" for k in range(80))
+    path.write_bytes(f"t,x\r\n{rows}\r\n".encode())
+    words = ["discover", str(path), "--method", "sindy", "--jobs", "1", "--json", "--quiet"]
+    code = f"""
+import json, sys
+sys.argv = ["dynsr", *{words!r}]
+import runpy
+runpy.run_module("dynsr", run_name="__main__")
+"""
+    assert json.loads(run_without(code))["equations"]["x"].startswith("-0.6931")
