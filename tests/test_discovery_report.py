@@ -176,10 +176,10 @@ def test_large_data_are_thinned_or_drawn_as_a_density_and_it_is_said():
     page = html.unescape(render_discovery(large))
     # Each caption stands below its picture and is what a screen reader says of it.
     assert page.count("One row in 6 of 12000 is drawn.") == 2 * 2
-    assert len(re.findall(r"There are \d{5}: darker is where more of them lie", page)) == 4 * 2
+    assert len(re.findall(r"There are \d{5}: the stronger the colour", page)) == 4 * 2
     assert len(page) < 1_500_000
     few = replace(large, trajectories=(run.select(slice(0, 500)),))
-    assert "is drawn" not in render_discovery(few) and "darker" not in render_discovery(few)
+    assert "is drawn" not in render_discovery(few) and "stronger" not in render_discovery(few)
 
 
 def test_trajectories_that_are_not_drawn_are_counted(found):

@@ -368,8 +368,9 @@ def _slopes(found: Discovery, pair: tuple[Samples, np.ndarray]) -> Iterator[Pict
     samples, predicted = pair
     unit = found.time_unit
     kind = _TARGETS[found.is_map]
-    dense = len(samples.t) > MOST_DOTS
-    how = f" There are {len(samples.t)}: darker is where more of them lie." if dense else ""
+    count = len(samples.t)
+    dense = f" There are {count}: the stronger the colour, the more of them lie there."
+    how = dense if count > MOST_DOTS else ""
     yield Picture.of(
         draw_slopes(samples, predicted, unit),
         f"The {kind} of {samples.target}, taken from the data by {samples.scheme}, and what the "
