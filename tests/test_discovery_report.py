@@ -156,13 +156,18 @@ def test_constants_and_intervals_stand_below_each_equation(page):
     assert 'id="constants-x"' not in page
 
 
-def test_a_choice_above_its_front_is_told():
-    """The formula that is no longer and misses less is named; on the front there is no note."""
+def test_a_choice_off_its_front_is_told():
+    """Above it the formula is named that is no longer and misses less, else that constants were
+    fitted later; on the front there is no note.
+    """
     front = ParetoFront([Candidate(parse("x"), 0.5, 2.0), Candidate(parse("sin(x)"), 0.1, 4.0)])
     above = place_front(front, Candidate(parse("2*x"), 0.3, 5.0, "polishing"))
     assert above.note.startswith("The chosen formula is above the front: sin(x) is no longer")
     assert "4 bits, RMSE 0.1" in above.note
-    for on in ("sin(x)", Candidate(parse("2*x"), 0.3, 3.0), Candidate(parse("2*x"), 0.1001, 4.0)):
+    for loss, bits in ((0.3, 3.0), (0.1001, 4.0)):
+        beside = place_front(front, Candidate(parse("2*x"), loss, bits))
+        assert beside.note.startswith("The chosen formula is off the front")
+    for on in ("sin(x)", Candidate(parse("sin(x)"), 0.1, 4.0)):
         assert place_front(front, on).note == ""
 
 

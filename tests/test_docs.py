@@ -41,7 +41,7 @@ def find(path):
 
 def reference():
     """Give the paths that the reference shows."""
-    text = "".join(page.read_text() for page in (DOCS / "api").glob("*.md"))
+    text = "".join(page.read_text("utf-8") for page in (DOCS / "api").glob("*.md"))
     return re.findall(r"^::: (\S+)$", text, re.MULTILINE)
 
 
@@ -56,7 +56,7 @@ def test_every_public_name_is_in_the_reference():
     """What ``dynsr`` exports, its version aside, is on a page of the reference, once."""
     missing = [n for n in dynsr.__all__ if n != "__version__" and not is_shown(getattr(dynsr, n))]
     assert missing == []
-    assert "dynsr.__version__" in (DOCS / "api" / "index.md").read_text()
+    assert "dynsr.__version__" in (DOCS / "api" / "index.md").read_text("utf-8")
     assert len(reference()) == len(set(reference()))
 
 
@@ -64,7 +64,7 @@ def test_what_other_pages_name_is_in_the_reference():
     """Names of rooms that pages speak of or import are ones that a reader can look up."""
     named = set()
     for page in PROSE:
-        text = page.read_text()
+        text = page.read_text("utf-8")
         named |= set(re.findall(r"`(dynsr\.[a-z]+\.[A-Za-z]\w+)`", text))
         for block in re.findall(r"```python[^\n]*\n(.*?)```", text, re.DOTALL):
             for node in ast.walk(ast.parse(block)):
@@ -77,7 +77,7 @@ def test_what_other_pages_name_is_in_the_reference():
 
 def test_the_table_of_options_is_complete():
     """Each parameter of the call and each option of its command is in the table, with a meaning."""
-    text = (DOCS / "options.md").read_text()
+    text = (DOCS / "options.md").read_text("utf-8")
     rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
     assert all(row[-1].strip(" |") for row in rows)
     said = " ".join(row[0] + " " + row[1] for row in rows)
@@ -99,7 +99,7 @@ def test_the_table_of_options_is_what_the_code_says():
 
 def test_the_gallery_is_whole():
     """At least twelve examples with a picture, three of them notebooks, all on its first page."""
-    index = (DOCS / "gallery" / "index.md").read_text()
+    index = (DOCS / "gallery" / "index.md").read_text("utf-8")
     examples = {p.name for p in (DOCS / "gallery").iterdir() if p.suffix in (".md", ".ipynb")}
     examples.remove("index.md")
     assert len(examples) >= 12 and len(NOTEBOOKS) >= 3
@@ -107,7 +107,7 @@ def test_the_gallery_is_whole():
     for name in examples:
         picture = (DOCS / "gallery" / name).with_suffix(".png")
         assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size < 100_000
-        text = (DOCS / "gallery" / name).read_text()
+        text = (DOCS / "gallery" / name).read_text("utf-8")
         assert "discover(" in text and (name.endswith(".ipynb") or f"({picture.name})" in text)
 
 
@@ -115,7 +115,7 @@ def test_the_gallery_is_whole():
 def test_a_notebook_gives_what_it_holds(notebook):
     """Each cell ends well, prints what is kept but for last digits, and shows what it ends in."""
     scope = {"__name__": "__notebook__"}
-    for cell in json.loads(notebook.read_text())["cells"]:
+    for cell in json.loads(notebook.read_text("utf-8"))["cells"]:
         if cell["cell_type"] != "code":
             continue
         kept = [out for out in cell["outputs"] if out["output_type"] != "stream"]
@@ -142,7 +142,7 @@ def without_digits(text):
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
 def test_links_of_the_repository_lead_somewhere(name):
     """A relative link outside the site, which its own check does not see, names a file."""
-    text = (ROOT / name).read_text()
+    text = (ROOT / name).read_text("utf-8")
     links = re.findall(r"\]\((?!https?:|#)([^)#]+)[^)]*\)", text)
     assert [link for link in links if not (ROOT / link).exists()] == []
 
@@ -150,7 +150,7 @@ def test_links_of_the_repository_lead_somewhere(name):
 def test_the_address_of_an_index_is_nowhere():
     """dynsr is on no index: pages install it from its repository."""
     for page in PAGES:
-        assert not re.search(r"^pip install dynsr", page.read_text(), re.MULTILINE), page
+        assert not re.search(r"^pip install dynsr", page.read_text("utf-8"), re.MULTILINE), page
 
 
 def rewrite(text, owner=""):

@@ -22,20 +22,48 @@ WITH_MATHS = ("fits", "noise", "methods/dynaifeynman", "methods/sindy", "gallery
 pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.slow]
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    """Build the site as ``scripts/check`` does: any warning, as of a dead link, is an error."""
+def build(folder, *config):
+    """Build the site as ``scripts/check`` does, where any warning is an error."""
     pytest.importorskip("mkdocs")
-    folder = tmp_path_factory.mktemp("site")
-    done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder],
+    line = next(
+        line
+        for line in (ROOT / "scripts" / "check").read_text("utf-8").splitlines()
+        if "mkdocs build" in line
+    )
+    options = line.partition("mkdocs build ")[2].partition(" --site-dir")[0].split()
+    return subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", *options, "--site-dir", folder, *config],
         capture_output=True,
         text=True,
         cwd=ROOT,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)},
     )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Build the site once."""
+    folder = tmp_path_factory.mktemp("site")
+    done = build(folder)
     assert done.returncode == 0, done.stderr
     return folder
+
+
+@pytest.mark.parametrize("link", ["there.md", "there.md#here", "#here", "there.png"])
+def test_a_dead_link_ends_the_build(tmp_path, link):
+    """A page, a heading or a picture that is not there is an error of ``scripts/check``; a live
+    heading is none.
+    """
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "index.md"
+    config = tmp_path / "mkdocs.yml"
+    nav = "docs_dir: docs\nextra_css: []\nextra_javascript: []\nplugins: []\nnav: [index.md]\n"
+    config.write_text(f"INHERIT: {ROOT / 'mkdocs.yml'}\n{nav}")
+    for target, code in (("#live", 0), (link, 1)):
+        page.write_text(f"# Live\n\n[text]({target})\n")
+        done = build(tmp_path / "site", "--config-file", str(config))
+        assert done.returncode == code, done.stderr
+    assert link in done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +93,13 @@ def test_no_page_loads_anything_from_elsewhere(site):
             if address and not address.startswith("data:"):
                 base = site if address.startswith("/") else page.parent
                 assert (base / address.lstrip("/").partition("?")[0]).is_file(), (page, address)
-    style = (site / "lib" / "katex" / "katex.min.css").read_text()
+    style = (site / "lib" / "katex" / "katex.min.css").read_text("utf-8")
     fonts = set(re.findall(r"url\((fonts/[^)]*woff2)\)", style))
     assert len(fonts) == 20 and all((site / "lib" / "katex" / f).is_file() for f in fonts)
     for library in ("katex", "iframe-worker"):
-        assert "Permission is hereby granted" in (site / "lib" / library / "LICENSE").read_text()
+        assert "Permission is hereby granted" in (site / "lib" / library / "LICENSE").read_text(
+            "utf-8"
+        )
 
 
 @pytest.mark.parametrize("page", WITH_MATHS)

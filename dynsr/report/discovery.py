@@ -68,7 +68,7 @@ class Chart:
     """A front as it is drawn.
 
     ``rows`` and ``columns`` are (place, label) of the ticks; ``steps`` are (x1, y1, x2, y2) of the
-    line that no formula is below; ``note`` says where the formula that was chosen is above it.
+    line that no formula is below; ``note`` says why the formula that was chosen is off it.
     """
 
     dots: tuple[Dot, ...]
@@ -117,24 +117,27 @@ def place_front(front: ParetoFront, chosen: Candidate | str) -> Chart:
         ),
         tuple((round(100 * b / bits[-1], 2), f"{b:g}") for b in bits),
         tuple(_steps([place(c) for c in front])),
-        _note_above(front, [c for c in some if shown(c.expr) == text]),
+        _note_off(front, chosen)
+        if isinstance(chosen, Candidate) and len(some) > len(front)
+        else "",
     )
 
 
-def _note_above(front: ParetoFront, chosen: Sequence[Candidate]) -> str:
-    """Say which formula of the front is no longer than the chosen one and misses slopes less."""
-    for one in chosen:
-        below = [
-            c for c in front if c.complexity <= one.complexity and c.loss < _CLEARLY * one.loss
-        ]
-        if below:
-            best = min(below, key=lambda c: c.loss)
-            return (
-                f"The chosen formula is above the front: {shown(best.expr)} is no longer and misses"
-                f" the slopes less ({_cost(best)}). Slopes alone do not decide: formulas are"
-                " compared on whole trajectories, and constants are fitted to the states."
-            )
-    return ""
+def _note_off(front: ParetoFront, chosen: Candidate) -> str:
+    """Say why a formula that was chosen is not on the front."""
+    near = [c for c in front if c.complexity <= chosen.complexity]
+    below = [c for c in near if c.loss < _CLEARLY * chosen.loss]
+    if below:
+        best = min(below, key=lambda c: c.loss)
+        return (
+            f"The chosen formula is above the front: {shown(best.expr)} is no longer and misses"
+            f" the slopes less ({_cost(best)}). Slopes alone do not decide: formulas are"
+            " compared on whole trajectories, and constants are fitted to the states."
+        )
+    return (
+        "The chosen formula is off the front, which is what the searches found: its constants were"
+        " fitted to the states after that."
+    )
 
 
 def _cost(candidate: Candidate) -> str:
