@@ -166,11 +166,12 @@ def rewrite(text, owner=""):
 def test_the_reference_reads_docstrings_as_numpydoc():
     """Text goes below its name, prose before the list, examples to their own section."""
     given = (
-        "Sum.\n\nParameters\n----------\na, b : numbers,\n    two of them.\n**more : others.\n\n"
+        "Sum.\n\n::\n\n    tree\n\nParameters\n----------\n"
+        "a, b : numbers,\n    two of them.\n**more : others.\n\n"
         "Raises InputError.\n\n>>> add(1, 2)\n3\n"
     )
     wanted = (
-        "Sum.\n\nRaises InputError.\n\nParameters\n----------\na, b\n    numbers,\n"
+        "Sum.\n\n    tree\n\nRaises InputError.\n\nParameters\n----------\na, b\n    numbers,\n"
         "    two of them.\n**more\n    others.\n\nExamples\n--------\n>>> add(1, 2)\n3"
     )
     assert rewrite(given).strip() == wanted

@@ -28,7 +28,8 @@ def rewrite(text: str, module: str, owner: str = "") -> str:
     module : the path of the module that it stands in, where its short references begin.
     owner : the path of the class that it belongs to, where its references to methods begin.
     """
-    text = _ROLE.sub(lambda role: _refer(role, module, owner), text)
+    # What follows a double colon is indented, which is code in Markdown too.
+    text = _ROLE.sub(lambda role: _refer(role, module, owner), text.replace("\n::\n\n", "\n"))
     prose, sections, examples = [], [], []
     parts = _SECTION.split(text)
     for name, body in zip(["", *parts[1::2]], parts[::2], strict=True):
