@@ -1,28 +1,57 @@
 """Every code block of the documentation is run as a test.
 
-Python blocks of a page share one namespace; of `console` blocks, the lines that begin with `dynsr`
-are run. A page works in an empty folder of its own.
+Python blocks of a page share one namespace; where a text block follows, they must print what it
+holds, numbers to a hundredth. Of `console` blocks, the lines that begin with `dynsr` are run. A
+page works in an empty folder of its own.
 """
 
 from __future__ import annotations
 
+import io
 import os
+import re
 import shlex
 import signal
 import subprocess
 import sys
 import tempfile
+from contextlib import redirect_stdout
 from importlib.util import find_spec
 from pathlib import Path
 
+import pytest
 from sybil import Example, Sybil
-from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser, SkipParser
+from sybil.evaluators.python import PythonEvaluator
+from sybil.parsers.markdown import CodeBlockParser, SkipParser
 
 _ROOT = Path(__file__).parent
 
 # A shell starts background jobs with Ctrl-C ignored; the tests of it and their children would wait.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+_NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
+_SHOWN = re.compile(r"(?:```)?\n\n```text\n(.*?)```\n", re.DOTALL)
+
+
+def _compare(said: str, shown: str) -> None:
+    """Hold two texts to be the same but for the last digits of their numbers."""
+    assert _NUMBER.sub("0", said) == _NUMBER.sub("0", shown)
+    numbers = [[float(n) for n in _NUMBER.findall(text)] for text in (said, shown)]
+    assert numbers[0] == pytest.approx(numbers[1], rel=0.01), f"{said}\n{shown}"
+
+
+class _PythonParser(CodeBlockParser):
+    language = "python"
+
+    def evaluate(self, example: Example) -> None:
+        said = io.StringIO()
+        with redirect_stdout(said):
+            PythonEvaluator()(example)
+        shown = _SHOWN.match(example.document.text, example.region.end)
+        if shown:
+            _compare(said.getvalue().strip(), shown[1].strip())
 
 
 class _ConsoleParser(CodeBlockParser):
@@ -51,7 +80,7 @@ def _leave(namespace: dict) -> None:
 
 
 pytest_collect_file = Sybil(
-    parsers=[PythonCodeBlockParser(), _ConsoleParser(), SkipParser()],
+    parsers=[_PythonParser(), _ConsoleParser(), SkipParser()],
     patterns=["*.md"],
     excludes=["CHANGELOG.md", "CONTRIBUTING.md"],
     setup=_enter,

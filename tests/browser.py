@@ -176,8 +176,10 @@ class Browser:
             self.events.append(self._next())
 
     def run(self, script: str) -> Any:
-        """Evaluate JavaScript in the page and give its value."""
-        answer = self.ask("Runtime.evaluate", expression=script, returnByValue=True)
+        """Evaluate JavaScript in the page and give its value, when a promise has it."""
+        answer = self.ask(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 

@@ -12,7 +12,7 @@ from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
-from dynsr.report.discovery import render_discovery
+from dynsr.report.discovery import place_front, render_discovery
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +142,53 @@ def test_a_report_that_cannot_be_written_is_an_error_of_one_line(found, tmp_path
         with pytest.raises(InputError, match=r"cannot write .*; choose another file"):
             found.report(path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
+
+
+def test_constants_and_intervals_stand_below_each_equation(page):
+    """The table of a state's constants comes before what the verdict rests on and all pictures."""
+    table = re.search(r'<table id="constants-y".*?</table>', page, re.DOTALL)
+    assert table is not None and table.start() < page.index('id="fronts"')
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", table[0])
+    assert cells[:2] == ["x", "-1"]
+    low, high = map(float, cells[2].split(" to "))
+    assert low == pytest.approx(-1 - 1.96 * 0.01, abs=1e-3)
+    assert high == pytest.approx(-1 + 1.96 * 0.01, abs=1e-3)
+    assert 'id="constants-x"' not in page
+
+
+def test_a_choice_off_its_front_is_told():
+    """Above it the formula is named that is no longer and misses less, else that constants were
+    fitted later; on the front there is no note.
+    """
+    front = ParetoFront([Candidate(parse("x"), 0.5, 2.0), Candidate(parse("sin(x)"), 0.1, 4.0)])
+    above = place_front(front, Candidate(parse("2*x"), 0.3, 5.0, "polishing"))
+    assert above.note.startswith("The chosen formula is above the front: sin(x) is no longer")
+    assert "4 bits, RMSE 0.1" in above.note
+    for loss, bits in ((0.3, 3.0), (0.1001, 4.0)):
+        beside = place_front(front, Candidate(parse("2*x"), loss, bits))
+        assert beside.note.startswith("The chosen formula is off the front")
+    for on in ("sin(x)", Candidate(parse("sin(x)"), 0.1, 4.0)):
+        assert place_front(front, on).note == ""
+
+
+def test_large_data_are_thinned_or_drawn_as_a_density_and_it_is_said():
+    """Of 12,000 rows one in six is a point of a line, and slopes are pictures, a small page."""
+    t = np.linspace(0, 600, 12_000)
+    run = Trajectory(t, np.column_stack([np.sin(t), np.cos(t)]), ("x", "y"))
+    equations = {"x": parse("y"), "y": parse("-x")}
+    empty = {"x": ParetoFront([]), "y": ParetoFront([])}
+    large = Discovery(equations, {}, empty, {}, (run,), settings={"scheme": {}})
+    page = html.unescape(render_discovery(large))
+    # Each caption stands below its picture and is what a screen reader says of it.
+    assert page.count("One row in 6 of 12000 is drawn.") == 2 * 2
+    assert len(re.findall(r"There are \d{5}: the stronger the colour", page)) == 4 * 2
+    assert len(page) < 1_500_000
+    few = replace(large, trajectories=(run.select(slice(0, 500)),))
+    assert "is drawn" not in render_discovery(few) and "stronger" not in render_discovery(few)
+
+
+def test_trajectories_that_are_not_drawn_are_counted(found):
+    """Of five trajectories three are drawn, and the page says that two more are there."""
+    page = render_discovery(replace(found, trajectories=found.trajectories * 5))
+    assert "2 more are in the data" in page and "Trajectory 3" in page
+    assert "Trajectory 4" not in page

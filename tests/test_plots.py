@@ -128,3 +128,16 @@ def test_slopes_are_drawn_beside_what_the_equation_gives():
     expected = np.cos(t)
     expected[len(T)] = np.nan
     np.testing.assert_array_equal(line.get_ydata(), expected)
+
+
+def test_many_dots_become_a_density():
+    """Beyond a number of dots their counts are drawn, all of them, and the line stays a line."""
+    t = np.linspace(0, 50, 20_000)
+    samples = Samples(t[:, None], np.sin(t), ("x",), "x", "given", t)
+    figure = plots.draw_slopes(samples, np.cos(t))
+    (density,) = figure.axes[0].collections
+    assert np.ma.sum(density.get_array()) == 20_000
+    assert [len(line.get_xdata()) for line in figure.axes[0].lines] == [0, plots.MOST_DOTS]
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["data", "equation"]
+    few = plots.draw_slopes(Samples(T[:, None], T, ("x",), "x", "given", T), T)
+    assert len(few.axes[0].collections) == 0 and len(few.axes[0].lines) == 2

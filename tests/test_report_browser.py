@@ -238,3 +238,29 @@ def test_a_page_without_scripts_still_shows_its_fronts(browser, pages):
         assert len(set(browser.run(places)[:3])) == 3
     finally:
         browser.ask("Emulation.setScriptExecutionDisabled", value=False)
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+@pytest.mark.parametrize(("number", "kind"), [(0, "LaTeX"), (1, "Python"), (2, "Julia")])
+def test_code_is_copied_at_a_touch(browser, pages, number, kind, guarded):
+    """From a file, one touch puts the code on the clipboard, which a paste gives back; also where
+    a browser keeps pages from its clipboard.
+    """
+    allowed = ["clipboardReadWrite", "clipboardSanitizedWrite"]
+    browser.ask("Browser.grantPermissions", permissions=allowed)
+    browser.open(pages["discovery"], PHONE)
+    browser.run("navigator.clipboard.writeText('nothing')")
+    if guarded:
+        browser.run("navigator.clipboard.writeText = () => Promise.reject(new Error())")
+    button = f"document.querySelectorAll('.copy button')[{number}]"
+    assert browser.run(f"{button}.checkVisibility() && {button}.textContent") == kind
+    x, y = browser.run(
+        f"{button}.scrollIntoView(), (box => [box.x + 9, box.y + 9])"
+        f"({button}.getBoundingClientRect())"
+    )
+    browser.tap(x, y)
+    said = "document.querySelector('.copy output').textContent"
+    assert browser.run(f"new Promise(r => setTimeout(() => r({said}), 200))") == f"{kind} is copied"
+    copied = browser.run("navigator.clipboard.readText()")
+    assert copied == browser.run(f"document.getElementById('code-{kind}').textContent")
+    assert {"LaTeX": "aligned", "Python": "def ", "Julia": "function"}[kind] in copied

@@ -28,7 +28,13 @@ from dynsr.errors import DynsrError, InputError
 from dynsr.expression import complexity, counting, evaluate, shown, to_mathml
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, rmse
 from dynsr.report.page import Picture, render_page
-from dynsr.report.plots import draw_phase_portrait, draw_residuals, draw_slopes, draw_states
+from dynsr.report.plots import (
+    MOST_DOTS,
+    draw_phase_portrait,
+    draw_residuals,
+    draw_slopes,
+    draw_states,
+)
 from dynsr.report.tables import Table
 
 HEIGHT = 220.0
@@ -39,6 +45,8 @@ _HEADINGS = {
     "": "Equations",
 }
 _SMALLEST = 1e-16
+# A loss is smaller than another where it is less than this share of it; polishing moves them a bit.
+_CLEARLY = 0.99
 _MOST_FORMULAS = 5
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -60,13 +68,14 @@ class Chart:
     """A front as it is drawn.
 
     ``rows`` and ``columns`` are (place, label) of the ticks; ``steps`` are (x1, y1, x2, y2) of the
-    line that no formula is below.
+    line that no formula is below; ``note`` says why the formula that was chosen is off it.
     """
 
     dots: tuple[Dot, ...]
     rows: tuple[tuple[float, str], ...]
     columns: tuple[tuple[float, str], ...]
     steps: tuple[tuple[float, float, float, float], ...]
+    note: str = ""
 
 
 def place_front(front: ParetoFront, chosen: Candidate | str) -> Chart:
@@ -108,6 +117,26 @@ def place_front(front: ParetoFront, chosen: Candidate | str) -> Chart:
         ),
         tuple((round(100 * b / bits[-1], 2), f"{b:g}") for b in bits),
         tuple(_steps([place(c) for c in front])),
+        _note_off(front, chosen)
+        if isinstance(chosen, Candidate) and len(some) > len(front)
+        else "",
+    )
+
+
+def _note_off(front: ParetoFront, chosen: Candidate) -> str:
+    """Say why a formula that was chosen is not on the front."""
+    near = [c for c in front if c.complexity <= chosen.complexity]
+    below = [c for c in near if c.loss < _CLEARLY * chosen.loss]
+    if below:
+        best = min(below, key=lambda c: c.loss)
+        return (
+            f"The chosen formula is above the front: {shown(best.expr)} is no longer and misses"
+            f" the slopes less ({_cost(best)}). Slopes alone do not decide: formulas are"
+            " compared on whole trajectories, and constants are fitted to the states."
+        )
+    return (
+        "The chosen formula is off the front, which is what the searches found: its constants were"
+        " fitted to the states after that."
     )
 
 
@@ -163,7 +192,7 @@ def render_discovery(found: Discovery) -> str:
 
     Pictures need the data, which a loaded discovery does not have; the rest is always there.
     """
-    samples = _samples(found)
+    samples, latex = _samples(found), found.latex()
     return render_page(
         "discovery.html.j2",
         heading=_HEADINGS[found.verdict.level if found.verdict else ""],
@@ -173,12 +202,12 @@ def render_discovery(found: Discovery) -> str:
         ensemble=_ensemble(found),
         summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
-        latex=found.latex(),
         fronts={state: _front(found, state, samples.get(state)) for state in found.equations},
         trajectories=list(_trajectories(found)),
+        left_out=max(0, len(found.trajectories) - _MOST_RUNS),
         slopes=[picture for state in samples for picture in _slopes(found, samples[state])],
         scores=_scores(found),
-        exports=[("Python", found.to_python()), ("Julia", found.to_julia())],
+        exports=[("LaTeX", latex), ("Python", found.to_python()), ("Julia", found.to_julia())],
         facts=_facts(found),
     )
 
@@ -221,17 +250,30 @@ def _summary(found: Discovery) -> str:
 
 def _equation(found: Discovery, state: str) -> dict[str, Any]:
     expr = found.equations[state]
-    units = _coefficient_units(found).get(state, {})
     return {
         "state": state,
         "text": f"{state}{'[n+1]' if found.is_map else chr(39)} = {shown(expr)}",
         "mathml": (write_map_mathml if found.is_map else to_mathml)(expr, state),
         "why": found.explanation.get(state, ""),
         "details": found.details.get(state, ""),
-        "constants": [
-            f"{c.of}: {c.text} {units.get(c.of, '')}".rstrip() for c in found.constants[state]
-        ],
+        "constants": _constants(found, state),
     }
+
+
+def _constants(found: Discovery, state: str) -> Table | None:
+    """Give the constants of an equation in its order, each with its interval; None without any."""
+    constants = found.constants[state]
+    if not constants:
+        return None
+    units = _coefficient_units(found).get(state, {})
+    rows = ((c.of, f"{c.value:.6g}", c.interval_text, c.fitted_text) for c in constants)
+    known = [(units.get(c.of, ""),) if units else () for c in constants]
+    return Table(
+        f"constants-{state}",
+        f"Constants of {state}, in the order of the formula",
+        ("Constant of", "Value", "95 % interval", "Fitted", *(["Unit"] if units else [])),
+        tuple(row + unit for row, unit in zip(rows, known, strict=True)),
+    )
 
 
 def _coefficient_units(found: Discovery) -> dict[str, dict[str, str]]:
@@ -299,18 +341,19 @@ def _trajectories(found: Discovery) -> Iterator[Picture]:
         # A map goes from row to row: none may be left out between.
         rows = slice(_MOST_STEPS) if found.is_map else slice(None, None, _stride(run))
         thin = run.select(rows)
+        drawn = _say_thinned(run, thin, found.is_map)
         model = _simulate(found, thin)
         name = f"Trajectory {number}" if len(found.trajectories) > 1 else "The trajectory"
         yield Picture.of(
             draw_states(thin, model, _bands(found, thin) if model else None),
-            f"{name}: the data, and the equations {_FOLLOWED[found.is_map]}"
+            f"{name}: the data, and the equations {_FOLLOWED[found.is_map]}{drawn}"
             if model
-            else f"{name}: the data. The equations cannot be integrated over it.",
+            else f"{name}: the data. The equations cannot be integrated over it.{drawn}",
         )
         if len(run.states) > 1:
             yield Picture.of(
                 draw_phase_portrait(thin, model, *run.states[:2]),
-                f"{name} as a phase portrait: {run.states[1]} against {run.states[0]}.",
+                f"{name} as a phase portrait: {run.states[1]} against {run.states[0]}.{drawn}",
             )
 
 
@@ -318,18 +361,29 @@ def _stride(run: Trajectory) -> int:
     return max(1, len(run) // _MOST_ROWS)
 
 
+def _say_thinned(run: Trajectory, thin: Trajectory, is_map: bool) -> str:
+    """Say which rows are drawn, where these are not all."""
+    if len(thin) == len(run):
+        return ""
+    which = f"The first {len(thin)} rows" if is_map else f"One row in {_stride(run)}"
+    return f" {which} of {len(run)} {'are' if is_map else 'is'} drawn."
+
+
 def _slopes(found: Discovery, pair: tuple[Samples, np.ndarray]) -> Iterator[Picture]:
     samples, predicted = pair
     unit = found.time_unit
     kind = _TARGETS[found.is_map]
+    count = len(samples.t)
+    dense = f" There are {count}: the stronger the colour, the more of them lie there."
+    how = dense if count > MOST_DOTS else ""
     yield Picture.of(
         draw_slopes(samples, predicted, unit),
         f"The {kind} of {samples.target}, taken from the data by {samples.scheme}, and what the "
-        "equation says they are.",
+        f"equation says they are.{how}",
     )
     yield Picture.of(
         draw_residuals(samples, predicted, unit),
-        f"The residuals of the {kind} of {samples.target}, over time and counted.",
+        f"The residuals of the {kind} of {samples.target}, over time and counted.{how}",
     )
 
 

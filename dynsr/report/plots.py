@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 
 from dynsr.data import Samples, Trajectory
@@ -26,6 +27,9 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 # A page on a phone shows a picture of this many inches with letters that can be read.
 _WIDTH = 5.2
 _NOTEBOOK_DPI = 100
+# More dots than these hide each other: how many lie where is drawn instead.
+MOST_DOTS = 5000
+_BINS = (160, 80)
 # What a curve that runs away may take of the picture: this many spans of the truth.
 _ROOM = 0.6
 _STYLE = {
@@ -142,14 +146,14 @@ def draw_residuals(samples: Samples, predicted: np.ndarray, time_unit: str = "")
 
     Parameters
     ----------
-    samples : the n slopes that it was fitted to.
+    samples : the n slopes that it was fitted to; more than MOST_DOTS are drawn as a density.
     predicted : (n,) slopes that it gives there.
     time_unit : what times are counted in; "" where nobody knows.
     """
     residuals = samples.y - np.asarray(predicted, dtype=float)
     figure, axes = _canvas(1, 2, (_WIDTH, 3.2), width_ratios=(4, 1), sharey=True)
     over_time, histogram = axes.flat
-    over_time.plot(samples.t, residuals, ".", ms=2.5, color=COLOURS[0], rasterized=True)
+    _draw_dots(over_time, samples.t, residuals, COLOURS[0], 2.5)
     over_time.axhline(0.0, color="black", lw=0.8)
     over_time.set(xlabel=_time_label(time_unit), ylabel=f"residual of d{samples.target}/dt")
     finite = residuals[np.isfinite(residuals)]
@@ -163,17 +167,18 @@ def draw_slopes(samples: Samples, predicted: np.ndarray, time_unit: str = "") ->
 
     Parameters
     ----------
-    samples : the n slopes of the data.
+    samples : the n slopes of the data; more than MOST_DOTS are drawn as a density.
     predicted : (n,) slopes of the formula.
     time_unit : what times are counted in; "" where nobody knows.
     """
     figure, axes = _canvas(1, 1, (_WIDTH, 3.2))
     axis = axes.flat[0]
-    axis.plot(samples.t, samples.y, ".", ms=5, color="0.6", label="data", rasterized=True)
-    given = np.array(predicted, dtype=float)
+    _draw_dots(axis, samples.t, samples.y, "0.6", 5, "data")
+    few = slice(None, None, -(-len(samples.t) // MOST_DOTS))
+    t, given = samples.t[few], np.array(predicted, dtype=float)[few]
     # Time that runs backwards is the start of the next trajectory: no line joins the two.
-    given[1:][np.diff(samples.t) <= 0] = np.nan
-    axis.plot(samples.t, given, color=COLOURS[1], lw=1.2, label="equation")
+    given[1:][np.diff(t) <= 0] = np.nan
+    axis.plot(t, given, color=COLOURS[1], lw=1.2, label="equation")
     _follow(axis, samples.y, [given])
     axis.set(xlabel=_time_label(time_unit), ylabel=f"d{samples.target}/dt")
     _legend_below(figure, axis)
@@ -294,6 +299,29 @@ def _canvas(
             gridspec_kw={"width_ratios": width_ratios} if width_ratios else None,
         )
     return figure, axes
+
+
+def _draw_dots(
+    axis: Axes, t: np.ndarray, values: np.ndarray, colour: str, size: float, label: str = ""
+) -> None:
+    """Draw values over time, each as a dot, or where these are too many how densely they lie."""
+    if len(t) <= MOST_DOTS:
+        axis.plot(t, values, ".", ms=size, color=colour, label=label or None, rasterized=True)
+        return
+    # The fewer, the more of the page shows through, be it light or dark.
+    shades = [to_rgba(colour, 0.2), to_rgba(colour, 1.0)]
+    finite = np.isfinite(values)
+    axis.hist2d(
+        t[finite],
+        values[finite],
+        bins=_BINS,
+        cmin=1,
+        cmap=LinearSegmentedColormap.from_list("density", shades),
+        norm="log",
+        rasterized=True,
+    )
+    # The legend shows a dot all the same.
+    axis.plot([], [], ".", ms=size, color=colour, label=label or None)
 
 
 def _time_label(unit: str) -> str:

@@ -156,10 +156,10 @@ class Pick:
         formula = formula if len(formula) <= 80 else formula[:77] + "..."
         if other.bits >= winner.bits:
             return f"The next best, {formula}, takes {other.bits - winner.bits:.0f} bits more."
-        return (
-            f"{formula} takes {winner.bits - other.bits:.0f} bits less, but misses by "
-            f"{other.held_back:.2g} on held-back data."
-        )
+        less = f"{formula} takes {winner.bits - other.bits:.0f} bits less"
+        if other.held_back is None:
+            return f"{less} on the slopes alone."
+        return f"{less}, but misses by {other.held_back:.2g} on held-back data."
 
 
 def pick_equation(

@@ -1,0 +1,150 @@
+"""The site as a reader has it: built, opened from a folder, without a network, on a phone too.
+
+Where there is no Chromium these tests are skipped; with DYNSR_REQUIRE_CHROMIUM=1 they fail.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from browser import Browser, find_chromium
+
+ROOT = Path(__file__).parents[1]
+PHONE, DESK = 390, 1280
+WITH_MATHS = ("fits", "noise", "methods/dynaifeynman", "methods/sindy", "gallery/noisy")
+
+# One worker runs them all, so that the site is built once.
+pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.slow]
+
+
+def build(folder, *config):
+    """Build the site as ``scripts/check`` does, where any warning is an error."""
+    pytest.importorskip("mkdocs")
+    line = next(
+        line
+        for line in (ROOT / "scripts" / "check").read_text("utf-8").splitlines()
+        if "mkdocs build" in line
+    )
+    options = line.partition("mkdocs build ")[2].partition(" --site-dir")[0].split()
+    return subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", *options, "--site-dir", folder, *config],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)},
+    )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Build the site once."""
+    folder = tmp_path_factory.mktemp("site")
+    done = build(folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize("link", ["there.md", "there.md#here", "#here", "there.png"])
+def test_a_dead_link_ends_the_build(tmp_path, link):
+    """A page, a heading or a picture that is not there is an error of ``scripts/check``; a live
+    heading is none.
+    """
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "index.md"
+    config = tmp_path / "mkdocs.yml"
+    nav = "docs_dir: docs\nextra_css: []\nextra_javascript: []\nplugins: []\nnav: [index.md]\n"
+    config.write_text(f"INHERIT: {ROOT / 'mkdocs.yml'}\n{nav}")
+    for target, code in (("#live", 0), (link, 1)):
+        page.write_text(f"# Live\n\n[text]({target})\n")
+        done = build(tmp_path / "site", "--config-file", str(config))
+        assert done.returncode == code, done.stderr
+    assert link in done.stderr
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Start one browser for all."""
+    program = find_chromium()
+    if program is None:
+        reason = "there is no Chromium here (Debian: apt-get install chromium)"
+        if os.environ.get("DYNSR_REQUIRE_CHROMIUM") == "1":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    with Browser(program) as started:
+        yield started
+
+
+def test_no_page_loads_anything_from_elsewhere(site):
+    """Scripts, styles, fonts and pictures of every page are files of the site, and they are there;
+    the licences of what others wrote lie beside it.
+    """
+    pages = list(site.rglob("*.html"))
+    assert len(pages) > 40
+    for page in pages:
+        text = page.read_text("utf-8")
+        loaded = re.findall(r"<(?:script|img|iframe)[^>]*\ssrc=\"([^\"]*)", text)
+        loaded += re.findall(r"<link[^>]*rel=\"?(?:stylesheet|icon)\"?[^>]*href=\"([^\"]*)", text)
+        for address in loaded:
+            if address and not address.startswith("data:"):
+                base = site if address.startswith("/") else page.parent
+                assert (base / address.lstrip("/").partition("?")[0]).is_file(), (page, address)
+    style = (site / "lib" / "katex" / "katex.min.css").read_text("utf-8")
+    fonts = set(re.findall(r"url\((fonts/[^)]*woff2)\)", style))
+    assert len(fonts) == 20 and all((site / "lib" / "katex" / f).is_file() for f in fonts)
+    for library in ("katex", "iframe-worker"):
+        assert "Permission is hereby granted" in (site / "lib" / library / "LICENSE").read_text(
+            "utf-8"
+        )
+
+
+@pytest.mark.parametrize("page", WITH_MATHS)
+def test_formulas_are_set(browser, site, page):
+    """Every formula is set by KaTeX without an error, and no TeX is left to be read as text."""
+    browser.open(site / f"{page}.html", DESK)
+    count = browser.run("document.querySelectorAll('.katex').length")
+    marked = "document.querySelectorAll('.arithmatex').length"
+    assert count >= max(5, browser.run(marked))
+    assert browser.run("document.querySelectorAll('.katex-error').length") == 0
+    # KaTeX keeps the source for screen readers where it is not seen.
+    left = "[...document.querySelectorAll('.arithmatex')].filter(e => !e.querySelector('.katex'))"
+    assert browser.run(f"{left}.length") == 0
+    assert [url for url in browser.requests() if not url.startswith(("file:", "data:"))] == []
+
+
+@pytest.mark.parametrize("width", [PHONE, DESK])
+@pytest.mark.parametrize(
+    "page", ["index", "options", "gallery/index", *WITH_MATHS, "api/discovery"]
+)
+def test_no_page_scrolls_sideways(browser, site, page, width):
+    """What is wide, such as a table or a signature, scrolls in a box of its own."""
+    browser.open(site / f"{page}.html", width)
+    assert browser.run("document.documentElement.scrollWidth") <= width
+    boxes = ".md-typeset__scrollwrap, .arithmatex, pre, .jp-OutputArea-output, .katex, svg, nav"
+    out = (
+        "[...document.querySelectorAll('article *')]"
+        f".filter(e => !e.parentElement.closest('{boxes}') && e.getBoundingClientRect().width)"
+        ".filter(e => e.getBoundingClientRect().right > innerWidth + 1)"
+        ".map(e => e.outerHTML.slice(0, 80))"
+    )
+    assert browser.run(out) == []
+
+
+def test_the_search_answers_from_a_folder(browser, site):
+    """Words typed into the search of a page that was opened as a file find pages of the site."""
+    browser.open(site / "index.html", DESK)
+    browser.run(
+        "(field => { field.focus(); field.value = 'michaelis';"
+        "field.dispatchEvent(new Event('keyup', {bubbles: true})) })"
+        "(document.querySelector('.md-search__input'))"
+    )
+    results = "[...document.querySelectorAll('.md-search-result__link')].map(e => e.href)"
+    found = browser.run(
+        "new Promise(r => { const again = n => { const some = " + results + ";"
+        "some.length || !n ? r(some) : setTimeout(() => again(n - 1), 100) }; again(100) })"
+    )
+    assert any("gallery/rational.html" in address for address in found)
