@@ -46,6 +46,8 @@ from dynsr.selection.terms import Joint
 
 # More terms may make up for a function that is none of theirs.
 _PLAIN = 4
+# Correlation of a column's slopes with another column from which on that is its speed.
+_SPEED = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,10 +240,19 @@ def explore(
     if not ratios or (best and _is_plain(best.exprs[state]) and leaves_noise(best, settings)):
         return found
     seen = look(data.samples(state), settings.demands.limits(state))
-    used = best.exprs[state].free_symbols if best else set()
-    angles = [a for a in alone.comparison.angles if sympy.Symbol(a) in used]
+    angles = [a for a in alone.comparison.angles if _turns(a, data)]
     joints = [one for angle in angles for one in alone.sums_around(angle)]
     return alone.rank([*joints, *(c.expr for c in seen.candidates)])
+
+
+def _turns(name: str, data: Measurements) -> bool:
+    """Whether the speed of a column is another column, as of a joint's angle."""
+    if name not in data.runs[0].states:
+        return False
+    samples = data.samples(name)
+    with np.errstate(all="ignore"):
+        alike = np.abs(np.corrcoef(samples.X.T, samples.y)[-1, :-1])
+    return bool(np.nanmax(alike) > _SPEED)
 
 
 def _is_plain(expr: sympy.Expr) -> bool:
