@@ -142,11 +142,13 @@ class CollocationFit:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """(P, P) of the constants at the noise that was given."""
+        """(P, P) of the constants at the noise that was given; inf where that does not tell."""
         scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
         with np.errstate(all="ignore"):
-            scaled = np.linalg.pinv(self.information / np.outer(scale, scale), rcond=1e-13)
-        return np.asarray(scaled / np.outer(scale, scale))
+            scaled = self.information / np.outer(scale, scale)
+            if not np.all(np.isfinite(scaled)):
+                return np.full_like(self.information, np.inf)
+            return np.asarray(np.linalg.pinv(scaled, rcond=1e-13) / np.outer(scale, scale))
 
     @property
     def errors(self) -> np.ndarray:
@@ -412,8 +414,9 @@ class Collocation:
         shift = np.zeros(0)
         if count:
             scale = np.sqrt(np.maximum(np.diag(centre), 1e-300))
-            scaled = centre / np.outer(scale, scale) + damping * np.eye(count)
-            shift = -np.linalg.solve(scaled, pull / scale) / scale
+            with np.errstate(over="ignore", invalid="ignore"):
+                scaled = centre / np.outer(scale, scale) + damping * np.eye(count)
+                shift = -np.linalg.solve(scaled, pull / scale) / scale
         moved = -(alone + border @ shift)
         return moved.reshape(states.shape), shift
 

@@ -170,6 +170,8 @@ _FOLLOWED = {
 }
 _TARGETS = {False: "slopes", True: "next values"}
 _DRAWS = 20
+# Share of a constant below which its error moves no curve that is drawn.
+_INVISIBLE = 1e-6
 
 
 def write_report(found: Discovery, path: Path) -> Path:
@@ -401,8 +403,12 @@ def _simulate(found: Discovery, run: Trajectory) -> Trajectory | None:
 
 
 def _bands(found: Discovery, run: Trajectory) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Give for each state the 2.5 % and 97.5 % quantiles over drawn constants; none for a map."""
-    if found.is_map:
+    """Give for each state the 2.5 % and 97.5 % quantiles over drawn constants; none for a map.
+
+    None either where all constants are as sure as in exact data, which no picture could show.
+    """
+    known = [pair for errors in found.errors.values() for pair in errors]
+    if found.is_map or all(error <= _INVISIBLE * abs(value) for value, error in known):
         return {}
     rng = np.random.default_rng(0)
     start = [run.x[0, run.index(state)] for state in found.equations]
