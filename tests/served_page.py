@@ -1,11 +1,14 @@
 """The local page, served in a process of its own, as tests and browsers ask it."""
 
+import contextlib
 import http.client
 import itertools
 import json
 import os
+import queue
 import subprocess
 import sys
+import threading
 import time
 from urllib.parse import quote, urlsplit
 
@@ -23,40 +26,31 @@ def rabbits():
     return "t,x,y\n" + "\n".join(",".join(map(repr, row)) for row in rows)
 
 
-class Page:
-    """A page that is served in a process of its own, as a shell would start it."""
+class Asked:
+    """A page at an address, and what a browser may ask it."""
 
-    def __init__(self, *words, folder=None):
-        environment = {**os.environ, "TMPDIR": str(folder)} if folder else None
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "dynsr", "app", "--no-browser", "--json", "-j", "1", *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=environment,
-        )
-        lines = itertools.takewhile(lambda line: line != "}\n", self.process.stdout)
-        self.url = json.loads("".join(lines) + "}")["address"]
-        parts = urlsplit(self.url)
+    def __init__(self, url):
+        self.url = url
+        parts = urlsplit(url)
         self.port, self.token = parts.port, parts.path.strip("/")
 
     def ask(self, path, body=None, token=None, method=None, **headers):
         """Give the status, the headers and the body of an answer."""
         line = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
-        where = f"/{self.token if token is None else token}/{path}"
-        line.putrequest(method or ("GET" if body is None else "POST"), where, skip_host=True)
-        given = {"Host": f"127.0.0.1:{self.port}", **headers}
-        if body is not None:
-            given.setdefault("Content-Length", str(len(body)))
-        for name, value in given.items():
-            line.putheader(name.replace("_", "-"), value)
-        line.endheaders()
-        if body is not None:
-            line.send(body)
-        answer = line.getresponse()
-        found = answer.status, dict(answer.getheaders()), answer.read()
-        line.close()
-        return found
+        with contextlib.closing(line):
+            where = f"/{self.token if token is None else token}/{path}"
+            method = method or ("GET" if body is None else "POST")
+            line.putrequest(method, where, skip_host=True)
+            given = {"Host": f"127.0.0.1:{self.port}", **headers}
+            if body is not None:
+                given.setdefault("Content-Length", str(len(body)))
+            for name, value in given.items():
+                line.putheader(name.replace("_", "-"), value)
+            line.endheaders()
+            if body is not None:
+                line.send(body)
+            answer = line.getresponse()
+            return answer.status, dict(answer.getheaders()), answer.read()
 
     def post(self, wish, **content):
         """Give the status and the line of an answer to a wish."""
@@ -80,6 +74,22 @@ class Page:
             time.sleep(0.05)
         raise AssertionError(parts)
 
+
+class Page(Asked):
+    """A page that is served in a process of its own, as a shell would start it."""
+
+    def __init__(self, *words, folder=None):
+        environment = {**os.environ, "TMPDIR": str(folder)} if folder else None
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "dynsr", "app", "--no-browser", "--json", "-j", "1", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        lines = itertools.takewhile(lambda line: line != "}\n", self.process.stdout)
+        super().__init__(json.loads("".join(lines) + "}")["address"])
+
     def end(self, number=None):
         """End it by its own Quit, or by a signal; gives the exit code and what it said."""
         if self.process.poll() is None:
@@ -89,3 +99,22 @@ class Page:
                 self.process.send_signal(number)
         _, said = self.process.communicate(timeout=30)
         return self.process.returncode, said
+
+
+class PageHere(Asked):
+    """A page that is served in a thread of this process, so that what it runs is measured."""
+
+    def __init__(self, **settings):
+        from dynsr.app import serve
+
+        said = queue.Queue()
+        settings |= {"jobs": 1, "browse": False, "say": said.put}
+        self.thread = threading.Thread(target=serve, kwargs=settings)
+        self.thread.start()
+        super().__init__(said.get(timeout=30))
+
+    def end(self):
+        """End it by its own Quit."""
+        self.post("quit")
+        self.thread.join(30)
+        assert not self.thread.is_alive()
