@@ -21,6 +21,7 @@ import pytest
 import dynsr
 from dynsr.app.work import FILES, Live, Work, read_options
 from dynsr.data.reading import read_trajectories
+from dynsr.jobs import Step
 
 sys.path.insert(0, str(Path(__file__).parent))
 from served_page import Page, PageHere, rabbits
@@ -590,4 +591,8 @@ def test_live_reports_name_each_states_best_equation():
     dynsr.discover(run.trajectories, preset="quick", jobs=1, progress=live)
     assert said[-1]["best"]["x"]["text"] == "x' = -x"
     assert "<math" in said[-1]["best"]["x"]["mathml"]
-    assert said[-1]["left"] == "fitting constants and judging"
+    live(Step("", 2, 0))
+    assert (said[-1]["share"], said[-1]["left"]) == (None, "fitting constants and judging")
+    live(Step("", 1, 4, seconds=65.0, seconds_left=30.0))
+    assert (said[-1]["share"], said[-1]["tasks"]) == (0.25, "1 of 4 tasks")
+    assert (said[-1]["time"], said[-1]["left"]) == ("1:05", "about 0:30 left")

@@ -116,7 +116,8 @@ class Desk:
         if self._doing == SEARCH and (verb in (READ, SEARCH) or not self.part("found")):
             raise InputError(_BUSY)
         if verb in (READ, SEARCH):
-            self._drop(*self._waiting)
+            # Columns that were corrected a moment before are read first.
+            self._drop(*(job for job in self._waiting if verb == READ or job.verb != READ))
             for name in ("found", "progress", "picture"):
                 self.show(name, None)
         if verb == READ:

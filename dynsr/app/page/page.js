@@ -21,7 +21,10 @@ const complain = words => {
   show("said", words);
   if (words) $("said").scrollIntoView({ block: "nearest" });
 };
-const post = async (wish, content = {}) => {
+// One after the other: columns that were corrected are there before a search begins.
+let posted = Promise.resolve();
+const post = (wish, content = {}) => (posted = posted.then(() => send(wish, content)));
+const send = async (wish, content) => {
   try {
     const answer = await fetch(wish, { method: "POST", body: JSON.stringify(content), headers: { "Content-Type": "application/json" } });
     const said = await answer.json().catch(() => ({}));
