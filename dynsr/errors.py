@@ -49,6 +49,29 @@ def one_line(message: object) -> str:
     return " ".join(str(message).split())
 
 
+def in_words(error: BaseException) -> str:
+    """Give the one line that a user reads of what ended a command or a job.
+
+    Parameters
+    ----------
+    error : what was raised; one that is no DynsrError, of the system or of memory is our fault.
+
+    >>> in_words(InputError("too few rows; give more"))
+    'too few rows; give more'
+    >>> in_words(ZeroDivisionError("by zero"))
+    'this is a fault in dynsr: ZeroDivisionError: by zero (DYNSR_DEBUG=1 shows where)'
+    """
+    if isinstance(error, DynsrError):
+        return one_line(error)
+    if isinstance(error, OSError):
+        where = f" {str(error.filename)!r}" if error.filename else ""
+        return one_line(f"cannot use{where}: {error.strerror or error}")
+    if isinstance(error, MemoryError):
+        return "out of memory; give fewer rows or a smaller search"
+    fault = f"this is a fault in dynsr: {type(error).__name__}: {error}"
+    return one_line(f"{fault} (DYNSR_DEBUG=1 shows where)")
+
+
 def need(module: str, extra: str, user: str) -> None:
     """Check that an optional package is installed, without importing it.
 

@@ -156,9 +156,14 @@ class Browser:
         return json.loads(message)
 
     def open(
-        self, page: Path, width: int, height: int = 844, dark: bool = False, media: str = "screen"
+        self,
+        page: Path | str,
+        width: int,
+        height: int = 844,
+        dark: bool = False,
+        media: str = "screen",
     ) -> None:
-        """Load a file, as a device of this width shows it; below 600 px it has a touch screen."""
+        """Load a file or an address, as a device of this width shows it; a phone's has touch."""
         phone = width < 600
         self.ask(
             "Emulation.setDeviceMetricsOverride",
@@ -171,7 +176,8 @@ class Browser:
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.ask("Emulation.setEmulatedMedia", media=media, features=[scheme])
         self.events.clear()
-        self.ask("Page.navigate", url=page.resolve().as_uri())
+        url = page if isinstance(page, str) else page.resolve().as_uri()
+        self.ask("Page.navigate", url=url)
         while not any(event.get("method") == "Page.loadEventFired" for event in self.events):
             self.events.append(self._next())
 
@@ -182,6 +188,22 @@ class Browser:
         )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
+
+    def wait(self, script: str, patience: float = _PATIENCE) -> Any:
+        """Evaluate JavaScript again and again until it gives something true."""
+        end = time.monotonic() + patience
+        while not (found := self.run(script)):
+            assert time.monotonic() < end, (
+                f"in vain: {script}: {self.run('document.body.innerText')}"
+            )
+            time.sleep(0.05)
+        return found
+
+    def choose_file(self, selector: str, file: Path) -> None:
+        """Give a file to an input of the page, as a reader does who picks it."""
+        root = self.ask("DOM.getDocument")["root"]["nodeId"]
+        node = self.ask("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
+        self.ask("DOM.setFileInputFiles", nodeId=node, files=[str(file.resolve())])
 
     def tap(self, x: float, y: float) -> None:
         """Touch the screen at a point of the viewport, and let go."""

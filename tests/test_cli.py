@@ -47,9 +47,9 @@ def spawn(*words, **options):
 
 
 def test_all_commands_are_there():
-    """The command has the eleven verbs."""
+    """The command has the twelve verbs."""
     wanted = "systems generate discover score simulate replicate audit crosscheck benchmark"
-    assert set(NAMES) == {*wanted.split(), "report", "doctor"}
+    assert set(NAMES) == {*wanted.split(), "report", "doctor", "app"}
 
 
 @pytest.mark.parametrize("name", NAMES)

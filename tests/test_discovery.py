@@ -222,3 +222,19 @@ def test_a_relative_folder_is_that_of_the_caller(decay, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path / name)
         discover(decay, method=QUICK, jobs=2, out="kept")
     assert list((tmp_path / "second" / "kept" / "records").glob("search-*"))
+
+
+def test_other_constants_are_put_in_the_order_of_the_printed_formula():
+    """with_constants takes numbers as constants lists them, and says what does not fit."""
+    texts = {"x": "2*x - 3*x*y", "y": "4.5*y/(5.5*x + 7.5) - 6.5*x"}
+    found = Discovery({s: parse(text) for s, text in texts.items()}, {}, {}, {})
+    assert [c.of for c in found.constants["x"]] == ["x*y", "x"]
+    moved = found.with_constants({"x": [-1.5, 0.25]})
+    assert same(moved.equations["x"], "0.25*x - 1.5*x*y")
+    assert moved.equations["y"] == found.equations["y"] and moved.verdict is None
+    twice = found.with_constants({"y": [2 * c.value for c in found.constants["y"]]})
+    assert same(twice.equations["y"], "9*y/(11*x + 15) - 13*x")
+    with pytest.raises(InputError, match="are not 2 finite numbers; give one a constant"):
+        found.with_constants({"x": [1.0, np.inf]})
+    with pytest.raises(InputError, match="'z' has no equation; those that have: x, y"):
+        found.with_constants({"z": [1.0]})

@@ -34,6 +34,7 @@ ROOMS = (
     "paper",
     "checks",
     "benchmarks",
+    "app",
     "cli",
 )
 
@@ -50,6 +51,7 @@ HOMES = {
         "discovery/hybrid.py",
     },
     "matplotlib": {"report/plots.py"},
+    "tornado": {"app/serving.py"},
     "juliacall": {"engines/julia/worker.py"},
     "juliapkg": {"engines/julia/setup.py"},
     "diffeqpy": {"engines/julia/worker.py"},

@@ -6,6 +6,7 @@ import polars
 import pyarrow
 import pytest
 
+from dynsr.data.columns import load_columns
 from dynsr.data.reading import read_trajectories, write_csv
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import DynsrWarning, InputError
@@ -356,3 +357,19 @@ def test_things_that_are_no_data(value):
     """What is no table at all is refused by the name of its type."""
     with pytest.raises(InputError, match=f"from a {type(value).__name__}"):
         read_trajectories(value)
+
+
+def test_a_table_says_the_role_of_each_column():
+    """Roles stand beside the sentence, by the names of the source; columns read once are reused."""
+    t = np.arange(12.0)
+    source = {"t": t, "well": np.repeat("a", 12), "x": t**2, "u": t % 2, "note": np.repeat("b", 12)}
+    columns = load_columns(source)
+    table = read_trajectories(columns, inputs=["u"], trajectory="well")
+    assert (table.roles.time, table.roles.states) == ("t", ("x",))
+    assert (table.roles.inputs, table.roles.trajectory) == (("u",), "well")
+    few = columns.only(["u", "t"])
+    assert few.names == ("t", "u")
+    assert read_trajectories(few).trajectories[0].states == ("u",)
+    assert load_columns(few) is few
+    with pytest.raises(InputError, match="holds no columns"):
+        columns.only(["z"])

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from dynsr import __version__
-from dynsr.cli import benchmarks, checks, data, discovery, paper, results
+from dynsr.cli import benchmarks, checks, data, discovery, page, paper, results
 from dynsr.cli.group import CommandGroup
 
 app = typer.Typer(
@@ -51,6 +51,7 @@ for _panel, _command, _example in (
     (_DATA, data.generate, "generate lorenz -o l.csv --noise 0.01 --seed 1"),
     (_DATA, data.simulate, "simulate pendulum --x0 0.5,0 --span 0,20 -o p.csv"),
     (_DISCOVERY, discovery.discover, "discover l.csv --out lorenz"),
+    (_DISCOVERY, page.app, "app l.csv"),
     (_DISCOVERY, results.score, "score lorenz/discovery.json other.csv"),
     (_DISCOVERY, results.report, "report lorenz/discovery.json -o report.html"),
     (_PAPER, paper.replicate, "replicate --systems pendulum --methods sindy"),

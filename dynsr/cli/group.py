@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from dynsr.errors import DynsrError, DynsrWarning, one_line
+from dynsr.errors import DynsrError, DynsrWarning, in_words, one_line
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -54,11 +54,8 @@ class CommandGroup(TyperGroup):
             return 0 if end.code == 1 else int(end.code or 0)
         except BrokenPipeError:
             return 0
-        except OSError as error:
-            where = f" {str(error.filename)!r}" if error.filename else ""
-            return _end(f"cannot use{where}: {error.strerror or error}", BAD_INPUT)
-        except MemoryError:
-            return _end("out of memory; give fewer rows or a smaller search", BAD_INPUT)
+        except (OSError, MemoryError) as error:
+            return _end(in_words(error), BAD_INPUT)
         except Exception as error:
             return _end_fault(error)
 
@@ -90,9 +87,7 @@ def _end_fault(error: Exception) -> int:
     """Report a fault of our own; DYNSR_DEBUG=1 lets the traceback through."""
     if os.environ.get("DYNSR_DEBUG"):
         raise error
-    return _end(
-        f"this is a fault in dynsr: {type(error).__name__}: {error} (DYNSR_DEBUG=1 shows where)", 1
-    )
+    return _end(in_words(error), 1)
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 from .catalogue import DEFINITIONS, find_definition
 from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
-from .columns import read_names_only
+from .columns import Columns, bracketed_unit, load_columns, read_names_only
 from .noise_model import StateNoise, measurement_noise, robust_scale
 from .reading import (
     column_units,
@@ -37,6 +37,7 @@ __all__ = [
     "SMOOTHERS",
     "SYSTEMS",
     "Cause",
+    "Columns",
     "DiagnosisSettings",
     "Samples",
     "SlopeSettings",
@@ -45,6 +46,7 @@ __all__ = [
     "System",
     "Trajectory",
     "add_velocities",
+    "bracketed_unit",
     "check_replaceable",
     "check_time_unit",
     "choose_samples",
@@ -56,6 +58,7 @@ __all__ = [
     "find_system",
     "in_unit",
     "join_samples",
+    "load_columns",
     "make_samples",
     "measurement_noise",
     "near_rows_leave_open",

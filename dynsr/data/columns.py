@@ -75,19 +75,39 @@ class Columns:
                     "give all columns the same length"
                 )
 
+    def only(self, names: Sequence[str]) -> Columns:
+        """Give some of the columns, in the order of the source.
+
+        Parameters
+        ----------
+        names : names of the source; others are left out.
+
+        Raises InputError when none is left.
+        """
+        pairs = [p for p in zip(self.names, self.values, strict=True) if p[0] in names]
+        return replace(
+            self,
+            names=tuple(name for name, _ in pairs),
+            values=tuple(values for _, values in pairs),
+            inputs=tuple(name for name in self.inputs if name in names),
+        )
+
 
 def load_columns(source: Any) -> Columns:
     """Load the columns of a file, a frame, a mapping of arrays, a Trajectory or a 2-D array.
 
     Files are told by their suffix: ``.npz``, ``.npy``, ``.parquet`` or ``.pq``; anything else is
     delimited text. Frames are those that narwhals knows, such as pandas, polars and pyarrow. An
-    array has the time as its first column; a pair ``(t, x)`` is taken apart.
+    array has the time as its first column; a pair ``(t, x)`` is taken apart. Columns stay as they
+    are.
 
     Raises InputError when the source is none of these or cannot be read.
 
     >>> load_columns({"t": [0, 1], "x": [2.0, 3.0]}).names
     ('t', 'x')
     """
+    if isinstance(source, Columns):
+        return source
     if isinstance(source, (str, os.PathLike)):
         return _load_file(Path(source))
     if isinstance(source, Trajectory):

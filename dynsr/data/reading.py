@@ -34,10 +34,14 @@ _UNITS = {"s": "seconds", "min": "minutes", "h": "hours"}
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Trajectories that were read, and a sentence on how their columns were understood."""
+    """Trajectories that were read, and how their columns were understood, as a sentence.
+
+    ``roles`` says the same column by column; None where several sources were read.
+    """
 
     trajectories: list[Trajectory]
     guess: str
+    roles: Roles | None = None
 
 
 def read_trajectories(
@@ -89,7 +93,8 @@ def read_trajectories(
         _check_first_column(t, columns.label)
     roles = guess_roles(columns, time, t, _listed(states), named, formulas, trajectory)
     runs = _cut(columns, roles, t, unit, formulas, max_rows)
-    return _told(runs, f"{columns.label}: {describe(runs, roles, formulas)}")
+    told = _told(runs, f"{columns.label}: {describe(runs, roles, formulas)}")
+    return replace(told, roles=roles)
 
 
 def _load_beside(source: Any, t: Any) -> Columns:

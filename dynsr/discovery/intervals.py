@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import sympy
 
+from dynsr.errors import InputError
 from dynsr.expression import shown
 from dynsr.fit import free_constants, loosen, tidy
 
@@ -87,8 +88,7 @@ def list_constants(
     >>> str(2 * x - 3 * x * y)
     '-3*x*y + 2*x'
     """
-    plain = expr.is_Symbol or expr == 0
-    template, values = free_constants(expr if plain else loosen(expr), "constant ")
+    template, values = _take_apart(expr)
     kept = list(values.values())
     before = list(fitted or ())
     before = before if len(before) == len(errors) else [value for value, _ in errors]
@@ -98,6 +98,37 @@ def list_constants(
     reaches = [reach * error for error, _ in paired]
     order = _printed_order(template, values)
     return tuple(_make(template, list(values), i, kept, middles, reaches) for i in order)
+
+
+def _take_apart(expr: sympy.Expr) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]:
+    plain = expr.is_Symbol or expr == 0
+    return free_constants(expr if plain else loosen(expr), "constant ")
+
+
+def put_constants(expr: sympy.Expr, values: Sequence[float]) -> sympy.Expr:
+    """Give the equation with other numbers for its constants.
+
+    Parameters
+    ----------
+    expr : the equation.
+    values : one finite number a constant, in the order of :func:`list_constants`.
+
+    Raises InputError when there are not as many, or one is not finite.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> put_constants(2 * x - 3 * x * y, [-1.5, 4.0])
+    -1.5*x*y + 4.0*x
+    """
+    template, known = _take_apart(expr)
+    order = _printed_order(template, known)
+    if len(values) != len(order) or not all(map(math.isfinite, values)):
+        raise InputError(
+            f"{list(values)!r} are not {len(order)} finite numbers; give one a constant"
+        )
+    symbols = list(known)
+    return template.xreplace(
+        {symbols[i]: sympy.Float(float(v)) for i, v in zip(order, values, strict=True)}
+    )
 
 
 def _make(

@@ -19,7 +19,7 @@ from dynsr.data import (
     in_unit,
     take_trajectories,
 )
-from dynsr.discovery.intervals import Constant, list_constants
+from dynsr.discovery.intervals import Constant, list_constants, put_constants
 from dynsr.discovery.map_verdict import judge_map
 from dynsr.discovery.maps import (
     inputs_in,
@@ -219,6 +219,35 @@ class Discovery:
                 s: explain(s, e, verdict.states[s], self.is_map) + origin[s]
                 for s, e in match.exprs.items()
             },
+        )
+
+    def with_constants(self, values: Mapping[str, Sequence[float]]) -> Discovery:
+        """Put other numbers in the place of constants, to see what they do.
+
+        Parameters
+        ----------
+        values : state -> its constants in the order of ``constants[state]``; the equations of
+            other states stay as they are.
+
+        The result has no verdict and no errors. Raises InputError when a state has no equation or
+        another number of constants.
+
+        >>> x = sympy.Symbol("x")
+        >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).with_constants({"x": [-3.0]})
+        x' = -3*x
+        """
+        if unknown := [state for state in values if state not in self.equations]:
+            raise InputError(
+                f"{unknown[0]!r} has no equation; those that have: {', '.join(self.equations)}"
+            )
+        changed = {s: put_constants(self.equations[s], own) for s, own in values.items()}
+        return replace(
+            self,
+            equations={**self.equations, **changed},
+            errors={},
+            fitted={},
+            verdict=None,
+            explanation={},
         )
 
     def _origin(self, state: str) -> str:

@@ -1,0 +1,491 @@
+"""Work: what the page asks for, done with the public interface, as plain values and markup.
+
+All of it runs in a process of its own, so that the page answers while a search runs, and a search
+can be ended whatever it does.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dynsr.data import (
+    Columns,
+    bracketed_unit,
+    column_units,
+    in_unit,
+    load_columns,
+    read_trajectories,
+    write_text,
+)
+from dynsr.discovery import Discovery, discover, inputs_in, write_lines, write_map_mathml
+from dynsr.errors import DynsrError, DynsrWarning, InputError, one_line
+from dynsr.expression import NAMED_FUNCTIONS, shown, to_mathml
+from dynsr.fit import ParetoFront, tidy
+from dynsr.jobs import clock, say_left
+from dynsr.methods import DEFAULT_PRESET, PRESETS
+from dynsr.report import Picture, draw_states
+
+if TYPE_CHECKING:
+    import sympy
+
+    from dynsr.data import Trajectory
+    from dynsr.jobs import Step
+
+# What the page calls the files, and what they are.
+REPORT, CODE, RECORD = FILES = ("report.html", "model.py", "discovery.json")
+TIME, TRAJECTORY, STATE, INPUT, UNUSED = ("time", "trajectory", "state", "input", "unused")
+_PREVIEW_ROWS = 8
+_LONGEST_CELL = 40
+# A picture of more rows shows no more, and more columns are no preview.
+_MOST_ROWS = 2000
+_MOST_STEPS = 200
+_MOST_COLUMNS = 200
+_MOST_PANELS = 4
+_NUMBERS = ("max_complexity", "time_budget", "seed")
+_SWITCHES = ("snap", "explicit_time", "discrete", "ensemble")
+_NOTHING = "there are no equations yet; press Find equations first"
+
+Say = Callable[[str, Any], None]
+
+
+class Work:
+    """What has been read and found so far, and the jobs that the page can ask for.
+
+    Parameters
+    ----------
+    folder : where the files for downloading are written.
+    say : called with the name of a part of the page and its new content, from any thread.
+    jobs : searches at a time; -1 uses every core.
+    """
+
+    def __init__(self, folder: Path, say: Say, jobs: int = -1) -> None:
+        """Begin without data."""
+        self._folder, self._say, self._jobs = folder, say, jobs
+        self._source: tuple[str, Columns] | None = None
+        self._runs: list[Trajectory] = []
+        self._units: dict[str, str] = {}
+        self._found: Discovery | None = None
+
+    def offer(self) -> None:
+        """Say what can be chosen."""
+        self._say(
+            "choices",
+            {"presets": PRESETS, "preset": DEFAULT_PRESET, "functions": NAMED_FUNCTIONS},
+        )
+
+    def read(
+        self,
+        path: str,
+        roles: Mapping[str, str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> None:
+        """Read a file and show its columns, with the roles that are guessed or given.
+
+        Parameters
+        ----------
+        path : the file.
+        roles : column -> its role; guessed by default.
+        units : column -> its unit; by default that in its name.
+
+        Columns are shown also where they cannot be used, with the reason. Raises InputError where
+        not even columns can be told apart.
+        """
+        self._runs, self._found = [], None
+        if self._source is None or self._source[0] != path:
+            self._source = None
+            with _heard() as notes, _by_name(path):
+                columns = load_columns(path)
+            self._source = path, replace(columns, notes=(*columns.notes, *notes))
+        columns = self._source[1]
+        given = {n: u for n, u in (units or {}).items() if n in columns.names and u.strip()}
+        with _heard() as notes:
+            try:
+                view = self._understand(columns, roles, given)
+            except InputError as error:
+                guessed = roles or {n: STATE for n in columns.names if _is_number(columns, n)}
+                view = {**_describe(columns, guessed, given), "error": one_line(error)}
+        self._say("table", {**view, "notes": list(dict.fromkeys(notes))})
+        self._say("preview", _draw(_at_a_glance(self._runs[0]), None) if self._runs else None)
+
+    def _understand(
+        self, columns: Columns, roles: Mapping[str, str] | None, units: Mapping[str, str]
+    ) -> dict[str, Any]:
+        if roles is None:
+            table = read_trajectories(columns)
+        else:
+            of = {role: [n for n in columns.names if roles.get(n) == role] for role in _ROLES}
+            for role in (TIME, TRAJECTORY):
+                if len(of[role]) > 1:
+                    both = " and ".join(map(repr, of[role][:2]))
+                    raise InputError(f"columns {both} are both the {role}; choose one")
+            used = columns.only([n for role in _ROLES if role != UNUSED for n in of[role]])
+            table = read_trajectories(
+                used,
+                next(iter(of[TIME]), None),
+                of[STATE],
+                of[INPUT],
+                next(iter(of[TRAJECTORY]), None),
+            )
+        found = table.roles
+        assert found is not None
+        if roles is None:
+            named = {found.time: TIME, **dict.fromkeys(found.inputs, INPUT)}
+            named |= {found.trajectory: TRAJECTORY} if found.trajectory else {}
+            roles = {n: named.get(n, UNUSED) for n in columns.names}
+            roles |= dict.fromkeys(found.states, STATE)
+            own = {n: bracketed_unit(n) for n in columns.names}
+            units = {**own, found.time: table.trajectories[0].time_unit or own[found.time]}
+        self._runs = _counted_in(table.trajectories, units.get(found.time, ""))
+        self._units = {
+            name: units[own]
+            for own, name in {**found.renamed, found.time: "t"}.items()
+            if units.get(own)
+        }
+        return {
+            **_describe(columns, roles, units),
+            "guess": table.guess,
+            "states": list(self._runs[0].states),
+            "error": "",
+        }
+
+    def search(self, options: Mapping[str, Any]) -> None:
+        """Search the equations of what was read; tells how it goes on, and what was found.
+
+        Parameters
+        ----------
+        options : what the page asks for, by the names of :func:`dynsr.discover`; ``units`` says
+            whether those of the columns are used, ``second_order`` and ``nonnegative`` that all
+            states are so.
+        """
+        if not self._runs:
+            raise InputError("there are no data to search; drop a file first")
+        self._found = None
+        settings = read_options(options, self._runs[0].states)
+        if options.get("units"):
+            if not self._units:
+                raise InputError("no column has a unit; type one below its name")
+            settings["units"] = column_units(self._runs[0], self._units)
+        watch = Live(self._runs[0].states, self._say)
+        with _heard() as notes:
+            found = discover(list(self._runs), jobs=self._jobs, progress=watch, **settings)
+        self._found = found
+        self._say("found", {**show_found(found), "notes": list(dict.fromkeys(notes))})
+        self.redraw({}, 0)
+
+    def write(self, name: str) -> None:
+        """Write one of FILES of what was found, for downloading.
+
+        Parameters
+        ----------
+        name : its name.
+        """
+        found, target = self._found, self._folder / name
+        if found is None:
+            raise InputError(_NOTHING)
+        if name == REPORT:
+            found.report(target)
+        elif name == RECORD:
+            found.save(target)
+        else:
+            write_text(target, found.to_python())
+        self._say("written", name)
+
+    def redraw(self, values: Mapping[str, Sequence[float]], run: int) -> None:
+        """Draw the data against the equations with other constants.
+
+        Parameters
+        ----------
+        values : state -> its constants in their order; {} for those found.
+        run : the number of the trajectory, from 0.
+        """
+        if self._found is None:
+            raise InputError(_NOTHING)
+        found = self._found.with_constants(values) if values else self._found
+        chosen = found.trajectories[run % len(found.trajectories)]
+        every = max(1, len(chosen) // _MOST_ROWS)
+        thin = chosen.select(slice(_MOST_STEPS) if found.is_map else slice(None, None, every))
+        lines, said = write_lines(found.equations, found.settings), ""
+        try:
+            model = _follow(found, thin)
+        except DynsrError as error:
+            model, said = None, one_line(error)
+        svg = _draw(thin, model)
+        self._say("picture", {"svg": svg, "run": run, "lines": lines, "said": said})
+
+
+_ROLES = (TIME, TRAJECTORY, STATE, INPUT, UNUSED)
+
+
+@contextmanager
+def _heard() -> Iterator[list[str]]:
+    """Give a list that warnings about the data are written to."""
+    said: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", DynsrWarning)
+        try:
+            yield said
+        finally:
+            said += [one_line(w.message) for w in caught if issubclass(w.category, DynsrWarning)]
+
+
+@contextmanager
+def _by_name(path: str) -> Iterator[None]:
+    """Let an error call a file by its name: where it is kept is no business of its owner's."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error).replace(path, Path(path).name)) from None
+
+
+def _is_number(columns: Columns, name: str) -> bool:
+    return columns.values[columns.names.index(name)].dtype.kind == "f"
+
+
+def _counted_in(runs: Sequence[Trajectory], unit: str) -> list[Trajectory]:
+    """Count the times in a unit: those of dates are converted, plain numbers are taken as such."""
+    if any(run.time_unit for run in runs) or not unit:
+        return in_unit(runs, unit)
+    return [replace(run, origin={**run.origin, "time_unit": unit}) for run in runs]
+
+
+def _describe(
+    columns: Columns, roles: Mapping[str, str], units: Mapping[str, str]
+) -> dict[str, Any]:
+    """Give what the page shows of columns: names, roles, units and the first rows."""
+    shown_names = columns.names[:_MOST_COLUMNS]
+    kinds = {"f": "number", "M": "date", "m": "duration"}
+    return {
+        "rows": len(columns.values[0]),
+        "hidden": len(columns.names) - len(shown_names),
+        "columns": [
+            {
+                "name": name,
+                "kind": kinds.get(values.dtype.kind, "text"),
+                "role": roles.get(name, UNUSED),
+                "unit": units.get(name, ""),
+                "cells": [_cell(value) for value in values[:_PREVIEW_ROWS]],
+            }
+            for name, values in zip(shown_names, columns.values, strict=False)
+        ],
+        "loaded": list(columns.notes),
+        "guess": "",
+        "states": [],
+    }
+
+
+def _cell(value: Any) -> str:
+    text = f"{value:.6g}" if isinstance(value, float) else one_line(value)
+    return text if len(text) <= _LONGEST_CELL else text[: _LONGEST_CELL - 1] + "…"
+
+
+def read_options(options: Mapping[str, Any], states: Sequence[str]) -> dict[str, Any]:
+    """Read what the page asks for as the arguments of :func:`dynsr.discover`.
+
+    Parameters
+    ----------
+    options : name -> value, as JSON has them; "" and what is not there leave the default.
+    states : the states of the data.
+
+    Raises InputError that names what cannot be read.
+
+    >>> read_options({"preset": "quick", "second_order": True, "time_budget": "30"}, ["x"])
+    {'preset': 'quick', 'order': 2, 'time_budget': 30.0}
+    """
+    found: dict[str, Any] = {}
+    for name, value in options.items():
+        if value in ("", None) or name == "units":
+            continue
+        if name in _NUMBERS:
+            found[name] = _number(name, value)
+        elif name in _SWITCHES:
+            found[name] = bool(value)
+        elif name == "second_order":
+            found |= {"order": 2} if value else {}
+        elif name == "nonnegative":
+            found |= {"nonnegative": tuple(states)} if value else {}
+        elif name == "functions":
+            found[name] = _names(name, value)
+        elif name in ("terms", "conserved"):
+            found[name] = [part.strip() for part in str(value).split(",") if part.strip()]
+        elif name in ("preset", "scheme"):
+            found[name] = str(value)
+        else:
+            raise InputError(f"unknown option {name[:40]!r}; load the page again")
+    return found
+
+
+def _number(name: str, value: Any) -> float | int:
+    words = name.replace("_", " ")
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{words} {str(value)[:40]!r} is not a number; write one, or none"
+        ) from None
+    return int(number) if name == "seed" and number.is_integer() else number
+
+
+def _names(name: str, value: Any) -> list[str]:
+    if not isinstance(value, list):
+        raise InputError(f"{name} must be a list of names; load the page again")
+    return [str(one) for one in value]
+
+
+@dataclass(frozen=True)
+class _Best:
+    """The best formula of a state so far."""
+
+    expr: sympy.Expr
+    loss: float
+    source: str
+
+
+class Live:
+    """Tells the page how a search goes on: tasks, time left, and the best equation of each state.
+
+    Parameters
+    ----------
+    states : the states of the data.
+    say : called with "progress" and its content.
+    """
+
+    def __init__(self, states: Sequence[str], say: Say) -> None:
+        """Begin without an equation."""
+        self._say = say
+        self._fronts: dict[str, ParetoFront] = {state: ParetoFront() for state in states}
+        self._chosen: dict[str, ParetoFront] = {}
+        self._shown: dict[str, tuple[sympy.Expr, dict[str, str]]] = {}
+
+    def __call__(self, step: Step) -> None:
+        """Take a report of the search."""
+        running: dict[str, ParetoFront] = {}
+        for one in step.running:
+            state = _state_of(one.title)
+            running[state] = running.get(state, ParetoFront()).merge(one.front)
+        self._take(step.record)
+        best = {}
+        for state in {**self._fronts, **running}:
+            front = self._fronts.get(state, ParetoFront()).merge(running.get(state, ParetoFront()))
+            front = self._chosen.get(state, front)
+            if len(front):
+                best[state] = self._show(state, front)
+        share = sum(_share(one.done, one.total) for one in step.running)
+        # Tasks that are not needed any more leave the plan.
+        over = step.done >= step.total
+        self._say(
+            "progress",
+            {
+                "share": None if over else min(1.0, (step.done + 0.9 * share) / step.total),
+                "tasks": "" if over else f"{step.done} of {step.total} tasks",
+                "time": clock(step.seconds),
+                "left": "fitting constants and judging" if over else say_left(step),
+                "running": [{"title": one.title, "stage": one.stage} for one in step.running],
+                "best": best,
+            },
+        )
+
+    def _take(self, record: Any) -> None:
+        pick = getattr(record, "pick", None)
+        if pick is not None:
+            self._chosen[pick.state] = ParetoFront([pick.candidate])
+        elif isinstance(getattr(record, "front", None), ParetoFront):
+            known = self._fronts.get(record.target, ParetoFront())
+            self._fronts[record.target] = known.merge(record.front)
+
+    def _show(self, state: str, front: ParetoFront) -> dict[str, str]:
+        knee = front.knee
+        if self._shown.get(state, (None,))[0] != knee.expr:
+            expr = tidy(knee.expr)
+            words = {"mathml": to_mathml(expr, state), "text": f"{state}' = {shown(expr, 4)}"}
+            stage = "chosen, not judged yet" if state in self._chosen else "best so far"
+            words |= {"error": f"misses the slopes by {knee.loss:.2g}", "stage": stage}
+            self._shown[state] = knee.expr, words
+        return self._shown[state][1]
+
+
+def _state_of(title: str) -> str:
+    return title.partition("'")[0]
+
+
+def _share(done: float, total: float | None) -> float:
+    return min(1.0, done / total) if total else 0.0
+
+
+def show_found(found: Discovery) -> dict[str, Any]:
+    """Give what the page shows of a discovery: verdict, equations, constants with intervals, code.
+
+    Parameters
+    ----------
+    found : the discovery.
+    """
+    write, left = (write_map_mathml, "[n+1]") if found.is_map else (to_mathml, "'")
+    verdicts = found.verdict.states if found.verdict else {}
+    known = "column_units" in found.settings
+    units = found.coefficient_units() if known else {}
+    return {
+        "heading": found.heading,
+        "level": found.verdict.level if found.verdict else "",
+        "complete": found.complete,
+        "seconds": round(found.seconds, 1),
+        "equations": [
+            {
+                "state": state,
+                "mathml": write(expr, state),
+                "text": f"{state}{left} = {shown(expr)}",
+                "level": verdicts[state].level if state in verdicts else "",
+                "why": found.explanation.get(state, ""),
+            }
+            for state, expr in found.equations.items()
+        ],
+        "constants": [
+            {
+                "state": state,
+                "of": one.of,
+                "value": one.value,
+                "fitted": one.fitted_text,
+                "interval": one.interval_text,
+                "unit": units.get(state, {}).get(one.of, ""),
+            }
+            for state, own in found.constants.items()
+            for one in own
+        ],
+        "left": left,
+        "units": known,
+        "runs": len(found.trajectories),
+        "latex": found.latex(),
+        "python": found.to_python(),
+    }
+
+
+def _follow(found: Discovery, run: Trajectory) -> Trajectory:
+    """Integrate the equations over a run from its first row."""
+    start = [run.x[0, run.index(state)] for state in found.equations]
+    inputs = inputs_in(run, found.equations) if found.is_map else found.inputs_of(run)
+    return found.simulate(np.asarray(start), run.t, inputs)
+
+
+def _draw(run: Trajectory, model: Trajectory | None) -> str:
+    words = "the data"
+    if model is not None:
+        run = _of_states(run, [state for state in run.states if state in model.states])
+        words = "the data, and the equations integrated from the first row"
+    return Picture.of(draw_states(run, model), words).svg
+
+
+def _at_a_glance(run: Trajectory) -> Trajectory:
+    """Give what a small picture has room for."""
+    thin = run.select(slice(None, None, max(1, len(run) // _MOST_ROWS)))
+    return _of_states(thin, run.states[:_MOST_PANELS])
+
+
+def _of_states(run: Trajectory, states: Sequence[str]) -> Trajectory:
+    columns = run.x[:, [run.index(state) for state in states]]
+    return replace(run, x=columns, states=tuple(states))

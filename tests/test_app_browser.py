@@ -1,0 +1,233 @@
+"""The local page in a browser, from a dropped file to the downloads, on a desk and on a phone.
+
+Where there is no Chromium these tests are skipped; with DYNSR_REQUIRE_CHROMIUM=1 they fail.
+"""
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import dynsr
+
+pytest.importorskip("tornado", reason="the extra app is not installed")
+sys.path.insert(0, str(Path(__file__).parent))
+from browser import Browser, find_chromium
+from served_page import Page, rabbits
+
+pytestmark = [pytest.mark.xdist_group("browser"), pytest.mark.slow]
+
+PHONE, DESK = 390, 1280
+IDLE = "!document.getElementById('ask').hidden"
+FOUND = "!document.getElementById('found').hidden && !!document.querySelector('#svg svg')"
+UNIT = f"({IDLE}) && document.getElementById('unit-0').value === 'days' && !parts.busy"
+OVERFLOWING = """
+[...document.body.querySelectorAll("*")]
+  .filter(e => !e.parentElement.closest(".scroll, svg, .formula, pre"))
+  .map(e => [e.getBoundingClientRect(), e.outerHTML.slice(0, 80)])
+  .filter(([box]) => box.width > 0 && (box.right > innerWidth + 1 || box.left < -1))
+"""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Start one browser for all."""
+    program = find_chromium()
+    if program is None:
+        reason = "there is no Chromium here (Debian: apt-get install chromium)"
+        if os.environ.get("DYNSR_REQUIRE_CHROMIUM") == "1":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    with Browser(program) as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser):
+    """Serve a page for one test."""
+    served = Page()
+    yield served
+    served.end()
+
+
+def text(browser, selector):
+    """Give the text of an element."""
+    return browser.run(f"document.querySelector({json.dumps(selector)}).innerText")
+
+
+def click(browser, selector):
+    """Press an element."""
+    browser.run(f"document.querySelector({json.dumps(selector)}).click()")
+
+
+def change(browser, selector, value, event="change"):
+    """Give a control another value, as its reader does."""
+    browser.run(
+        f"(e => {{ e.value = {json.dumps(value)}; e.dispatchEvent(new Event('{event}')); }})"
+        f"(document.querySelector({json.dumps(selector)}))"
+    )
+
+
+def test_the_whole_way_from_a_file_to_its_equations(browser, page, tmp_path):
+    """Drop, look, correct, search, read, move a constant, download: all of it on one page."""
+    (tmp_path / "rabbits.csv").write_text(rabbits())
+    browser.open(page.url, DESK)
+    browser.wait("document.getElementById('limit').textContent === 'Up to 50 MB'")
+    browser.choose_file("#file", tmp_path / "rabbits.csv")
+    browser.wait(IDLE)
+    assert text(browser, "#guess") == (
+        "rabbits.csv: time 't', 160 rows from 0 to 7.95 every 0.05; states x, y"
+    )
+    change(browser, "#unit-0", "days")
+    browser.wait(UNIT)
+    click(browser, "[name=preset][value=quick]")
+    click(browser, "#search")
+    browser.wait("!document.getElementById('progress').hidden")
+    live = browser.wait(
+        "document.querySelector('#best .formula math') && document.getElementById('best').innerText"
+    )
+    assert "best so far" in live or "not judged" in live
+    browser.wait(FOUND)
+    assert text(browser, "#verdict").startswith("Law: every equation reproduces")
+    formulas = browser.run(
+        "[...document.querySelectorAll('#equations .formula')].map(e => e.title)"
+    )
+    assert formulas == ["x' = -x*y + 1.5*x", "y' = x*y - 3*y"]
+    chips = browser.run("[...document.querySelectorAll('#equations .chip')].map(e => e.innerText)")
+    assert chips == ["law", "law"]
+    drawn = "[...document.querySelectorAll('#equations math')].map(e => e.getBoundingClientRect())"
+    assert browser.run(f"{drawn}.every(box => box.width > 60 && box.height > 15)")
+    constants = "[...document.querySelectorAll('.constants input[type=number]')].map(e => +e.value)"
+    assert browser.run(constants) == [-1, 1.5, 1, -3]
+    assert " to " in text(browser, ".constants")
+    assert "time t (days)" in text(browser, "#svg")
+
+    # The picture follows the slider, and comes back.
+    curve = "document.querySelector('#svg').innerHTML"
+    before = browser.run(curve)
+    change(browser, ".constants input[type=range]", "-0.8", "input")
+    browser.wait("document.getElementById('lines').innerText.startsWith(\"x' = -0.8*x*y\")")
+    assert browser.run(curve) != before
+    click(browser, "#reset")
+    browser.wait("document.getElementById('lines').innerText.startsWith(\"x' = -x*y\")")
+    assert browser.run(constants) == [-1, 1.5, 1, -3]
+
+    # Files come as a browser downloads them.
+    browser.ask("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    for name in ("report.html", "model.py", "discovery.json"):
+        click(browser, f"a[href='{name}']")
+        end = time.monotonic() + 30
+        while not (tmp_path / f"rabbits-{name}").exists():
+            assert time.monotonic() < end, name
+            time.sleep(0.05)
+    found = dynsr.Discovery.load(tmp_path / "rabbits-discovery.json")
+    assert str(found) == "x' = -x*y + 1.5*x\ny' = x*y - 3*y"
+    assert "def rhs(t, state)" in (tmp_path / "rabbits-model.py").read_text()
+    assert (tmp_path / "rabbits-report.html").read_text().startswith("<!doctype html>")
+
+    assert browser.complaints() == []
+    outside = [u for u in browser.requests() if not u.startswith((page.url, "data:"))]
+    assert outside == []
+
+
+def test_guessed_columns_are_corrected(browser, page):
+    """Each column shows its role, and takes another one; there is never a second time."""
+    page.drop(rabbits(), "rabbits.csv")
+    browser.open(page.url, DESK)
+    browser.wait(IDLE)
+    roles = "[...document.querySelectorAll('#columns select')].map(e => e.value)"
+    assert browser.run(roles) == ["time", "state", "state"]
+    assert browser.run("document.querySelectorAll('#columns tbody tr').length") == 8
+    change(browser, "#role-2", "input")
+    browser.wait("document.getElementById('guess').innerText.includes('inputs y')")
+    change(browser, "#role-2", "state")
+    browser.wait("document.getElementById('guess').innerText.endsWith('states x, y')")
+    change(browser, "#role-1", "time")
+    browser.wait("document.getElementById('guess').className === 'bad'")
+    assert browser.run(roles) == ["unused", "time", "state"]
+    assert "runs backwards" in text(browser, "#guess")
+    assert browser.run("document.getElementById('ask').hidden")
+
+
+def test_a_page_that_is_loaded_again_is_where_it_was(browser, page, tmp_path):
+    """Data, equations and picture are there after a reload, also on a phone in the dark."""
+    (tmp_path / "rabbits.csv").write_text(rabbits())
+    page.drop(rabbits(), "rabbits.csv")
+    page.post("search", options={"preset": "quick"})
+    page.wait(lambda parts: not parts["busy"] and parts["found"] and parts["picture"])
+    for width, dark in ((DESK, False), (PHONE, True), (320, False)):
+        browser.open(page.url, width, dark=dark)
+        browser.wait(FOUND)
+        browser.run("document.getElementById('more').open = true")
+        assert browser.run("document.documentElement.scrollWidth") <= width
+        assert browser.run(OVERFLOWING) == []
+        assert browser.complaints() == []
+
+
+def test_a_search_is_cancelled(browser, page):
+    """Cancel ends a search that runs, and the page shows what it has or that there is nothing."""
+    rows = "\n".join(f"{k},{(k * 7919) % 101},{(k * 104729) % 97}" for k in range(300))
+    page.drop("t,a,b\n" + rows)
+    browser.open(page.url, DESK)
+    browser.wait(IDLE)
+    click(browser, "#search")
+    browser.wait("document.getElementById('left').innerText.includes('tasks')")
+    click(browser, "#stop")
+    browser.wait(f"({IDLE}) && (!!parts.found || !!parts.said)")
+    said = text(browser, "#verdict") + text(browser, "#said")
+    assert "Cancelled; the best so far." in said or "stopped" in said
+
+
+def test_names_of_columns_are_only_words(browser, page, tmp_path):
+    """A name that is markup, or a file called so, is shown as it is written and never run."""
+    bad = '<img src=x onerror="document.title=1">'
+    rows = "\n".join(f"{k},{k * k}" for k in range(20))
+    (tmp_path / "bad.csv").write_text(f"t,{bad}\n{rows}")
+    browser.open(page.url, DESK)
+    browser.wait("document.getElementById('limit').textContent")
+    browser.choose_file("#file", tmp_path / "bad.csv")
+    browser.wait("!document.getElementById('table').hidden")
+    assert bad.replace('"', "") in text(browser, "#columns thead").replace('"', "")
+    assert browser.run("document.images.length") == 0
+    assert browser.run("document.title") == "dynsr"
+    assert browser.complaints() == []
+
+
+def test_what_is_wrong_is_said_on_the_page(browser, page, tmp_path):
+    """A file that cannot be read, or is too large, gives its one line; another one may follow."""
+    browser.open(page.url, DESK)
+    browser.wait("document.getElementById('limit').textContent")
+    (tmp_path / "bad.csv").write_text("t,x\n0,1\n1,2,3,4\n")
+    browser.choose_file("#file", tmp_path / "bad.csv")
+    said = browser.wait(
+        "!document.getElementById('said').hidden && document.getElementById('said').innerText"
+    )
+    assert said.startswith("cannot read the rows of 'bad.csv': ")
+    with (tmp_path / "large.csv").open("wb") as file:
+        file.truncate(60 << 20)
+    browser.choose_file("#file", tmp_path / "large.csv")
+    browser.wait(
+        "document.getElementById('said').innerText.startsWith(\"'large.csv' has 60.0 MB\")"
+    )
+    (tmp_path / "good.csv").write_text(rabbits())
+    browser.choose_file("#file", tmp_path / "good.csv")
+    browser.wait(IDLE)
+    assert browser.run("document.getElementById('said').hidden")
+
+
+def test_quit_ends_it_and_the_page_says_so(browser, page):
+    """Quit on the page ends the process with exit code 0."""
+    browser.open(page.url, DESK)
+    browser.wait("document.getElementById('limit').textContent")
+    click(browser, "#quit")
+    browser.wait("document.getElementById('said').innerText.includes('can be closed')")
+    assert page.process.wait(30) == 0
+
+
+def test_nothing_is_shown_without_the_token(browser, page):
+    """A browser that comes without the token sees nothing of the page."""
+    browser.open(page.url.replace(page.token, "x" * len(page.token)), DESK)
+    assert "dynsr" not in browser.run("document.documentElement.innerText")
