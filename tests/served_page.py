@@ -97,7 +97,7 @@ class Page(Asked):
                 self.post("quit")
             else:
                 self.process.send_signal(number)
-        _, said = self.process.communicate(timeout=30)
+        _, said = self.process.communicate(timeout=180)
         return self.process.returncode, said
 
 

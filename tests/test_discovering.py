@@ -178,6 +178,7 @@ def test_options_reach_the_search(tmp_path, seen):
         2,
         "--explicit-time",
     ]
+    words += ["--complexity", "sin=8", "--loss", "huber", "--must", "x: x*v", "--start", "old"]
     words += ["--units", "x=m,t=s", "--ensemble"]
     words += ["--known", "x'=-0.1*x", "--out", tmp_path / "kept", "--json"]
     found = json.loads(run(*words).stdout)
@@ -193,6 +194,10 @@ def test_options_reach_the_search(tmp_path, seen):
         "time_budget": 60.0,
         "units": "x=m,t=s",
         "ensemble": True,
+        "complexity": {"sin": 8.0},
+        "loss": "huber",
+        "must": ["x: x*v"],
+        "start": Path("old"),
         "method": "sindy",
         "preset": "quick",
         "scheme": "central4",

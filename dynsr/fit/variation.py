@@ -87,18 +87,24 @@ def improve(
 def loosen(expr: sympy.Expr) -> sympy.Expr:
     """Make every coefficient of the sums above and below a fraction line a float again.
 
-    Below the line the last coefficient stays, since the whole is only given up to a factor.
+    Below the line the last coefficient stays, since the whole is only given up to a factor; where
+    it is a float, both sides are divided by it.
 
     >>> x, y = sympy.symbols("x y")
-    >>> loosen((x - 3 * y) / (2 - x))
-    (1.0*x - 3.0*y)/(2.0 - x)
+    >>> loosen((x - 3 * y) / (2 - x)), loosen(3 * y / (1 + 1.5 * x))
+    ((1.0*x - 3.0*y)/(2.0 - x), 2.0*y/(x + 0.666666666666667))
     """
     top, bottom = sympy.fraction(expr)
-    above = sympy.Add(*[_loose_term(t) for t in sympy.Add.make_args(sympy.expand(top))])
+    above = [_loose_term(t) for t in sympy.Add.make_args(sympy.expand(top))]
     if bottom == 1:
-        return above
+        return sympy.Add(*above)
     terms = sorted(sympy.Add.make_args(bottom), key=lambda t: (len(t.free_symbols) > 0, str(t)))
-    return above / sympy.Add(*map(_loose_term, terms[:-1]), terms[-1])
+    below, last = [_loose_term(t) for t in terms[:-1]], terms[-1]
+    factor, rest = last.as_coeff_Mul()
+    if factor.is_Float:
+        above, below = ([term / factor for term in side] for side in (above, below))
+        last = rest
+    return sympy.Add(*above) / sympy.Add(*below, last)
 
 
 def with_floats(expr: sympy.Expr) -> sympy.Expr:
