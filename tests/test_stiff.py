@@ -7,6 +7,7 @@ from dynsr.data.samples import Samples
 from dynsr.data.slopes import choose_samples, find_layers
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.search import discover
+from dynsr.discovery.verdict import judge
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import score_candidate
 from dynsr.fit.shooting import build_shooting, prepare
@@ -112,3 +113,14 @@ def test_stiffness_is_the_largest_eigenvalue_times_the_interval():
     assert slow.stiffness(
         build_shooting(slow, [run], {}, 10, False).windows, np.zeros(0)
     ) == pytest.approx(0.01)
+
+
+def test_a_law_across_layers_is_judged_by_an_implicit_integration():
+    """The exact oscillator is a law from 500 even rows; a term beside it, or one less, is none."""
+    run = relaxation(np.linspace(0, 200, 500), 200)
+    exact = {"x": parse("y"), "y": parse("50*y - 50*x**2*y - x")}
+    found = judge(exact, [run])
+    assert found.level == "law" and "integrated implicitly" in found.states["y"].reason
+    more = judge({**exact, "y": exact["y"] + parse("1e-9*x**3")}, [run])
+    assert more.level == "approximation" and "do not need x**3" in more.states["y"].reason
+    assert judge({**exact, "y": parse("50*y - 50*x**2*y")}, [run]).level == "not found"

@@ -25,6 +25,7 @@ from dynsr.discovery.following import (
     follow,
     open_constants,
 )
+from dynsr.discovery.layers import cross_layers
 from dynsr.discovery.rivals import compare_rivals
 from dynsr.errors import InputError, one_line
 from dynsr.expression import shown
@@ -216,6 +217,11 @@ def _judge(
     causes: Mapping[str, str],
 ) -> Verdict:
     followed = bench.follow_longest()
+    crossed = None if followed.finite else bench.cross_layers()
+    if crossed is not None:
+        level = max((own.level for own in crossed.values()), key=LEVELS.index)
+        span = float(max(np.ptp(run.t) for run in bench.course.runs))
+        return Verdict(level, _summarise(level, crossed), crossed, span)
     evidence = bench.gather(followed) if followed.finite else None
     close = rivals or {}
     if rivals is None and evidence is not None and front:
@@ -226,7 +232,7 @@ def _judge(
     }
     states = _doubt_beside(states, bench.equations)
     level = max((own.level for own in states.values()), key=LEVELS.index)
-    return Verdict(level, _summarise(level, states, bench, followed), states, bench.span(followed))
+    return Verdict(level, _summarise(level, states), states, bench.span(followed))
 
 
 def _doubt_beside(
@@ -599,6 +605,44 @@ class _Bench:
             f"{self.settings.held_back:.0%}, and needs each of its terms."
         )
 
+    def cross_layers(self) -> dict[str, StateVerdict] | None:
+        """Judge stiff equations of clean data by one implicit integration from the first rows.
+
+        None where the data are noisy or have no layers, and where that does not reproduce them.
+        """
+        causes = [diagnose(self.course.runs, state) for state in self.equations]
+        stiff = any(cause.kind == "stiff" for told in causes for cause in told)
+        if not (stiff and bool(np.all(self.clean))):
+            return None
+        found = cross_layers(self.equations, self.course.runs, self.course.inputs)
+        if found is None or np.min(found.r2) < self.settings.r2:
+            return None
+        exact = bool(np.max(found.missed) < 2 * self.settings.solver)
+        verdicts = {}
+        for place, state in enumerate(self.equations):
+            idle = None if found.idle is None else found.idle[state]
+            said = "across the fast layers of the data, integrated implicitly from their first row"
+            level = LAW if exact and idle == [] else APPROXIMATION
+            if level == LAW:
+                reason = f"reproduces the data exactly {said}, and needs each of its terms."
+            else:
+                much = f"follows the data to {_percent(float(found.missed[place]))} of the spread"
+                why = "its terms are too many to be tried one by one"
+                if not exact:
+                    why = "what is left over is not noise"
+                elif idle:
+                    why = f"the data do not need {_join([shown(t) for t in idle])}"
+                reason = f"{much} {said}, but {why}."
+            verdicts[state] = StateVerdict(
+                level,
+                reason,
+                _round(float(found.r2[place])),
+                _round(float(found.missed[place] / self.settings.solver) ** 2),
+                forecast=_finite(_round(float(found.late[place]))),
+                noise=_round(self.noise[place]),
+            )
+        return verdicts
+
     def _terms(
         self, state: str, evidence: _Evidence, followed: Followed
     ) -> tuple[TermCertainty, ...]:
@@ -669,9 +713,7 @@ def explain(state: str, expr: sympy.Expr, verdict: StateVerdict, discrete: bool 
     return f"{said} The next different formula, {other}, follows the data clearly worse."
 
 
-def _summarise(
-    level: str, states: Mapping[str, StateVerdict], bench: _Bench, followed: Followed
-) -> str:
+def _summarise(level: str, states: Mapping[str, StateVerdict]) -> str:
     weak = [state for state, own in states.items() if own.level == level]
     if level == LAW:
         return "every equation reproduces and forecasts the data within their noise."

@@ -1,0 +1,102 @@
+"""Layers: what is missed across jumps that no fixed step can follow, integrated adaptively.
+
+Relaxation oscillations and other stiff systems move in layers of a few rows. Their equations are
+integrated implicitly from the first row of each run, and again without each of their terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy
+
+from dynsr.data import Trajectory
+from dynsr.discovery.prediction import predict
+from dynsr.errors import DynsrError
+
+# Of longer systems the terms are not tried one by one.
+_MOST_TERMS = 16
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """How closely equations keep to stiff runs from their first rows.
+
+    Parameters
+    ----------
+    r2 : (k,) share of each state's variance that is explained.
+    missed : (k,) rms miss of each state as a share of its spread.
+    late : the same over the last quarter of the rows.
+    idle : state -> terms without which all is missed by as little; None where there are too many.
+    """
+
+    r2: np.ndarray
+    missed: np.ndarray
+    late: np.ndarray
+    idle: dict[str, list[sympy.Expr]] | None
+
+
+def cross_layers(
+    equations: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    times: float = 10.0,
+) -> Crossing | None:
+    """Integrate stiff equations over all runs; None where they end early or read measured columns.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side.
+    runs : the measured trajectories.
+    inputs : input name -> expression in ``t``.
+    times : factor by which more is missed without a term that is needed.
+
+    >>> t = np.linspace(0, 3, 31)
+    >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
+    >>> found = cross_layers({"x": -2 * sympy.Symbol("x")}, [decay], {})
+    >>> bool(found.missed[0] < 1e-6), found.idle
+    (True, {'x': []})
+    """
+    used = {str(s) for e in equations.values() for s in e.free_symbols}
+    if used - {*equations, *inputs, "t"}:
+        return None
+    gaps = _gaps(equations, runs, inputs)
+    if gaps is None:
+        return None
+    columns = [runs[0].index(state) for state in equations]
+    measured = np.concatenate([run.x[:, columns] for run in runs])
+    spread = np.maximum(np.std(measured, axis=0), 1e-300)
+    sizes = [np.sqrt(np.mean(np.concatenate(part) ** 2, axis=0)) / spread for part in gaps]
+    whole, late = sizes
+    terms = [(s, t) for s, e in equations.items() for t in sympy.Add.make_args(sympy.expand(e))]
+    idle: dict[str, list[sympy.Expr]] | None = None
+    if len(terms) <= _MOST_TERMS:
+        idle = {state: [] for state in equations}
+        for state, term in terms:
+            less = {**equations, state: equations[state] - term}
+            other = _gaps(less, runs, inputs)
+            if other is not None:
+                size = np.sqrt(np.mean(np.concatenate(other[0]) ** 2, axis=0)) / spread
+                if np.max(size) < times * max(float(np.max(whole)), 1e-6):
+                    idle[state].append(term.as_coeff_Mul()[1])
+    return Crossing(1 - whole**2, whole, late, idle)
+
+
+def _gaps(
+    equations: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+) -> tuple[list[np.ndarray], list[np.ndarray]] | None:
+    """Give what is missed of each run, (n, k), and of its last quarter."""
+    whole, late = [], []
+    for run in runs:
+        x = run.x[:, [run.index(state) for state in equations]]
+        try:
+            gap = predict(equations, x[0], run.t, inputs).x - x
+        except (DynsrError, ArithmeticError):
+            return None
+        whole.append(gap)
+        late.append(gap[-max(1, len(run) // 4) :])
+    return whole, late
