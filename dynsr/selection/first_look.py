@@ -34,6 +34,8 @@ from dynsr.selection.terms import Joint, Terms, TermSettings, find_angles, produ
 SOURCE = "the first look"
 # Of more columns none is surely left out by chance; steps that are looked at; rounds of a fit.
 _MOST_ELIMINATED, _LAST, _ROUNDS = 100, 4, 3
+# Times the median miss beyond which a row may be one where differences fail.
+_FAR = 10.0
 
 
 @dataclass(frozen=True)
@@ -249,10 +251,16 @@ class _Search:
         y = self.samples.y
         signed = np.where(y == 0, 0.0, -self.values[below] / np.where(y == 0, 1.0, y))
         fit = fit_ratio(self.values[over], signed, y, rounds=_ROUNDS)
+        misses, wild = np.abs(fit.residual), 1 - self.settings.wild
+        if np.max(misses) > _FAR * np.median(misses):
+            # Rows where differences fail would pull what all others say exactly.
+            kept = (misses <= np.quantile(misses, wild)).astype(float)
+            again = fit_ratio(self.values[over], signed, y, weights=kept, rounds=_ROUNDS)
+            if np.median(np.abs(again.residual)) < np.median(misses):
+                fit, misses = again, np.abs(again.residual)
         bottom = 1 + fit.denominator @ signed
         if np.min(np.abs(bottom)) < 1e-6 * np.max(np.abs(bottom)):
             return None
-        misses = np.abs(fit.residual)
         expr = self._sum(fit.numerator, over)
         if below:
             expr /= 1 + self._sum(fit.denominator, below)
@@ -261,7 +269,7 @@ class _Search:
             expr,
             float(self.costs[list(places)].sum()),
             float(np.median(misses)) / self.size,
-            float(np.quantile(misses, 1 - self.settings.wild)) / self.size,
+            float(np.quantile(misses, wild)) / self.size,
         )
 
     def _stands_out(self, best: _Choice, found: Sequence[_Choice]) -> bool:
