@@ -260,7 +260,8 @@ def run_trial(
         tally.check(not differ, f"{what}: another result in {differ}")
     # A process that is killed while it writes leaves the part that it has written, nothing else.
     parts = [p.name for p in out.rglob(".*.part")]
-    tally.check(len(parts) <= (struck if kind == "parent" else 0), f"{what}: {parts} are left")
+    killed = struck if kind in ("parent", "worker") else 0
+    tally.check(len(parts) <= killed, f"{what}: {parts} are left")
     left = [p.name for p in scratch.iterdir()]
     tally.check(not left, f"{what}: temporary files are left: {left[:3]}")
     names = [p.name for p in Path("/dev/shm").iterdir()] if Path("/dev/shm").exists() else []

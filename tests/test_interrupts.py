@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from dynsr.jobs import TimeUp, Watch, time_limit
-from dynsr.jobs.interrupts import heard_again
+from dynsr.cli.group import _noted_interrupts, _orderly_end
+from dynsr.jobs import TimeUp, Watch, heard_again, time_limit
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm on this system")
 
@@ -51,6 +51,20 @@ def test_ctrl_c_in_a_finaliser_ends_the_run() -> None:
     with pytest.raises(KeyboardInterrupt), watch:
         work(Slow(0.01, signal.SIGINT))
     assert watch.messages.stopped
+
+
+def test_a_command_hears_ctrl_c_once_where_it_was_lost() -> None:
+    """Outside a search too it is raised when the finaliser has ended, and is no second Ctrl-C."""
+    with pytest.raises(KeyboardInterrupt), _noted_interrupts() as noted:
+        work(Slow(0.01, signal.SIGINT))
+    assert noted == [signal.SIGINT]
+
+
+def test_a_command_hears_sigterm_where_it_was_lost(capfd) -> None:
+    """It ends with its code, and says so once."""
+    with pytest.raises(SystemExit, match="143"), _orderly_end():
+        work(Slow(0.01, signal.SIGTERM))
+    assert capfd.readouterr().err == "error: terminated\n"
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

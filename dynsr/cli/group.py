@@ -12,7 +12,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -20,10 +20,13 @@ import typer
 from typer.core import TyperGroup
 
 from dynsr.errors import DynsrError, DynsrWarning, in_words, one_line
+from dynsr.jobs import heard_again, interrupt_again, is_repeated
 
 BAD_INPUT = 2
 INTERRUPTED = 130
 TERMINATED = 143
+# A finaliser in which a signal was lost has ended by then.
+_SECONDS_UNTIL_AGAIN = 0.02
 # typer may carry its own copy of click, so click's errors are found through typer's.
 _CLICK_ERROR: type[Exception] = typer.BadParameter.__mro__[2]
 
@@ -108,12 +111,19 @@ def _warnings_as_lines() -> Iterator[None]:
 @contextmanager
 def _orderly_end() -> Iterator[None]:
     """Let SIGTERM end workers and temporary folders too, as Ctrl-C does."""
+    said: list[int] = []
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
         signal.signal(number, signal.SIG_DFL)
-        # Whatever was being written is not finished, so that this goes around Python's buffers.
-        os.write(2, b"error: terminated\n")
+        if not said:
+            # What was being written is not finished, so that this goes around Python's buffers.
+            os.write(2, b"error: terminated\n")
+        said.append(number)
         raise SystemExit(TERMINATED)
+
+    def again() -> None:
+        signal.signal(signal.SIGTERM, end)
+        threading.Timer(_SECONDS_UNTIL_AGAIN, os.kill, (os.getpid(), signal.SIGTERM)).start()
 
     ours = (
         threading.current_thread() is threading.main_thread()
@@ -122,7 +132,8 @@ def _orderly_end() -> Iterator[None]:
     if ours:
         signal.signal(signal.SIGTERM, end)
     try:
-        yield
+        with heard_again(SystemExit, again) if ours else nullcontext():
+            yield
     finally:
         if ours:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -144,7 +155,8 @@ def _noted_interrupts() -> Iterator[list[int]]:
     noted: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
-        noted.append(number)
+        if not is_repeated():
+            noted.append(number)
         if len(noted) > 1:
             _end_at_once()
         signal.default_int_handler(number, frame)
@@ -154,9 +166,12 @@ def _noted_interrupts() -> Iterator[list[int]]:
         and signal.getsignal(signal.SIGINT) is signal.default_int_handler
     )
     if ours:
+        # What an earlier command in this process repeated is none of this one's.
+        is_repeated()
         signal.signal(signal.SIGINT, note)
     try:
-        yield noted
+        with heard_again(KeyboardInterrupt, interrupt_again):
+            yield noted
     finally:
         if ours:
             signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,5 +1,6 @@
 from .budget import Budget, TimeUp, Turn, finish_by, time_limit
 from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_notebook, say_left
+from .interrupts import heard_again, interrupt_again, is_repeated
 from .pool import Task, check_jobs, check_seed, run_tasks, spread
 from .progress import Step, Watch, best_equation
 from .store import (
@@ -39,7 +40,10 @@ __all__ = [
     "fingerprint",
     "finish_by",
     "from_plain",
+    "heard_again",
     "in_notebook",
+    "interrupt_again",
+    "is_repeated",
     "read_json",
     "read_manifest",
     "read_record",

@@ -3,9 +3,28 @@
 from __future__ import annotations
 
 import sys
+import threading
+import time
+from _thread import interrupt_main
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+
+# A finaliser has ended by then.
+_SECONDS_UNTIL_AGAIN = 0.02
+_RECENT = 2.0
+_repeats: list[float] = []
+
+
+def interrupt_again() -> None:
+    """Interrupt the main thread a little later, by the interrupt that was lost."""
+    _repeats.append(time.monotonic())
+    threading.Timer(_SECONDS_UNTIL_AGAIN, interrupt_main).start()
+
+
+def is_repeated() -> bool:
+    """Whether the interrupt that is handled now was lost a moment ago; true once for each."""
+    return bool(_repeats) and time.monotonic() - _repeats.pop() < _RECENT
 
 
 @contextmanager

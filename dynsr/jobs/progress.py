@@ -11,7 +11,6 @@ import signal
 import sys
 import threading
 import time
-from _thread import interrupt_main
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
@@ -24,7 +23,7 @@ from typing_extensions import Self
 
 from dynsr.expression import shown
 from dynsr.fit import ParetoFront, tidy
-from dynsr.jobs.interrupts import heard_again
+from dynsr.jobs.interrupts import heard_again, interrupt_again
 from dynsr.methods import Progress
 
 _SECONDS_BETWEEN = 0.5
@@ -38,8 +37,6 @@ _BACKLOG = 64
 _BELIEF = 10.0
 # A task that ends at once had nothing to search and tells nothing of the others.
 _AT_ONCE = 0.3
-# A finaliser has ended by then.
-_SECONDS_UNTIL_AGAIN = 0.02
 
 
 @dataclass(frozen=True)
@@ -282,7 +279,7 @@ class Watch:
         handler = signal.getsignal(signal.SIGINT)
         if threading.current_thread() is threading.main_thread() and callable(handler):
             self._handler = handler
-            self._hook.enter_context(heard_again(KeyboardInterrupt, self._stop_again))
+            self._hook.enter_context(heard_again(KeyboardInterrupt, interrupt_again))
             signal.signal(signal.SIGINT, self._stop)
         if self.progress is not None:
             self._tell()
@@ -302,9 +299,6 @@ class Watch:
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self.messages.stopped = True
         self._handler(number, frame)
-
-    def _stop_again(self) -> None:
-        threading.Timer(_SECONDS_UNTIL_AGAIN, interrupt_main).start()
 
     def __call__(self, task: str, title: str, record: Any) -> None:
         """Take a task that has ended."""
