@@ -47,6 +47,9 @@ def run(connection: Connection, folder: Path, jobs: int) -> None:
     with suppress(KeyboardInterrupt):
         threading.Thread(target=worker.listen, daemon=True).start()
         worker.work(jobs)
+    with suppress(KeyboardInterrupt):
+        # Who asks it to leave interrupts it too, which may come when it is leaving already.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     worker.said.put(None)
     teller.join(_SECONDS_TO_LEAVE)
 
