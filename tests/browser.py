@@ -20,6 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
 from typing_extensions import Self
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -54,6 +55,17 @@ _PATIENCE = 60.0
 def find_chromium() -> str | None:
     """Give the path of a Chromium, or None."""
     return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+def require_chromium() -> str:
+    """Give the Chromium here; without one the test is skipped, or fails where one is required."""
+    program = find_chromium()
+    if program is None:
+        reason = "there is no Chromium here (Debian: apt-get install chromium)"
+        if os.environ.get("DYNSR_REQUIRE_CHROMIUM") == "1":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return program
 
 
 class Browser:

@@ -4,7 +4,6 @@ Where there is no Chromium these tests are skipped; with DYNSR_REQUIRE_CHROMIUM=
 """
 
 import json
-import os
 import sys
 import time
 from pathlib import Path
@@ -15,7 +14,7 @@ import dynsr
 
 pytest.importorskip("tornado", reason="the extra app is not installed")
 sys.path.insert(0, str(Path(__file__).parent))
-from browser import Browser, find_chromium
+from browser import Browser, require_chromium
 from served_page import Page, rabbits
 
 pytestmark = [pytest.mark.xdist_group("browser"), pytest.mark.slow]
@@ -35,13 +34,7 @@ OVERFLOWING = """
 @pytest.fixture(scope="module")
 def browser():
     """Start one browser for all."""
-    program = find_chromium()
-    if program is None:
-        reason = "there is no Chromium here (Debian: apt-get install chromium)"
-        if os.environ.get("DYNSR_REQUIRE_CHROMIUM") == "1":
-            pytest.fail(reason)
-        pytest.skip(reason)
-    with Browser(program) as started:
+    with Browser(require_chromium()) as started:
         yield started
 
 

@@ -3,7 +3,6 @@
 Where there is no Chromium these tests are skipped; with DYNSR_REQUIRE_CHROMIUM=1 they fail.
 """
 
-import os
 import sys
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from dynsr.paper.page import render_replication
 from dynsr.report.discovery import render_discovery
 
 sys.path.insert(0, str(Path(__file__).parent))
-from browser import Browser, find_chromium
+from browser import Browser, require_chromium
 from fake_records import PRINTED, record
 
 # One worker runs them all, so that one browser is started.
@@ -63,13 +62,7 @@ PALE = """
 @pytest.fixture(scope="module")
 def browser():
     """Start one browser for all; afterwards nothing of it is left."""
-    program = find_chromium()
-    if program is None:
-        reason = "there is no Chromium here (Debian: apt-get install chromium)"
-        if os.environ.get("DYNSR_REQUIRE_CHROMIUM") == "1":
-            pytest.fail(reason)
-        pytest.skip(reason)
-    with Browser(program) as started:
+    with Browser(require_chromium()) as started:
         yield started
     assert not started.profile.exists()
     assert started.survivors() == []

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from browser import Browser, find_chromium
+from browser import Browser, require_chromium
 
 ROOT = Path(__file__).parents[1]
 PHONE, DESK = 390, 1280
@@ -69,13 +69,7 @@ def test_a_dead_link_ends_the_build(tmp_path, link):
 @pytest.fixture(scope="module")
 def browser():
     """Start one browser for all."""
-    program = find_chromium()
-    if program is None:
-        reason = "there is no Chromium here (Debian: apt-get install chromium)"
-        if os.environ.get("DYNSR_REQUIRE_CHROMIUM") == "1":
-            pytest.fail(reason)
-        pytest.skip(reason)
-    with Browser(program) as started:
+    with Browser(require_chromium()) as started:
         yield started
 
 

@@ -20,13 +20,11 @@ import typer
 from typer.core import TyperGroup
 
 from dynsr.errors import DynsrError, DynsrWarning, in_words, one_line
-from dynsr.jobs import heard_again, interrupt_again, is_repeated
+from dynsr.jobs import heard_again, interrupt_again, is_repeated, signal_again
 
 BAD_INPUT = 2
 INTERRUPTED = 130
 TERMINATED = 143
-# A finaliser in which a signal was lost has ended by then.
-_SECONDS_UNTIL_AGAIN = 0.02
 # typer may carry its own copy of click, so click's errors are found through typer's.
 _CLICK_ERROR: type[Exception] = typer.BadParameter.__mro__[2]
 
@@ -123,7 +121,7 @@ def _orderly_end() -> Iterator[None]:
 
     def again() -> None:
         signal.signal(signal.SIGTERM, end)
-        threading.Timer(_SECONDS_UNTIL_AGAIN, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        signal_again(signal.SIGTERM)
 
     ours = (
         threading.current_thread() is threading.main_thread()

@@ -68,8 +68,8 @@ def cross_layers(
     columns = [runs[0].index(state) for state in equations]
     measured = np.concatenate([run.x[:, columns] for run in runs])
     spread = np.maximum(np.std(measured, axis=0), 1e-300)
-    sizes = [np.sqrt(np.mean(np.concatenate(part) ** 2, axis=0)) / spread for part in gaps]
-    whole, late = sizes
+    whole = _rms(gaps) / spread
+    late = _rms([gap[-max(1, len(gap) // 4) :] for gap in gaps]) / spread
     terms = [(s, t) for s, e in equations.items() for t in sympy.Add.make_args(sympy.expand(e))]
     idle: dict[str, list[sympy.Expr]] | None = None
     if len(terms) <= _MOST_TERMS:
@@ -77,10 +77,9 @@ def cross_layers(
         for state, term in terms:
             less = {**equations, state: equations[state] - term}
             other = _gaps(less, runs, inputs)
-            if other is not None:
-                size = np.sqrt(np.mean(np.concatenate(other[0]) ** 2, axis=0)) / spread
-                if np.max(size) < times * max(float(np.max(whole)), 1e-6):
-                    idle[state].append(term.as_coeff_Mul()[1])
+            most = times * max(float(np.max(whole)), 1e-6)
+            if other is not None and np.max(_rms(other) / spread) < most:
+                idle[state].append(term.as_coeff_Mul()[1])
     return Crossing(1 - whole**2, whole, late, idle)
 
 
@@ -88,15 +87,17 @@ def _gaps(
     equations: Mapping[str, sympy.Expr],
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
-) -> tuple[list[np.ndarray], list[np.ndarray]] | None:
-    """Give what is missed of each run, (n, k), and of its last quarter."""
-    whole, late = [], []
+) -> list[np.ndarray] | None:
+    """Give what is missed of each run, (n, k)."""
+    gaps = []
     for run in runs:
         x = run.x[:, [run.index(state) for state in equations]]
         try:
-            gap = predict(equations, x[0], run.t, inputs).x - x
+            gaps.append(predict(equations, x[0], run.t, inputs).x - x)
         except (DynsrError, ArithmeticError):
             return None
-        whole.append(gap)
-        late.append(gap[-max(1, len(run) // 4) :])
-    return whole, late
+    return gaps
+
+
+def _rms(parts: Sequence[np.ndarray]) -> np.ndarray:
+    return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)))

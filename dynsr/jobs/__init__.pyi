@@ -1,6 +1,6 @@
 from .budget import Budget, TimeUp, Turn, finish_by, time_limit
 from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_notebook, say_left
-from .interrupts import heard_again, interrupt_again, is_repeated
+from .interrupts import heard_again, interrupt_again, is_repeated, signal_again
 from .pool import Task, check_jobs, check_seed, run_tasks, spread
 from .progress import Step, Watch, best_equation
 from .store import (
@@ -49,6 +49,7 @@ __all__ = [
     "read_record",
     "run_tasks",
     "say_left",
+    "signal_again",
     "spread",
     "time_limit",
     "to_json",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 import time
@@ -16,10 +17,20 @@ _RECENT = 2.0
 _repeats: list[float] = []
 
 
+def signal_again(number: int) -> None:
+    """Have the main thread handle a signal, one that was lost, a little later.
+
+    Parameters
+    ----------
+    number : of the signal.
+    """
+    threading.Timer(_SECONDS_UNTIL_AGAIN, interrupt_main, (number,)).start()
+
+
 def interrupt_again() -> None:
     """Interrupt the main thread a little later, by the interrupt that was lost."""
     _repeats.append(time.monotonic())
-    threading.Timer(_SECONDS_UNTIL_AGAIN, interrupt_main).start()
+    signal_again(signal.SIGINT)
 
 
 def is_repeated() -> bool:
