@@ -164,8 +164,9 @@ def _noted_interrupts() -> Iterator[list[int]]:
         and signal.getsignal(signal.SIGINT) is signal.default_int_handler
     )
     if ours:
-        # What an earlier command in this process repeated is none of this one's.
-        is_repeated()
+        # What earlier work in this process repeated is none of this command's.
+        while is_repeated():
+            pass
         signal.signal(signal.SIGINT, note)
     try:
         with heard_again(KeyboardInterrupt, interrupt_again):
