@@ -26,6 +26,9 @@ _HEAD_LINES = 20
 _LONGEST_HEAD = 1 << 24
 _LINE_END = re.compile(r"\r\n|\n|\r")
 _HEAD_ROWS = 200
+# A name of a column that no reader takes for a number, a truth value or a missing one.
+_NAME = re.compile(r"(?i)(?!(?:na|nan|null|none|inf|infinity|true|false)(?![^,]))[A-Za-z_]\w*")
+_PLAIN_BYTES = 1 << 22
 # In order of preference where several read the sample equally well.
 _DELIMITERS = ("\t", ";", "|", ",", r"\s+")
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -379,6 +382,9 @@ def generated_names(count: int) -> tuple[str, ...]:
 def _load_delimited(path: Path) -> Columns:
     """Read a table of delimited text; every cell that is no number stays as text."""
     head, cut = _read_head(path)
+    plain = _load_plain(path)
+    if plain is not None:
+        return plain
     try:
         encoding = "utf-16" if head.startswith(_UTF16) else "utf-8-sig"
         return _load_text(path, head, cut, encoding)
@@ -387,6 +393,28 @@ def _load_delimited(path: Path) -> Columns:
         # for charset-normalizer: it reads a Latin-1 "é" as Arabic and "µm" as Big5.
         note = f"{path.name!r} is not UTF-8; it was read as Latin-1, so check the names"
         return replace(_load_text(path, head, cut, "latin-1"), notes=(note,))
+
+
+def _load_plain(path: Path) -> Columns | None:
+    """Read a small file of names and numbers between commas; None where it may be anything else.
+
+    Most files are of this kind, and NumPy reads them before pandas is imported.
+    """
+    try:
+        if path.stat().st_size > _PLAIN_BYTES:
+            return None
+        header, _, body = path.read_bytes().partition(b"\n")
+        names = header.decode("ascii").rstrip("\r").split(",")
+        if len(names) < 2 or body.translate(None, b"0123456789.,eE+-\r\n"):
+            return None
+        if not body.strip() or not all(map(_NAME.fullmatch, names)):
+            return None
+        table = np.loadtxt(io.BytesIO(body), delimiter=",", comments=None, ndmin=2)
+    except (OSError, ValueError):  # not ASCII, or no table
+        return None
+    if table.shape[1] != len(names):
+        return None
+    return Columns(tuple(names), tuple(table.T.copy()), path.name)
 
 
 def _opener(path: Path) -> Any:
