@@ -8,7 +8,8 @@ terms comes near, or all of its constants are simple numbers to many more digits
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -114,13 +115,30 @@ def look(samples: Samples, limits: Limits | None = None, settings: LookSettings 
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """Some terms with their coefficients, and what they miss in units of the slopes' size."""
+    """Some terms with their coefficients, and what they miss in units of the slopes' size.
+
+    ``above`` and ``below`` the line are pairs of a coefficient and its term.
+    """
 
     places: frozenset[int]
-    expr: sympy.Expr
+    above: tuple[tuple[float, sympy.Expr], ...]
+    below: tuple[tuple[float, sympy.Expr], ...]
     cost: float
     miss: float
     wild: float
+
+    @cached_property
+    def expr(self) -> sympy.Expr:
+        """The formula; most choices need none."""
+        over, under = (
+            sympy.Add(*[sympy.Float(c) * e for c, e in part]) for part in (self.above, self.below)
+        )
+        return over / (1 + under) if self.below else over
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """What decides between equals."""
+        return tuple(sorted(self.places))
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +156,7 @@ class _Search:
     costs: np.ndarray
     error: float
     size: float
+    fitted: dict[frozenset[int], _Choice | None] = field(default_factory=dict)
 
     @classmethod
     def of(cls, samples: Samples, limits: Limits, settings: LookSettings) -> _Search:
@@ -244,6 +263,13 @@ class _Search:
         return found[-_LAST:]
 
     def _fit(self, places: Sequence[int]) -> _Choice | None:
+        """Fit a choice once, however many kinds hold it."""
+        own = frozenset(places)
+        if own not in self.fitted:
+            self.fitted[own] = self._fit_anew(places)
+        return self.fitted[own]
+
+    def _fit_anew(self, places: Sequence[int]) -> _Choice | None:
         over = [i for i in places if i < self.above]
         below = [i for i in places if i >= self.above]
         if not over:
@@ -261,12 +287,10 @@ class _Search:
         bottom = 1 + fit.denominator @ signed
         if np.min(np.abs(bottom)) < 1e-6 * np.max(np.abs(bottom)):
             return None
-        expr = self._sum(fit.numerator, over)
-        if below:
-            expr /= 1 + self._sum(fit.denominator, below)
         return _Choice(
             frozenset(places),
-            expr,
+            tuple(zip(fit.numerator, [self.exprs[i] for i in over], strict=True)),
+            tuple(zip(fit.denominator, [self.exprs[i] for i in below], strict=True)),
             float(self.costs[list(places)].sum()),
             float(np.median(misses)) / self.size,
             float(np.quantile(misses, wild)) / self.size,
@@ -293,22 +317,19 @@ class _Search:
         gap, size = np.abs(a - b)[finite], np.abs(a)[finite]
         return bool(finite.any() and np.median(gap) <= 1e-4 * np.median(size))
 
-    def _sum(self, factors: np.ndarray, places: Sequence[int]) -> sympy.Expr:
-        pairs = zip(factors, places, strict=True)
-        return sympy.Add(*[sympy.Float(c) * self.exprs[i] for c, i in pairs])
-
-    def conclude(self, found: Sequence[_Choice]) -> Look:
+    def conclude(self, choices: Sequence[_Choice]) -> Look:
         """Take the shortest that leaves nothing, and say whether it can be chance."""
-        if not found:
+        if not choices:
             return Look()
+        found = list(dict.fromkeys(choices))
         settings, error = self.settings, self.error / self.size
         sure = error <= settings.exact
         good = [c for c in found if sure and max(c.miss, 0.1 * c.wild) <= settings.within * error]
         # What rough slopes miss is the same for all that is near the law.
         bound = settings.alike * min(c.miss for c in found)
         near = good or [c for c in found if c.miss <= bound]
-        ranked = sorted(near, key=lambda c: (c.cost, str(c.expr)))
-        ranked += sorted(set(found) - set(near), key=lambda c: (c.miss, str(c.expr)))
+        ranked = sorted(near, key=lambda c: (c.cost, c.order))
+        ranked += sorted(set(found) - set(near), key=lambda c: (c.miss, c.order))
         best = ranked[0]
         exprs: list[sympy.Expr] = []
         final = False
