@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib import rc_context
@@ -27,6 +28,9 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 # A page on a phone shows a picture of this many inches with letters that can be read.
 _WIDTH = 5.2
 _NOTEBOOK_DPI = 100
+# Room in inches for what stands around axes: numbers and a label, an exponent, a legend. Measuring
+# them, as a layout engine does, takes longer than drawing them.
+_LEFT, _RIGHT, _TOP, _BOTTOM, _LEGEND = 1.0, 0.12, 0.25, 0.5, 0.3
 # More dots than these hide each other: how many lie where is drawn instead.
 MOST_DOTS = 5000
 _BINS = (160, 80)
@@ -123,7 +127,8 @@ def draw_states(
     found : a trajectory of the same states, at any times.
     intervals : state -> (lower, upper), each (n,) at the times of ``found``, in state units.
     """
-    figure, axes = _canvas(len(true.states), 1, (_WIDTH, 1.6 * len(true.states) + 0.8), sharex=True)
+    height = 1.6 * len(true.states) + 0.8
+    figure, axes = _framed(len(true.states), 1, (_WIDTH, height), sharex=True)
     for axis, state in zip(axes.flat, true.states, strict=True):
         column = true.x[:, true.index(state)]
         axis.plot(true.t, column, color="black", lw=2.2, alpha=0.8, label="data")
@@ -151,7 +156,7 @@ def draw_residuals(samples: Samples, predicted: np.ndarray, time_unit: str = "")
     time_unit : what times are counted in; "" where nobody knows.
     """
     residuals = samples.y - np.asarray(predicted, dtype=float)
-    figure, axes = _canvas(1, 2, (_WIDTH, 3.2), width_ratios=(4, 1), sharey=True)
+    figure, axes = _framed(1, 2, (_WIDTH, 3.2), width_ratios=(4, 1), sharey=True, legend=False)
     over_time, histogram = axes.flat
     _draw_dots(over_time, samples.t, residuals, COLOURS[0], 2.5)
     over_time.axhline(0.0, color="black", lw=0.8)
@@ -171,7 +176,7 @@ def draw_slopes(samples: Samples, predicted: np.ndarray, time_unit: str = "") ->
     predicted : (n,) slopes of the formula.
     time_unit : what times are counted in; "" where nobody knows.
     """
-    figure, axes = _canvas(1, 1, (_WIDTH, 3.2))
+    figure, axes = _framed(1, 1, (_WIDTH, 3.2))
     axis = axes.flat[0]
     _draw_dots(axis, samples.t, samples.y, "0.6", 5, "data")
     few = slice(None, None, -(-len(samples.t) // MOST_DOTS))
@@ -194,7 +199,7 @@ def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str,
     found : one of the same states; None draws the data alone.
     across, up : names of the states on the two axes.
     """
-    figure, axes = _canvas(1, 1, (_WIDTH, 4.6))
+    figure, axes = _framed(1, 1, (_WIDTH, 4.6))
     axis = axes.flat[0]
     i, j = true.index(across), true.index(up)
     axis.plot(true.x[:, i], true.x[:, j], color="black", lw=2.2, alpha=0.8, label="data")
@@ -286,9 +291,10 @@ def _canvas(
     width_ratios: Sequence[float] | None = None,
     sharex: bool = False,
     sharey: bool = False,
+    layout: Literal["constrained"] | None = "constrained",
 ) -> tuple[Figure, np.ndarray]:
     with rc_context(_STYLE):
-        figure = Drawing(figsize=size, layout="constrained")
+        figure = Drawing(figsize=size, layout=layout)
         FigureCanvasAgg(figure)
         axes = figure.subplots(
             rows,
@@ -298,6 +304,24 @@ def _canvas(
             sharey=sharey,
             gridspec_kw={"width_ratios": width_ratios} if width_ratios else None,
         )
+    return figure, axes
+
+
+def _framed(
+    rows: int, columns: int, size: tuple[float, float], legend: bool = True, **options: Any
+) -> tuple[Figure, np.ndarray]:
+    """Make axes within margins of so many inches, with room for a legend below or without."""
+    figure, axes = _canvas(rows, columns, size, layout=None, **options)
+    width, height = size
+    bottom = _BOTTOM + (_LEGEND if legend else 0.0)
+    figure.subplots_adjust(
+        left=_LEFT / width,
+        right=1 - _RIGHT / width,
+        top=1 - _TOP / height,
+        bottom=bottom / height,
+        wspace=0.08,
+        hspace=0.18,
+    )
     return figure, axes
 
 
@@ -347,6 +371,11 @@ def _follow(axis: Axes, truth: np.ndarray, found: Sequence[np.ndarray]) -> None:
 
 def _legend_below(figure: Figure, axis: Axes) -> None:
     handles, labels = axis.get_legend_handles_labels()
+    measured = figure.get_layout_engine() is not None
     figure.legend(
-        handles, labels, loc="outside lower center", ncols=min(len(labels), 4), frameon=False
+        handles,
+        labels,
+        loc="outside lower center" if measured else "lower center",
+        ncols=min(len(labels), 4),
+        frameon=False,
     )
