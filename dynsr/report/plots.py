@@ -162,7 +162,14 @@ def draw_residuals(samples: Samples, predicted: np.ndarray, time_unit: str = "")
     over_time.axhline(0.0, color="black", lw=0.8)
     over_time.set(xlabel=_time_label(time_unit), ylabel=f"residual of d{samples.target}/dt")
     finite = residuals[np.isfinite(residuals)]
-    histogram.hist(finite, bins=40, orientation="horizontal", color=COLOURS[0], alpha=0.7)
+    histogram.hist(
+        finite,
+        bins=40,
+        histtype="stepfilled",
+        orientation="horizontal",
+        color=COLOURS[0],
+        alpha=0.7,
+    )
     histogram.set(xlabel="samples")
     return figure
 
