@@ -23,8 +23,10 @@ from rich.table import Table
 from dynsr.data.samples import Samples, make_samples
 from dynsr.data.system import LOTKA_VOLTERRA, PENDULUM, System
 from dynsr.engines.simulation import training_trajectory
+from dynsr.errors import DynsrError
 from dynsr.expression.parsing import parse
 from dynsr.fit.description import choose
+from dynsr.methods.feynman.enumeration.backend import choose_backend
 from dynsr.methods.feynman.enumeration.brute_force import (
     BruteForce,
     BruteForceResult,
@@ -101,6 +103,27 @@ def show_times() -> None:
         table.add_row(
             system.name, target, "yes" if right else "NO", f"{cpu:.2f}", f"{wall:.2f}", str(found)
         )
+    console.print(table)
+
+
+def show_devices(samples: Samples, settings: BruteForce) -> None:
+    """Print the same search on every device there is: counts, formula and time against numpy's."""
+    table = Table("device", "formed", "distinct", "best formula", "wall s", "times numpy's speed")
+    usual = None
+    for device in ("cpu", "torch-cpu", "cuda"):
+        try:
+            choose_backend(device)
+        except DynsrError as error:
+            console.print(f"{device}: skipped: {error}")
+            continue
+        chosen = replace(settings, device=device)
+        found, _, wall = clock(
+            lambda chosen=chosen: search_values(samples.X, samples.y, samples.names, chosen)
+        )
+        usual = usual or wall
+        best = min(found.candidates, key=lambda c: c.loss)
+        row = (found.device, f"{found.formed:,}", f"{found.distinct:,}", str(best.expr))
+        table.add_row(*row, f"{wall:.2f}", f"{usual / wall:.2f}")
     console.print(table)
 
 
@@ -222,6 +245,7 @@ def main() -> None:
     show_speed(samples, bare)
     show_times()
     show_growth(samples)
+    show_devices(samples, bare)
     if not options.no_peers:
         show_peers()
 

@@ -2,12 +2,15 @@
 
 The enumeration forms and projects its value rows through one of these two classes and nothing
 else, so the same code runs on both. torch is imported only when a torch device is asked for, or
-by ``device="auto"`` when it is imported already and sees a GPU.
+by ``device="auto"`` on a machine with the driver of a GPU.
 """
 
 from __future__ import annotations
 
-import sys
+import os
+import shutil
+from functools import cache
+from importlib.util import find_spec
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,6 +19,7 @@ from dynsr.errors import InputError, need
 from dynsr.expression import OPERATORS
 
 DEVICES = ("auto", "cpu", "cuda", "torch-cpu")
+_DRIVER = "/dev/nvidiactl"
 
 
 class Store(Protocol):
@@ -150,12 +154,21 @@ class TorchBackend:
 Backend = NumpyBackend | TorchBackend
 
 
+@cache
+def _sees_gpu() -> bool:
+    """Whether torch is installed and sees a GPU; it is imported only where there is a driver."""
+    if not (find_spec("torch") and (os.path.exists(_DRIVER) or shutil.which("nvidia-smi"))):
+        return False
+    import torch
+
+    return bool(torch.cuda.is_available())
+
+
 def choose_backend(device: str = "auto") -> Backend:
     """Give the backend of a device: "cpu" (numpy), "cuda", "torch-cpu", or "auto".
 
-    "auto" takes CUDA when torch is already imported and sees a GPU, numpy otherwise. Raises
-    InputError for an unknown or absent device, MissingExtra for one that needs torch where torch
-    is not installed.
+    "auto" takes CUDA where torch is installed and sees a GPU, numpy otherwise. Raises InputError
+    for an unknown or absent device, MissingExtra for one that needs torch where there is none.
 
     >>> choose_backend("cpu").name
     'numpy'
@@ -163,6 +176,5 @@ def choose_backend(device: str = "auto") -> Backend:
     if device not in DEVICES:
         raise InputError(f"unknown device {device!r}; the devices are: {', '.join(DEVICES)}")
     if device == "auto":
-        torch = sys.modules.get("torch")
-        return TorchBackend("cuda") if torch and torch.cuda.is_available() else NumpyBackend()
+        return TorchBackend("cuda") if _sees_gpu() else NumpyBackend()
     return NumpyBackend() if device == "cpu" else TorchBackend(device.removeprefix("torch-"))

@@ -51,6 +51,7 @@ class BruteForceResult:
     stored : functions kept to build on, in ``nbytes`` bytes (tables of hashes included).
     stopped : what ended it: "exact", "size", "candidates", "deadline", "stable" or "interrupted".
     seconds : time taken.
+    device : where the arrays lived: "numpy", or "torch:" and the device.
     """
 
     candidates: tuple[Candidate, ...]
@@ -62,6 +63,7 @@ class BruteForceResult:
     nbytes: int
     stopped: str
     seconds: float
+    device: str
 
     @property
     def front(self) -> ParetoFront:
@@ -125,6 +127,7 @@ class RunningSearch:
             nbytes=enumerator.nbytes,
             stopped=self.stopped,
             seconds=time.monotonic() - self.started,
+            device=self.screen.backend.name,
         )
 
     def _run(self) -> None:
