@@ -88,8 +88,9 @@ def test_a_pole_is_an_error_with_time_and_state(expr, end):
 
 def test_a_system_whose_engine_gives_up_says_where():
     """An engine's own divergence names the last state that was reached too."""
+    grows = System.from_strings({"x": "x^2"}, x0=[1.0])
     with pytest.raises(EngineError, match=r"it ends at t = 0\.9, x = 9\.99"):
-        simulate(System.from_strings({"x": "x^2"}, x0=[1.0]), t=np.linspace(0.0, 2.0, 21))
+        simulate(grows, t=np.linspace(0.0, 2.0, 21), reltol=1e-3, abstol=1e-6)
 
 
 def test_a_narrow_pulse_from_rest_is_seen():

@@ -1,9 +1,11 @@
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import dynsr
+from dynsr.cli.data import generate
 from dynsr.data.samples import make_samples
 from dynsr.data.system import CART_POLE, LOTKA_VOLTERRA, PENDULUM, SYSTEMS, System
 from dynsr.engines.simulation import add_noise, simulate, training_trajectory
@@ -21,6 +23,14 @@ def test_every_known_system_can_be_simulated(system):
     assert np.isfinite(found.columns).all()
 
 
+def test_data_hold_no_error_of_the_solver():
+    """By themselves, here and from the shell, they are those of far smaller tolerances to 1e-8."""
+    found, exact = (simulate(PENDULUM, t=[0.0, 10.0], **how) for how in ({}, {"reltol": 1e-13}))
+    assert np.abs(found.x - exact.x).max() < 1e-8
+    shell, own = (signature(f).parameters for f in (generate, simulate))
+    assert all(shell[name].default == own[name].default for name in ("reltol", "abstol"))
+
+
 def test_inputs_become_columns():
     """The force on the cart stands beside the states at the same times."""
     found = simulate(CART_POLE, t=np.linspace(0.0, 1.0, 11))
@@ -32,7 +42,7 @@ def test_the_origin_is_recorded():
     """Engine, versions and tolerances travel with the states."""
     origin = simulate(PENDULUM, t=[0.0, 1.0], reltol=1e-8).origin
     assert origin["engine"] == "embedded" and origin["system"] == "pendulum"
-    assert origin["reltol"] == 1e-8 and origin["abstol"] == 1e-6
+    assert origin["reltol"] == 1e-8 and origin["abstol"] == 1e-12
     assert origin["versions"]["dynsr"] == dynsr.__version__
 
 

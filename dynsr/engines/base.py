@@ -20,6 +20,9 @@ from dynsr.expression import parse
 
 DEFAULT_RELTOL = 1e-3
 DEFAULT_ABSTOL = 1e-6
+# Data of these hold no error of a solver that a search could see.
+FINE_RELTOL = 1e-9
+FINE_ABSTOL = 1e-12
 Release = Literal["2021", "2021-corrected"]
 Optimizer = Literal["SR3", "ADMM", "STLSQ"]
 

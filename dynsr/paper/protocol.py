@@ -22,6 +22,8 @@ import sympy
 from dynsr.data import PAPER_SYSTEMS, SYSTEMS, Samples, System, Trajectory
 from dynsr.discovery import Score, score_expressions, trajectory_losses
 from dynsr.engines import (
+    DEFAULT_ABSTOL,
+    DEFAULT_RELTOL,
     AbstractEngine,
     InitialValueProblem,
     Optimizer,
@@ -321,7 +323,7 @@ def sindy_samples(
         check_replays(engine)
         trajectory = _replay(system, times)
     else:
-        trajectory = simulate(system, t=times, engine=engine)
+        trajectory = simulate(system, None, times, DEFAULT_RELTOL, DEFAULT_ABSTOL, engine)
     column = trajectory.x[:, trajectory.index(system.target)]
     slopes = (column[ahead:] - column[:-ahead]) / SLOPE_STEP
     return Samples(
