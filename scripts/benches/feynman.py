@@ -1,19 +1,15 @@
 """The enumeration's speed, its time to the right form on two systems, and its growth.
 
-Peers run on the same samples when they are installed: pyoperon and gplearn (pip install), and
-aifeynman 2.0.7. All figures are for one process; times are CPU seconds of that process with the
-wall clock beside them, so that a busy machine shows.
+All figures are for one process; times are CPU seconds of that process with the wall clock beside
+them, so that a busy machine shows. What peers do is measured by peers.py.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import sympy
@@ -24,7 +20,6 @@ from dynsr.data.samples import Samples, make_samples
 from dynsr.data.system import LOTKA_VOLTERRA, PENDULUM, System
 from dynsr.engines.simulation import training_trajectory
 from dynsr.errors import DynsrError
-from dynsr.expression.parsing import parse
 from dynsr.fit.description import choose
 from dynsr.methods.feynman.enumeration.backend import choose_backend
 from dynsr.methods.feynman.enumeration.brute_force import (
@@ -148,96 +143,10 @@ def show_growth(samples: Samples) -> None:
     console.print(table)
 
 
-def run_operon(samples: Samples) -> str:
-    """Fit with pyoperon on one thread; all members of its Pareto front, one a line."""
-    from pyoperon.sklearn import SymbolicRegressor
-
-    model = SymbolicRegressor(
-        allowed_symbols="add,sub,mul,div,sin,cos,exp,log,sqrt,square,constant,variable",
-        n_threads=1,
-        max_evaluations=100_000,
-        max_length=20,
-        optimizer_iterations=5,
-        objectives=["rmse", "length"],
-        random_state=0,
-    ).fit(samples.X, samples.y)
-    members = [member["tree"] for member in model.pareto_front_]
-    return "\n".join(model.get_model_string(m, 6, list(samples.names)) for m in members)
-
-
-def run_gplearn(samples: Samples) -> str:
-    """Fit with gplearn on one process."""
-    from gplearn.genetic import SymbolicRegressor
-
-    model = SymbolicRegressor(
-        population_size=1000,
-        generations=10,
-        function_set=("add", "sub", "mul", "div", "sin", "cos"),
-        parsimony_coefficient=0.001,
-        random_state=0,
-        feature_names=list(samples.names),
-    ).fit(samples.X, samples.y)
-    return write_infix(list(model._program.program), samples.names)
-
-
-def write_infix(program: list[object], names: tuple[str, ...]) -> str:
-    """Write gplearn's program, a list in prefix order, as an ordinary formula; empties it."""
-    head = program.pop(0)
-    if isinstance(head, float):
-        return f"({head!r})"
-    if isinstance(head, (int, np.integer)):
-        return names[head]
-    parts = [write_infix(program, names) for _ in range(head.arity)]
-    signs = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-    if head.name in signs:
-        return f"({parts[0]}{signs[head.name]}{parts[1]})"
-    return f"{head.name}({parts[0]})"
-
-
-def run_aifeynman(samples: Samples) -> str:
-    """Run the original in a scratch folder, 20 s of brute force and 100 epochs."""
-    import aifeynman
-
-    with tempfile.TemporaryDirectory() as folder:
-        np.savetxt(Path(folder) / "data.txt", np.column_stack([samples.X, samples.y]))
-        aifeynman.run_aifeynman(f"{folder}/", "data.txt", 20, "14ops.txt", 4, 100)
-    return "see its own output"
-
-
-def show_peers() -> None:
-    """Print what the peers find on the same samples, and in what time."""
-    table = Table("peer", "system", "target", "right", "CPU s", "wall s", "found", title="peers")
-    peers = {"pyoperon": run_operon, "gplearn": run_gplearn, "aifeynman": run_aifeynman}
-    for name, runner in peers.items():
-        if importlib.util.find_spec(name) is None:
-            console.print(f"{name}: skipped, it is not installed here")
-            continue
-        for system, target, samples, truth in problems():
-            try:
-                found, cpu, wall = clock(lambda samples=samples, runner=runner: runner(samples))
-            except Exception as error:  # A peer's fault must not hide the other peers' figures.
-                console.print(f"{name}: failed on {system.name} {target}: {error!r}")
-                continue
-            row = (name, system.name, target, judge(str(found), samples, truth))
-            table.add_row(*row, f"{cpu:.2f}", f"{wall:.2f}", str(found).splitlines()[-1][:60])
-            console.print(f"{name} on {system.name} {target}: CPU {cpu:.2f} s, wall {wall:.2f} s")
-    console.print(table)
-
-
-def judge(text: str, samples: Samples, truth: sympy.Expr) -> str:
-    """Say whether any line of a peer's text, if it reads as a formula, has the right form."""
-    try:
-        members = [parse(line, samples.names) for line in text.splitlines()]
-    except ValueError:
-        return "?"
-    return "yes" if any(is_right(member, truth, loose=True) for member in members) else "no"
-
-
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--candidates", type=float, default=3e6)
-    parser.add_argument("--no-peers", action="store_true")
     options = parser.parse_args()
     samples = problems()[1][2]
     search_values(samples.X, samples.y, samples.names, BruteForce(max_size=2))
@@ -246,8 +155,6 @@ def main() -> None:
     show_times()
     show_growth(samples)
     show_devices(samples, bare)
-    if not options.no_peers:
-        show_peers()
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -154,9 +155,27 @@ def fit_operon(threads: int, x: Any, y: Any, names: Sequence[str], seed: int) ->
     return str(model.get_model_string(model.model_, 12, list(names)))
 
 
+def write_infix(program: list[Any], names: Sequence[str]) -> str:
+    """Write gplearn's program, a list in prefix order, as an ordinary formula; empties it."""
+    head = program.pop(0)
+    if isinstance(head, float):
+        return f"({head!r})"
+    if isinstance(head, int):
+        return names[head]
+    parts = [write_infix(program, names) for _ in range(head.arity)]
+    signs = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+    if head.name in signs:
+        return f"({parts[0]}{signs[head.name]}{parts[1]})"
+    return f"{head.name}({parts[0]})"
+
+
+def _plain(part: Any) -> Any:
+    """Give NumPy's numbers as Python's; functions stay as they are."""
+    return part.item() if hasattr(part, "item") else part
+
+
 def fit_gplearn(threads: int, x: Any, y: Any, names: Sequence[str], seed: int) -> str:
     """Fit with gplearn."""
-    from feynman import write_infix
     from gplearn.genetic import SymbolicRegressor
 
     model = SymbolicRegressor(
@@ -167,7 +186,7 @@ def fit_gplearn(threads: int, x: Any, y: Any, names: Sequence[str], seed: int) -
         random_state=seed,
         n_jobs=threads,
     ).fit(x, y)
-    return write_infix(list(model._program.program), tuple(names))
+    return write_infix([_plain(part) for part in model._program.program], names)
 
 
 def fit_pysr(threads: int, x: Any, y: Any, names: Sequence[str], seed: int) -> str:
@@ -298,8 +317,9 @@ run_aifeynman(sys.argv[1], "data.txt", 20, "14ops.txt", polyfit_deg=3, NN_epochs
 def show_aifeynman() -> str:
     """Run the first AI Feynman on two systems; give a table, or why there is none."""
     import numpy as np
-    from feynman import judge, problems
+    from feynman import is_right, problems
 
+    from dynsr.expression import to_text
     from dynsr.report import Table
 
     reason = make_old_home()
@@ -317,21 +337,26 @@ def show_aifeynman() -> str:
                 ended = f"after {CAP:g} s"
             seconds = time.perf_counter() - began
             texts = read_solutions(Path(folder), samples.names)
-            verdict = judge("\n".join(texts), samples, truth) if texts else "no"
-        rows.append((system.name, target, verdict, seconds, ended, texts[-1] if texts else ""))
+        right = any(is_right(member, truth, loose=True) for member in texts)
+        best = to_text(texts[-1])[:60] if texts else ""
+        rows.append((system.name, target, "yes" if right else "no", seconds, ended, best))
     columns = ("system", "target", "right", "seconds", "ended", "its best formula")
     return Table("aifeynman", "aifeynman 2.0.7", columns, tuple(rows)).to_markdown()
 
 
-def read_solutions(folder: Path, names: Sequence[str]) -> list[str]:
+def read_solutions(folder: Path, names: Sequence[str]) -> list[Any]:
     """Give the formulas of aifeynman's front as it stands, the best last."""
+    from dynsr.expression import parse
+
     files = sorted(folder.glob("results/solution_*data.txt"), key=os.path.getmtime)
-    if not files:
-        return []
-    texts = [line.split()[-1] for line in files[-1].read_text().splitlines() if line.split()]
-    for place, name in enumerate(names):
-        texts = [text.replace(f"x{place}", name) for text in texts]
-    return texts
+    lines = files[-1].read_text().splitlines() if files else []
+    found = []
+    for text in (line.split()[-1] for line in lines if line.split()):
+        for place, name in enumerate(names):
+            text = text.replace(f"x{place}", name)
+        with suppress(ValueError):
+            found.append(parse(text, names))
+    return found
 
 
 def write_page(page: Path, text: str) -> None:
