@@ -16,10 +16,10 @@ from .export import (
     with_signs,
 )
 from .operators import FUNCTIONS, OPERATORS
-from .own_bits import counting, read_own_bits
+from .own_bits import bits_in_force, counting, read_own_bits
 from .parsing import check_name, parse
 from .plausibility import Prior, plausibility_bits
-from .program import compile_columns
+from .program import Program, compile_columns
 from .ratios import ratio_forms
 from .vocabulary import NAMED_FUNCTIONS, Vocabulary
 from .writing import as_float_tree, round_constants, to_text
@@ -31,11 +31,13 @@ __all__ = [
     "OPERATORS",
     "REAL_RESOLUTION",
     "Prior",
+    "Program",
     "Units",
     "Vocabulary",
     "arguments_of",
     "as_float_tree",
     "bare_term",
+    "bits_in_force",
     "call_names",
     "check_name",
     "compile_columns",

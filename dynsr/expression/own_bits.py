@@ -86,6 +86,16 @@ def counting(bits: Mapping[str, float]) -> Iterator[None]:
         _IN_FORCE.reset(token)
 
 
+def bits_in_force() -> tuple[tuple[str, float], ...]:
+    """Give the own bits that are counted now: what depends on bits depends on these.
+
+    >>> with counting({"sin": 8.0}):
+    ...     bits_in_force()
+    (('sin', 8.0),)
+    """
+    return tuple((_IN_FORCE.get() or {}).items())
+
+
 def added_bits(expr: sympy.Expr) -> float:
     """Give the own bits in force of all operations of an expression.
 

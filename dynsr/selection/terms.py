@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations_with_replacement
 
 import numpy as np
 import sympy
 
-from dynsr.expression import compile_columns, plausibility_bits
+from dynsr.expression import Program, bits_in_force, compile_columns, plausibility_bits
 from dynsr.fit import skeleton, structure_bits
 
 _NO_POLYNOMIAL = 99
@@ -195,28 +195,14 @@ class Terms:
         angles : variables that may be angles.
         own : terms of the user's own beside them.
         """
-        symbols = [sympy.Symbol(name) for name in names]
-        found: dict[sympy.Expr, None] = dict.fromkeys(own)
-        for degree in range(settings.degree + 1):
-            for chosen in combinations_with_replacement(symbols, degree):
-                found.setdefault(sympy.Mul(*chosen))
-        waves = [f(sympy.Symbol(name)) for name in angles for f in (sympy.sin, sympy.cos)]
-        pairs = [a * b for a, b in combinations_with_replacement(symbols, 2)]
-        for symbol, values in zip(symbols, points, strict=True):
-            for factor in _functions(symbol, values, settings, str(symbol) in angles):
-                # What is divided by a column may be a product, or a sine of another one.
-                more = [*pairs, *waves] if factor == 1 / symbol else []
-                if factor.is_Pow or factor.is_Mul:
-                    more += [symbol * other for other in symbols]
-                for other in (sympy.S.One, *symbols, *more):
-                    found.setdefault(factor * other)
-        exprs = list(found)
-        bits = np.array(
-            [structure_bits(sympy.Float(0.5) * e) + unusual_bits(e, angles) for e in exprs]
+        functions = tuple(
+            tuple(_functions(sympy.Symbol(name), values, settings, name in angles))
+            for name, values in zip(names, points, strict=True)
         )
-        order = np.argsort(bits, kind="stable")[: settings.most]
-        values = compile_columns([exprs[i] for i in order], names)(*points)
-        kept = [order[i] for i in _distinct(values)]
+        exprs, bits, program = _make_terms(
+            tuple(names), functions, settings, tuple(angles), tuple(own), bits_in_force()
+        )
+        kept = _distinct(program(*points))
         return cls(
             tuple(names),
             tuple(exprs[i] for i in kept),
@@ -245,6 +231,39 @@ class Terms:
     def values(self, points: np.ndarray) -> np.ndarray:
         """(p, n) values at points (len(names), n)."""
         return self._program(*points)
+
+
+# The same few choices of variables come again and again in one discovery.
+@lru_cache(maxsize=64)
+def _make_terms(
+    names: tuple[str, ...],
+    functions: tuple[tuple[sympy.Expr, ...], ...],
+    settings: TermSettings,
+    angles: tuple[str, ...],
+    own: tuple[sympy.Expr, ...],
+    counted: tuple[tuple[str, float], ...],
+) -> tuple[tuple[sympy.Expr, ...], np.ndarray, Program]:
+    """Give the cheapest terms in order, their bits, of which ``counted`` are own, and a program."""
+    symbols = [sympy.Symbol(name) for name in names]
+    found: dict[sympy.Expr, None] = dict.fromkeys(own)
+    for degree in range(settings.degree + 1):
+        for chosen in combinations_with_replacement(symbols, degree):
+            found.setdefault(sympy.Mul(*chosen))
+    waves = [f(sympy.Symbol(name)) for name in angles for f in (sympy.sin, sympy.cos)]
+    pairs = [a * b for a, b in combinations_with_replacement(symbols, 2)]
+    for symbol, factors in zip(symbols, functions, strict=True):
+        for factor in factors:
+            # What is divided by a column may be a product, or a sine of another one.
+            more = [*pairs, *waves] if factor == 1 / symbol else []
+            if factor.is_Pow or factor.is_Mul:
+                more += [symbol * other for other in symbols]
+            for other in (sympy.S.One, *symbols, *more):
+                found.setdefault(factor * other)
+    exprs = list(found)
+    bits = np.array([structure_bits(sympy.Float(0.5) * e) + unusual_bits(e, angles) for e in exprs])
+    order = np.argsort(bits, kind="stable")[: settings.most]
+    cheapest = tuple(exprs[i] for i in order)
+    return cheapest, bits[order], compile_columns(cheapest, names)
 
 
 def products(names: Sequence[str], degree: int) -> list[sympy.Expr]:
