@@ -24,6 +24,8 @@ from dynsr.fit.settings import FIT, FitSettings
 
 # Runge-Kutta 4 is stable for |eigenvalue| * step up to about 2.8 (Hairer and Wanner 1996, IV.2).
 _STABLE = 2.5
+# Misses below this share of the spread are those of solvers and rounding.
+_ROUNDING = 1e-9
 # An interval is cut into at most 2^6 stable steps; what is stiffer still diverges.
 _MOST_HALVINGS = 6
 # loss -> (rho(z), rho'(z)) of the squared residual z in units of the misses.
@@ -119,12 +121,14 @@ class Shooting:
         """Fit constants (P,) and starts (k, W), misses weighed in units of their present size.
 
         Ends after ``most`` steps or ``trials`` integrations of trial steps, or when a step lowers
-        the loss by less than the share ``gain``.
+        the loss by less than the share ``gain``, or than a thousandth where misses are rounding.
         """
         rho, weigh = LOSSES[loss]
         misses = self.misses(constants, starts)
         unit = self.unit(misses)[:, None]
         level, damping = _level(rho, misses / unit), 1e-4
+        if np.max(unit) < _ROUNDING:
+            gain = max(gain, 1e-3)
         for _ in range(most):
             misses, by_constant, by_start = self.linearise(constants, starts)
             weights = weigh((misses / unit) ** 2) / unit**2
