@@ -349,7 +349,7 @@ def test_its_end_in_a_search_leaves_nothing_behind(tmp_path, name, code, line):
     )
     served = Page(str(tmp_path / "w.csv"), "-j", "2", folder=tmp_path)
     served.wait(lambda parts: parts.get("table") and not parts["busy"])
-    served.post("search", options={})
+    served.post("search", options={"preset": "quick"})
     served.wait(lambda parts: parts.get("progress") and parts["progress"]["running"])
     below = descendants(served.process.pid)
     assert len(below) >= 2
