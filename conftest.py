@@ -1,8 +1,9 @@
 """Every code block of the documentation is run as a test.
 
 Python blocks of a page share one namespace; where a text block follows, they must print what it
-holds, numbers to a hundredth. Of `console` blocks, the lines that begin with `dynsr` are run. A
-page works in an empty folder of its own.
+holds, numbers to a hundredth. Of `console` blocks, the lines that begin with `dynsr` are run; where
+a text block follows, what the last one prints begins with it. A page works in an empty folder of
+its own, and without workers, which change no result and take long to start.
 """
 
 from __future__ import annotations
@@ -12,8 +13,6 @@ import os
 import re
 import shlex
 import signal
-import subprocess
-import sys
 import tempfile
 from contextlib import redirect_stdout
 from importlib.util import find_spec
@@ -58,23 +57,37 @@ class _ConsoleParser(CodeBlockParser):
     language = "console"
 
     def evaluate(self, example: Example) -> None:
-        environment = {**os.environ, "PYTHONPATH": str(_ROOT), "NO_COLOR": "1"}
+        from typer.testing import CliRunner
+
+        from dynsr.cli.app import app
+
+        said: list[str] = []
         for line in example.parsed.splitlines():
             if line.startswith("dynsr "):
-                command = [sys.executable, "-m", "dynsr", *shlex.split(line, comments=True)[1:]]
-                done = subprocess.run(command, capture_output=True, text=True, env=environment)
-                assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+                done = CliRunner().invoke(app, shlex.split(line, comments=True)[1:])
+                assert done.exit_code == 0, f"{line}\n{done.output}"
+                said = done.stdout.splitlines()
+        shown = _SHOWN.match(example.document.text, example.region.end)
+        if shown:
+            lines = shown[1].strip().splitlines()
+            _compare("\n".join(said[: len(lines)]), "\n".join(lines))
 
 
 def _enter(namespace: dict) -> None:
     namespace["find_spec"] = find_spec
     namespace["_folder"] = tempfile.TemporaryDirectory()
     namespace["_before"] = os.getcwd()
+    namespace["_cores"] = os.environ.get("LOKY_MAX_CPU_COUNT")
+    os.environ["LOKY_MAX_CPU_COUNT"] = "1"
     os.chdir(namespace["_folder"].name)
 
 
 def _leave(namespace: dict) -> None:
     os.chdir(namespace["_before"])
+    if namespace["_cores"] is None:
+        del os.environ["LOKY_MAX_CPU_COUNT"]
+    else:
+        os.environ["LOKY_MAX_CPU_COUNT"] = namespace["_cores"]
     namespace["find_spec"] = find_spec
     namespace["_folder"].cleanup()
 

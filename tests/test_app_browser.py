@@ -38,14 +38,24 @@ def browser():
         yield started
 
 
+@pytest.fixture(scope="module")
+def served():
+    """Serve one page for all tests that do not end it."""
+    started = Page()
+    yield started
+    started.end()
+
+
 @pytest.fixture
-def page(browser):
-    """Serve a page for one test."""
-    served = Page()
+def page(browser, served):
+    """Give the page without data; afterwards it forgets those of the test."""
     yield served
-    # A page that asked on would complain of its lost server while the next one is looked at.
+    # A page that is still open would answer to the next test's wishes too.
     browser.open("about:blank", DESK)
-    served.end()
+    served.post("stop")
+    served.wait(lambda parts: not parts["busy"])
+    served.post("forget")
+    served.wait(lambda parts: not parts["busy"] and parts["table"] is None)
 
 
 def text(browser, selector):
@@ -213,13 +223,19 @@ def test_what_is_wrong_is_said_on_the_page(browser, page, tmp_path):
     assert browser.run("document.getElementById('said').hidden")
 
 
-def test_quit_ends_it_and_the_page_says_so(browser, page):
+def test_quit_ends_it_and_the_page_says_so(browser):
     """Quit on the page ends the process with exit code 0."""
-    browser.open(page.url, DESK)
-    browser.wait("document.getElementById('limit').textContent")
-    click(browser, "#quit")
-    browser.wait("document.getElementById('said').innerText.includes('can be closed')")
-    assert page.process.wait(30) == 0
+    page = Page()
+    try:
+        browser.open(page.url, DESK)
+        browser.wait("document.getElementById('limit').textContent")
+        click(browser, "#quit")
+        browser.wait("document.getElementById('said').innerText.includes('can be closed')")
+        assert page.process.wait(30) == 0
+    finally:
+        # A page that asked on would complain of its lost server while the next one is looked at.
+        browser.open("about:blank", DESK)
+        page.end()
 
 
 def test_nothing_is_shown_without_the_token(browser, page):

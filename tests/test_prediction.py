@@ -1,4 +1,5 @@
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.prediction import Measured, predict
 from dynsr.discovery.result import Discovery
+from dynsr.engines.base import InitialValueProblem
 from dynsr.engines.simulation import simulate
 from dynsr.errors import EngineError, InputError
 from dynsr.expression.parsing import parse
@@ -34,15 +36,23 @@ def test_fast_systems_with_a_measured_input_agree_with_scipy(equations, start):
     """Ten or a hundred thousand time constants between two rows: Radau finds the same states."""
     exprs = {s: parse(e) for s, e in equations.items()}
     slopes = sympy.lambdify(sympy.symbols([*exprs, "u"]), list(exprs.values()))
-    spline = CubicSpline(T, SINE)
+    times = T[:31]
+    spline = CubicSpline(times, np.sin(times))
     expected = solve_ivp(
-        lambda t, x: slopes(*x, spline(t)), (0, 10), start, "Radau", T, rtol=1e-9, atol=1e-12
+        lambda t, x: slopes(*x, spline(t)), (0, 3), start, "Radau", times, rtol=1e-9, atol=1e-12
     ).y.T
-    found = predict(exprs, start, T, {"u": SINE}).x
+    found = predict(exprs, start, times, {"u": np.sin(times)}).x
     assert np.abs(found - expected).max() < 1e-6
 
 
-def test_a_stiff_system_says_that_it_was_integrated_implicitly():
+@pytest.fixture
+def few_steps(monkeypatch):
+    """Let explicit steps end after 5,000, where the implicit method goes on, not 100,000."""
+    problem = partial(InitialValueProblem, max_steps=5_000)
+    monkeypatch.setattr("dynsr.engines.simulation.InitialValueProblem", problem)
+
+
+def test_a_stiff_system_says_that_it_was_integrated_implicitly(few_steps):
     """Beside its name the engine that answered is named, for both kinds of input."""
     stiff = {"x": parse("-1e6*(x - u)")}
     measured = predict(stiff, [1.0], T, {"u": SINE})
@@ -57,7 +67,7 @@ def test_a_stiff_system_says_that_it_was_integrated_implicitly():
     assert np.abs(exact.x[1:, 0] - SINE[1:]).max() < 1e-5
 
 
-def test_robertsons_reactions_are_solved():
+def test_robertsons_reactions_are_solved(few_steps):
     """Robertson (1966), time constants of 1e-4 to 1e4: the states sum to 1 and agree with LSODA."""
     rates = {
         "a": "-0.04*a + 1e4*b*c",

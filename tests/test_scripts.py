@@ -1,5 +1,6 @@
 import importlib.util
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -13,14 +14,24 @@ ROOT = Path(__file__).parent.parent
 SCRIPTS = ("table1", "table2", "figure1", "appendix_ga", "appendix_dynaifeynman", "appendix_sindy")
 
 
-def run(script, *arguments):
-    """Run a script of the repository."""
-    return subprocess.run(
-        [sys.executable, ROOT / "scripts" / f"{script}.py", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"},
-    )
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Give a call that runs a script in this process; it gives the exit code and what it said."""
+    monkeypatch.syspath_prepend(ROOT / "scripts")
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
+
+    def call(script, *arguments):
+        monkeypatch.setattr(sys, "argv", [script, *map(str, arguments)])
+        code = 0
+        try:
+            runpy.run_path(str(ROOT / "scripts" / f"{script}.py"), run_name="__main__")
+        except SystemExit as end:
+            code = end.code
+        return code, *capsys.readouterr()
+
+    yield call
+    sys.modules.pop("experiment", None)
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
@@ -33,26 +44,26 @@ def test_each_script_is_small_and_says_what_it_makes(name):
 
 
 @pytest.mark.slow
-def test_the_appendix_of_the_ga_is_made_and_continued(tmp_path):
+def test_the_appendix_of_the_ga_is_made_and_continued(tmp_path, run):
     """--quick gives three tables of two runs each; the next call takes them from the records."""
-    first = run("appendix_ga", "--quick", "--out", tmp_path)
-    assert first.returncode == 0, first.stderr
-    assert first.stdout.count("GA-Baseline on") == 3
+    code, shown, said = run("appendix_ga", "--quick", "--out", tmp_path)
+    assert code == 0, said
+    assert shown.count("GA-Baseline on") == 3
     table = (tmp_path / "tables" / "appendix_ga_pendulum.csv").read_text().splitlines()
     assert len(table) == 3 and table[0].startswith("Run,Formula,Stage,As printed")
     cells = {p: p.stat().st_mtime_ns for p in tmp_path.glob("cells/*.json")}
-    assert len(cells) == 6 and run("appendix_ga", "--quick", "--out", tmp_path).returncode == 0
+    assert len(cells) == 6 and run("appendix_ga", "--quick", "--out", tmp_path)[0] == 0
     assert {p: p.stat().st_mtime_ns for p in tmp_path.glob("cells/*.json")} == cells
-    refused = run("appendix_ga", "--out", tmp_path)
-    assert refused.returncode == 2 and "quick True" in refused.stderr
-    assert "Traceback" not in refused.stderr
+    code, _, said = run("appendix_ga", "--out", tmp_path)
+    assert code == 2 and "quick True" in said
+    assert "Traceback" not in said
 
 
-def test_table_2_is_printed_and_written(tmp_path):
+def test_table_2_is_printed_and_written(tmp_path, run):
     """The script of Table 2 needs no search."""
-    done = run("table2", "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "bitstring length" in done.stdout
+    code, shown, said = run("table2", "--out", tmp_path)
+    assert code == 0, said
+    assert "bitstring length" in shown
     assert "| iterations | 100 | 40 | 100 |" in (tmp_path / "tables" / "table2.md").read_text()
 
 
