@@ -73,24 +73,24 @@ def test_ctrl_c_gives_the_best_so_far(decay, tmp_path, jobs):
     assert not saved.complete and saved.equations == found.equations
 
 
+# From Python 3.12 on a fork beside threads is warned of; the user chose the backend.
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_fronts_of_running_searches_count(decay, jobs):
-    """Where no search has ended, the fronts of those that run give the equations."""
+    """Where no search has ended, the fronts of those that run give the equations, of forks too."""
     ctrl_c = Interrupt(lambda step: sum(bool(r.best) for r in step.running) == jobs)
-    found = discover(decay, method=ENDLESS, jobs=jobs, progress=ctrl_c)
+    with joblib.parallel_config(backend="multiprocessing"):
+        found = discover(decay, method=ENDLESS, jobs=jobs, progress=ctrl_c)
     assert not found.complete and list(found.equations) == ["x", "y"][:jobs]
     assert set(found.explanation) == {"x", "y"}
     assert all(len(found.front[state]) for state in found.equations)
     assert ("nothing yet" in found.explanation["y"]) == (jobs == 1)
 
 
-# From Python 3.12 on a fork beside threads is warned of; the user chose the backend.
-@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
-@pytest.mark.parametrize("backend", ["threading", "multiprocessing"])
-def test_searches_of_other_backends_stop_too(decay, backend):
-    """Searches in threads, which cannot be killed, end at their next report; so do forks."""
+def test_searches_in_threads_stop_too(decay):
+    """Searches in threads, which cannot be killed, end at their next report."""
     ctrl_c = Interrupt(lambda step: sum(bool(r.best) for r in step.running) == 2)
-    with joblib.parallel_config(backend=backend):
+    with joblib.parallel_config(backend="threading"):
         found = discover(decay, method=ENDLESS, jobs=2, progress=ctrl_c)
     assert not found.complete and list(found.equations) == ["x", "y"]
 
