@@ -38,7 +38,7 @@ ROOMS = [
     *("data", "engines", "fit", "methods", "selection", "discovery", "report", "paper"),
     *("checks", "benchmarks"),
 ]
-T = np.linspace(0.0, 3.0, 151)
+T = np.linspace(0.0, 3.0, 61)
 DECAY = Trajectory(T, 2 * np.exp(-0.5 * T)[:, None], ("x",))
 X = sympy.Symbol("x")
 RHS = LOTKA_VOLTERRA.rhs[-1]
@@ -97,7 +97,7 @@ def driven() -> InitialValueProblem:
 
 def found_flow():
     """Give the decay as a discovery that keeps the embedded engine."""
-    return discover(DECAY, method="sindy", jobs=1)
+    return discover(DECAY, method="sindy", preset="quick", jobs=1)
 
 
 FUNCTIONS = {
@@ -195,7 +195,7 @@ def test_no_command_answers_without_asking(julia, tmp_path, monkeypatch, name):
 def test_noisy_data_are_followed_by_the_engine(julia):
     """Found along the states by NumPy alone, as the record says, then integrated by the engine."""
     noisy = add_noise(simulate(LOTKA_VOLTERRA), 0.03, np.random.default_rng(1))
-    noisy = Trajectory(noisy.t[::10], noisy.x[::10], noisy.states)
+    noisy = Trajectory(noisy.t[::20], noisy.x[::20], noisy.states)
     found = discover(noisy, engine="julia", jobs=1)
     engines = found.settings["engines"]
     assert engines["search"] == "none (NumPy along the states)" and "regress" not in engines
@@ -277,7 +277,7 @@ def measured() -> Trajectory:
 
 def test_measured_inputs_cross_the_seam(julia):
     """Predictions, simulations, scores and the discovery itself ask the engine with its drives."""
-    found = discover(measured(), engine="julia", method="rational", jobs=1)
+    found = discover(measured(), engine="julia", method="rational", preset="quick", jobs=1)
     told = "julia (on measured inputs)"
     assert found.settings["engines"]["simulate"] == told
     assert found.settings["confirmed"]["trajectory_rmse"]["x"] < 1e-3
@@ -292,7 +292,7 @@ def test_measured_inputs_cross_the_seam(julia):
 def test_an_engine_that_takes_no_measured_inputs_gives_way_and_that_is_said(julia, monkeypatch):
     """The embedded one integrates; origin and record name it, and nothing is confirmed."""
     monkeypatch.setattr(julia, "takes_drives", False)
-    found = discover(measured(), engine="julia", method="rational", jobs=1)
+    found = discover(measured(), engine="julia", method="rational", preset="quick", jobs=1)
     assert found.settings["engines"]["simulate"] == MEASURED == found.simulate().origin["engine"]
     assert "confirmed" not in found.settings and asked(julia) == 0
 

@@ -26,9 +26,9 @@ from dynsr.methods.sindy import SINDy
 sys.path.insert(0, str(Path(__file__).parent))
 from command_line import run
 
-T = np.linspace(0.0, 3.0, 151)
+T = np.linspace(0.0, 3.0, 61)
 FAKE = Path(__file__).parent / "fake_julia"
-SINDY = {"method": "sindy", "jobs": 1}
+SINDY = {"method": "sindy", "preset": "quick", "jobs": 1}
 
 
 def decay(count: int = 1) -> Trajectory:
@@ -149,9 +149,9 @@ def test_the_name_travels_to_worker_processes(tmp_path):
     log = tmp_path / "calls"
     code = (
         "import numpy as np, dynsr\n"
-        "t = np.linspace(0, 3, 151)\n"
+        "t = np.linspace(0, 3, 41)\n"
         "x = {'t': t, 'x': 2 * np.exp(-t / 2), 'y': np.exp(-t)}\n"
-        "found = dynsr.discover(x, engine='julia', method='sindy', jobs=2)\n"
+        "found = dynsr.discover(x, engine='julia', method='sindy', preset='quick', jobs=2)\n"
         "found.simulate()\n"
         "print(found.settings['engines']['regress'], dynsr.find_engine('julia').name)\n"
     )

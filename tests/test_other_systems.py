@@ -44,7 +44,7 @@ import dynsr, numpy as np, pathlib
 t = np.linspace(0, 4, 90)
 data = dynsr.Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
 out = pathlib.Path({str(tmp_path)!r}) / "a folder"
-found = dynsr.discover(data, method="sindy", jobs=1, time_budget=600, out=out)
+found = dynsr.discover(data, method="sindy", preset="quick", jobs=1, time_budget=600, out=out)
 found.save(out / "discovery.json")
 found.report(out / "report.html")
 print(dynsr.Discovery.load(out / "discovery.json"))
@@ -58,7 +58,8 @@ def test_a_command_needs_nothing_that_windows_lacks(tmp_path: Path) -> None:
     path = tmp_path / "decay.csv"
     rows = "\r\n".join(f"{k / 20},{2.0 ** (-k / 20)!r}" for k in range(80))
     path.write_bytes(f"t,x\r\n{rows}\r\n".encode())
-    words = ["discover", str(path), "--method", "sindy", "--jobs", "1", "--json", "--quiet"]
+    words = ["discover", str(path), "--method", "sindy", "--preset", "quick", "--jobs", "1"]
+    words += ["--json", "--quiet"]
     code = f"""
 import json, sys
 sys.argv = ["dynsr", *{words!r}]

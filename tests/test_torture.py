@@ -7,7 +7,16 @@ from pathlib import Path
 import pytest
 
 SCRIPT = Path(__file__).parent.parent / "scripts" / "torture.py"
-SEARCH = ("--preset", "quick", "--method", "rational,sindy", "--targets", "y")
+SEARCH = (
+    "--preset",
+    "quick",
+    "--method",
+    "rational,sindy",
+    "--functions",
+    "none",
+    "--targets",
+    "y",
+)
 
 
 @pytest.mark.slow
@@ -20,7 +29,7 @@ def test_ten_discoveries_that_are_ended_end_in_the_same_result(tmp_path):
     spec.loader.exec_module(script)
     counts = {"parent": 4, "worker": 3, "interrupt": 2, "terminate": 1}
     with script.warmed() as warm:
-        tally = script.torture(counts, 1, script.Work(tmp_path, SEARCH, 1, warm))
+        tally = script.torture(counts, 30, script.Work(tmp_path, SEARCH, 1, warm))
     assert tally.trials == counts
     assert tally.faults == []
     assert sum(tally.hits.values()) > 5

@@ -1,5 +1,6 @@
 """What works without torch, what says that it did without, and what asks for it."""
 
+import json
 import subprocess
 import sys
 
@@ -26,57 +27,62 @@ X = np.random.default_rng(0).uniform(1, 2, (60, 2))
 samples = Samples(X, X[:, 0] + np.sin(X[:, 1]), ("a", "b"), "a", "given", np.arange(60.0))
 """
 
+# The tests look at what one such process says.
+_LINES = """
+import json
+from dynsr.errors import MissingExtra
+from dynsr.methods.feynman.enumeration.brute_force import BruteForce
 
-def _run(lines: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, "-c", _BLOCKED + lines], capture_output=True, text=True, timeout=300
-    )
-
-
-def test_the_default_methods_run_without_torch():
-    """A discovery by the default methods needs no torch, and has nothing to say about it."""
-    done = _run("""
 found = dynsr.discover(data, targets="x", jobs=1, preset="quick")
-print(found.equations["x"], "|", found.explanation["x"])
-""")
-    assert done.returncode == 0, done.stderr
-    equation, _, why = done.stdout.partition("|")
-    assert equation.strip() == "-0.5*x" and "torch" not in why
+small = DynAIFeynman.preset("quick", candidates=500)
+without = dynsr.discover(data, targets="x", jobs=1, method=small)
+rng = np.random.default_rng(0)
+refused = {}
+for name, call in {
+    "the network of DynAIFeynman": lambda: DynAIFeynman(stages=("symmetry",)).search(samples, rng),
+    "device 'cuda'": lambda: BruteForce(device="cuda").search(samples, rng),
+    "a torch module": found.to_torch,
+    "a hybrid model": found.hybrid,
+}.items():
+    try:
+        call()
+    except MissingExtra as error:
+        refused[name] = str(error)
+print(json.dumps({
+    "equation": str(found.equations["x"]),
+    "why": found.explanation["x"],
+    "without": without.explanation["x"],
+    "refused": refused,
+}))
+"""
 
 
-def test_a_search_that_did_without_its_network_says_so():
-    """The explanation names the stages that did not run, and the command that brings them."""
-    done = _run("""
-method = DynAIFeynman.preset("quick", candidates=2000)
-found = dynsr.discover(data, targets="x", jobs=1, method=method)
-print(found.explanation["x"])
-""")
-    assert done.returncode == 0, done.stderr
-    assert "symmetry, separability, compositionality" in done.stdout
-    assert 'did not run: the network of DynAIFeynman needs torch: pip install "dynsr[torch]"' in (
-        done.stdout
+@pytest.fixture(scope="module")
+def said() -> dict:
+    """Give what a process without torch says."""
+    done = subprocess.run(
+        [sys.executable, "-c", _BLOCKED + _LINES], capture_output=True, text=True, timeout=300
     )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_the_default_methods_run_without_torch(said):
+    """A discovery by the default methods needs no torch, and has nothing to say about it."""
+    assert said["equation"] == "-0.5*x" and "torch" not in said["why"]
+
+
+def test_a_search_that_did_without_its_network_says_so(said):
+    """The explanation names the stages that did not run, and the command that brings them."""
+    assert "symmetry, separability, compositionality" in said["without"]
+    line = 'did not run: the network of DynAIFeynman needs torch: pip install "dynsr[torch]"'
+    assert line in said["without"]
 
 
 @pytest.mark.parametrize(
-    ("lines", "user"),
-    [
-        (
-            "DynAIFeynman(stages=('symmetry',)).search(samples, np.random.default_rng(0))",
-            "the network of DynAIFeynman",
-        ),
-        (
-            "from dynsr.methods.feynman.enumeration.brute_force import BruteForce\n"
-            "BruteForce(device='cuda').search(samples, np.random.default_rng(0))",
-            "device 'cuda'",
-        ),
-        ("dynsr.discover(data, targets='x', jobs=1, preset='quick').to_torch()", "a torch module"),
-        ("dynsr.discover(data, targets='x', jobs=1, preset='quick').hybrid()", "a hybrid model"),
-    ],
+    "user",
+    ["the network of DynAIFeynman", "device 'cuda'", "a torch module", "a hybrid model"],
 )
-def test_what_needs_torch_gives_one_line_with_the_command(lines, user):
+def test_what_needs_torch_gives_one_line_with_the_command(said, user):
     """Asking for what only torch can do ends in one line that says how to install it."""
-    done = _run(lines)
-    last = done.stderr.strip().splitlines()[-1]
-    assert done.returncode == 1
-    assert last == f'dynsr.errors.MissingExtra: {user} needs torch: pip install "dynsr[torch]"'
+    assert said["refused"][user] == f'{user} needs torch: pip install "dynsr[torch]"'
