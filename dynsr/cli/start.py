@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import sys
+from contextlib import suppress
+from types import FrameType
 
 _INTERRUPTED = 130
 
@@ -19,6 +22,16 @@ def main() -> None:
     except KeyboardInterrupt:  # before the command itself began
         sys.stderr.write("error: interrupted\n")
         sys.exit(_INTERRUPTED)
+    finally:
+        signal.signal(signal.SIGINT, _leave)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """End at once, without a word: what is left to do is to wait for workers that end too."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(_INTERRUPTED)
 
 
 def _prepare() -> None:
