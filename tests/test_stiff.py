@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 from dynsr.data.samples import Samples
 from dynsr.data.slopes import choose_samples, find_layers
 from dynsr.data.trajectory import Trajectory
+from dynsr.discovery import layers
 from dynsr.discovery.search import discover
 from dynsr.discovery.verdict import judge
 from dynsr.expression.parsing import parse
@@ -124,3 +125,12 @@ def test_a_law_across_layers_is_judged_by_an_implicit_integration():
     more = judge({**exact, "y": exact["y"] + parse("1e-9*x**3")}, [run])
     assert more.level == "approximation" and "do not need x**3" in more.states["y"].reason
     assert judge({**exact, "y": parse("50*y - 50*x**2*y")}, [run]).level == "not found"
+
+
+def test_a_term_is_left_out_of_a_product_without_a_rest(monkeypatch):
+    """Of b (1 - x^2) y without b x^2 y is left b y, and not the difference of two huge numbers."""
+    tried = []
+    monkeypatch.setattr(layers, "predict", lambda rhs, x0, t, inputs: tried.append(rhs) or run)
+    run = Trajectory([0.0, 1.0], np.ones((2, 1)), ("y",))
+    layers.cross_layers({"y": 3 * (1 - parse("t^2")) * parse("y")}, [run], {})
+    assert tried[1:] == [{"y": parse("-3*t^2*y")}, {"y": parse("3*y")}]
