@@ -22,7 +22,7 @@ TRUE = {"x": "1.5*x - x*y", "y": "x*y - 3*y"}
 @pytest.fixture(scope="module")
 def exact():
     """Predators and prey, solved by scipy."""
-    t = np.linspace(0, 10, 501)
+    t = np.linspace(0, 10, 201)
     found = solve_ivp(
         lambda t, u: [u[0] * (1.5 - u[1]), -u[1] * (3 - u[0])],
         (0, 10),
@@ -96,6 +96,15 @@ def test_one_wrong_equation_does_not_bend_the_constants_of_the_others(exact):
     wrong = {"x": parse("1.4*x - 0.9*x*y"), "y": parse("0.3*x - 0.3*y")}
     found = polish(wrong, [with_noise(exact)], {}, {}, {})
     assert sorted(v for v, _ in found.errors["x"]) == pytest.approx([-1.0, 1.5], rel=0.02)
+
+
+def test_a_column_that_is_no_longer_read_goes_with_its_term():
+    """The last term that reads a measured column is dropped, and the rest is fitted again."""
+    t = np.linspace(0, 6, 100)
+    noise = 0.01 * np.random.default_rng(0).normal(size=(100, 2))
+    run = Trajectory(t, np.column_stack([np.sin(3 * t), np.exp(-t / 2)]) + noise, ("x", "y"))
+    found = polish({"y": parse("0.001*x - 0.49*y")}, [run], {}, {}, {})
+    assert found.exprs == {"y": parse("-0.5*y")}
 
 
 def test_a_pick_that_was_put_first_is_explained_beside_a_shorter_rival():
