@@ -141,19 +141,19 @@ def test_torch_gives_what_numpy_gives():
 def test_memory_bound_is_kept():
     """Once the bound is met nothing more is stored, but the search goes on to its other bounds."""
     samples = planted("cos(x)*sin(y) + x*exp(-y*y)/(x+log(1+y))", "xy")
-    settings = BruteForce(max_memory=6.0, max_candidates=200_000, sums=(), beam=0, device="cpu")
+    settings = BruteForce(max_memory=3.0, max_candidates=100_000, sums=(), beam=0, device="cpu")
     result = search_values(samples.X, samples.y, samples.names, settings)
-    free = BruteForce(max_candidates=200_000, sums=(), beam=0, device="cpu")
+    free = BruteForce(max_candidates=100_000, sums=(), beam=0, device="cpu")
     unbounded = search_values(samples.X, samples.y, samples.names, free)
-    assert result.nbytes <= 6.0 * 2**20 < unbounded.nbytes
-    assert result.formed >= 200_000 and result.stopped == "candidates"
+    assert result.nbytes <= 3.0 * 2**20 < unbounded.nbytes
+    assert result.formed >= 100_000 and result.stopped == "candidates"
     assert result.stored < unbounded.stored
 
 
 def test_deadline_ends_the_search():
     """A search of unbounded size ends within its seconds, with candidates."""
     samples = planted("cos(x)*sin(y) + x*exp(-y*y)/(x+log(1+y))", "xy")
-    settings = BruteForce(seconds=0.5, max_candidates=1e12, sums=(100,), device="cpu")
+    settings = BruteForce(seconds=0.2, max_candidates=1e12, sums=(100,), device="cpu")
     began = time.monotonic()
     result = search_values(samples.X, samples.y, samples.names, settings)
     assert result.stopped == "deadline" and result.candidates
@@ -219,10 +219,10 @@ def test_bad_values_are_refused():
 def test_ratios_and_beam_find_what_no_single_function_is(formula):
     """Nested power laws, a variable times a sum, and products with a sum come out to rounding."""
     samples = planted(formula, "abcde" if "*e" in formula else "abcd")
-    settings = BruteForce(max_candidates=60_000, ratios=True, device="cpu")
+    settings = BruteForce(max_candidates=30_000, ratios=True, device="cpu")
     result = search_values(samples.X, samples.y, samples.names, settings)
     assert result.stopped == "exact"
-    alone = BruteForce(max_candidates=60_000, beam=0, sums=(), device="cpu")
+    alone = BruteForce(max_candidates=30_000, beam=0, sums=(), device="cpu")
     assert search_values(samples.X, samples.y, samples.names, alone).stopped != "exact"
 
 

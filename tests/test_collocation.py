@@ -352,8 +352,8 @@ def test_measurements_follow_a_system():
 
 
 def test_many_short_runs_are_kept():
-    """Of 20 runs of eight rows all are kept, though they have more rows in all than asked for."""
+    """Of 9 runs of eight rows all are kept, though they have more rows in all than asked for."""
     t = np.linspace(0, 1, 8)
-    runs = [Trajectory(t, a * np.exp(-t)[:, None], ("x",)) for a in np.linspace(1, 2, 20)]
-    data = Measurements.of(runs, {}, 60)
-    assert [len(run) for run in data.runs] == [8] * 20
+    runs = [Trajectory(t, a * np.exp(-t)[:, None], ("x",)) for a in np.linspace(1, 2, 9)]
+    data = Measurements.of(runs, {}, 30)
+    assert [len(run) for run in data.runs] == [8] * 9

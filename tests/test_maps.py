@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,12 @@ import dynsr
 from dynsr.data import Trajectory
 from dynsr.discovery.maps import iterate, measure_step_errors, pair_rows, score_map
 from dynsr.errors import EngineError, InputError
+from dynsr.methods import RationalSearch
 
 sys.path.insert(0, str(Path(__file__).parent))
 from command_line import run
+
+FEW = RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1)
 
 
 def logistic(rows=200, noise=0.0, seed=0):
@@ -39,7 +43,7 @@ def henon(rows=200, noise=0.0):
 @pytest.mark.parametrize("noise", [0.0, 0.002])
 def test_the_logistic_map_is_found(noise):
     """Clean and with process noise of 1 % of the spread: 3.7 x - 3.7 x^2."""
-    found = dynsr.discover(logistic(noise=noise), discrete=True, preset="quick", jobs=1)
+    found = dynsr.discover(logistic(noise=noise), discrete=True, jobs=1, method=FEW)
     x = sympy.Symbol("x")
     assert sympy.expand(found.equations["x"] - 3.7 * x + 3.7 * x**2).subs(x, 0.3) == pytest.approx(
         0, abs=1e-9
@@ -53,9 +57,8 @@ def test_the_logistic_map_is_found(noise):
 @pytest.mark.parametrize("noise", [0.0, 0.007])
 def test_the_map_of_henon_is_found(noise):
     """Both equations, clean and with process noise of 1 % of the spread."""
-    found = dynsr.discover(
-        henon(noise=noise), discrete=True, preset="quick", jobs=1, method="sindy"
-    )
+    three = replace(FEW, max_terms=3)
+    found = dynsr.discover(henon(noise=noise), discrete=True, jobs=1, method=three)
     x, y = sympy.symbols("x y")
     truth = {"x": 1 - 1.4 * x**2 + y, "y": 0.3 * x}
     for state, expr in truth.items():
@@ -69,7 +72,7 @@ def test_the_map_of_henon_is_found(noise):
 def test_a_map_is_simulated_by_iteration_and_exported_as_a_step(tmp_path):
     """simulate, to_python, to_numpy and LaTeX give the next state; the file says so."""
     data = logistic(50)
-    found = dynsr.discover(data, discrete=True, preset="quick", jobs=1, method="sindy")
+    found = dynsr.discover(data, discrete=True, jobs=1, method=FEW)
     made = found.simulate([0.4], np.arange(4.0))
     x = 0.4
     for value in made.x[:, 0]:
@@ -90,7 +93,7 @@ def test_a_map_is_simulated_by_iteration_and_exported_as_a_step(tmp_path):
 
 def test_what_needs_slopes_refuses_a_map():
     """Ensembles and hybrid models say in one line that a map has no slopes."""
-    found = dynsr.discover(logistic(50), discrete=True, preset="quick", jobs=1, method="sindy")
+    found = dynsr.discover(logistic(50), discrete=True, jobs=1, method=FEW)
     with pytest.raises(InputError, match="a map has none"):
         dynsr.bootstrap(found)
     with pytest.raises(InputError, match="a map has none"):

@@ -7,9 +7,13 @@ from dynsr.discovery.scaling import Units
 from dynsr.discovery.search import discover
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
+from dynsr.methods import RationalSearch
 
-T = np.linspace(0.0, 10.0, 300)
-QUICK = {"method": "rational", "preset": "quick", "jobs": 1}
+T = np.linspace(0.0, 10.0, 100)
+QUICK = {
+    "method": RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1),
+    "jobs": 1,
+}
 
 
 def value_at(expr, **values):

@@ -38,7 +38,7 @@ def measured(t, x, additive, multiplicative, seed):
     return Trajectory(t, x + noise, ("x", "y")[: x.shape[1]])
 
 
-@pytest.mark.parametrize("rows", [60, 150, 1000])
+@pytest.mark.parametrize("rows", [60, 1000])
 @pytest.mark.parametrize(("additive", "multiplicative"), [(0.5, 0.0), (0.0, 0.05), (0.5, 0.1)])
 @pytest.mark.parametrize("outliers", [0.0, 0.03])
 def test_the_size_of_the_noise_is_recovered(rows, additive, multiplicative, outliers):

@@ -9,6 +9,7 @@ import os
 import re
 import warnings
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -68,8 +69,9 @@ class Columns:
             raise InputError(f"{self.label} holds no columns; it needs times and states")
         if not len(self.values[0]):
             raise InputError(f"{self.label} holds no rows; it needs rows of times and states")
+        often = Counter(self.names)
         for name, value in zip(self.names, self.values, strict=True):
-            if name and self.names.count(name) > 1:
+            if name and often[name] > 1:
                 raise InputError(f"column name {name!r} is used twice in {self.label}; rename one")
             if len(value) != len(self.values[0]):
                 raise InputError(

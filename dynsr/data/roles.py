@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 import warnings
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -114,7 +115,7 @@ def _check_roles(time: str, states: Sequence[str], inputs: Sequence[str], column
     if both:
         role = "the time" if both[0] == time else "an input"
         raise InputError(f"column {both[0]!r} is both a state and {role}; give it one role")
-    twice = [name for name in [*states, *inputs] if [*states, *inputs].count(name) > 1]
+    twice = [name for name, often in Counter([*states, *inputs]).items() if often > 1]
     if twice:
         raise InputError(f"column {twice[0]!r} is named twice; name each once")
     if not states:

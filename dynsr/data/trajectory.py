@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
@@ -150,7 +151,7 @@ class Trajectory:
         names = [*states, *input_names]
         for name in names:
             check_name(name, "column")
-        clash = sorted({n for n in names if names.count(n) > 1 or n == "t"})
+        clash = sorted(n for n, often in Counter(names).items() if often > 1 or n == "t")
         if clash:
             raise InputError(f"column name {clash[0]!r} is used twice (t is the time); rename one")
         _check_times(t)

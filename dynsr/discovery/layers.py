@@ -70,12 +70,13 @@ def cross_layers(
     spread = np.maximum(np.std(measured, axis=0), 1e-300)
     whole = _rms(gaps) / spread
     late = _rms([gap[-max(1, len(gap) // 4) :] for gap in gaps]) / spread
-    terms = [(s, t) for s, e in equations.items() for t in sympy.Add.make_args(sympy.expand(e))]
+    terms = {s: sympy.Add.make_args(sympy.expand(e)) for s, e in equations.items()}
     idle: dict[str, list[sympy.Expr]] | None = None
-    if len(terms) <= _MOST_TERMS:
+    if sum(map(len, terms.values())) <= _MOST_TERMS:
         idle = {state: [] for state in equations}
-        for state, term in terms:
-            less = {**equations, state: equations[state] - term}
+        for state, term in ((s, t) for s, own in terms.items() for t in own):
+            # Taken from a product, a term would leave rounding that no step is short enough for.
+            less = {**equations, state: sympy.Add(*(t for t in terms[state] if t != term))}
             other = _gaps(less, runs, inputs)
             most = times * max(float(np.max(whole)), 1e-6)
             if other is not None and np.max(_rms(other) / spread) < most:

@@ -65,15 +65,13 @@ def usable_numbers(value: float, error: float, settings: FitSettings = FIT) -> l
         return [n for n in found if abs(n) <= 1 and n.is_Integer]
     if error <= settings.pinned * abs(value):
         return found
-    return [n for n in found if int(n.q) <= 8 or _digits(n) <= 2]
+    return [n for n in found if int(n.q) <= 8 or _is_short(n)]
 
 
-def _digits(number: sympy.Rational) -> float:
-    """Count the significant digits of a decimal; inf where it is none."""
-    for digits in range(1, _MOST_DIGITS + 1):
-        if Fraction(f"{float(number):.{digits - 1}e}") == Fraction(int(number.p), int(number.q)):
-            return digits
-    return math.inf
+def _is_short(number: sympy.Rational) -> bool:
+    """Whether a number is a decimal of one or two significant digits."""
+    value, exact = float(number), Fraction(int(number.p), int(number.q))
+    return any(Fraction(f"{value:.{digits}e}") == exact for digits in (0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,18 +85,19 @@ class _Snapper:
     _frames: dict[tuple[int | None, ...], tuple[float, list[int]]] = field(default_factory=dict)
 
     def _bits(self, numbers: Sequence[sympy.Expr]) -> float:
-        return self._formula_bits(numbers) + self._data_bits(_as_array(numbers))
+        bits = self._formula_bits([*map(_special, numbers)], [*map(number_bits, numbers)])
+        return bits + self._data_bits(_as_array(numbers))
 
     def _data_bits(self, values: np.ndarray) -> float:
         return data_bits(self.template.residual(values), self.noise)
 
-    def _formula_bits(self, numbers: Sequence[sympy.Expr]) -> float:
-        """Bits of the numbers, and of the frame, which only 0, 1 and -1 change."""
-        special = tuple(int(n) if n in (0, 1, -1) else None for n in numbers)
-        if special not in self._frames:
-            self._frames[special] = self._frame(special)
-        bits, present = self._frames[special]
-        return bits + sum(number_bits(numbers[i]) for i in present)
+    def _formula_bits(self, special: Sequence[int | None], costs: Sequence[float]) -> float:
+        """Bits of the numbers, of which each costs these, and of the frame that they leave."""
+        key = tuple(special)
+        if key not in self._frames:
+            self._frames[key] = self._frame(special)
+        bits, present = self._frames[key]
+        return bits + sum(costs[i] for i in present)
 
     def _frame(self, special: Sequence[int | None]) -> tuple[float, list[int]]:
         """Give the frame's bits and the places of the numbers that it still holds."""
@@ -141,6 +140,7 @@ class _Snapper:
         covariance = self.template.covariance(values, free, self.noise.floor)
         now = self._data_bits(values)
         most = now + shift_bits(self.settings.surely_zero)
+        special, costs = [*map(_special, numbers)], [*map(number_bits, numbers)]
         for place, i in enumerate(np.flatnonzero(free)):
             error = float(np.sqrt(max(covariance[place, place], 0.0)))
             for simple in usable_numbers(values[i], error, self.settings):
@@ -152,7 +152,10 @@ class _Snapper:
                 # free: only a term that the data do not ask for goes.
                 if simple == 0 and misses > most:
                     continue
-                bits = self._formula_bits([*numbers[:i], simple, *numbers[i + 1 :]]) + misses
+                bits = misses + self._formula_bits(
+                    [*special[:i], _special(simple), *special[i + 1 :]],
+                    [*costs[:i], number_bits(simple), *costs[i + 1 :]],
+                )
                 if math.isfinite(bits):
                     yield bits, int(i), simple, moved
 
@@ -172,6 +175,11 @@ class _Snapper:
         both = zip(as_floats(values), kept, left, strict=True)
         found = [new if loose else old for new, old, loose in both]
         return self._bits(found), found, left
+
+
+def _special(number: sympy.Expr) -> int | None:
+    """Give 0, 1 and -1, which alone change the frame that holds the numbers."""
+    return int(number) if number in (0, 1, -1) else None
 
 
 def _as_array(numbers: Sequence[sympy.Expr]) -> np.ndarray:

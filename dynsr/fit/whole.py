@@ -124,7 +124,10 @@ def fit_states(
         return None
     constants = np.array(values, dtype=float)
     if near is not None:
-        start = replace(near.shooting, flow=replace(flow, stride=near.shooting.flow.stride))
+        # A column that only the other equations read still stands in their windows.
+        taken = near.shooting.flow
+        flow = replace(flow, driven=taken.driven, stride=taken.stride)
+        start = replace(near.shooting, flow=flow)
         return _end(start, _descend(start, constants, near.starts, _last(settings)))
     longest = max(map(len, runs)) - 1
     first = min(100, max(20, longest // 10))
