@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -79,3 +81,24 @@ def test_what_others_lose_is_left_to_them() -> None:
     with heard_again(KeyboardInterrupt, lambda: again.append(1)):
         Faulty()
     assert again == []
+
+
+def test_ctrl_c_after_the_command_ends_it_without_a_word() -> None:
+    """Python waits for threads of workers when all is done; who does not wait sees no traceback."""
+    code = (
+        "import sys, threading, time\n"
+        "from dynsr.cli import main\n"
+        "sys.argv = ['dynsr', '--version']\n"
+        "threading.Thread(target=time.sleep, args=(60,)).start()\n"
+        "threading.Timer(0.2, print, ('waiting',), {'flush': True}).start()\n"
+        "main()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        while process.stdout.readline() != "waiting\n":
+            pass
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=30)[1] == ""
+    assert process.returncode == 130
