@@ -42,7 +42,9 @@ from dynsr.fit import (
     match_trajectories,
     polish,
     refit,
+    score_candidate,
     tidy,
+    without_flat_line,
 )
 from dynsr.jobs import (
     Budget,
@@ -442,7 +444,14 @@ def pool_formulas(
     """Put together what all methods found for each state and the demands leave."""
     pools: dict[str, list[Candidate]] = {state: [] for state in samples}
     for found in searched:
+        own = samples[found.target]
+        plain = (without_flat_line(c.expr, own.columns) for c in found.candidates)
         pools[found.target] += found.candidates
+        pools[found.target] += [
+            score_candidate(e, own, c.source)
+            for c, e in zip(found.candidates, plain, strict=True)
+            if e is not None
+        ]
     return {
         state: demands.select(pool, samples[state], known.get(state, sympy.S.Zero))
         for state, pool in pools.items()

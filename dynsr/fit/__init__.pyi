@@ -40,7 +40,7 @@ from .noise import (
     residual_noise,
     slope_size,
 )
-from .parsimony import collapse
+from .parsimony import collapse, without_flat_line
 from .polishing import polish
 from .settings import FitSettings
 from .shooting import (
@@ -125,4 +125,5 @@ __all__ = [
     "structure_bits",
     "tidy",
     "with_floats",
+    "without_flat_line",
 ]

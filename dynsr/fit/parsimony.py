@@ -10,7 +10,7 @@ one is kept while the misses stay of the same size.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,30 @@ def _shorter(node: sympy.Expr) -> Iterator[sympy.Expr]:
     for index, argument in enumerate(node.args):
         for changed in _shorter(argument):
             yield node.func(*node.args[:index], changed, *node.args[index + 1 :])
+
+
+def without_flat_line(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> sympy.Expr | None:
+    """Give a ratio with its mean below the line where what stands there hardly changes; else None.
+
+    Of noisy slopes it cannot be told from the ratio, which has a constant more.
+
+    Parameters
+    ----------
+    expr : the formula.
+    columns : name -> (n,) values on which it is looked at.
+
+    >>> x = sympy.Symbol("x")
+    >>> without_flat_line((4000.0 * x**2 + 2000.0) / (x + 2000.0), {"x": np.array([0.5, 1.5])})
+    1.99900049975012*x**2 + 0.999500249875062
+    """
+    top, bottom = sympy.fraction(sympy.together(expr))
+    if not bottom.is_Add or not bottom.free_symbols:
+        return None
+    line = np.asarray(evaluate(bottom, columns), dtype=float)
+    middle = float(np.mean(line))
+    if not np.all(np.abs(line - middle) <= _FLAT * abs(middle)):
+        return None
+    return sympy.expand(sympy.expand(top) / sympy.Float(middle))
 
 
 def collapse(
@@ -137,6 +161,8 @@ def _misses(candidate: Candidate, samples: Samples) -> np.ndarray:
     return np.asarray(np.quantile(misses, _QUANTILES))
 
 
+# Share by which what stands below a line may vary on the data and still say nothing.
+_FLAT = 0.05
 _QUANTILES: Sequence[float] = (0.5, 0.8, 0.95, 0.99)
 
 
