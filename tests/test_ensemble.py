@@ -73,7 +73,13 @@ def test_a_discovery_with_an_ensemble(tmp_path):
     assert "An ensemble of fits" in page
     assert "An ensemble of fits" not in render_discovery(replace(found, ensemble={}))
     np.savetxt(tmp_path / "decay.csv", data, header="t,x", comments="", delimiter=",")
-    words = [*("--method", "sindy", "--preset", "quick", "-j", "1"), "-o", str(tmp_path / "out")]
+    words = [
+        *("--method", "sindy", "--preset", "quick", "-j", "1"),
+        "--functions",
+        "none",
+        "-o",
+        str(tmp_path / "out"),
+    ]
     done = CliRunner().invoke(app, ["discover", str(tmp_path / "decay.csv"), "--ensemble", *words])
     assert done.exit_code == 0 and "x', ensemble: x: 100%, -1.0" in done.stdout
 
