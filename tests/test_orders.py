@@ -50,10 +50,9 @@ def test_derivatives_of_a_known_swing(uneven, noise, velocity, acceleration):
     assert np.std(samples.y - second[rows]) < acceleration * np.std(second)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_an_oscillator_is_found_from_its_position(noise, tmp_path):
-    """x'' = -4 x - x'/5, as a system of first order and as one line."""
-    found = dynsr.discover(swing(noise, FEW)[0], order=2, preset="quick", jobs=1, method="sindy")
+def test_an_oscillator_is_found_from_its_position(tmp_path):
+    """x'' = -4 x - x'/5 comes out of noise, as a system of first order and as one line."""
+    found = dynsr.discover(swing(0.01, FEW)[0], order=2, preset="quick", jobs=1, method="sindy")
     assert list(found.equations) == ["x", "x_dot"]
     assert found.equations["x"] == sympy.Symbol("x_dot")
     assert str(found) in ("x'' = -4*x - 0.2*x'", "x'' = -4*x - x'/5")
@@ -161,7 +160,7 @@ def test_the_command_takes_orders(tmp_path):
     done = run(*words, "--order", "x=2", "--json", "--out", tmp_path / "out")
     told = json.loads(done.stdout)
     assert set(told["equations"]) == {"x", "x_dot"} and told["kind"] == "flow"
-    assert told["text"][0].startswith("x'' = -4*x")
+    assert told["text"][0] in ("x'' = -4*x - 0.2*x'", "x'' = -4*x - x'/5")
     assert told["settings"]["velocities"] == {"x": "x_dot"}
     assert "--order x=2" in (tmp_path / "out" / "report.html").read_text()
 
