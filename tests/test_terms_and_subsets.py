@@ -230,6 +230,7 @@ def test_terms_that_equations_share_cost_less():
     assert cited_bits([0.7 * x, 0.3 * x]) == 0
 
 
+@pytest.mark.slow
 def test_the_hinged_cart_is_found_in_noise():
     """Of a cart-pole measured to 0.3 %, z' over 1 + sin(w)^2 comes first; no slope is exact."""
     t = np.linspace(0, 8, 161)
