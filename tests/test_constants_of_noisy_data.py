@@ -15,6 +15,7 @@ from dynsr.fit.settings import FitSettings
 from dynsr.fit.simple import simple_value
 from dynsr.fit.variation import loosen
 from dynsr.fit.whole import fit_states, interval_reach
+from dynsr.methods.rational import RationalSearch
 
 PREY = {"prey": {"prey": 1.37, "pred*prey": -0.83}, "pred": {"pred": -2.63, "pred*prey": 0.91}}
 
@@ -75,18 +76,18 @@ def test_every_constant_stands_beside_its_fitted_value_and_error(hunters):
         assert found.fitted[state] == pytest.approx(list(values.values()), rel=5e-3)
 
 
-@pytest.mark.parametrize(("share", "growing"), [(0.05, False), (0.05, True)])
-def test_intervals_hold_the_truth(share, growing):
-    """Of 120 intervals of 95 % between 88 and 99 % hold the truth, also where noise grows.
+@pytest.mark.parametrize("growing", [False, True])
+def test_intervals_hold_the_truth(growing):
+    """Of 60 intervals of 95 % between 88 and 99 % hold the truth, also where noise grows.
 
-    The 95 % region of a binomial of 120 draws is 91 to 98.3 %; the draws come from fixed seeds.
+    About 19 of 20 binomials of 60 draws lie there; the draws come from fixed seeds.
     """
     t = np.linspace(0, 12, 100)
     exact = Trajectory(t, (0.73 / (0.31 + (7.3 - 0.31) * np.exp(-0.73 * t)))[:, None], ("x",))
     truth = np.array([0.73, -0.31])
     held = []
-    for seed in range(60):
-        run = disturb(exact, share, seed, growing)
+    for seed in range(30 * growing, 30 * growing + 30):
+        run = disturb(exact, 0.05, seed, growing)
         fit = fit_states({"x": parse("0.7*x - 0.3*x^2")}, [run], {})
         order = np.array([truth[0] if value > 0 else truth[1] for value in fit.constants])
         held.append(np.abs(fit.constants - order) <= interval_reach(fit.freedom) * fit.errors)
@@ -98,7 +99,7 @@ def test_rows_whose_noise_is_large_count_less():
     t = np.linspace(0, 6, 80)
     exact = Trajectory(t, np.exp(-t)[:, None], ("x",))
     weighed, plain = [], []
-    for seed in range(20):
+    for seed in range(10):
         run = disturb(exact, 0.1, seed, growing=True)
         equal = [np.full_like(run.x, 0.1)]
         weighed.append(fit_states({"x": parse("-0.9*x")}, [run], {}).constants[0])
@@ -155,8 +156,9 @@ def test_the_switch_reaches_the_whole_discovery():
     """With ``snap=False`` clean decay of 0.5 keeps the digits of its fit; by default it is 0.5."""
     t = np.linspace(0, 3, 301)
     x = np.exp(-0.5 * t) * (1 + 1e-6 * np.sin(37 * t))
-    simple = discover((t, x[:, None]), preset="quick", jobs=1)
-    fitted = discover((t, x[:, None]), preset="quick", jobs=1, snap=False)
+    sums = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
+    simple = discover((t, x[:, None]), method=sums, jobs=1)
+    fitted = discover((t, x[:, None]), method=sums, jobs=1, snap=False)
     assert simple.equations["x"] == parse("-0.5*x")
     assert coefficients(fitted.equations["x"])["x"] != -0.5
     assert coefficients(fitted.equations["x"])["x"] == pytest.approx(-0.5, rel=1e-4)

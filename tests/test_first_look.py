@@ -51,23 +51,10 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_a_law_is_final_at_the_first_look(name):
-    """Sums and ratios of exact data are found, and nothing is left to search."""
-    rhs, start, end, names, law = LAWS[name]
-    data = run(rhs, start, end, 400, names)
-    for state, expected in law.items():
-        samples = choose_samples([data], state)
-        found = look(samples)
-        assert found.final
-        values = evaluate(found.candidates[0].expr, samples.columns)
-        exact = evaluate(parse(expected), samples.columns)
-        np.testing.assert_allclose(values, exact, atol=1e-4 * np.std(exact))
-
-
-@pytest.mark.parametrize("name", LAWS)
+# The pendulum's is told by distant rows below.
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "a pendulum"])
 def test_a_final_law_ends_the_search(name):
-    """The whole discovery runs no other method, says so in its record, and answers the law."""
+    """Sums and ratios of exact data are found; no other method runs, as the record says."""
     rhs, start, end, names, law = LAWS[name]
     found = dynsr.discover(run(rhs, start, end, 300, names), jobs=1)
     assert found.settings["first_look"] == sorted(names)
@@ -81,12 +68,13 @@ def test_a_final_law_ends_the_search(name):
 def test_distant_rows_are_confirmed_on_the_states():
     """Ten rows a swing give slopes no nearer than 1e-4; the states leave no doubt of the law."""
     rhs, start, _, names, law = LAWS["a pendulum"]
-    data = run(rhs, start, 12.0, 60, names)
+    data = run(rhs, start, 8.0, 40, names)
     samples = choose_samples([data], "v")
     exact = evaluate(parse(law["v"]), samples.columns)
     assert np.std(samples.y - exact) > 1e-4 * np.std(exact)
     found = dynsr.discover(data, jobs=1)
     assert found.settings["first_look"] == ["q", "v"]
+    assert found.verdict.level == "law" and str(found.equations["q"]) == "v"
     assert str(found.equations["v"]) == "-0.3*v - 7.7*sin(q)"
 
 

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 import dynsr
 from dynsr.errors import InputError
+from dynsr.expression import parse
 from dynsr.fit import missing_terms
 from dynsr.methods import read_demands
 
@@ -42,13 +43,21 @@ def coefficient(expr: sympy.Expr, term: sympy.Expr) -> float:
     return float(sympy.Poly(expr, X, Y).coeff_monomial(term))
 
 
+@pytest.fixture(scope="module")
+def plain() -> dynsr.Discovery:
+    """Give the discovery that no term is forced upon."""
+    return dynsr.discover(prey(0.0), jobs=1)
+
+
 @pytest.mark.parametrize(("noise", "method"), [(0.0, "sindy"), (0.01, "auto")])
-def test_a_term_that_the_data_do_not_ask_for_is_there(noise: float, method: str) -> None:
+def test_a_term_that_the_data_do_not_ask_for_is_there(
+    plain: dynsr.Discovery, noise: float, method: str
+) -> None:
     """x^2 is in x' with a coefficient near 0 and its interval; the law stands beside it."""
-    plain = dynsr.discover(prey(noise), method=method, jobs=1, preset="quick")
     assert not plain.equations["x"].has(X**2)
-    must = {"x": "x**2"}
-    found = dynsr.discover(prey(noise), method=method, jobs=1, preset="quick", must=must)
+    found = dynsr.discover(
+        prey(noise), method=method, jobs=1, preset="quick", targets="x", must={"x": "x**2"}
+    )
     expr = found.equations["x"]
     assert expr.has(X**2)
     assert abs(coefficient(expr, X**2)) < 1e-6 + 3 * noise
@@ -59,22 +68,25 @@ def test_a_term_that_the_data_do_not_ask_for_is_there(noise: float, method: str)
     assert found.settings["must"] == ["x: x**2"]
 
 
-def test_a_term_of_the_law_changes_nothing_else() -> None:
+def test_a_term_of_the_law_changes_nothing_else(plain: dynsr.Discovery) -> None:
     """Forced terms that the law has give the equations of a search without them."""
-    plain = dynsr.discover(prey(0.0), jobs=1)
     found = dynsr.discover(prey(0.0), jobs=1, must=["x: x*y", "y: y"])
     assert found.equations == plain.equations
     assert found.verdict is not None
     assert found.verdict.level == "law"
 
 
-def test_a_map_holds_its_term() -> None:
-    """The logistic map with a forced constant is itself beside a constant of nearly 0."""
+def logistic() -> dynsr.Trajectory:
+    """Give 80 steps of the logistic map."""
     x = [0.3]
     for _ in range(80):
         x.append(3.7 * x[-1] * (1 - x[-1]))
-    run_ = dynsr.Trajectory(np.arange(81.0), np.array(x)[:, None], ("x",))
-    found = dynsr.discover(run_, discrete=True, jobs=1, preset="quick", must={"x": ["1"]})
+    return dynsr.Trajectory(np.arange(81.0), np.array(x)[:, None], ("x",))
+
+
+def test_a_map_holds_its_term() -> None:
+    """The logistic map with a forced constant is itself beside a constant of nearly 0."""
+    found = dynsr.discover(logistic(), discrete=True, jobs=1, preset="quick", must={"x": ["1"]})
     expr = found.equations["x"]
     assert missing_terms(expr, [sympy.S.One]) == []
     assert float(expr.subs(X, 0)) == pytest.approx(0, abs=1e-9)
@@ -115,11 +127,10 @@ def test_a_term_in_an_equation_that_is_not_searched_is_one_line() -> None:
 
 
 def test_the_shell_forces_terms_too(tmp_path: Path) -> None:
-    """--must reaches the record and the equation."""
-    data = tmp_path / "prey.csv"
-    own = prey(0.0)
-    np.savetxt(data, np.column_stack([own.t, own.x]), delimiter=",", header="t,x,y", comments="")
-    words = ("discover", data, "--json", "--quiet", "--method", "sindy", "--jobs", "1")
-    told = json.loads(run(*words, "--must", "x: x**2", "--must", "y: y").stdout)
-    assert "x**2" in told["equations"]["x"]
-    assert told["settings"]["must"] == ["x: x**2", "y: y"]
+    """--must, twice here, reaches the record and the equation."""
+    data = tmp_path / "logistic.csv"
+    dynsr.data.write_csv(logistic(), data)
+    words = ("discover", data, "--json", "--quiet", "--map", "--preset", "quick", "-j", "1")
+    told = json.loads(run(*words, "--must", "x: 1", "--must", "x: x").stdout)
+    assert missing_terms(parse(told["equations"]["x"]), [sympy.S.One, X]) == []
+    assert told["settings"]["must"] == ["x: 1", "x: x"]

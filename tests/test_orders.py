@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from command_line import run
 
 T = np.linspace(0, 10, 500)
+FEW = T[::2]
 
 
 def swing(noise=0.0, times=T):
@@ -31,14 +32,13 @@ def swing(noise=0.0, times=T):
     return run, (root * z).real, (root**2 * z).real
 
 
-@pytest.mark.parametrize("uneven", [False, True])
 @pytest.mark.parametrize(
-    ("noise", "velocity", "acceleration"),
-    [(0.0, 1e-5, 1e-3), (0.01, 0.03, 0.06), (0.05, 0.06, 0.1)],
+    ("uneven", "noise", "velocity", "acceleration"),
+    [(False, 0.0, 1e-5, 1e-3), (False, 0.01, 0.03, 0.06), (True, 0.05, 0.06, 0.1)],
 )
 def test_derivatives_of_a_known_swing(uneven, noise, velocity, acceleration):
     """First and second derivative are those in closed form, on even and uneven times."""
-    times = np.sort(np.random.default_rng(1).uniform(0, 10, 500)) if uneven and noise else T
+    times = np.sort(np.random.default_rng(1).uniform(0, 10, 500)) if uneven else T
     one, first, second = swing(noise, times)
     (wide,) = add_velocities([one], {"x": "v"})
     rows = np.searchsorted(times, wide.t)
@@ -50,14 +50,13 @@ def test_derivatives_of_a_known_swing(uneven, noise, velocity, acceleration):
     assert np.std(samples.y - second[rows]) < acceleration * np.std(second)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_an_oscillator_is_found_from_its_position(noise, tmp_path):
-    """x'' = -4 x - x'/5, as a system of first order and as one line."""
-    found = dynsr.discover(swing(noise)[0], order=2, preset="quick", jobs=1, method="sindy")
+def test_an_oscillator_is_found_from_its_position(tmp_path):
+    """x'' = -4 x - x'/5 comes out of noise, as a system of first order and as one line."""
+    found = dynsr.discover(swing(0.01, FEW)[0], order=2, preset="quick", jobs=1, method="sindy")
     assert list(found.equations) == ["x", "x_dot"]
     assert found.equations["x"] == sympy.Symbol("x_dot")
     assert str(found) in ("x'' = -4*x - 0.2*x'", "x'' = -4*x - x'/5")
-    # Noise of 0.01 on 500 rows leaves the stiffness sure to about 1e-3.
+    # Noise of 0.01 on 250 rows leaves the stiffness sure to about 1e-3.
     value, error = next(p for p in found.errors["x_dot"] if abs(p[0]) > 1)
     assert abs(value + 4) < 0.02 and error < 0.01
     again = type(found).load(found.save(tmp_path / "swing.json"))
@@ -66,9 +65,9 @@ def test_an_oscillator_is_found_from_its_position(noise, tmp_path):
 
 def test_of_two_states_one_may_be_of_second_order():
     """With order={"x": 2} a first-order column keeps its slopes and its place."""
-    one, _, _ = swing()
-    decay = np.exp(-0.3 * T)
-    both = Trajectory(T, np.column_stack([one.x[:, 0], decay]), ("x", "c"))
+    one, _, _ = swing(times=FEW)
+    decay = np.exp(-0.3 * FEW)
+    both = Trajectory(FEW, np.column_stack([one.x[:, 0], decay]), ("x", "c"))
     found = dynsr.discover(both, order={"x": 2}, preset="quick", jobs=1, method="sindy")
     assert list(found.equations) == ["x", "x_dot", "c"]
     assert str(found).splitlines()[1] in ("c' = -0.3*c", "c' = -3*c/10")
@@ -79,7 +78,12 @@ def test_of_two_states_one_may_be_of_second_order():
 def test_a_known_force_on_the_velocity_is_left_out():
     """known may speak of the velocity: only the rest is searched."""
     found = dynsr.discover(
-        swing()[0], order=2, known={"x_dot": "-4*x"}, preset="quick", jobs=1, method="sindy"
+        swing(times=FEW)[0],
+        order=2,
+        known={"x_dot": "-4*x"},
+        preset="quick",
+        jobs=1,
+        method="sindy",
     )
     x, v = sympy.symbols("x x_dot")
     rest = found.equations["x_dot"].subs({x: 0, v: 1})
@@ -88,9 +92,9 @@ def test_a_known_force_on_the_velocity_is_left_out():
 
 def test_the_time_is_a_variable_where_it_is_asked_for():
     """z' = cos t from z = sin t, clean and with noise."""
-    t = np.linspace(0, 20, 400)
+    t = np.linspace(0, 20, 150)
     for noise in (0.0, 0.01):
-        z = np.sin(t) + noise * np.random.default_rng(0).normal(size=400)
+        z = np.sin(t) + noise * np.random.default_rng(0).normal(size=150)
         run = Trajectory(t, z[:, None], ("z",))
         found = dynsr.discover(run, explicit_time=True, preset="quick", jobs=1, method="rational")
         assert str(found) == "z' = cos(t)"
@@ -100,7 +104,7 @@ def test_the_time_is_a_variable_where_it_is_asked_for():
 
 def test_the_time_is_no_variable_otherwise():
     """Without the switch the equation of z = sin t has no t."""
-    t = np.linspace(0, 20, 400)
+    t = np.linspace(0, 20, 150)
     without = dynsr.discover((t, np.sin(t)[:, None]), preset="quick", jobs=1, method="sindy")
     assert sympy.Symbol("t") not in without.equations.popitem()[1].free_symbols
 
@@ -142,7 +146,7 @@ def test_forms_survive_their_record_and_strange_ones_are_plain():
 
 def test_the_command_takes_orders(tmp_path):
     """--order x=2 finds the oscillator, prints x'', and --json has the first-order system."""
-    dynsr.data.write_csv(swing()[0], tmp_path / "swing.csv")
+    dynsr.data.write_csv(swing(times=FEW)[0], tmp_path / "swing.csv")
     words = (
         "discover",
         tmp_path / "swing.csv",
@@ -156,7 +160,7 @@ def test_the_command_takes_orders(tmp_path):
     done = run(*words, "--order", "x=2", "--json", "--out", tmp_path / "out")
     told = json.loads(done.stdout)
     assert set(told["equations"]) == {"x", "x_dot"} and told["kind"] == "flow"
-    assert told["text"][0].startswith("x'' = -4*x")
+    assert told["text"][0] in ("x'' = -4*x - 0.2*x'", "x'' = -4*x - x'/5")
     assert told["settings"]["velocities"] == {"x": "x_dot"}
     assert "--order x=2" in (tmp_path / "out" / "report.html").read_text()
 

@@ -31,9 +31,9 @@ TRUTHS = {
     "damped pendulum": {"q": "v", "v": "-0.2*v - 4*sin(q)"},
 }
 RUNS = {
-    "Lotka-Volterra": ((10.0, 5.0), 30.0, 150),
-    "SIR": ((0.98, 0.02), 40.0, 120),
-    "damped pendulum": ((2.5, 0.0), 15.0, 200),
+    "Lotka-Volterra": ((10.0, 5.0), 30.0, 80),
+    "SIR": ((0.98, 0.02), 40.0, 80),
+    "damped pendulum": ((2.5, 0.0), 15.0, 80),
 }
 SETTINGS = ComparisonSettings()
 
@@ -143,11 +143,10 @@ def test_rivals_are_other_functions():
     assert not any(choice.different(10.0).values())
 
 
-@pytest.mark.parametrize("name", TRUTHS)
-def test_clean_data_come_back_as_they_are(name):
+def test_clean_data_come_back_as_they_are():
     """Where there is no noise to speak of nothing is compared: equations come back, true or not."""
-    data = Measurements.of([clean(name)], {}, 2000)
-    wrong = {s: parse("1.5*" + s) for s in TRUTHS[name]}
+    data = Measurements.of([clean("SIR")], {}, 2000)
+    wrong = {s: parse("1.5*" + s) for s in TRUTHS["SIR"]}
     choice = compare_systems(wrong, {}, data, SETTINGS)
     assert choice.exprs == wrong and choice.fit is None
     assert not choice.explains(SETTINGS)
@@ -159,14 +158,9 @@ def test_an_equation_that_nothing_beats_comes_back_as_given():
     assert compare_systems(exprs, {}, measured("Lotka-Volterra"), SETTINGS).exprs == exprs
 
 
-@pytest.mark.parametrize(
-    "start",
-    ["0.06*q*v^2 - 0.1*v - 4.2*sin(q)", "-3.8*sin(q)", "0.4*q^3 - 3*q - 0.1*v"],
-    ids=["a term too many", "no damping", "a cubic"],
-)
-def test_a_wrong_neighbour_climbs_to_the_truth(start):
-    """From a formula beside it, with no pool at all, the damped pendulum is found."""
-    exprs = {"q": parse("v"), "v": parse(start)}
+def test_a_wrong_neighbour_climbs_to_the_truth():
+    """From a cubic in the place of the sine, with no pool at all, the damped pendulum is found."""
+    exprs = {"q": parse("v"), "v": parse("0.4*q^3 - 3*q - 0.1*v")}
     choice = compare_systems(exprs, {}, measured("damped pendulum"), SETTINGS)
     assert choice.exprs["q"] == parse("v")
     assert set(coefficients(choice.exprs["v"])) == {parse("v"), parse("sin(q)")}
@@ -222,10 +216,11 @@ def test_demands_are_obeyed():
     x, y = sympy.symbols("x y")
     asked = read_demands(("x", "y"), ("x", "y"), functions=[], constraints=["y: x*y = 0"])
     settings = ComparisonSettings(demands=asked)
-    own = {s: explore(s, measured(name), settings) for s in ("x", "y")}
-    assert all(x * y not in coefficients(e) for e in own["y"])
-    first = {s: pool[0] for s, pool in own.items()}
-    choice = compare_systems(first, own, measured(name), settings)
+    pool = explore("y", measured(name), settings)
+    assert all(x * y not in coefficients(e) for e in pool)
+    assert not any(e.atoms(sympy.Function) for e in pool)
+    first = {"x": parse(TRUTHS[name]["x"]), "y": pool[0]}
+    choice = compare_systems(first, {"y": pool[:4]}, measured(name), settings)
     assert x * y not in coefficients(choice.exprs["y"])
     assert not any(e.atoms(sympy.Function) for e in choice.exprs.values())
     fits = SystemComparison(measured(name).mesh(("x", "y")), settings)

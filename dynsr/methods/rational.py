@@ -177,12 +177,19 @@ class SubsetSearch:
             most = min(most, scores.shape[1])
             best = np.argpartition(scores, most - 1, axis=1)[:, :most]
             values = np.take_along_axis(scores, best, axis=1)
-            for row, column in zip(*np.nonzero(np.isfinite(values)), strict=True):
-                grown = chunk[row] | {int(best[row, column])}
-                pool.setdefault(grown, float(values[row, column]))
+            usable = np.isfinite(values)
+            parents = (chunk[row] for row in np.nonzero(usable)[0].tolist())
+            added = best[usable].tolist()
+            for parent, column, value in zip(parents, added, values[usable].tolist(), strict=True):
+                pool.setdefault(parent | {column}, value)
 
     def _best(self, pool: dict[Support, float]) -> dict[Support, float]:
-        ordered = sorted(pool.items(), key=lambda item: (item[1], sorted(item[0])))
+        items = list(pool.items())
+        if len(items) > self.width:
+            # Most are far from the best: the order among them, dear to find, does not matter.
+            worst = np.partition([value for _, value in items], self.width - 1)[self.width - 1]
+            items = [item for item in items if item[1] <= worst]
+        ordered = sorted(items, key=lambda item: (item[1], sorted(item[0])))
         return dict(ordered[: self.width])
 
     def _swap(self, pool: dict[Support, float]) -> dict[Support, float]:
