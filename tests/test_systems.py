@@ -20,7 +20,13 @@ from dynsr.selection import (
     explore,
     other_in_halves,
 )
-from dynsr.selection.changes import drop_least, promising_changes, swap_everywhere, toggle_factors
+from dynsr.selection.changes import (
+    drop_least,
+    promising_changes,
+    prune,
+    swap_everywhere,
+    toggle_factors,
+)
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.systems import _prefer_reproducing as prefer_reproducing
 from dynsr.selection.systems import distinct_shapes, integrate
@@ -182,6 +188,16 @@ def test_what_the_misses_feel_least_is_dropped_first():
     comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
     fit = comparison.fit({"S": parse("-0.4*S*J + 0.01*J^3"), "J": parse("0.4*S*J - 0.1*J")})
     assert set(coefficients(drop_least(fit, "S"))) == {parse("S*J")}
+
+
+def test_a_line_below_which_nothing_changes_goes():
+    """The law above 1 + 0.0001 J is the law itself in another guise, with a constant too many."""
+    comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
+    fit = comparison.fit(
+        {"S": parse("-0.4*S*J"), "J": parse("(4000.0*S*J - 1000.0*J)/(J + 10000.0)")}
+    )
+    pruned = prune(comparison, fit, "J").exprs["J"]
+    assert set(coefficients(pruned)) == {parse("S*J"), parse("J")}
 
 
 def test_bits_are_those_of_the_information_criterion():

@@ -396,9 +396,9 @@ class Live:
         pick = getattr(record, "pick", None)
         if pick is not None:
             self._chosen[pick.state] = ParetoFront([pick.candidate])
-        elif isinstance(getattr(record, "front", None), ParetoFront):
+        elif isinstance(getattr(record, "lead", None), ParetoFront):
             known = self._fronts.get(record.target, ParetoFront())
-            self._fronts[record.target] = known.merge(record.front)
+            self._fronts[record.target] = known.merge(record.lead)
 
     def _show(self, state: str, front: ParetoFront) -> dict[str, str]:
         knee = front.knee

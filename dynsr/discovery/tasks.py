@@ -93,9 +93,14 @@ class Found:
         return ParetoFront(self.candidates)
 
     @property
+    def lead(self) -> ParetoFront:
+        """What to show of it: the law alone where it is final, else the front."""
+        return ParetoFront(self.candidates[:1]) if self.final else self.front
+
+    @property
     def summary(self) -> str:
         """The best of them in a few words."""
-        return f"failed: {self.error}" if self.error else best_equation(self.front)
+        return f"failed: {self.error}" if self.error else best_equation(self.lead)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from dynsr.fit import (
     shift_bits,
     skeleton,
     structure_bits,
+    without_flat_line,
 )
 from dynsr.selection.comparison import SystemComparison, SystemFit
 from dynsr.selection.terms import Terms, citing_bits, term_bodies
@@ -159,6 +160,8 @@ def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
 def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit:
     """Take terms out of one equation, that expected to be missed least first, while bits fall.
 
+    A fraction line below which hardly anything changes goes before all.
+
     Parameters
     ----------
     comparison : fits the systems.
@@ -166,11 +169,19 @@ def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit
     state : whose equation loses terms.
     """
     while True:
-        shorter = drop_least(fit, state)
+        shorter = _without_line(comparison, fit, state) or drop_least(fit, state)
         less = shorter and comparison.fit({**fit.exprs, state: shorter}, fit)
         if less is None or less.bits >= fit.bits:
             return fit
         fit = less
+
+
+def _without_line(comparison: SystemComparison, fit: SystemFit, state: str) -> sympy.Expr | None:
+    if not sympy.fraction(fit.exprs[state])[1].is_Add:
+        return None
+    points = fit.problem.points(fit.fit.states, fit.fit.constants)
+    columns = dict(zip([*comparison.names, "t"], points, strict=True))
+    return without_flat_line(fit.exprs[state], columns)
 
 
 def _join(move: _Move, more: _Move) -> _Move:

@@ -30,8 +30,10 @@ if os.environ.get("FAKE_JULIA_START") == "no julia":
     # As juliacall does where the program's answer is not that of a Julia.
     raise ValueError("not enough values to unpack (expected 2, got 1)")
 if os.environ.get("FAKE_JULIA_START") == "slow":
+    # Julia itself takes far longer before it says anything.
+    time.sleep(0.3)
     print("[ Info: Precompiling Symbolics [0c5d862f]", file=sys.stderr, flush=True)
-    time.sleep(1.5)
+    time.sleep(1.0)
 
 
 class JuliaError(Exception):
