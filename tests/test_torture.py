@@ -27,7 +27,7 @@ def test_ten_discoveries_that_are_ended_end_in_the_same_result(tmp_path):
     assert spec is not None and spec.loader is not None
     script = sys.modules["torture"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
-    counts = {"parent": 4, "worker": 3, "interrupt": 2, "terminate": 1}
+    counts = {"parent": 5, "worker": 2, "interrupt": 2, "terminate": 1}
     with script.warmed() as warm:
         tally = script.torture(counts, 30, script.Work(tmp_path, SEARCH, 1, warm))
     assert tally.trials == counts
