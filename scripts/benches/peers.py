@@ -326,13 +326,17 @@ def show_aifeynman() -> str:
     if reason:
         return f"aifeynman 2.0.7 was not measured: {reason}.\n"
     rows = []
+    # Its brute force is programs of its own, which it looks for on the path.
+    near = {**os.environ, "PATH": f"{OLD / 'bin'}{os.pathsep}{os.environ['PATH']}"}
     for system, target, samples, truth in problems():
         with tempfile.TemporaryDirectory() as folder:
             np.savetxt(Path(folder) / "data.txt", np.column_stack([samples.X, samples.y]))
             began, ended = time.perf_counter(), "by itself"
             command = [OLD / "bin" / "python", "-W", "ignore", "-c", AIFEYNMAN, f"{folder}/"]
             try:
-                subprocess.run(command, cwd=folder, capture_output=True, check=False, timeout=CAP)
+                subprocess.run(
+                    command, cwd=folder, capture_output=True, check=False, timeout=CAP, env=near
+                )
             except subprocess.TimeoutExpired:
                 ended = f"after {CAP:g} s"
             seconds = time.perf_counter() - began
