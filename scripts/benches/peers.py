@@ -363,15 +363,6 @@ def read_solutions(folder: Path, names: Sequence[str]) -> list[Any]:
     return found
 
 
-def write_page(page: Path, text: str) -> None:
-    """Put the tables between the marks of a page."""
-    before, mark, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (mark and end):
-        raise SystemExit(f"error: {page} lacks the marks {BEGIN.strip()} and {END.strip()}")
-    page.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
-
-
 def main() -> None:
     """Make the environment, go into it, run, print and write."""
     options = read_options()
@@ -391,7 +382,9 @@ def main() -> None:
     (options.out / "peers.md").write_text(text, encoding="utf-8")
     (options.out / "notes.json").write_text(json.dumps(notes), encoding="utf-8")
     if options.page is not None:
-        write_page(options.page, text)
+        from zoo import write_page
+
+        write_page(options.page, text, (BEGIN, END))
     print(text)
 
 
