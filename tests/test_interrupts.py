@@ -90,8 +90,10 @@ def test_ctrl_c_after_the_command_ends_it_without_a_word() -> None:
         "from dynsr.cli import main\n"
         "sys.argv = ['dynsr', '--version']\n"
         "threading.Thread(target=time.sleep, args=(60,)).start()\n"
-        "threading.Timer(0.2, print, ('waiting',), {'flush': True}).start()\n"
-        "main()\n"
+        "try:\n"
+        "    main()\n"
+        "finally:\n"
+        "    print('waiting', flush=True)\n"
     )
     with subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
