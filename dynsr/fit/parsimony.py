@@ -81,6 +81,9 @@ def without_flat_line(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> sy
     >>> without_flat_line((4000.0 * x**2 + 2000.0) / (x + 2000.0), {"x": np.array([0.5, 1.5])})
     1.99900049975012*x**2 + 0.999500249875062
     """
+    # Most formulas are no ratios, and bringing a long sum under one line is dear.
+    if not any(power.exp.could_extract_minus_sign() for power in expr.atoms(sympy.Pow)):
+        return None
     top, bottom = sympy.fraction(sympy.together(expr))
     if not bottom.is_Add or not bottom.free_symbols:
         return None
