@@ -28,7 +28,7 @@ _LONGEST_HEAD = 1 << 24
 _LINE_END = re.compile(r"\r\n|\n|\r")
 _HEAD_ROWS = 200
 # A name of a column that no reader takes for a number, a truth value or a missing one.
-_NAME = re.compile(r"(?i)(?!(?:na|nan|null|none|inf|infinity|true|false)(?![^,]))[A-Za-z_]\w*")
+_NAME = re.compile(r"(?i)(?!(?:na|nan|null|none|inf|infinity|true|false)$)[A-Za-z_]\w*")
 _PLAIN_BYTES = 1 << 22
 # In order of preference where several read the sample equally well.
 _DELIMITERS = ("\t", ";", "|", ",", r"\s+")
