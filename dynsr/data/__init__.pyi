@@ -12,7 +12,7 @@ from .reading import (
     write_csv,
 )
 from .samples import SCHEMES, Samples, join_samples, make_samples
-from .slopes import SMOOTHERS, SlopeSettings, choose_samples
+from .slopes import SMOOTHERS, SlopeSettings, choose_samples, smooth_column
 from .smoothing import SmoothedTrajectory, estimate_noise, smooth
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .times import check_time_unit
@@ -67,6 +67,7 @@ __all__ = [
     "robust_scale",
     "sample_input",
     "smooth",
+    "smooth_column",
     "split_held_back",
     "take_trajectories",
     "weak_form",

@@ -54,6 +54,7 @@ from dynsr.methods import (
     Demands,
 )
 from dynsr.selection import (
+    FollowerSettings,
     Pick,
     SelectionSettings,
     SystemChoice,
@@ -75,6 +76,7 @@ class DiscoverySettings:
     selection : how one equation a state is chosen, constants are fitted and systems compared.
     shares : how the steps share a time budget, where there is one.
     verdict : when equations are a law, an approximation, or not found.
+    followers : how sums of terms are chosen for their integration where no law is found.
 
     >>> DiscoverySettings(rows=2000).selection.compared
     5
@@ -85,6 +87,7 @@ class DiscoverySettings:
     selection: SelectionSettings = SelectionSettings()
     shares: Shares = Shares()
     verdict: VerdictSettings = VerdictSettings()
+    followers: FollowerSettings = FollowerSettings()
 
     def without_snapping(self) -> DiscoverySettings:
         """Give the same settings for constants that stay as fitted."""

@@ -25,6 +25,7 @@ from dynsr.discovery.asking import (
     searched_states,
     settle,
 )
+from dynsr.discovery.last_resort import follow_anyway
 from dynsr.discovery.maps import ENGINES
 from dynsr.discovery.orders import Order, read_form
 from dynsr.discovery.prediction import name_engines
@@ -59,7 +60,7 @@ from dynsr.discovery.tasks import (
     tasks_of,
     with_bits,
 )
-from dynsr.discovery.verdict import LAW, explain
+from dynsr.discovery.verdict import LAW, Verdict, explain
 from dynsr.discovery.watching import with_progress
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle, share_engine
 from dynsr.errors import InputError
@@ -78,6 +79,7 @@ from dynsr.jobs import (
     Watch,
     check_jobs,
     fingerprint,
+    finish_by,
     run_tasks,
     to_plain,
 )
@@ -313,6 +315,8 @@ def discover(
     record["engines"] |= ENGINES if discrete else {}
     settled = None if demands.conserved else found.verdict
     verdict = settled or problem.judge(found, rivals)
+    if settled is None:
+        found, verdict = _follow(problem, found, verdict, record)
     return replace(
         found,
         verdict=verdict,
@@ -328,6 +332,21 @@ def discover(
         settings=record,
         seconds=monotonic() - began,
     )
+
+
+def _follow(
+    problem: Problem, found: Discovery, verdict: Verdict, record: dict[str, Any]
+) -> tuple[Discovery, Verdict]:
+    """Take equations that keep closer to the data where those found part from them."""
+    other, cut = finish_by(
+        problem.budget.until(1.0), lambda: follow_anyway(problem, found, verdict), lambda: None
+    )
+    if cut:
+        record["ended_by_budget"] = [*record.get("ended_by_budget", ()), "following"]
+    if other is None:
+        return found, verdict
+    record["followed_anyway"] = True
+    return other
 
 
 def _choose_targets(targets: str | Sequence[str], run: Trajectory) -> tuple[str, ...]:

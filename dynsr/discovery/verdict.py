@@ -90,6 +90,8 @@ class VerdictSettings:
 JUDGE = VerdictSettings()
 # Causes of what looks like noise between neighbouring rows and is none.
 _JUMPING = ("map", "sampling too coarse")
+# Of more terms that the data are not sure of, the first are named.
+_NAMED = 5
 # Causes that the same data may have, of which all are said.
 _ALIKE = ("second order", "time dependence", "missing state")
 
@@ -219,9 +221,7 @@ def _judge(
     followed = bench.follow_longest()
     crossed = None if followed.finite else bench.cross_layers()
     if crossed is not None:
-        level = max((own.level for own in crossed.values()), key=LEVELS.index)
-        span = float(max(np.ptp(run.t) for run in bench.course.runs))
-        return Verdict(level, _summarise(level, crossed), crossed, span)
+        return summarise(crossed, float(max(np.ptp(run.t) for run in bench.course.runs)))
     evidence = bench.gather(followed) if followed.finite else None
     close = rivals or {}
     if rivals is None and evidence is not None and front:
@@ -230,9 +230,7 @@ def _judge(
         state: bench.judge_state(place, followed, evidence, close.get(state, ()), causes.get(state))
         for place, state in enumerate(bench.equations)
     }
-    states = _doubt_beside(states, bench.equations)
-    level = max((own.level for own in states.values()), key=LEVELS.index)
-    return Verdict(level, _summarise(level, states), states, bench.span(followed))
+    return summarise(_doubt_beside(states, bench.equations), bench.span(followed))
 
 
 def _doubt_beside(
@@ -522,10 +520,7 @@ class _Bench:
 
     def _because(self, state: str, cause: str | None) -> str:
         """Give the likeliest cause, by default what the data themselves tell."""
-        if cause is None:
-            told = diagnose(self.course.runs, state)
-            alike = [c for c in told if told[0].kind in _ALIKE and c.kind in _ALIKE][:2]
-            cause = " ".join(c.sentence for c in alike or told[:1])
+        cause = likely_cause(self.course.runs, state) if cause is None else cause
         return f" {cause}" if cause else ""
 
     def _rests(self, place: int) -> bool:
@@ -583,7 +578,8 @@ class _Bench:
             doubts.append(f"a forecast of the last {settings.held_back:.0%} of the data {by}")
         unsure = [t.term for t in found.terms if t.ratio < settings.sure]
         if unsure:
-            doubts.append(f"the data are not sure of {_join(unsure)}")
+            some = unsure if len(unsure) <= _NAMED else [*unsure[: _NAMED - 1], "others"]
+            doubts.append(f"the data are not sure of {_join(some)}")
         near = [r for r in found.rivals if r.bits < settings.rival_bits]
         if near and near[0].bits < -settings.rival_bits:
             doubts.append(f"{near[0].equation} follows them better")
@@ -670,6 +666,23 @@ class _Bench:
         )
 
 
+def likely_cause(runs: Sequence[Trajectory], state: str) -> str:
+    """Say what the data themselves tell of why an equation is not found; "" for nothing.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    state : whose equation it is.
+
+    >>> t = np.linspace(0, 20, 400)
+    >>> likely_cause([Trajectory(t, np.sin(t)[:, None], ("z",))], "z")[:21]
+    'z looks second-order:'
+    """
+    told = diagnose(runs, state)
+    alike = [c for c in told if told[0].kind in _ALIKE and c.kind in _ALIKE][:2]
+    return " ".join(c.sentence for c in alike or told[:1])
+
+
 def has_stand_in(expr: sympy.Expr) -> bool:
     """Whether a formula has a function that stands for many others over a short range.
 
@@ -713,7 +726,22 @@ def explain(state: str, expr: sympy.Expr, verdict: StateVerdict, discrete: bool 
     return f"{said} The next different formula, {other}, follows the data clearly worse."
 
 
-def _summarise(level: str, states: Mapping[str, StateVerdict]) -> str:
+def summarise(states: Mapping[str, StateVerdict], span: float) -> Verdict:
+    """Give the verdict of a system: that of its weakest state.
+
+    Parameters
+    ----------
+    states : state -> its own verdict.
+    span : time over which the equations were followed at a stretch.
+
+    >>> summarise({"x": StateVerdict("not found", "it diverges.", -1.0)}, 2.0).reason
+    'x: it diverges.'
+    """
+    level = max((own.level for own in states.values()), key=LEVELS.index)
+    return Verdict(level, _say(level, states), dict(states), span)
+
+
+def _say(level: str, states: Mapping[str, StateVerdict]) -> str:
     weak = [state for state, own in states.items() if own.level == level]
     if level == LAW:
         return "every equation reproduces and forecasts the data within their noise."

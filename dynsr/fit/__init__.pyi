@@ -6,6 +6,7 @@ from .collocation import (
     Linearised,
     Measurements,
     Mesh,
+    fit_along,
 )
 from .constants import free_constants, refit, skeleton
 from .description import (
@@ -19,7 +20,7 @@ from .description import (
     structure_bits,
 )
 from .exact import confirm, simplest_form
-from .flow import Flow, Windows, cut_windows
+from .flow import Flow, Windows, cut_windows, runge_kutta_step
 from .forced import missing_terms
 from .linear import (
     RatioFit,
@@ -41,7 +42,7 @@ from .noise import (
     slope_size,
 )
 from .parsimony import collapse, without_flat_line
-from .polishing import polish
+from .polishing import polish, untouched_match
 from .settings import FitSettings
 from .shooting import (
     Match,
@@ -89,6 +90,7 @@ __all__ = [
     "description_length",
     "drives_of",
     "eliminate",
+    "fit_along",
     "fit_ratio",
     "fit_robustly",
     "free_constants",
@@ -114,6 +116,7 @@ __all__ = [
     "refit",
     "residual_noise",
     "rmse",
+    "runge_kutta_step",
     "score_candidate",
     "score_snapped",
     "shift_bits",
@@ -124,6 +127,7 @@ __all__ = [
     "snap_best",
     "structure_bits",
     "tidy",
+    "untouched_match",
     "with_floats",
     "without_flat_line",
 ]

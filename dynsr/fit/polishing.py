@@ -129,7 +129,7 @@ def _polish_noisy(
         alone = [_polish_noisy({s: e}, runs, inputs, settings) for s, e in exprs.items()]
         return _together(alone)
     if fit is None:
-        return _unfollowed(exprs, runs, inputs, settings)
+        return untouched_match(exprs, runs, inputs, settings)
     fit = _drop_terms(fit, runs, inputs, settings)
     numbers: list[sympy.Expr] = as_floats(fit.constants)
     if settings.snap:
@@ -143,7 +143,7 @@ def _polish_noisy(
     if not settings.snap and len(fitted) == len(values):
         final, values = free.put(as_floats(fitted)), fitted.tolist()
     if len(fitted) != len(values):
-        return _unfollowed(final, runs, inputs, settings)
+        return untouched_match(final, runs, inputs, settings)
     pairs = list(zip(owners, values, errors.tolist(), fitted.tolist(), strict=True))
     return Match(
         final,
@@ -179,13 +179,21 @@ def _together(alone: Sequence[Match]) -> Match:
     )
 
 
-def _unfollowed(
+def untouched_match(
     exprs: Mapping[str, sympy.Expr],
     runs: Data,
     inputs: Mapping[str, sympy.Expr],
-    settings: FitSettings,
+    settings: FitSettings = FIT,
 ) -> Match:
-    """Equations that cannot follow the states stay as they came."""
+    """Give equations as they came, with the standard errors that their constants would have.
+
+    Parameters
+    ----------
+    exprs : state -> right-hand side.
+    runs : trajectories, or the noisy states with their smoothed curves.
+    inputs : input name -> expression in ``t``, where it is known.
+    settings : the numbers that decide.
+    """
     final = {s: tidy(_round_floats(e)) for s, e in exprs.items()}
     errors = measure_errors(_loosen_all(final), _plain(runs), inputs, settings)
     fitted = {s: tuple(value for value, _ in pairs) for s, pairs in errors.items()}

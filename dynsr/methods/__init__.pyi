@@ -3,7 +3,7 @@ from .base import AbstractMethod, Progress, Report, silent
 from .demands import Constraints, Demands, Must, read_demands
 from .feynman.search import DynAIFeynman
 from .genetic import GeneticAlgorithm
-from .library import Library, MonomialLibrary
+from .library import Library, MonomialLibrary, polynomials, trigonometrics
 from .limits import Limits
 from .rational import RationalSearch
 from .registry import (
@@ -46,6 +46,8 @@ __all__ = [
     "find_method",
     "fit_quadratics",
     "make_method",
+    "polynomials",
     "read_demands",
     "silent",
+    "trigonometrics",
 ]

@@ -1,5 +1,6 @@
 from .comparison import ComparisonSettings
 from .first_look import Look, LookSettings, look
+from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
     Pick,
     SelectionSettings,
@@ -14,14 +15,18 @@ from .systems import SystemChoice, compare_systems, explore, other_in_halves
 
 __all__ = [
     "ComparisonSettings",
+    "Follower",
+    "FollowerSettings",
     "Look",
     "LookSettings",
     "Pick",
     "SelectionSettings",
     "SystemChoice",
+    "Trail",
     "compare_systems",
     "explains_all",
     "explore",
+    "find_followers",
     "forecast_miss",
     "lead_with",
     "look",

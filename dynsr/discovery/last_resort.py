@@ -1,0 +1,181 @@
+"""Last resort: where no law was found, the equations whose integration keeps closest to the data.
+
+What slopes and bits prefer may go elsewhere when it is integrated. Then the most accurate formulas
+of every front and sums of terms chosen for their integration compete by the share of the states
+that they explain. Causes that were found, such as a missing state, stay in the verdict.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+import sympy
+
+from dynsr.data import diagnose
+from dynsr.discovery.problem import Problem
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.verdict import (
+    APPROXIMATION,
+    LAW,
+    LEVELS,
+    NOT_FOUND,
+    Verdict,
+    likely_cause,
+    summarise,
+)
+from dynsr.fit import Match, fit_along, score_candidate, untouched_match
+from dynsr.selection import Follower, Trail, find_followers
+
+# Systems of the most accurate formulas of every front that are integrated.
+_MOST = 4
+# Followers whose constants are fitted to the noisy states.
+_FITTED = 2
+# Digits that constants are written with, and the share of the misses that this may add.
+_DIGITS, _ROUNDING = (3, 4, 6), 0.02
+SOURCE = "sums that follow"
+
+
+def follow_anyway(
+    problem: Problem, found: Discovery, verdict: Verdict
+) -> tuple[Discovery, Verdict] | None:
+    """Give equations that keep closer to the data than those found; None where there are none.
+
+    Parameters
+    ----------
+    problem : the data and what is given of their equations.
+    found : what was found.
+    verdict : what is thought of it.
+    """
+    runs = problem.runs
+    if verdict.level == LAW or problem.form.discrete or problem.known or min(map(len, runs)) < 5:
+        return None
+    trail = _make_trail(problem, tuple(found.equations))
+    followed = verdict.level != NOT_FOUND and verdict.span >= max(np.ptp(run.t) for run in runs)
+    least = problem.settings.verdict.r2
+    if followed or _follow(trail, found.equations).r2 > least or _jumps(problem):
+        return None
+    best = _best(problem, found, trail)
+    if best is None or best.r2 <= least:
+        return None
+    best = _rounded(best, trail)
+    match = untouched_match(best.exprs, runs, problem.inputs, problem.settings.selection.fit)
+    changed = _put(problem, found, match)
+    judged = _approximate(problem.judge(changed, None), trail, match.exprs, least)
+    if LEVELS.index(judged.level) > LEVELS.index(verdict.level):
+        return None
+    return changed, judged
+
+
+def _make_trail(problem: Problem, states: tuple[str, ...]) -> Trail:
+    data = problem.measurements
+    smoothed = None if data is None or len(data.runs) != len(problem.runs) else data.smoothed
+    return Trail(problem.runs, problem.inputs, states, smoothed, problem.settings.followers)
+
+
+def _jumps(problem: Problem) -> bool:
+    """Whether the data are those of a map, which slopes have nothing to say of."""
+    states = problem.runs[0].states
+    return any(c.kind == "map" for state in states for c in diagnose(problem.runs, state))
+
+
+def _best(problem: Problem, found: Discovery, trail: Trail) -> Follower | None:
+    """Give the shortest of the systems that follow the data about best."""
+    given, demands = problem.form.known, problem.demands
+    pool = find_followers(trail, demands, given, problem.form.explicit_time)
+    pool += [_follow(trail, e) for e in _accurate(found, given) if demands.keep_all(e)]
+    likely = sorted(pool, key=lambda f: -f.r2)[:_FITTED]
+    pool += [_follow(trail, e) for e in _fit(problem, likely)]
+    pool = [f for f in pool if all(problem.is_allowed(s, e) for s, e in f.exprs.items())]
+    if not pool:
+        return None
+    most = max(f.r2 for f in pool)
+    near = [f for f in pool if f.r2 >= most - trail.settings.tie]
+    return min(near, key=lambda f: (f.terms, -f.r2))
+
+
+def _accurate(found: Discovery, given: Mapping[str, sympy.Expr]) -> Iterator[dict[str, sympy.Expr]]:
+    """Give the systems of the most accurate formulas, the second most accurate, and so on."""
+    fronts = {s: [c.expr for c in found.front.get(s, ())][::-1] for s in found.equations}
+    for place in range(min(_MOST, max(map(len, fronts.values()), default=0))):
+        yield {
+            s: given[s] if s in given else own[min(place, len(own) - 1)] if own else expr
+            for (s, own), expr in zip(fronts.items(), found.equations.values(), strict=True)
+        }
+
+
+def _fit(problem: Problem, pool: list[Follower]) -> Iterator[dict[str, sympy.Expr]]:
+    """Fit the constants of systems to the noisy states."""
+    data = problem.measurements
+    for follower in pool if data is not None else ():
+        assert data is not None
+        fitted = fit_along(follower.exprs, data)
+        if fitted is not None:
+            yield fitted.found.exprs
+
+
+def _put(problem: Problem, found: Discovery, match: Match) -> Discovery:
+    """Put other equations in the place of those found, and on their fronts."""
+    front, explanation = dict(found.front), dict(found.explanation)
+    for state, expr in match.exprs.items():
+        if state in problem.form.known:
+            continue
+        samples = problem.samples(state, problem.runs)
+        front[state] = front[state].add(score_candidate(expr, samples, SOURCE))
+        explanation[state] = (
+            " No law was found; of the formulas found and of many sums of terms, this one keeps "
+            "closest to the data when it is integrated."
+        )
+    return replace(
+        found,
+        equations=match.exprs,
+        errors=match.errors,
+        fitted=match.fitted,
+        reach=match.reach,
+        front=front,
+        explanation=explanation,
+        details={},
+    )
+
+
+def _follow(trail: Trail, exprs: Mapping[str, sympy.Expr]) -> Follower:
+    return Follower(dict(exprs), float(np.mean(trail.r2(exprs))))
+
+
+def _rounded(follower: Follower, trail: Trail) -> Follower:
+    """Write constants with as few digits as keep to the data as closely."""
+    for digits in _DIGITS:
+        short = {
+            s: e.xreplace({a: sympy.Float(f"{float(a):.{digits}g}") for a in e.atoms(sympy.Float)})
+            for s, e in follower.exprs.items()
+        }
+        other = _follow(trail, short)
+        if other.r2 >= follower.r2 - _ROUNDING * (1 - follower.r2):
+            return other
+    return follower
+
+
+def _approximate(
+    verdict: Verdict, trail: Trail, exprs: Mapping[str, sympy.Expr], least: float
+) -> Verdict:
+    """Take what was chosen for how far it follows noisy data, and does, for an approximation.
+
+    A fit of the starts may end elsewhere, and forms that compete by their integration alone are as
+    many as the noise has shapes.
+    """
+    r2 = dict(zip(trail.states, trail.r2(exprs).tolist(), strict=True))
+    states = {}
+    for state, own in verdict.states.items():
+        found = own
+        if own.level == LAW and trail.smoothed is not None:
+            why = "follows the data within their noise, but its terms were chosen for that alone."
+            found = replace(own, level=APPROXIMATION, reason=why)
+        if own.level == NOT_FOUND and r2[state] > max(least, own.r2):
+            missed = 100 * math.sqrt(1 - r2[state])
+            why = f"follows the data to {missed:.2g} % of the spread, and was chosen for that."
+            why = f"{why} {likely_cause(trail.runs, state)}".strip()
+            found = replace(own, level=APPROXIMATION, reason=why, r2=round(r2[state], 6))
+        states[state] = found
+    return summarise(states, verdict.span)

@@ -1,0 +1,100 @@
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from test_followers import explained, integrate, measure
+
+from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.last_resort import SOURCE, follow_anyway
+from dynsr.discovery.orders import Form
+from dynsr.discovery.problem import DISCOVERY, Problem
+from dynsr.discovery.result import Discovery
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import ParetoFront
+from dynsr.jobs.budget import Budget
+from dynsr.methods.demands import read_demands
+
+WRONG = {"x": parse("-0.1*x"), "y": parse("0.1*x")}
+
+
+def pose(run, **asked):
+    """Give the problem of one run, with what is asked of its equations."""
+    demands = read_demands(run.states, run.names, **asked)
+    return Problem([run], {}, "auto", {}, {}, Form(), DISCOVERY, demands, Budget(None))
+
+
+def give_up(problem, equations):
+    """Give a discovery of these equations, and what is thought of it."""
+    fronts = {s: ParetoFront([]) for s in equations}
+    found = Discovery(dict(equations), dict.fromkeys(equations, ()), fronts, {})
+    return found, problem.judge(found, None)
+
+
+@pytest.fixture(scope="module")
+def prey():
+    """Predators that are sated, over four turns: no sum of a few terms is their law."""
+    return measure()
+
+
+@pytest.fixture(scope="module")
+def followed(prey):
+    """What is given instead of wrong equations, and what is thought of it."""
+    problem = pose(prey)
+    found, verdict = give_up(problem, WRONG)
+    assert verdict.level == "not found"
+    return follow_anyway(problem, found, verdict)
+
+
+def test_what_was_not_found_gives_way_to_what_follows(prey, followed):
+    """Equations that part from the data are replaced by some that SciPy follows them with to an
+    R2 above 0.95; they are called an approximation, are on the fronts, and say why.
+    """
+    changed, judged = followed
+    again = integrate(changed.equations, prey.x[0], prey.t)
+    assert explained(prey.x, again) > 0.95
+    assert judged.level == "approximation"
+    for state, expr in changed.equations.items():
+        assert "closest to the data when it is integrated" in changed.explanation[state]
+        assert SOURCE in {c.source for c in changed.front[state].leaders}
+        assert len(changed.errors[state]) == len(expr.atoms(type(parse("0.5"))))
+
+
+def test_a_law_stays(prey):
+    """The law itself is not given up for a longer sum."""
+    law = {"x": parse("x*(1 - x/4) - x*y/(1 + x)"), "y": parse("x*y/(1 + x) - 0.5*y")}
+    problem = pose(prey)
+    found, verdict = give_up(problem, law)
+    assert verdict.level == "law"
+    assert follow_anyway(problem, found, verdict) is None
+
+
+def test_what_follows_keeps_to_the_demands(prey, followed):
+    """Where x' may not hold x*y, what is given instead does without; else it holds that."""
+    problem = pose(prey, constraints={"x": {"x*y": 0}}, functions=[])
+    changed, _ = follow_anyway(problem, *give_up(problem, WRONG))
+    assert problem.demands.keep_all(changed.equations)
+    assert not problem.demands.keep_all(followed[0].equations)
+
+
+def test_a_map_is_not_followed_as_a_motion():
+    """Rows of a logistic map are no motion: nothing is integrated through them."""
+    x = [0.3]
+    for _ in range(60):
+        x.append(3.8 * x[-1] * (1 - x[-1]))
+    run = Trajectory(np.arange(61.0), np.array(x)[:, None], ("x",))
+    problem = pose(run)
+    assert follow_anyway(problem, *give_up(problem, {"x": parse("0")})) is None
+
+
+def test_noisy_data_have_no_law_by_following_alone(prey):
+    """In noise what was chosen for its integration is an approximation at most."""
+    noise = np.random.default_rng(1).standard_normal(prey.x.shape)
+    noisy = Trajectory(prey.t, prey.x + 0.02 * prey.x.std(axis=0) * noise, prey.states)
+    noisy = noisy.select(slice(None, None, 2))
+    problem = pose(noisy)
+    changed, judged = follow_anyway(problem, *give_up(problem, WRONG))
+    assert judged.level == "approximation"
+    assert explained(prey.x, integrate(changed.equations, prey.x[0], prey.t)) > 0.9
