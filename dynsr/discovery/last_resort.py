@@ -23,6 +23,7 @@ from dynsr.discovery.verdict import (
     LEVELS,
     NOT_FOUND,
     Verdict,
+    least_r2,
     likely_cause,
     summarise,
 )
@@ -54,11 +55,13 @@ def follow_anyway(
         return None
     trail = _make_trail(problem, tuple(found.equations))
     followed = verdict.level != NOT_FOUND and verdict.span >= max(np.ptp(run.t) for run in runs)
-    least = problem.settings.verdict.r2
-    if followed or _follow(trail, found.equations).r2 > least or _jumps(problem):
+    noise = {s: own.noise for s, own in verdict.states.items()}
+    least = {s: least_r2(noise[s], problem.settings.verdict) for s in trail.states}
+    enough = float(np.mean(list(least.values())))
+    if followed or _follow(trail, found.equations).r2 > enough or _jumps(problem):
         return None
     best = _best(problem, found, trail)
-    if best is None or best.r2 <= least:
+    if best is None or best.r2 <= enough:
         return None
     best = _rounded(best, trail)
     match = untouched_match(best.exprs, runs, problem.inputs, problem.settings.selection.fit)
@@ -158,7 +161,10 @@ def _rounded(follower: Follower, trail: Trail) -> Follower:
 
 
 def _approximate(
-    verdict: Verdict, trail: Trail, exprs: Mapping[str, sympy.Expr], least: float
+    verdict: Verdict,
+    trail: Trail,
+    exprs: Mapping[str, sympy.Expr],
+    least: Mapping[str, float],
 ) -> Verdict:
     """Take what was chosen for how far it follows noisy data, and does, for an approximation.
 
@@ -172,7 +178,7 @@ def _approximate(
         if own.level == LAW and trail.smoothed is not None:
             why = "follows the data within their noise, but its terms were chosen for that alone."
             found = replace(own, level=APPROXIMATION, reason=why)
-        if own.level == NOT_FOUND and r2[state] > max(least, own.r2):
+        if own.level == NOT_FOUND and r2[state] > max(least[state], own.r2):
             missed = 100 * math.sqrt(1 - r2[state])
             why = f"follows the data to {missed:.2g} % of the spread, and was chosen for that."
             why = f"{why} {likely_cause(trail.runs, state)}".strip()

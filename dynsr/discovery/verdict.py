@@ -40,7 +40,8 @@ class VerdictSettings:
 
     Parameters
     ----------
-    r2 : share of a state's variance that an approximation explains at least.
+    r2 : share of a state's variance, less that of its noise, that an approximation explains at
+        least.
     finest : share of a state's spread that its noise is never thought below.
     exact : noise, as a share of the spread, below which data are clean, as solvers write them.
     solver : share of the spread by which solvers of low accuracy are off over a whole run; what
@@ -504,7 +505,7 @@ class _Bench:
             )
         if expr == 0 and self._rests(place):
             return replace(found, level=LAW, reason=f"{state} does not change.")
-        lacking = self._lacking(state, expr, r2, evidence)
+        lacking = self._lacking(place, expr, r2, evidence)
         if lacking:
             return replace(found, reason=lacking + self._because(state, cause))
         assert evidence is not None
@@ -534,14 +535,15 @@ class _Bench:
     def _size(self, place: int) -> float:
         return float(abs(self._means[place])) or 1e-280
 
-    def _lacking(self, state: str, expr: sympy.Expr, r2: float, evidence: _Evidence | None) -> str:
+    def _lacking(self, place: int, expr: sympy.Expr, r2: float, evidence: _Evidence | None) -> str:
         if expr == 0:
             return "the data move, but no equation for that was found."
         if evidence is None or not math.isfinite(r2):
+            state = list(self.equations)[place]
             if any(cause.kind == "stiff" for cause in diagnose(self.course.runs, state)):
                 return "the equations cannot be followed across the fast layers of the data."
             return "integrated, the equations diverge from the data."
-        if r2 < self.settings.r2:
+        if r2 < least_r2(self.noise[place], self.settings):
             return f"integrated, the equations do not reproduce the data (R2 {r2:.2g})."
         return ""
 
@@ -664,6 +666,20 @@ class _Bench:
             settings.rivals,
             settings.different,
         )
+
+
+def least_r2(noise: float, settings: VerdictSettings = JUDGE) -> float:
+    """Give the R2 that an approximation has at least: noise is not there to be explained.
+
+    Parameters
+    ----------
+    noise : its standard deviation as a share of the spread of the state.
+    settings : the numbers that decide.
+
+    >>> round(least_r2(0.0), 3), round(least_r2(0.3), 3)
+    (0.9, 0.819)
+    """
+    return settings.r2 * (1 - min(float(noise), 1.0) ** 2)
 
 
 def likely_cause(runs: Sequence[Trajectory], state: str) -> str:
