@@ -357,3 +357,34 @@ def test_many_short_runs_are_kept():
     runs = [Trajectory(t, a * np.exp(-t)[:, None], ("x",)) for a in np.linspace(1, 2, 9)]
     data = Measurements.of(runs, {}, 30)
     assert [len(run) for run in data.runs] == [8] * 9
+
+
+def test_rows_far_apart_have_others_between_them():
+    """Of eight rows an oscillation the time between two is cut into three; of forty it is not."""
+    for rows, parts in ((8, 3), (40, 1)):
+        t = np.linspace(0.0, 12 * np.pi, 6 * rows + 1)
+        run = Trajectory(t, np.column_stack([np.sin(t), np.cos(t)]), ("x", "y"))
+        data = Measurements.of([run], {}, 2000)
+        mesh = data.mesh(("x", "y"))
+        assert data.parts == parts
+        assert len(mesh.t) == 6 * rows * parts + 1
+        assert mesh.t[mesh.measured] == pytest.approx(t, abs=1e-12)
+        assert mesh.rows.tolist() == [len(t), len(t)]
+        assert np.all(np.isfinite(mesh.unit)) and np.all(mesh.unit > 0)
+
+
+def test_few_rows_an_oscillation_bend_no_constant():
+    """Van der Pol's oscillator at nine rows a turn: the damping comes out to 1e-3, by SciPy's own
+    integration, where steps from row to row are off by more than a hundredth.
+    """
+    t = np.linspace(0.0, 30.0, 42)
+    x = solved(lambda _, s: [s[1], 1.5 * (1 - s[0] ** 2) * s[1] - s[0]], t, [2.0, 0.0])
+    data = Measurements.of([Trajectory(t, x, ("x", "y"))], {}, 2000)
+    equations = {"x": parse("1.0*y"), "y": parse("1.2*y - 1.2*x**2*y - 0.9*x")}
+    whole = Collocation(equations, data.mesh(("x", "y"))).fit()
+    apart = coefficients(whole.exprs["y"])
+    assert apart["y"] == pytest.approx(1.5, abs=1e-3 * 1.5)
+    assert data.parts > 1
+    bare = mesh_of([(t, x)], [0.01, 0.01], ("x", "y"))
+    rough = coefficients(Collocation(equations, bare).fit().exprs["y"])
+    assert abs(rough["y"] - 1.5) > 0.015

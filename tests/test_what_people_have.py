@@ -209,3 +209,21 @@ def test_a_law_is_none_beside_an_equation_that_is_none():
     assert said.states["x"].level == said.states["y"].level == "approximation"
     right = judge({"x": 1.5 * x - x**2 - 0.5 * x * y, "y": y - y**2 - 0.4 * x * y}, [run])
     assert right.level == "law"
+
+
+@pytest.mark.slow
+def test_exact_rows_far_apart_are_no_noise():
+    """The Brusselator, eight to ten rows a turn at uneven times: the law itself, to the last digit,
+    though such rows miss their neighbours as noise of a fifth of the spread does.
+    """
+    rows = np.random.default_rng(3).choice(100, 50, replace=False)
+    t = np.linspace(0, 25, 100)[np.sort(rows)]
+    run = solve(lambda _, s: _turn(*s), [1.0, 2.0], t, ("x", "y"))
+    found = dynsr.discover(run, jobs=1)
+    assert found.verdict.level == "law"
+    assert coefficients(found.equations["x"]) == {"1": 1.1, "x": -3.9, "x**2*y": 1.0}
+    assert coefficients(found.equations["y"]) == {"x": 2.9, "x**2*y": -1.0}
+
+
+def _turn(x, y):
+    return [1.1 - 3.9 * x + x**2 * y, 2.9 * x - x**2 * y]

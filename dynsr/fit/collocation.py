@@ -11,6 +11,7 @@ systems, since the rule is implicit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -56,6 +57,8 @@ class CollocationSettings:
 COLLOCATION = CollocationSettings()
 # Simple numbers are judged by differences of some units in a sum of squares of thousands.
 _CLOSELY = replace(COLLOCATION, steps=40, gain=1e-8)
+# Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
+_TURN, _PARTS, _NODES = 20.0, 4, 2000
 # Share of its spread in which the defects of a state that is not measured are counted.
 _UNMEASURED = 0.01
 
@@ -63,6 +66,8 @@ _UNMEASURED = 0.01
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """The rows of all runs, one below the other, and what is measured there.
+
+    Rows that are far apart have others between them, at which nothing is measured.
 
     Parameters
     ----------
@@ -93,10 +98,15 @@ class Mesh:
     @cached_property
     def unit(self) -> np.ndarray:
         """(m, k) standard deviation of the noise around each interval: what defects are in."""
-        with np.errstate(all="ignore"):
-            deviation = 1 / self.weights
-        measured = np.any(self.weights, axis=0)
-        deviation[:, ~measured] = _UNMEASURED * self.spread[~measured]
+        deviation = np.empty_like(self.weights)
+        nodes = np.arange(len(self.t))
+        for j, own in enumerate(self.weights.T):
+            rows = np.flatnonzero(own)
+            if len(rows):
+                # Between measured rows noise is what it is around them.
+                deviation[:, j] = np.interp(nodes, rows, 1 / own[rows])
+            else:
+                deviation[:, j] = _UNMEASURED * self.spread[j]
         smaller: np.ndarray = np.minimum(deviation[self.left], deviation[self.left + 1])
         return smaller
 
@@ -112,6 +122,11 @@ class Mesh:
         """Name -> (n,) smoothed states and driven columns at the rows."""
         rows = [*self.start.T, *self.driven[:, : len(self.t)]]
         return dict(zip((*self.states, *self.driven_names), rows, strict=True))
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        """(n,) whether anything is measured at a row."""
+        return np.asarray(self.weights.any(axis=1))
 
     @cached_property
     def rows(self) -> np.ndarray:
@@ -551,6 +566,26 @@ class Measurements:
         noise = np.median(np.concatenate(self.deviations), axis=0) / np.maximum(spread, 1e-300)
         return float(np.median(noise[np.isfinite(noise)]))
 
+    @cached_property
+    def parts(self) -> int:
+        """Parts that the time between two rows is cut into for a fit.
+
+        So many that the fastest state takes twenty rows an oscillation: its steps are 2 pi / p of
+        its amplitude over p rows, so that 1 - cos(2 pi / p) is half their mean square (von Neumann
+        1941).
+        """
+        x = np.concatenate([smoothed.x for smoothed in self.smoothed])
+        steps = np.concatenate([np.diff(smoothed.x, axis=0) for smoothed in self.smoothed])
+        rough = np.mean(steps**2, axis=0) / np.maximum(2 * np.var(x, axis=0), 1e-300)
+        period = 2 * np.pi / np.arccos(1 - min(float(np.max(rough)), 1.0))
+        most = max(1, min(_PARTS, _NODES // len(x)))
+        return int(np.clip(math.ceil(_TURN / period), 1, most))
+
+    def _nodes(self, t: np.ndarray) -> np.ndarray:
+        """Times of the rows, those between them included."""
+        rows = np.arange(len(t))
+        return np.interp(np.arange(self.parts * (len(t) - 1) + 1) / self.parts, rows, t)
+
     def samples(self, state: str) -> Samples:
         """Give the smoothed states and slopes of one state as samples.
 
@@ -600,10 +635,12 @@ class Measurements:
         first, smoothed = 0, []
         for run, smooth_run in zip(self.runs, self.smoothed, strict=True):
             x, slope = smooth_run.x.copy(), smooth_run.slope.copy()
-            x[:, own] = states[first : first + len(run)]
-            slope[:, own] = CubicSpline(run.t, x[:, own])(run.t, 1)
+            nodes = self._nodes(run.t)
+            found = states[first : first + len(nodes)]
+            x[:, own] = found[:: self.parts]
+            slope[:, own] = CubicSpline(nodes, found)(run.t, 1)
             smoothed.append(replace(smooth_run, x=x, slope=slope))
-            first += len(run)
+            first += len(nodes)
         return replace(self, smoothed=smoothed)
 
     def beside(self, state: str) -> dict[str, sympy.Expr]:
@@ -631,27 +668,30 @@ class Measurements:
         for run, deviation, smoothed, drive in zip(
             self.runs, self.deviations, self.smoothed, drives, strict=True
         ):
-            t = run.t
+            t = self._nodes(run.t)
             both = np.concatenate([t, (t[1:] + t[:-1]) / 2])
-            driven = np.concatenate([smoothed.curve(both)[beside], drive(both)])
+            curve = smoothed.curve(both)
+            driven = np.concatenate([curve[beside], drive(both)])
+            x, weights = np.zeros((2, len(t), len(own)))
+            x[:: self.parts], weights[:: self.parts] = run.x[:, own], 1 / deviation[:, own]
             pieces.append(
                 (
                     t,
                     first + np.arange(len(t) - 1),
-                    run.x[:, own],
-                    1 / deviation[:, own],
-                    smoothed.x[:, own],
+                    x,
+                    weights,
+                    curve[own, : len(t)].T,
                     driven[:, : len(t)],
                     driven[:, len(t) :],
                 )
             )
             first += len(t)
-        t, left, x, weights, start, at, between = zip(*pieces, strict=True)
+        times, left, measured, sure, start, at, between = zip(*pieces, strict=True)
         return Mesh(
-            np.concatenate(t),
+            np.concatenate(times),
             np.concatenate(left),
-            np.concatenate(x),
-            np.concatenate(weights),
+            np.concatenate(measured),
+            np.concatenate(sure),
             np.concatenate(start),
             np.concatenate([*at, *between], axis=1),
             tuple(states),
@@ -717,8 +757,8 @@ class AlongFit:
 
     @property
     def misses(self) -> np.ndarray:
-        """(n, k, 1) in units of the noise."""
-        return self.found.misses[..., None]
+        """(n, k, 1) at the measured rows, in units of the noise."""
+        return self.found.misses[self.problem.mesh.measured][..., None]
 
     def put(self, numbers: Sequence[sympy.Expr]) -> dict[str, sympy.Expr]:
         """Give the equations with P numbers in the places of the constants.

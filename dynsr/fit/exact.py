@@ -7,6 +7,7 @@ approximation, whatever the errors of slopes between distant rows.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import sympy
@@ -21,6 +22,12 @@ from dynsr.fit.shooting import Match, match_trajectories
 from dynsr.fit.simple import simple_value
 
 _INTERVALS = 10
+# Misses that need no finer steps, as a share of the spread, and how much finer they may be.
+_ENOUGH, _FINE = 1e-8, 4
+# Misses, in those that leave no doubt, that may be of steps which are too long.
+_NEARLY = 100.0
+# Misses below this share of those that leave no doubt are of the steps of the integration.
+_NOTHING = 0.01
 
 
 def confirm(
@@ -51,10 +58,20 @@ def confirm(
     try:
         with np.errstate(all="ignore"):
             match = match_trajectories(exprs, runs, inputs=inputs, settings=settings)
+            most = settings.confirmed * _way(runs, list(exprs))
+            if not _size(match) <= _NEARLY * most:
+                return None
+            if _size(match) > _ENOUGH:
+                # Between rows that are far apart the misses are those of the steps.
+                settings = replace(
+                    settings,
+                    match_substeps=_FINE * settings.match_substeps,
+                    match_losses=settings.match_losses[-1:],
+                )
+                match = match_trajectories(match.exprs, runs, inputs=inputs, settings=settings)
+            return _simplify(match, runs, inputs, settings, most) if _size(match) <= most else None
     except (InputError, ArithmeticError, np.linalg.LinAlgError):
         return None
-    most = settings.confirmed * _way(runs, list(exprs))
-    return _simplify(match, runs, inputs, settings) if _size(match) <= most else None
 
 
 def _size(match: Match) -> float:
@@ -80,6 +97,7 @@ def _simplify(
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
     settings: FitSettings,
+    most: float,
 ) -> Match:
     """Leave out what is 0 and write simple numbers, all at once, where misses stay as small."""
     rows = np.concatenate([run.columns for run in runs])
@@ -91,7 +109,8 @@ def _simplify(
         if simple == match.exprs:
             break
         again = match_trajectories(simple, runs, inputs=inputs, settings=settings)
-        if not _size(again) <= settings.alike * _size(match) + settings.finest:
+        small = max(settings.alike * _size(match) + settings.finest, _NOTHING * most)
+        if not _size(again) <= small:
             break
         match = again
     return match

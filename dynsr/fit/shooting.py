@@ -477,7 +477,8 @@ def _fit(
     """Give the constants, their errors and the misses; None when the start diverges."""
     starts = shooting.windows.x[0]
     with np.errstate(all="ignore"):
-        shooting = replace(shooting, substeps=choose_substeps(shooting, constants, starts))
+        substeps = choose_substeps(shooting, constants, starts, settings.match_substeps)
+        shooting = replace(shooting, substeps=substeps)
         if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
             return None
         constants, starts = fit_loss(shooting, constants, starts, settings)
@@ -507,7 +508,9 @@ def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarr
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
-def choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
+def choose_substeps(
+    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, most: int = FIT.match_substeps
+) -> int:
     """Halve the step until that moves the states less than rounding or than their misses.
 
     Stiff systems begin with steps short enough to be stable, of which an interval has 64 at most.
@@ -516,7 +519,7 @@ def choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarra
     first = 2 ** min(max(math.ceil(math.log2(max(stable, 1.0))), 0), _MOST_HALVINGS)
     coarse = replace(shooting, substeps=first).misses(constants, starts)
     substeps = first
-    while substeps < max(16, 2 * first):
+    while substeps < max(most, 2 * first):
         fine = replace(shooting, substeps=2 * substeps).misses(constants, starts)
         moved = np.nanmax(np.abs(fine - coarse), initial=0.0)
         if moved < 1e-9 or moved < 0.01 * np.nanmedian(np.abs(fine)):

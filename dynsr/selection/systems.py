@@ -517,8 +517,8 @@ def integrate(fit: SystemFit, evaluations: int = COMPARISON.evaluations, pieces:
                 continue
         if solved.y.shape[1] == len(t):
             found[begin:end] = solved.y.T
-    measured = mesh.rows > 0
-    return r_squared(mesh.x[:, measured], found[:, measured])
+    own = np.ix_(mesh.measured, mesh.rows > 0)
+    return r_squared(mesh.x[own], found[own])
 
 
 def _closest(
