@@ -103,7 +103,8 @@ class Shooting:
         slopes = (sensitivity / self._spreads()[..., None, :])[0 if self.free else 1 :]
         lanes = slopes.transpose(3, 0, 1, 2).reshape(starts.shape[1], -1, slopes.shape[2])
         count = len(constants)
-        return self._compare(found), lanes[..., :count], lanes[..., count if self.free else None :]
+        last = lanes.shape[2] if self.free else count
+        return self._compare(found), lanes[..., :count], lanes[..., count:last]
 
     def unit(self, misses: np.ndarray) -> np.ndarray:
         """(k,) unit of the weights: ``width`` robust sizes of the misses, not below rounding."""
