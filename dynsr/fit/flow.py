@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 import sympy
 
-from dynsr.expression import compile_numpy
+from dynsr.expression import Rows, compile_rows
+
+# Lanes that are differentiated at once: as many as stay in a cache.
+_LANES = 2048
 
 
 def runge_kutta_step(
@@ -43,7 +46,7 @@ class Windows:
     """Pieces of trajectories, all of m intervals, as lanes.
 
     ``t`` (m + 1, W) times; ``x`` (m + 1, k, W) states measured there; ``drive`` gives the driven
-    columns, (d, W), at times (W,). They are read once for all flows over the windows.
+    columns, (d, n, W), at times (n, W). They are read once for all flows over the windows.
     """
 
     t: np.ndarray
@@ -59,8 +62,17 @@ class Windows:
             nodes = (self.t[:-1, None, :] + parts[None, :, None] * steps[:, None, :]).reshape(
                 -1, self.t.shape[1]
             )
-            self._driven[substeps] = np.stack([self.drive(row) for row in (*nodes, self.t[-1])])
+            times = np.concatenate([nodes, self.t[-1:]])
+            self._driven[substeps] = np.ascontiguousarray(self.drive(times).transpose(1, 0, 2))
         return self._driven[substeps]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """States ``nodes`` (n + 1, k, W) between the n steps of a march, ``rows`` (m + 1, k, W)."""
+
+    nodes: np.ndarray
+    rows: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +109,11 @@ class Flow:
         return [*self.rhs, *self.driven, "t", *(str(c) for c in self.constants)]
 
     @cached_property
-    def _slope(self) -> Callable[[np.ndarray], np.ndarray]:
-        return compile_numpy(list(self.rhs.values()), self.names)
+    def _slope(self) -> Rows:
+        return compile_rows(list(self.rhs.values()), self.names)
 
     @cached_property
-    def _partial(self) -> tuple[list[tuple[int, int]], Callable[[np.ndarray], np.ndarray]]:
+    def _partial(self) -> tuple[list[tuple[int, int]], Rows]:
         """Non-zero entries (i, j) of the Jacobian to states, then constants; and their values."""
         if self.probes:
             return self._partial_of_probes()
@@ -117,23 +129,22 @@ class Flow:
                 if slope != 0:
                     entries.append((i, j))
                     found.append(slope.xreplace(back))
-        return entries, compile_numpy([*self.rhs.values(), *found], self.names)
+        return entries, compile_rows([*self.rhs.values(), *found], self.names)
 
-    def _partial_of_probes(
-        self,
-    ) -> tuple[list[tuple[int, int]], Callable[[np.ndarray], np.ndarray]]:
+    def _partial_of_probes(self) -> tuple[list[tuple[int, int]], Rows]:
         """Entries of the flow itself, and for each probe the value of its term."""
         own = self.constants[: len(self.constants) - len(self.probes)]
         plain = replace(self, constants=own, probes=())
         entries, evaluate = plain._partial  # noqa: SLF001 (another flow)
         first = len(self.rhs) + len(own)
-        used = len(plain.names)
-        terms = compile_numpy([term for _, term in self.probes], plain.names)
+        used, split = len(plain.names), len(self.rhs) + len(entries)
+        terms = compile_rows([term for _, term in self.probes], plain.names)
         entries = [*entries, *((row, first + i) for i, (row, _) in enumerate(self.probes))]
 
-        def together(values: np.ndarray) -> np.ndarray:
-            mine = values[:used]
-            return np.concatenate([evaluate(mine), terms(mine)])
+        def together(columns: Iterable[Any], out: np.ndarray) -> None:
+            mine = tuple(columns)[:used]
+            evaluate(mine, out[:split])
+            terms(mine, out[split:])
 
         return entries, together
 
@@ -150,95 +161,173 @@ class Flow:
         Jacobian is finite.
         """
         entries, evaluate = self._partial
-        k, steps, worst = len(self.rhs), np.diff(windows.t, axis=0), 0.0
-        fixed = np.broadcast_to(constants[:, None], (len(constants), windows.t.shape[1]))
-        for row in np.unique(np.linspace(0, len(steps) - 1, rows).round().astype(int)):
-            at = np.concatenate([windows.x[row], windows.drive(windows.t[row]), fixed])
-            jacobian = np.zeros((windows.t.shape[1], k, k))
-            for (i, j), value in zip(entries, evaluate(at)[k:], strict=True):
-                if j < k:
-                    jacobian[:, i, j] = value
-            finite = np.isfinite(jacobian).all(axis=(1, 2))
-            sizes = np.abs(np.linalg.eigvals(jacobian[finite])).max(axis=1, initial=0.0)
-            worst = max(worst, float(np.max(sizes * steps[row, finite], initial=0.0)))
-        return worst
+        k, steps = len(self.rhs), np.diff(windows.t, axis=0)
+        at = np.unique(np.linspace(0, len(steps) - 1, rows).round().astype(int))
+        driven = windows.drive(windows.t[at]).reshape(len(self.driven) + 1, -1)
+        values = np.empty((k + len(entries), driven.shape[1]))
+        with np.errstate(all="ignore"):
+            evaluate((*_flat(windows.x[at]), *driven, *constants), values)
+        jacobian = np.zeros((driven.shape[1], k, k))
+        for (i, j), value in zip(entries, values[k:], strict=True):
+            if j < k:
+                jacobian[:, i, j] = value
+        finite = np.isfinite(jacobian).all(axis=(1, 2))
+        sizes = np.abs(np.linalg.eigvals(jacobian[finite])).max(axis=1, initial=0.0)
+        return float(np.max(sizes * steps[at].ravel()[finite], initial=0.0))
 
     def run(
         self, windows: Windows, start: np.ndarray, constants: np.ndarray, substeps: int
     ) -> np.ndarray:
         """Integrate from ``start`` (k, W); gives states (m + 1, k, W). Divergence gives NaN."""
-        stages = self._stages(windows, constants, substeps)
-        return np.stack(list(self._march(windows, start, substeps, self._slope_only, stages)))
+        return self.track(windows, start, constants, substeps).rows
+
+    def track(
+        self, windows: Windows, start: np.ndarray, constants: np.ndarray, substeps: int
+    ) -> Track:
+        """Integrate as :meth:`run` does, and keep where every step begins."""
+        h, places = self._steps(windows, substeps)
+        at = self._columns(windows, constants, substeps)
+        nodes, slopes = (np.empty((len(h) + 1, *start.shape)) for _ in range(2))
+        nodes[0] = start
+        with np.errstate(all="ignore"):
+            for n, stages in enumerate(places.tolist()):
+                begin, middle, end = (at[place] for place in stages)
+                slopes[n] = k1 = self._slope_only(nodes[n], begin)
+                nodes[n + 1] = runge_kutta_step(
+                    self._slope_only, nodes[n], h[n], (begin, middle, end), k1
+                )
+            if not self._strides(substeps):
+                return Track(nodes, nodes[::substeps])
+            slopes[-1] = self._slope_only(nodes[-1], at[-1])
+            found = np.empty((len(windows.t), *start.shape))
+            found[0] = start
+            for some, rows in self._groups(windows, substeps, len(h)):
+                rises = (h[some, None] * each[some] for each in (slopes[:-1], slopes[1:]))
+                inner = _between(rows, nodes[:-1][some], nodes[1:][some], *rises)
+                pieces = np.concatenate([inner, nodes[None, 1:][:, some]]).swapaxes(0, 1)
+                first = 1 + some.start * self.stride
+                found[first : first + rows * len(pieces)] = pieces.reshape(-1, *start.shape)
+        return Track(nodes, found)
 
     def run_sensitive(
-        self, windows: Windows, start: np.ndarray, constants: np.ndarray, substeps: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Integrate with sensitivities (m + 1, k, P + k, W) to the constants, then the start."""
-        k, lanes = start.shape
-        count = len(constants)
-        sensitivity = np.zeros((k, count + k, lanes))
-        sensitivity[np.arange(k), count + np.arange(k)] = 1.0
-        joint = np.concatenate([start[:, None, :], sensitivity], axis=1)
-        stages = self._stages(windows, constants, substeps)
-        found = np.stack(list(self._march(windows, joint, substeps, self._slope_joint, stages)))
-        return found[:, :, 0, :], found[:, :, 1:, :]
-
-    def _stages(self, windows: Windows, constants: np.ndarray, substeps: int) -> np.ndarray:
-        """Arguments after the states (d + 1 + P, W) at every node and midpoint."""
-        driven = windows.driven_at(substeps)
-        lanes = windows.t.shape[1]
-        fixed = np.broadcast_to(constants[None, :, None], (len(driven), len(constants), lanes))
-        return np.concatenate([driven, fixed], axis=1)
-
-    def _march(
         self,
         windows: Windows,
-        state: np.ndarray,
+        start: np.ndarray,
+        constants: np.ndarray,
         substeps: int,
-        slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
-        stages: np.ndarray,
-    ) -> Iterator[np.ndarray]:
-        yield state
-        if self.stride > 1 and substeps == 1:
-            yield from self._stride(windows, state, slope, stages)
-            return
-        node = 0
-        with np.errstate(all="ignore"):
-            for interval in np.diff(windows.t, axis=0):
-                h = interval / substeps
-                for _ in range(substeps):
-                    state = runge_kutta_step(slope, state, h, tuple(stages[node : node + 3]))
-                    node += 2
-                yield state
+        track: Track | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Integrate with sensitivities (m + 1, k, P + k, W) to the constants, then the start.
 
-    def _stride(
+        ``track`` is what :meth:`track` gave for the same arguments. What a step makes of the
+        sensitivities is linear in them and depends on nothing but the state where it begins, so
+        that many steps are differentiated at once, and then joined.
+        """
+        track = track or self.track(windows, start, constants, substeps)
+        (k, lanes), count = start.shape, len(constants)
+        found = np.zeros((len(windows.t), k, count + k, lanes))
+        found[0, np.arange(k), count + np.arange(k)] = 1.0
+        now, row, step = found[0], 0, 0
+        with np.errstate(all="ignore"):
+            for some, rows in self._groups(windows, substeps, max(1, _LANES // lanes)):
+                for pieces in self._differentiate(windows, track, constants, substeps, some, rows):
+                    joined = np.einsum("rijw,jpw->ripw", pieces[..., count:, :], now)
+                    joined[:, :, :count] += pieces[..., :count, :]
+                    now, step = joined[-1], step + 1
+                    if self._strides(substeps):
+                        found[row + 1 : row + 1 + rows] = joined
+                        row += rows
+                    elif step % substeps == 0:
+                        row += 1
+                        found[row] = now
+        return track.rows, found
+
+    def _differentiate(
         self,
         windows: Windows,
-        state: np.ndarray,
-        slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
-        stages: np.ndarray,
-    ) -> Iterator[np.ndarray]:
-        last, row = len(windows.t) - 1, 0
-        with np.errstate(all="ignore"):
-            k1 = slope(state, stages[0])
-            while row < last:
-                rows = min(self.stride, last - row)
-                h = windows.t[row + rows] - windows.t[row]
-                at = stages[2 * row], stages[2 * row + rows], stages[2 * (row + rows)]
-                after = runge_kutta_step(slope, state, h, at, k1)
-                slope_after = slope(after, at[2])
-                yield from _between(rows, state, after, h * k1, h * slope_after)
-                yield after
-                state, k1, row = after, slope_after, row + rows
+        track: Track,
+        constants: np.ndarray,
+        substeps: int,
+        some: slice,
+        rows: int,
+    ) -> np.ndarray:
+        """Sensitivities (n, rows, k, P + k, W) along each of n steps to constants and its begin."""
+        h, places = self._steps(windows, substeps)
+        states, h = track.nodes[:-1][some], h[some]
+        (steps, k, lanes), count = states.shape, len(constants)
+        joint = np.zeros((k, 1 + count + k, steps * lanes))
+        joint[:, 0] = _flat(states)
+        joint[np.arange(k), 1 + count + np.arange(k)] = 1.0
+        begin, middle, end = (
+            (*self._driven_lanes(windows, substeps, place), *constants) for place in places[some].T
+        )
+        lengths, first = h.ravel(), self._slope_joint(joint, begin)
+        after = runge_kutta_step(self._slope_joint, joint, lengths, (begin, middle, end), first)
+        pieces = after[None]
+        if self._strides(substeps):
+            rise_after = lengths * self._slope_joint(after, end)
+            inner = _between(rows, joint, after, lengths * first, rise_after)
+            pieces = np.concatenate([inner, pieces])
+        return pieces[:, :, 1:].reshape(rows, k, count + k, steps, lanes).transpose(3, 0, 1, 2, 4)
 
-    def _slope_only(self, x: np.ndarray, rest: np.ndarray) -> np.ndarray:
-        return self._slope(np.concatenate([x, rest]))
+    def _strides(self, substeps: int) -> bool:
+        return self.stride > 1 and substeps == 1
 
-    def _slope_joint(self, joint: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    def _steps(self, windows: Windows, substeps: int) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths (n, W) of the steps, and places (n, 3) of their begin, middle and end."""
+        if self._strides(substeps):
+            last = len(windows.t) - 1
+            begin = np.arange(0, last, self.stride)
+            end = np.append(begin[1:], last)
+            return windows.t[end] - windows.t[begin], np.stack([2 * begin, begin + end, 2 * end], 1)
+        h = np.repeat(np.diff(windows.t, axis=0) / substeps, substeps, axis=0)
+        return h, 2 * np.arange(len(h))[:, None] + np.arange(3)
+
+    def _groups(self, windows: Windows, substeps: int, most: int) -> Iterator[tuple[slice, int]]:
+        """Steps, ``most`` at a time, that go over as many rows, 1 where they go over a part."""
+        last = len(windows.t) - 1
+        if not self._strides(substeps):
+            yield from ((slice(n, n + most), 1) for n in range(0, last * substeps, most))
+            return
+        full = last // self.stride
+        yield from ((slice(n, min(n + most, full)), self.stride) for n in range(0, full, most))
+        if last % self.stride:
+            yield slice(full, full + 1), last % self.stride
+
+    @cached_property
+    def _is_driven(self) -> bool:
+        exprs = [*self.rhs.values(), *(term for _, term in self.probes)]
+        used = {str(symbol) for expr in exprs for symbol in expr.free_symbols}
+        return not used.isdisjoint((*self.driven, "t"))
+
+    def _columns(
+        self, windows: Windows, constants: np.ndarray, substeps: int
+    ) -> Sequence[tuple[Any, ...]]:
+        """Arguments after the states at every node and midpoint."""
+        count = 2 * substeps * (len(windows.t) - 1) + 1
+        if not self._is_driven:
+            return [(*self._unused, *constants)] * count
+        return [(*row, *constants) for row in windows.driven_at(substeps)]
+
+    def _driven_lanes(self, windows: Windows, substeps: int, places: np.ndarray) -> Iterable[Any]:
+        """Driven columns (d, n W) at n nodes or midpoints."""
+        return _flat(windows.driven_at(substeps)[places]) if self._is_driven else self._unused
+
+    @property
+    def _unused(self) -> list[float]:
+        return [0.0] * (len(self.driven) + 1)
+
+    def _slope_only(self, x: np.ndarray, rest: Sequence[Any]) -> np.ndarray:
+        out = np.empty(x.shape)
+        self._slope((*x, *rest), out)
+        return out
+
+    def _slope_joint(self, joint: np.ndarray, rest: Sequence[Any]) -> np.ndarray:
         entries, evaluate = self._partial
         x, sensitivity = joint[:, 0, :], joint[:, 1:, :]
-        values = evaluate(np.concatenate([x, rest]))
         k = len(x)
+        values = np.empty((k + len(entries), x.shape[1]))
+        evaluate((*x, *rest), values)
         out = np.zeros_like(joint)
         out[:, 0, :] = values[:k]
         for (i, j), value in zip(entries, values[k:], strict=True):
@@ -247,6 +336,11 @@ class Flow:
             else:
                 out[i, 1 + j - k, :] += value
         return out
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    """(n, c, W) -> (c, n W): the lanes of n places side by side."""
+    return values.transpose(1, 0, 2).reshape(values.shape[1], -1)
 
 
 def cut_windows(
@@ -273,10 +367,10 @@ def cut_windows(
     owner = np.array([run for run, _ in lanes])
 
     def driven(times: np.ndarray) -> np.ndarray:
-        parts = [drive[run](times[owner == run]) for run in range(len(t))]
-        out = np.empty((len(parts[0]), len(times)))
+        parts = [drive[run](times[:, owner == run].ravel()) for run in range(len(t))]
+        out = np.empty((len(parts[0]), *times.shape))
         for run, part in enumerate(parts):
-            out[:, owner == run] = part
+            out[:, :, owner == run] = part.reshape(len(out), len(times), -1)
         return out
 
     return Windows(

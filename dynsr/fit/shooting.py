@@ -17,7 +17,7 @@ from dynsr.data import Trajectory, robust_scale
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
-from dynsr.fit.flow import Flow, Windows, cut_windows
+from dynsr.fit.flow import Flow, Track, Windows, cut_windows
 from dynsr.fit.linear import cauchy_weights
 from dynsr.fit.noise import independent_rows, is_noisy
 from dynsr.fit.settings import FIT, FitSettings
@@ -86,8 +86,10 @@ class Shooting:
 
     def misses(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """(rows, k, W) found minus measured; NaN where the flow diverges."""
-        found = self.flow.run(self.windows, starts, constants, self.substeps)
-        return self._compare(found)
+        return self._compare(self._track(constants, starts).rows)
+
+    def _track(self, constants: np.ndarray, starts: np.ndarray) -> Track:
+        return self.flow.track(self.windows, starts, constants, self.substeps)
 
     def _compare(self, found: np.ndarray) -> np.ndarray:
         return ((found - self.windows.x) / self._spreads())[0 if self.free else 1 :]
@@ -96,10 +98,15 @@ class Shooting:
         return self.spread[:, None] if self.spread.ndim == 1 else self.spread
 
     def linearise(
-        self, constants: np.ndarray, starts: np.ndarray
+        self, constants: np.ndarray, starts: np.ndarray, track: Track | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Misses, their slopes by the constants (W, rows * k, P) and by the starts (.., k or 0)."""
-        found, sensitivity = self.flow.run_sensitive(self.windows, starts, constants, self.substeps)
+        """Misses, their slopes by the constants (W, rows * k, P) and by the starts (.., k or 0).
+
+        ``track`` is where the flow goes from there, when that is known.
+        """
+        found, sensitivity = self.flow.run_sensitive(
+            self.windows, starts, constants, self.substeps, track
+        )
         slopes = (sensitivity / self._spreads()[..., None, :])[0 if self.free else 1 :]
         lanes = slopes.transpose(3, 0, 1, 2).reshape(starts.shape[1], -1, slopes.shape[2])
         count = len(constants)
@@ -125,13 +132,14 @@ class Shooting:
         the loss by less than the share ``gain``, or than a thousandth where misses are rounding.
         """
         rho, weigh = LOSSES[loss]
-        misses = self.misses(constants, starts)
+        track = self._track(constants, starts)
+        misses = self._compare(track.rows)
         unit = self.unit(misses)[:, None]
         level, damping = _level(rho, misses / unit), 1e-4
         if np.max(unit) < _ROUNDING:
             gain = max(gain, 1e-3)
         for _ in range(most):
-            misses, by_constant, by_start = self.linearise(constants, starts)
+            misses, by_constant, by_start = self.linearise(constants, starts, track)
             weights = weigh((misses / unit) ** 2) / unit**2
             try:
                 normal = _normal(_by_lane(misses), by_constant, by_start, _by_lane(weights))
@@ -141,10 +149,13 @@ class Shooting:
             while damping < 1e8 and trials > 0:
                 trials -= 1
                 trial = self._try(normal, damping, constants, starts)
-                reached = np.inf if trial is None else _level(rho, self.misses(*trial) / unit)
-                if trial is not None and reached < level:
-                    (constants, starts), level, damping = trial, reached, damping / 10
-                    break
+                if trial is not None:
+                    tried = self._track(*trial)
+                    reached = _level(rho, self._compare(tried.rows) / unit)
+                    if reached < level:
+                        (constants, starts), track, level = trial, tried, reached
+                        damping /= 10
+                        break
                 damping *= 10
             if not level < before * (1 - gain):
                 break
