@@ -19,7 +19,7 @@ from .description import (
     structure_bits,
 )
 from .exact import confirm, simplest_form
-from .flow import Flow, Windows, cut_windows
+from .flow import Flow, Pace, Windows, cut_windows
 from .forced import missing_terms
 from .linear import (
     RatioFit,
@@ -47,8 +47,9 @@ from .shooting import (
     Match,
     Shooting,
     build_shooting,
-    choose_substeps,
+    choose_pace,
     drives_of,
+    finer_paces,
     match_trajectories,
     prepare,
     read_inputs,
@@ -73,6 +74,7 @@ __all__ = [
     "Measurements",
     "Mesh",
     "Noise",
+    "Pace",
     "ParetoFront",
     "RatioFit",
     "Shooting",
@@ -80,7 +82,7 @@ __all__ = [
     "build_shooting",
     "cauchy_weights",
     "choose",
-    "choose_substeps",
+    "choose_pace",
     "collapse",
     "confirm",
     "constant_bits",
@@ -89,6 +91,7 @@ __all__ = [
     "description_length",
     "drives_of",
     "eliminate",
+    "finer_paces",
     "fit_ratio",
     "fit_robustly",
     "free_constants",

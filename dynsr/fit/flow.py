@@ -9,15 +9,18 @@ from typing import Any
 
 import numpy as np
 import sympy
+from scipy.integrate import DOP853
 
 from dynsr.expression import Rows, compile_rows
 
+# Where the twelve stages of a step of order 8 are, as shares of it; the last one is its end.
+_NODES = DOP853.C[: len(DOP853.B)]
 # Lanes that are differentiated at once: as many as stay in a cache.
 _LANES = 2048
 
 
 def runge_kutta_step(
-    slope: Callable[[Any, Any], Any], state: Any, h: Any, at: tuple[Any, Any, Any], k1: Any = None
+    slope: Callable[[Any, Any], Any], state: Any, h: Any, at: Sequence[Any], k1: Any = None
 ) -> Any:
     """Take one step of the classical Runge-Kutta method of order 4 (Kutta 1901).
 
@@ -41,6 +44,52 @@ def runge_kutta_step(
     return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
+def eighth_order_step(
+    slope: Callable[[Any, Any], Any], state: Any, h: Any, at: Sequence[Any], k1: Any = None
+) -> Any:
+    """Take one step of the method of order 8 of Dormand and Prince (Hairer and others 1993, II.5).
+
+    Parameters
+    ----------
+    slope, state, h, k1 : as :func:`runge_kutta_step` takes them; states and slopes are arrays.
+    at : what the slope needs at each of the twelve stages.
+
+    >>> decay = lambda x, t: -x
+    >>> found = eighth_order_step(decay, np.ones(1), 0.5, [None] * 12)
+    >>> bool(abs(found[0] - np.exp(-0.5)) < 1e-11)
+    True
+    """
+    slopes = np.empty((len(_NODES), *state.shape))
+    flat = slopes.reshape(len(_NODES), -1)
+    slopes[0] = slope(state, at[0]) if k1 is None else k1
+    for i in range(1, len(_NODES)):
+        rise = (DOP853.A[i, :i] @ flat[:i]).reshape(state.shape)
+        slopes[i] = slope(state + h * rise, at[i])
+    return state + h * (DOP853.B @ flat).reshape(state.shape)
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How an interval is crossed: in ``substeps`` of a Runge-Kutta method of ``order`` 4 or 8."""
+
+    substeps: int = 1
+    order: int = 4
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Where in an interval slopes are needed, its end left out, as shares of it."""
+        inner = _NODES[:-1] if self.order == 8 else np.array([0.0, 0.5])
+        return ((np.arange(self.substeps)[:, None] + inner) / self.substeps).ravel()
+
+    @property
+    def step(self) -> Callable[..., Any]:
+        """The function that takes one step."""
+        return eighth_order_step if self.order == 8 else runge_kutta_step
+
+
+PLAIN = Pace()
+
+
 @dataclass(frozen=True, eq=False)
 class Windows:
     """Pieces of trajectories, all of m intervals, as lanes.
@@ -52,19 +101,18 @@ class Windows:
     t: np.ndarray
     x: np.ndarray
     drive: Callable[[np.ndarray], np.ndarray]
-    _driven: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
+    _driven: dict[Pace, np.ndarray] = field(default_factory=dict, repr=False)
 
-    def driven_at(self, substeps: int) -> np.ndarray:
-        """Driven columns (m * 2 substeps + 1, d, W) at every node and midpoint of the steps."""
-        if substeps not in self._driven:
-            parts = np.arange(2 * substeps) / (2 * substeps)
+    def driven_at(self, pace: Pace = PLAIN) -> np.ndarray:
+        """Driven columns (m * nodes + 1, d, W) at every node of the steps and at their end."""
+        if pace not in self._driven:
             steps = np.diff(self.t, axis=0)
-            nodes = (self.t[:-1, None, :] + parts[None, :, None] * steps[:, None, :]).reshape(
+            nodes = (self.t[:-1, None] + pace.nodes[None, :, None] * steps[:, None]).reshape(
                 -1, self.t.shape[1]
             )
             times = np.concatenate([nodes, self.t[-1:]])
-            self._driven[substeps] = np.ascontiguousarray(self.drive(times).transpose(1, 0, 2))
-        return self._driven[substeps]
+            self._driven[pace] = np.ascontiguousarray(self.drive(times).transpose(1, 0, 2))
+        return self._driven[pace]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,15 +132,15 @@ class Flow:
     rhs : state -> expression in the k states, the driven columns, ``t`` and the constants.
     driven : names of the driven columns.
     constants : the P symbols whose values are given when the flow is run; those of the probes last.
-    stride : rows a step where one substep is asked for; rows between are read off the cubic through
-        two states with their slopes. Only for times that are even.
+    stride : rows a step where one substep of order 4 is asked for; rows between are read off the
+        cubic through two states with their slopes. Only for times that are even.
     probes : (place of a state, term) of terms that the flow does not have but whose sensitivities
         are wanted; each has a constant, which is 0.
 
     >>> flow = Flow({"x": -sympy.Symbol("x")}, (), (), stride=5)
     >>> t = np.linspace(0, 1, 101)[:, None]
     >>> windows = Windows(t, t[:, None], lambda times: times[None])
-    >>> found = flow.run(windows, np.ones((1, 1)), np.empty(0), 1)
+    >>> found = flow.run(windows, np.ones((1, 1)), np.empty(0))
     >>> bool(np.allclose(found[:, 0], np.exp(-t), atol=1e-6))
     True
     """
@@ -176,35 +224,41 @@ class Flow:
         return float(np.max(sizes * steps[at].ravel()[finite], initial=0.0))
 
     def run(
-        self, windows: Windows, start: np.ndarray, constants: np.ndarray, substeps: int
+        self,
+        windows: Windows,
+        start: np.ndarray,
+        constants: np.ndarray,
+        pace: Pace = PLAIN,
     ) -> np.ndarray:
         """Integrate from ``start`` (k, W); gives states (m + 1, k, W). Divergence gives NaN."""
-        return self.track(windows, start, constants, substeps).rows
+        return self.track(windows, start, constants, pace).rows
 
     def track(
-        self, windows: Windows, start: np.ndarray, constants: np.ndarray, substeps: int
+        self,
+        windows: Windows,
+        start: np.ndarray,
+        constants: np.ndarray,
+        pace: Pace = PLAIN,
     ) -> Track:
         """Integrate as :meth:`run` does, and keep where every step begins."""
-        h, places = self._steps(windows, substeps)
-        at = self._columns(windows, constants, substeps)
+        h, places = self._steps(windows, pace)
+        at = self._columns(windows, constants, pace)
         nodes, slopes = (np.empty((len(h) + 1, *start.shape)) for _ in range(2))
         nodes[0] = start
         with np.errstate(all="ignore"):
             for n, stages in enumerate(places.tolist()):
-                begin, middle, end = (at[place] for place in stages)
-                slopes[n] = k1 = self._slope_only(nodes[n], begin)
-                nodes[n + 1] = runge_kutta_step(
-                    self._slope_only, nodes[n], h[n], (begin, middle, end), k1
-                )
-            if not self._strides(substeps):
-                return Track(nodes, nodes[::substeps])
+                inner = [at[place] for place in stages]
+                slopes[n] = k1 = self._slope_only(nodes[n], inner[0])
+                nodes[n + 1] = pace.step(self._slope_only, nodes[n], h[n], inner, k1)
+            if not self._strides(pace):
+                return Track(nodes, nodes[:: pace.substeps])
             slopes[-1] = self._slope_only(nodes[-1], at[-1])
             found = np.empty((len(windows.t), *start.shape))
             found[0] = start
-            for some, rows in self._groups(windows, substeps, len(h)):
+            for some, rows in self._groups(windows, pace, len(h)):
                 rises = (h[some, None] * each[some] for each in (slopes[:-1], slopes[1:]))
-                inner = _between(rows, nodes[:-1][some], nodes[1:][some], *rises)
-                pieces = np.concatenate([inner, nodes[None, 1:][:, some]]).swapaxes(0, 1)
+                inner_rows = _between(rows, nodes[:-1][some], nodes[1:][some], *rises)
+                pieces = np.concatenate([inner_rows, nodes[None, 1:][:, some]]).swapaxes(0, 1)
                 first = 1 + some.start * self.stride
                 found[first : first + rows * len(pieces)] = pieces.reshape(-1, *start.shape)
         return Track(nodes, found)
@@ -214,7 +268,7 @@ class Flow:
         windows: Windows,
         start: np.ndarray,
         constants: np.ndarray,
-        substeps: int,
+        pace: Pace = PLAIN,
         track: Track | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Integrate with sensitivities (m + 1, k, P + k, W) to the constants, then the start.
@@ -223,21 +277,21 @@ class Flow:
         sensitivities is linear in them and depends on nothing but the state where it begins, so
         that many steps are differentiated at once, and then joined.
         """
-        track = track or self.track(windows, start, constants, substeps)
+        track = track or self.track(windows, start, constants, pace)
         (k, lanes), count = start.shape, len(constants)
         found = np.zeros((len(windows.t), k, count + k, lanes))
         found[0, np.arange(k), count + np.arange(k)] = 1.0
         now, row, step = found[0], 0, 0
         with np.errstate(all="ignore"):
-            for some, rows in self._groups(windows, substeps, max(1, _LANES // lanes)):
-                for pieces in self._differentiate(windows, track, constants, substeps, some, rows):
+            for some, rows in self._groups(windows, pace, max(1, _LANES // lanes)):
+                for pieces in self._differentiate(windows, track, constants, pace, some, rows):
                     joined = np.einsum("rijw,jpw->ripw", pieces[..., count:, :], now)
                     joined[:, :, :count] += pieces[..., :count, :]
                     now, step = joined[-1], step + 1
-                    if self._strides(substeps):
+                    if self._strides(pace):
                         found[row + 1 : row + 1 + rows] = joined
                         row += rows
-                    elif step % substeps == 0:
+                    elif step % pace.substeps == 0:
                         row += 1
                         found[row] = now
         return track.rows, found
@@ -247,47 +301,48 @@ class Flow:
         windows: Windows,
         track: Track,
         constants: np.ndarray,
-        substeps: int,
+        pace: Pace,
         some: slice,
         rows: int,
     ) -> np.ndarray:
         """Sensitivities (n, rows, k, P + k, W) along each of n steps to constants and its begin."""
-        h, places = self._steps(windows, substeps)
+        h, places = self._steps(windows, pace)
         states, h = track.nodes[:-1][some], h[some]
         (steps, k, lanes), count = states.shape, len(constants)
         joint = np.zeros((k, 1 + count + k, steps * lanes))
         joint[:, 0] = _flat(states)
         joint[np.arange(k), 1 + count + np.arange(k)] = 1.0
-        begin, middle, end = (
-            (*self._driven_lanes(windows, substeps, place), *constants) for place in places[some].T
-        )
-        lengths, first = h.ravel(), self._slope_joint(joint, begin)
-        after = runge_kutta_step(self._slope_joint, joint, lengths, (begin, middle, end), first)
+        stages = [
+            (*self._driven_lanes(windows, pace, place), *constants) for place in places[some].T
+        ]
+        lengths, first = h.ravel(), self._slope_joint(joint, stages[0])
+        after = pace.step(self._slope_joint, joint, lengths, stages, first)
         pieces = after[None]
-        if self._strides(substeps):
-            rise_after = lengths * self._slope_joint(after, end)
+        if self._strides(pace):
+            rise_after = lengths * self._slope_joint(after, stages[-1])
             inner = _between(rows, joint, after, lengths * first, rise_after)
             pieces = np.concatenate([inner, pieces])
         return pieces[:, :, 1:].reshape(rows, k, count + k, steps, lanes).transpose(3, 0, 1, 2, 4)
 
-    def _strides(self, substeps: int) -> bool:
-        return self.stride > 1 and substeps == 1
+    def _strides(self, pace: Pace) -> bool:
+        return self.stride > 1 and pace == PLAIN
 
-    def _steps(self, windows: Windows, substeps: int) -> tuple[np.ndarray, np.ndarray]:
-        """Lengths (n, W) of the steps, and places (n, 3) of their begin, middle and end."""
-        if self._strides(substeps):
+    def _steps(self, windows: Windows, pace: Pace) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths (n, W) of the steps, and places (n, stages) of what their stages need."""
+        if self._strides(pace):
             last = len(windows.t) - 1
             begin = np.arange(0, last, self.stride)
             end = np.append(begin[1:], last)
             return windows.t[end] - windows.t[begin], np.stack([2 * begin, begin + end, 2 * end], 1)
-        h = np.repeat(np.diff(windows.t, axis=0) / substeps, substeps, axis=0)
-        return h, 2 * np.arange(len(h))[:, None] + np.arange(3)
+        h = np.repeat(np.diff(windows.t, axis=0) / pace.substeps, pace.substeps, axis=0)
+        inner = len(pace.nodes) // pace.substeps
+        return h, inner * np.arange(len(h))[:, None] + np.arange(inner + 1)
 
-    def _groups(self, windows: Windows, substeps: int, most: int) -> Iterator[tuple[slice, int]]:
+    def _groups(self, windows: Windows, pace: Pace, most: int) -> Iterator[tuple[slice, int]]:
         """Steps, ``most`` at a time, that go over as many rows, 1 where they go over a part."""
         last = len(windows.t) - 1
-        if not self._strides(substeps):
-            yield from ((slice(n, n + most), 1) for n in range(0, last * substeps, most))
+        if not self._strides(pace):
+            yield from ((slice(n, n + most), 1) for n in range(0, last * pace.substeps, most))
             return
         full = last // self.stride
         yield from ((slice(n, min(n + most, full)), self.stride) for n in range(0, full, most))
@@ -301,17 +356,17 @@ class Flow:
         return not used.isdisjoint((*self.driven, "t"))
 
     def _columns(
-        self, windows: Windows, constants: np.ndarray, substeps: int
+        self, windows: Windows, constants: np.ndarray, pace: Pace
     ) -> Sequence[tuple[Any, ...]]:
-        """Arguments after the states at every node and midpoint."""
-        count = 2 * substeps * (len(windows.t) - 1) + 1
+        """Arguments after the states at every node, and at the end."""
         if not self._is_driven:
+            count = len(pace.nodes) * (len(windows.t) - 1) + 1
             return [(*self._unused, *constants)] * count
-        return [(*row, *constants) for row in windows.driven_at(substeps)]
+        return [(*row, *constants) for row in windows.driven_at(pace)]
 
-    def _driven_lanes(self, windows: Windows, substeps: int, places: np.ndarray) -> Iterable[Any]:
-        """Driven columns (d, n W) at n nodes or midpoints."""
-        return _flat(windows.driven_at(substeps)[places]) if self._is_driven else self._unused
+    def _driven_lanes(self, windows: Windows, pace: Pace, places: np.ndarray) -> Iterable[Any]:
+        """Driven columns (d, n W) at n nodes."""
+        return _flat(windows.driven_at(pace)[places]) if self._is_driven else self._unused
 
     @property
     def _unused(self) -> list[float]:

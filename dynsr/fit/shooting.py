@@ -17,7 +17,7 @@ from dynsr.data import Trajectory, robust_scale
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
-from dynsr.fit.flow import Flow, Track, Windows, cut_windows
+from dynsr.fit.flow import PLAIN, Flow, Pace, Track, Windows, cut_windows
 from dynsr.fit.linear import cauchy_weights
 from dynsr.fit.noise import independent_rows, is_noisy
 from dynsr.fit.settings import FIT, FitSettings
@@ -81,7 +81,7 @@ class Shooting:
     windows: Windows
     spread: np.ndarray
     free: bool
-    substeps: int = 1
+    pace: Pace = PLAIN
     width: float = 1.0
 
     def misses(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ class Shooting:
         return self._compare(self._track(constants, starts).rows)
 
     def _track(self, constants: np.ndarray, starts: np.ndarray) -> Track:
-        return self.flow.track(self.windows, starts, constants, self.substeps)
+        return self.flow.track(self.windows, starts, constants, self.pace)
 
     def _compare(self, found: np.ndarray) -> np.ndarray:
         return ((found - self.windows.x) / self._spreads())[0 if self.free else 1 :]
@@ -105,7 +105,7 @@ class Shooting:
         ``track`` is where the flow goes from there, when that is known.
         """
         found, sensitivity = self.flow.run_sensitive(
-            self.windows, starts, constants, self.substeps, track
+            self.windows, starts, constants, self.pace, track
         )
         slopes = (sensitivity / self._spreads()[..., None, :])[0 if self.free else 1 :]
         lanes = slopes.transpose(3, 0, 1, 2).reshape(starts.shape[1], -1, slopes.shape[2])
@@ -390,9 +390,9 @@ def measure_errors(
         fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
         with np.errstate(all="ignore"):
             starts = shooting.windows.x[0]
-            fixed = replace(fixed, substeps=choose_substeps(fixed, np.empty(0), starts))
+            fixed = replace(fixed, pace=choose_pace(fixed, np.empty(0), starts))
             _, starts = fit_loss(fixed, np.empty(0), starts, settings)
-            shooting = replace(shooting, substeps=fixed.substeps)
+            shooting = replace(shooting, pace=fixed.pace)
             errors = _standard_errors(shooting, constants, starts)
     pairs = list(zip(owners, values, errors.tolist(), strict=True))
     return {s: tuple((v, e) for owner, v, e in pairs if owner == s) for s in exprs}
@@ -489,7 +489,7 @@ def _fit(
     """Give the constants, their errors and the misses; None when the start diverges."""
     starts = shooting.windows.x[0]
     with np.errstate(all="ignore"):
-        shooting = replace(shooting, substeps=choose_substeps(shooting, constants, starts))
+        shooting = replace(shooting, pace=choose_pace(shooting, constants, starts))
         if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
             return None
         constants, starts = fit_loss(shooting, constants, starts, settings)
@@ -519,22 +519,33 @@ def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarr
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
-def choose_substeps(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> int:
-    """Halve the step until that moves the states less than rounding or than their misses.
+def choose_pace(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Pace:
+    """Take finer steps until that moves the states less than rounding or than their misses.
 
     Stiff systems begin with steps short enough to be stable, of which an interval has 64 at most.
     """
     stable = shooting.flow.stiffness(shooting.windows, constants) / _STABLE
     first = 2 ** min(max(math.ceil(math.log2(max(stable, 1.0))), 0), _MOST_HALVINGS)
-    coarse = replace(shooting, substeps=first).misses(constants, starts)
-    substeps = first
-    while substeps < max(16, 2 * first):
-        fine = replace(shooting, substeps=2 * substeps).misses(constants, starts)
+    pace = Pace(first)
+    coarse = replace(shooting, pace=pace).misses(constants, starts)
+    for finer in finer_paces(first, max(8, first)):
+        fine = replace(shooting, pace=finer).misses(constants, starts)
         moved = np.nanmax(np.abs(fine - coarse), initial=0.0)
         if moved < 1e-9 or moved < 0.01 * np.nanmedian(np.abs(fine)):
-            return substeps
-        coarse, substeps = fine, 2 * substeps
-    return substeps
+            return pace
+        coarse, pace = fine, finer
+    return pace
+
+
+def finer_paces(first: int, most: int) -> list[Pace]:
+    """Give what may follow ``first`` steps of order 4: twice as many, then up to ``most`` of 8.
+
+    One step of order 8 is closer than four of order 4, and costs less.
+    """
+    found = [Pace(2 * first), Pace(max(1, first // 2), 8)]
+    while found[-1].substeps < most:
+        found.append(Pace(2 * found[-1].substeps, 8))
+    return found
 
 
 def _match(
