@@ -16,10 +16,12 @@ import sympy
 from dynsr.data import Trajectory
 from dynsr.fit import (
     Flow,
+    Pace,
     Shooting,
     Windows,
     cut_windows,
     drives_of,
+    finer_paces,
     free_constants,
     loosen,
 )
@@ -230,7 +232,7 @@ def follow(
     with np.errstate(all="ignore"):
         chosen = list(shootings)
         if not starts:
-            chosen = [replace(s, substeps=_choose_substeps(s, constants)) for s in shootings]
+            chosen = [replace(s, pace=_choose_pace(s, constants)) for s in shootings]
         if free and len(chosen) == 1:
             constants, begin[0] = _grow(chosen[0], constants, begin[0], parts)
         else:
@@ -244,16 +246,16 @@ def follow(
     return Followed(tuple(chosen), constants, tuple(begin), misses, length)
 
 
-def _choose_substeps(shooting: Shooting, constants: np.ndarray) -> int:
-    """Halve the step until that moves no state by more than a tenth of its noise."""
+def _choose_pace(shooting: Shooting, constants: np.ndarray) -> Pace:
+    """Take finer steps until that moves no state by more than a tenth of its noise."""
     starts = shooting.windows.x[0]
-    coarse = shooting.misses(constants, starts)
-    for substeps in (2, 4, 8, 16, 32):
-        fine = replace(shooting, substeps=substeps).misses(constants, starts)
+    pace, coarse = shooting.pace, shooting.misses(constants, starts)
+    for finer in finer_paces(1, 16):
+        fine = replace(shooting, pace=finer).misses(constants, starts)
         if np.max(np.abs(fine - coarse)) < 0.1:
-            return substeps // 2
-        coarse = fine
-    return 32
+            return pace
+        pace, coarse = finer, fine
+    return pace
 
 
 def _close(shooting: Shooting, constants: np.ndarray) -> Shooting:

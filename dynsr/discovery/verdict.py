@@ -354,7 +354,7 @@ class _Bench:
         for shooting in shootings:
             starts = shooting.windows.x[0]
             with np.errstate(all="ignore"):
-                _, reached = shooting.flow.run_sensitive(shooting.windows, starts, self.values, 1)
+                _, reached = shooting.flow.run_sensitive(shooting.windows, starts, self.values)
             unit = self.spread[:, None] / self.spread
             size = np.abs(reached[:, :, len(self.values) :] / unit[:, :, None])
             found += list(np.max(np.nan_to_num(size, nan=np.inf), axis=(0, 1, 2)))

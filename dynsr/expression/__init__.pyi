@@ -1,6 +1,6 @@
 from .bits import LARGEST_IN_FRACTION, REAL_RESOLUTION, complexity, number_bits
 from .dimensions import Units, bare_term, read_units
-from .evaluation import compile_numpy, compile_scalar, evaluate
+from .evaluation import Rows, compile_numpy, compile_rows, compile_scalar, evaluate
 from .export import (
     arguments_of,
     call_names,
@@ -32,6 +32,7 @@ __all__ = [
     "REAL_RESOLUTION",
     "Prior",
     "Program",
+    "Rows",
     "Units",
     "Vocabulary",
     "arguments_of",
@@ -42,6 +43,7 @@ __all__ = [
     "check_name",
     "compile_columns",
     "compile_numpy",
+    "compile_rows",
     "compile_scalar",
     "complexity",
     "counting",

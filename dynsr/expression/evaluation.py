@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -11,6 +11,9 @@ import numpy as np
 import sympy
 
 from dynsr.expression.operators import FUNCTIONS
+
+# A function of p columns and of the array that its values are written to.
+Rows = Callable[[Iterable[Any], np.ndarray], None]
 
 
 @lru_cache(maxsize=4096)
@@ -37,18 +40,43 @@ def compile_numpy(
     >>> f(np.array([[1.0, 2.0], [3.0, 4.0]])).tolist()
     [[3.0, 8.0], [2.0, 2.0]]
     """
-    function = _lambdified(tuple(exprs), tuple(names), "numpy")
+    fill = compile_rows(exprs, names)
     count = len(exprs)
 
     def evaluate_all(values: np.ndarray) -> np.ndarray:
         values = np.asarray(values, dtype=float)
         out = np.empty((count, *values.shape[1:]))
         with np.errstate(all="ignore"):
-            for row, value in enumerate(function(*values)):
-                out[row] = _real(value)
+            fill(values, out)
         return out
 
     return evaluate_all
+
+
+def compile_rows(exprs: Sequence[sympy.Expr], names: Sequence[str]) -> Rows:
+    """Compile k expressions of p variables for many calls on few values each.
+
+    The function takes p arrays or floats that broadcast, and writes to its second argument (k,
+    ...). The caller says what becomes of warnings.
+
+    Parameters
+    ----------
+    exprs : the k expressions.
+    names : names of the p arguments, in their order.
+
+    >>> from dynsr.expression import parse
+    >>> f, out = compile_rows([parse("a*x"), parse("2")], ["a", "x"]), np.empty((2, 2))
+    >>> f((3.0, np.array([1.0, 2.0])), out)
+    >>> out.tolist()
+    [[3.0, 6.0], [2.0, 2.0]]
+    """
+    function = _lambdified(tuple(exprs), tuple(names), "numpy")
+
+    def fill(columns: Iterable[Any], out: np.ndarray) -> None:
+        for row, value in enumerate(function(*columns)):
+            out[row] = _real(value)
+
+    return fill
 
 
 def _real(value: Any) -> Any:

@@ -20,7 +20,7 @@ from .description import (
     structure_bits,
 )
 from .exact import confirm, simplest_form
-from .flow import Flow, Windows, cut_windows, runge_kutta_step
+from .flow import Flow, Pace, Windows, cut_windows, runge_kutta_step
 from .forced import missing_terms
 from .linear import (
     RatioFit,
@@ -48,8 +48,9 @@ from .shooting import (
     Match,
     Shooting,
     build_shooting,
-    choose_substeps,
+    choose_pace,
     drives_of,
+    finer_paces,
     match_trajectories,
     prepare,
     read_inputs,
@@ -74,6 +75,7 @@ __all__ = [
     "Measurements",
     "Mesh",
     "Noise",
+    "Pace",
     "ParetoFront",
     "RatioFit",
     "Shooting",
@@ -81,7 +83,7 @@ __all__ = [
     "build_shooting",
     "cauchy_weights",
     "choose",
-    "choose_substeps",
+    "choose_pace",
     "collapse",
     "confirm",
     "constant_bits",
@@ -90,6 +92,7 @@ __all__ = [
     "description_length",
     "drives_of",
     "eliminate",
+    "finer_paces",
     "fit_along",
     "fit_ratio",
     "fit_robustly",

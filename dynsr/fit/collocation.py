@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import sympy
 from scipy.interpolate import CubicSpline
-from scipy.linalg import LinAlgError, solveh_banded
+from scipy.linalg import LinAlgError, cholesky_banded, lapack
 
 from dynsr.data import (
     Samples,
@@ -111,6 +111,20 @@ class Mesh:
         return smaller
 
     @cached_property
+    def ends(self) -> tuple[Any, Any]:
+        """Where the (m,) intervals begin and end among rows; slices of a single run."""
+        last = len(self.t) - 1
+        if len(self.left) == last:
+            return slice(0, last), slice(1, last + 1)
+        return self.left, self.left + 1
+
+    @cached_property
+    def by_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Measured states (k, n), their weights (k, n) and the unit of the defects (k, m)."""
+        x, weights, unit = (np.ascontiguousarray(a.T) for a in (self.x, self.weights, self.unit))
+        return x, weights, unit
+
+    @cached_property
     def spread(self) -> np.ndarray:
         """(k,) standard deviation of the smoothed states, never 0."""
         return np.maximum(
@@ -188,7 +202,7 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Values and derivatives of the right-hand sides at a trial point."""
+    """Defects (k, m) at a trial point, and their derivatives: (k, k, m) twice and (k, P, m)."""
 
     defects: np.ndarray
     by_left: np.ndarray
@@ -253,9 +267,9 @@ class Collocation:
 
     def _slopes(self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray) -> np.ndarray:
         """(k, 1 + k + P, points): the right-hand sides, then with each argument moved a little."""
-        k, count = states.shape[1], len(constants)
+        k, count = len(states), len(constants)
         moves = 1 + k + count
-        rows = np.repeat(states.T[:, None], moves, axis=1)
+        rows = np.repeat(states[:, None], moves, axis=1)
         steps = self._state_steps()
         rows[np.arange(k), 1 + np.arange(k)] += steps[:, None]
         shifts = np.repeat(constants[:, None], moves, axis=1)
@@ -271,71 +285,72 @@ class Collocation:
     def _split(
         self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes (points, k), their derivatives by states (points, k, k), constants (.., k, P)."""
+        """Slopes (k, points), their derivatives by states (k, k, points), constants (k, P, ..)."""
         found = self._slopes(states, constants, driven)
-        k = states.shape[1]
-        base = found[:, 0]
+        base, k = found[:, 0], len(states)
         moved = found[:, 1:] - base[:, None]
-        by_state = moved[:, :k] / self._state_steps()[None, :, None]
-        by_constant = moved[:, k:] / self._constant_steps(constants)[None, :, None]
-        return base.T, by_state.transpose(2, 0, 1), by_constant.transpose(2, 0, 1)
+        by_state = moved[:, :k] / self._state_steps()[:, None]
+        by_constant = moved[:, k:] / self._constant_steps(constants)[:, None]
+        return base, by_state, by_constant
 
     def _middle(self, states: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        left, h = self.mesh.left, self.mesh.h[:, None]
-        ends = (states[left] + states[left + 1]) / 2
-        middle: np.ndarray = ends + h / 8 * (slopes[left] - slopes[left + 1])
+        left, right = self.mesh.ends
+        ends = (states[:, left] + states[:, right]) / 2
+        middle: np.ndarray = ends + self.mesh.h / 8 * (slopes[:, left] - slopes[:, right])
         return middle
 
     def _along(
         self, states: np.ndarray, constants: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes (n, k) at the rows; states and slopes (m, k) in the middle of the intervals."""
+        """Slopes (k, n) at the rows; states and slopes (k, m) in the middle of the intervals."""
         n = len(self.mesh.t)
-        at_rows = self.slope(*states.T, *self.mesh.driven[:, :n], *constants).T
+        at_rows = self.slope(*states, *self.mesh.driven[:, :n], *constants)
         middle = self._middle(states, at_rows)
-        inside = self.slope(*middle.T, *self.mesh.driven[:, n:], *constants).T
+        inside = self.slope(*middle, *self.mesh.driven[:, n:], *constants)
         return at_rows, middle, inside
 
     def _defects(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
-        """(m, k) how far each step misses the next state, in units of the noise."""
-        left, h = self.mesh.left, self.mesh.h[:, None]
+        """(k, m) how far each step misses the next state, in units of the noise."""
+        left, right = self.mesh.ends
         at_rows, _, inside = self._along(states, constants)
-        step = h / 6 * (at_rows[left] + 4 * inside + at_rows[left + 1])
-        found: np.ndarray = (states[left + 1] - states[left] - step) / self.mesh.unit
+        step = self.mesh.h / 6 * (at_rows[:, left] + 4 * inside + at_rows[:, right])
+        found: np.ndarray = (states[:, right] - states[:, left] - step) / self.mesh.by_state[2]
         return found
 
     def _linearise(
         self, states: np.ndarray, constants: np.ndarray, probes: np.ndarray | None = None
     ) -> _Point:
         """Defects and their derivatives; ``probes`` (k, Q, n + m) are slopes by more constants."""
-        n, left = len(self.mesh.t), self.mesh.left
-        right = left + 1
-        h, h3 = self.mesh.h[:, None], self.mesh.h[:, None, None]
+        n, h = len(self.mesh.t), self.mesh.h
+        left, right = self.mesh.ends
         f, by_x, by_c = self._split(states, constants, self.mesh.driven[:, :n])
         middle = self._middle(states, f)
         fm, mid_x, mid_c = self._split(middle, constants, self.mesh.driven[:, n:])
         if probes is not None:
-            by_c = np.concatenate([by_c, probes[..., :n].transpose(2, 0, 1)], axis=2)
-            mid_c = np.concatenate([mid_c, probes[..., n:].transpose(2, 0, 1)], axis=2)
-        one = np.eye(states.shape[1])
-        by_left = -one - h3 / 6 * (by_x[left] + 4 * mid_x @ (one / 2 + h3 / 8 * by_x[left]))
-        by_right = one - h3 / 6 * (by_x[right] + 4 * mid_x @ (one / 2 - h3 / 8 * by_x[right]))
-        inside = mid_c + mid_x @ (h3 / 8 * (by_c[left] - by_c[right]))
-        by_constant = -h3 / 6 * (by_c[left] + 4 * inside + by_c[right])
-        defects = states[right] - states[left] - h / 6 * (f[left] + 4 * fm + f[right])
-        unit = self.mesh.unit
+            by_c = np.concatenate([by_c, probes[..., :n]], axis=1)
+            mid_c = np.concatenate([mid_c, probes[..., n:]], axis=1)
+        one = np.eye(len(states))[..., None]
+        low, high = by_x[..., left], by_x[..., right]
+        by_left = -one - h / 6 * (low + 4 * _times(mid_x, one / 2 + h / 8 * low))
+        by_right = one - h / 6 * (high + 4 * _times(mid_x, one / 2 - h / 8 * high))
+        low, high = by_c[..., left], by_c[..., right]
+        inside = mid_c + _times(mid_x, h / 8 * (low - high))
+        by_constant = -h / 6 * (low + 4 * inside + high)
+        step = h / 6 * (f[:, left] + 4 * fm + f[:, right])
+        unit = self.mesh.by_state[2]
         return _Point(
-            defects / unit,
-            by_left / unit[..., None],
-            by_right / unit[..., None],
-            by_constant / unit[..., None],
+            (states[:, right] - states[:, left] - step) / unit,
+            by_left / unit[:, None],
+            by_right / unit[:, None],
+            by_constant / unit[:, None],
         )
 
     def _cost(self, states: np.ndarray, constants: np.ndarray, stiffness: float) -> float:
-        misses = (states - self.mesh.x) * self.mesh.weights
+        x, weights, _ = self.mesh.by_state
         with np.errstate(all="ignore"):
             defects = self._defects(states, constants)
-            cost = float(np.sum(misses**2) + stiffness * np.sum(defects**2))
+            misses = ((states - x) * weights) ** 2
+            cost = float(np.sum(misses) + stiffness * np.sum(defects**2))
         return cost if np.isfinite(cost) else np.inf
 
     def fit(self, near: CollocationFit | None = None) -> CollocationFit | None:
@@ -346,10 +361,9 @@ class Collocation:
         near : a fit of a like system, whose states are the start; by default the smoothed data,
             on which the system is made strict in stages.
         """
-        states = self.mesh.start if near is None else near.states
+        states = np.ascontiguousarray((self.mesh.start if near is None else near.states).T)
         constants = self.constants
-        stages = self.settings.stiffness
-        for stiffness in stages:
+        for stiffness in self.settings.stiffness:
             moved = self._stage(states, constants, stiffness)
             if moved is None:
                 return None
@@ -358,37 +372,35 @@ class Collocation:
 
     def _finish(self, states: np.ndarray, constants: np.ndarray) -> CollocationFit | None:
         try:
-            information = self.normal(states, constants).information
+            information = self.normal(states.T, constants).information
         except (LinAlgError, ValueError):
             return None
-        misses = (states - self.mesh.x) * self.mesh.weights
-        squares = np.sum(misses**2, axis=0) + self._unresolved(states, constants)
+        x, weights, _ = self.mesh.by_state
+        misses = (states - x) * weights
+        squares = np.sum(misses**2, axis=1) + self._unresolved(states, constants)
         squares /= np.maximum(self.mesh.rows, 1.0)
         exprs = self.put([sympy.Float(c) for c in constants.tolist()])
-        return CollocationFit(exprs, constants, states, misses, squares, information)
+        return CollocationFit(exprs, constants, states.T, misses.T, squares, information)
 
     def _unresolved(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
         """(k,) sums of squares of what half steps would change, in units of the noise.
 
         A right-hand side that jumps between rows would follow anything there.
         """
-        n, left = len(self.mesh.t), self.mesh.left
-        h = self.mesh.h[:, None]
+        n, h = len(self.mesh.t), self.mesh.h
+        left, right = self.mesh.ends
         with np.errstate(all="ignore"):
             f, middle, fm = self._along(states, constants)
-            change = -h / 6 * (f[left] + 4 * fm + f[left + 1])
+            change = -h / 6 * (f[:, left] + 4 * fm + f[:, right])
             between = self.mesh.driven[:, n:]
-            for end, slope, at in (
-                (states[left], f[left], left),
-                (states[left + 1], f[left + 1], left + 1),
-            ):
+            for at, sign in ((left, 1.0), (right, -1.0)):
                 # The cubic through the end and the middle, half way between the two.
-                sign = 1.0 if at is left else -1.0
+                end, slope = states[:, at], f[:, at]
                 quarter = (end + middle) / 2 + sign * h / 16 * (slope - fm)
-                driven = (self.mesh.driven[:, at] + between) / 2
-                inside = self.slope(*quarter.T, *driven, *constants).T
+                driven = (self.mesh.driven[:, :n][:, at] + between) / 2
+                inside = self.slope(*quarter, *driven, *constants)
                 change = change + h / 12 * (slope + 4 * inside + fm)
-            found: np.ndarray = np.sum((change / self.mesh.unit) ** 2, axis=0)
+            found: np.ndarray = np.sum((change / self.mesh.by_state[2]) ** 2, axis=1)
         return np.where(np.isfinite(found), found, np.inf)
 
     def _stage(
@@ -423,7 +435,7 @@ class Collocation:
     def _step(
         self, point: _Point, states: np.ndarray, stiffness: float, damping: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        found, alone, border = self._eliminate(point, states, stiffness, damping)
+        found, factor, white = self._eliminate(point, states, stiffness, damping)
         pull, centre = found.pull, found.information
         count = centre.shape[0]
         shift = np.zeros(0)
@@ -432,47 +444,46 @@ class Collocation:
             with np.errstate(over="ignore", invalid="ignore"):
                 scaled = centre / np.outer(scale, scale) + damping * np.eye(count)
                 shift = -np.linalg.solve(scaled, pull / scale) / scale
-        moved = -(alone + border @ shift)
-        return moved.reshape(states.shape), shift
+        moved, _ = lapack.dtbtrs(factor, -(white @ np.append(1.0, shift)), uplo="U")
+        if not np.all(np.isfinite(moved)):
+            raise LinAlgError
+        return moved.reshape(states.T.shape).T, shift
 
     def _eliminate(
         self, point: _Point, states: np.ndarray, stiffness: float, damping: float
     ) -> tuple[Linearised, np.ndarray, np.ndarray]:
-        """Solve the banded block of the states for the gradient and the border of constants."""
-        n, k = states.shape
-        left, right = self.mesh.left, self.mesh.left + 1
+        """Take the states out: what is left, the factor of their banded block, and what it whitens.
+
+        The whitened pulls are (n k, 1 + P): that of the misses and defects, then of the constants.
+        """
+        (k, n), (left, right) = states.shape, self.mesh.ends
         low, high, by_c, defects = point.by_left, point.by_right, point.by_constant, point.defects
-        lowt, hight = low.transpose(0, 2, 1), high.transpose(0, 2, 1)
-        diagonal = np.zeros((n, k, k))
-        squared = self.mesh.weights**2
-        diagonal[:, np.arange(k), np.arange(k)] = squared
-        diagonal[left] += stiffness * lowt @ low
-        diagonal[right] += stiffness * hight @ high
-        diagonal[:, np.arange(k), np.arange(k)] *= 1 + damping * 1e-3
-        beside = np.zeros((n, k, k))
-        beside[left] = stiffness * lowt @ high
-        gradient = squared * (states - self.mesh.x)
-        gradient[left] += stiffness * (lowt @ defects[..., None])[..., 0]
-        gradient[right] += stiffness * (hight @ defects[..., None])[..., 0]
-        count = by_c.shape[2]
-        border = np.zeros((n, k, count))
-        border[left] += stiffness * lowt @ by_c
-        border[right] += stiffness * hight @ by_c
-        sides = np.concatenate([gradient[..., None], border], axis=2).reshape(n * k, 1 + count)
-        solved = solveh_banded(_band(diagonal, beside), sides, check_finite=False)
-        if not np.all(np.isfinite(solved)):
+        x, weights, _ = self.mesh.by_state
+        own, squared, misses = np.arange(k), weights**2, states - x
+        diagonal, beside = np.zeros((k, k, n)), np.zeros((k, k, n))
+        diagonal[own, own] = squared
+        diagonal[..., left] += stiffness * _products(low, low)
+        diagonal[..., right] += stiffness * _products(high, high)
+        diagonal[own, own] *= 1 + damping * 1e-3
+        beside[..., left] = stiffness * _products(low, high)
+        # What the states are pulled by: their misses and defects, then each constant.
+        pulls = np.concatenate([defects[:, None], by_c], axis=1)
+        count = by_c.shape[1]
+        border = np.zeros((k, 1 + count, n))
+        border[:, 0] = squared * misses
+        border[..., left] += stiffness * _products(low, pulls)
+        border[..., right] += stiffness * _products(high, pulls)
+        sides = np.ascontiguousarray(border.transpose(1, 2, 0)).reshape(1 + count, n * k)
+        factor = cholesky_banded(_band(diagonal, beside), overwrite_ab=True, check_finite=False)
+        white, _ = lapack.dtbtrs(factor, sides.T, uplo="U", trans="T")
+        if not np.all(np.isfinite(white)):
             raise LinAlgError
-        flat = border.reshape(n * k, count)
-        own = by_c.reshape(defects.size, count)
-        corner = stiffness * (own.T @ own)
-        pull = stiffness * (own.T @ defects.ravel()) - flat.T @ solved[:, 0]
-        centre = corner - flat.T @ solved[:, 1:]
-        squares = float(
-            np.sum(squared * (states - self.mesh.x) ** 2)
-            + stiffness * np.sum(defects**2)
-            - gradient.ravel() @ solved[:, 0]
-        )
-        return Linearised((centre + centre.T) / 2, pull, squares), solved[:, 0], solved[:, 1:]
+        flat = pulls.transpose(1, 0, 2).reshape(1 + count, -1)
+        left_over = stiffness * (flat @ flat.T) - white.T @ white
+        centre = left_over[1:, 1:]
+        squares = float(np.sum(squared * misses**2) + left_over[0, 0])
+        found = Linearised((centre + centre.T) / 2, left_over[1:, 0], squares)
+        return found, factor, white
 
     def normal(
         self,
@@ -493,18 +504,19 @@ class Collocation:
 
         Raises LinAlgError when the system does not tell.
         """
+        columns = np.ascontiguousarray(states.T)
         with np.errstate(all="ignore"):
-            point = self._linearise(states, constants, probes)
+            point = self._linearise(columns, constants, probes)
         weight = self.settings.stiffness[-1] if stiffness is None else stiffness
-        return self._eliminate(point, states, weight, 0.0)[0]
+        return self._eliminate(point, columns, weight, 0.0)[0]
 
     def points(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
         """(k + d, n + m) states and driven columns at the rows and in the middle of intervals."""
         n = len(self.mesh.t)
         values = [np.asarray(c) for c in constants]
-        slopes = self.slope(*states.T, *self.mesh.driven[:, :n], *values).T
-        both = np.concatenate([states, self._middle(states, slopes)])
-        return np.concatenate([both.T, self.mesh.driven])
+        slopes = self.slope(*states.T, *self.mesh.driven[:, :n], *values)
+        both = np.concatenate([states.T, self._middle(states.T, slopes)], axis=1)
+        return np.concatenate([both, self.mesh.driven])
 
 
 @dataclass(frozen=True, eq=False)
@@ -699,20 +711,31 @@ class Measurements:
         )
 
 
+def _times(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Products (a, c, m) of matrices (a, b, m) and (b, c, m), one for each of m."""
+    return np.einsum("abm,bcm->acm", left, right)
+
+
+def _products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Products (b, c, m) of transposed matrices (a, b, m) and (a, c, m)."""
+    return np.einsum("abm,acm->bcm", left, right)
+
+
 def _band(diagonal: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """Write blocks (n, k, k) on and right of the diagonal in the upper form of solveh_banded."""
-    n, k, _ = diagonal.shape
+    """Write blocks (k, k, n) on and right of the diagonal in the upper form of cholesky_banded."""
+    k, _, n = diagonal.shape
     width = 2 * k - 1
-    band = np.zeros((width + 1, n, k))
+    # Column after column, as LAPACK reads it.
+    band = np.zeros((n, k, width + 1))
     for i in range(k):
         for j in range(i, k):
-            band[width + i - j, :, j] = diagonal[:, i, j]
+            band[:, j, width + i - j] = diagonal[i, j]
         for j in range(k):
             # Column (row + 1, j), row (row, i): k + j - i to the right.
             offset = k + j - i
             if offset <= width:
-                band[width - offset, 1:, j] = beside[:-1, i, j]
-    return band.reshape(width + 1, n * k)
+                band[1:, j, width - offset] = beside[i, j, :-1]
+    return band.reshape(n * k, width + 1).T
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import sympy
+from scipy.integrate import DOP853
 
-from dynsr.expression import compile_numpy
+from dynsr.expression import Rows, compile_rows
+
+# Where the twelve stages of a step of order 8 are, as shares of it; the last one is its end.
+_NODES = DOP853.C[: len(DOP853.B)]
+# Lanes that are differentiated at once: as many as stay in a cache.
+_LANES = 2048
 
 
 def runge_kutta_step(
-    slope: Callable[[Any, Any], Any], state: Any, h: Any, at: tuple[Any, Any, Any], k1: Any = None
+    slope: Callable[[Any, Any], Any], state: Any, h: Any, at: Sequence[Any], k1: Any = None
 ) -> Any:
     """Take one step of the classical Runge-Kutta method of order 4 (Kutta 1901).
 
@@ -38,29 +44,83 @@ def runge_kutta_step(
     return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
+def eighth_order_step(
+    slope: Callable[[Any, Any], Any], state: Any, h: Any, at: Sequence[Any], k1: Any = None
+) -> Any:
+    """Take one step of the method of order 8 of Dormand and Prince (Hairer and others 1993, II.5).
+
+    Parameters
+    ----------
+    slope, state, h, k1 : as :func:`runge_kutta_step` takes them; states and slopes are arrays.
+    at : what the slope needs at each of the twelve stages.
+
+    >>> decay = lambda x, t: -x
+    >>> found = eighth_order_step(decay, np.ones(1), 0.5, [None] * 12)
+    >>> bool(abs(found[0] - np.exp(-0.5)) < 1e-11)
+    True
+    """
+    slopes = np.empty((len(_NODES), *state.shape))
+    flat = slopes.reshape(len(_NODES), -1)
+    slopes[0] = slope(state, at[0]) if k1 is None else k1
+    for i in range(1, len(_NODES)):
+        rise = (DOP853.A[i, :i] @ flat[:i]).reshape(state.shape)
+        slopes[i] = slope(state + h * rise, at[i])
+    return state + h * (DOP853.B @ flat).reshape(state.shape)
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How an interval is crossed: in ``substeps`` of a Runge-Kutta method of ``order`` 4 or 8."""
+
+    substeps: int = 1
+    order: int = 4
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Where in an interval slopes are needed, its end left out, as shares of it."""
+        inner = _NODES[:-1] if self.order == 8 else np.array([0.0, 0.5])
+        return ((np.arange(self.substeps)[:, None] + inner) / self.substeps).ravel()
+
+    @property
+    def step(self) -> Callable[..., Any]:
+        """The function that takes one step."""
+        return eighth_order_step if self.order == 8 else runge_kutta_step
+
+
+PLAIN = Pace()
+
+
 @dataclass(frozen=True, eq=False)
 class Windows:
     """Pieces of trajectories, all of m intervals, as lanes.
 
     ``t`` (m + 1, W) times; ``x`` (m + 1, k, W) states measured there; ``drive`` gives the driven
-    columns, (d, W), at times (W,). They are read once for all flows over the windows.
+    columns, (d, n, W), at times (n, W). They are read once for all flows over the windows.
     """
 
     t: np.ndarray
     x: np.ndarray
     drive: Callable[[np.ndarray], np.ndarray]
-    _driven: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
+    _driven: dict[Pace, np.ndarray] = field(default_factory=dict, repr=False)
 
-    def driven_at(self, substeps: int) -> np.ndarray:
-        """Driven columns (m * 2 substeps + 1, d, W) at every node and midpoint of the steps."""
-        if substeps not in self._driven:
-            parts = np.arange(2 * substeps) / (2 * substeps)
+    def driven_at(self, pace: Pace = PLAIN) -> np.ndarray:
+        """Driven columns (m * nodes + 1, d, W) at every node of the steps and at their end."""
+        if pace not in self._driven:
             steps = np.diff(self.t, axis=0)
-            nodes = (self.t[:-1, None, :] + parts[None, :, None] * steps[:, None, :]).reshape(
+            nodes = (self.t[:-1, None] + pace.nodes[None, :, None] * steps[:, None]).reshape(
                 -1, self.t.shape[1]
             )
-            self._driven[substeps] = np.stack([self.drive(row) for row in (*nodes, self.t[-1])])
-        return self._driven[substeps]
+            times = np.concatenate([nodes, self.t[-1:]])
+            self._driven[pace] = np.ascontiguousarray(self.drive(times).transpose(1, 0, 2))
+        return self._driven[pace]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """States ``nodes`` (n + 1, k, W) between the n steps of a march, ``rows`` (m + 1, k, W)."""
+
+    nodes: np.ndarray
+    rows: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,15 +132,15 @@ class Flow:
     rhs : state -> expression in the k states, the driven columns, ``t`` and the constants.
     driven : names of the driven columns.
     constants : the P symbols whose values are given when the flow is run; those of the probes last.
-    stride : rows a step where one substep is asked for; rows between are read off the cubic through
-        two states with their slopes. Only for times that are even.
+    stride : rows a step where one substep of order 4 is asked for; rows between are read off the
+        cubic through two states with their slopes. Only for times that are even.
     probes : (place of a state, term) of terms that the flow does not have but whose sensitivities
         are wanted; each has a constant, which is 0.
 
     >>> flow = Flow({"x": -sympy.Symbol("x")}, (), (), stride=5)
     >>> t = np.linspace(0, 1, 101)[:, None]
     >>> windows = Windows(t, t[:, None], lambda times: times[None])
-    >>> found = flow.run(windows, np.ones((1, 1)), np.empty(0), 1)
+    >>> found = flow.run(windows, np.ones((1, 1)), np.empty(0))
     >>> bool(np.allclose(found[:, 0], np.exp(-t), atol=1e-6))
     True
     """
@@ -97,11 +157,11 @@ class Flow:
         return [*self.rhs, *self.driven, "t", *(str(c) for c in self.constants)]
 
     @cached_property
-    def _slope(self) -> Callable[[np.ndarray], np.ndarray]:
-        return compile_numpy(list(self.rhs.values()), self.names)
+    def _slope(self) -> Rows:
+        return compile_rows(list(self.rhs.values()), self.names)
 
     @cached_property
-    def _partial(self) -> tuple[list[tuple[int, int]], Callable[[np.ndarray], np.ndarray]]:
+    def _partial(self) -> tuple[list[tuple[int, int]], Rows]:
         """Non-zero entries (i, j) of the Jacobian to states, then constants; and their values."""
         if self.probes:
             return self._partial_of_probes()
@@ -117,23 +177,22 @@ class Flow:
                 if slope != 0:
                     entries.append((i, j))
                     found.append(slope.xreplace(back))
-        return entries, compile_numpy([*self.rhs.values(), *found], self.names)
+        return entries, compile_rows([*self.rhs.values(), *found], self.names)
 
-    def _partial_of_probes(
-        self,
-    ) -> tuple[list[tuple[int, int]], Callable[[np.ndarray], np.ndarray]]:
+    def _partial_of_probes(self) -> tuple[list[tuple[int, int]], Rows]:
         """Entries of the flow itself, and for each probe the value of its term."""
         own = self.constants[: len(self.constants) - len(self.probes)]
         plain = replace(self, constants=own, probes=())
         entries, evaluate = plain._partial  # noqa: SLF001 (another flow)
         first = len(self.rhs) + len(own)
-        used = len(plain.names)
-        terms = compile_numpy([term for _, term in self.probes], plain.names)
+        used, split = len(plain.names), len(self.rhs) + len(entries)
+        terms = compile_rows([term for _, term in self.probes], plain.names)
         entries = [*entries, *((row, first + i) for i, (row, _) in enumerate(self.probes))]
 
-        def together(values: np.ndarray) -> np.ndarray:
-            mine = values[:used]
-            return np.concatenate([evaluate(mine), terms(mine)])
+        def together(columns: Iterable[Any], out: np.ndarray) -> None:
+            mine = tuple(columns)[:used]
+            evaluate(mine, out[:split])
+            terms(mine, out[split:])
 
         return entries, together
 
@@ -150,95 +209,180 @@ class Flow:
         Jacobian is finite.
         """
         entries, evaluate = self._partial
-        k, steps, worst = len(self.rhs), np.diff(windows.t, axis=0), 0.0
-        fixed = np.broadcast_to(constants[:, None], (len(constants), windows.t.shape[1]))
-        for row in np.unique(np.linspace(0, len(steps) - 1, rows).round().astype(int)):
-            at = np.concatenate([windows.x[row], windows.drive(windows.t[row]), fixed])
-            jacobian = np.zeros((windows.t.shape[1], k, k))
-            for (i, j), value in zip(entries, evaluate(at)[k:], strict=True):
-                if j < k:
-                    jacobian[:, i, j] = value
-            finite = np.isfinite(jacobian).all(axis=(1, 2))
-            sizes = np.abs(np.linalg.eigvals(jacobian[finite])).max(axis=1, initial=0.0)
-            worst = max(worst, float(np.max(sizes * steps[row, finite], initial=0.0)))
-        return worst
+        k, steps = len(self.rhs), np.diff(windows.t, axis=0)
+        at = np.unique(np.linspace(0, len(steps) - 1, rows).round().astype(int))
+        driven = windows.drive(windows.t[at]).reshape(len(self.driven) + 1, -1)
+        values = np.empty((k + len(entries), driven.shape[1]))
+        with np.errstate(all="ignore"):
+            evaluate((*_flat(windows.x[at]), *driven, *constants), values)
+        jacobian = np.zeros((driven.shape[1], k, k))
+        for (i, j), value in zip(entries, values[k:], strict=True):
+            if j < k:
+                jacobian[:, i, j] = value
+        finite = np.isfinite(jacobian).all(axis=(1, 2))
+        sizes = np.abs(np.linalg.eigvals(jacobian[finite])).max(axis=1, initial=0.0)
+        return float(np.max(sizes * steps[at].ravel()[finite], initial=0.0))
 
     def run(
-        self, windows: Windows, start: np.ndarray, constants: np.ndarray, substeps: int
+        self,
+        windows: Windows,
+        start: np.ndarray,
+        constants: np.ndarray,
+        pace: Pace = PLAIN,
     ) -> np.ndarray:
         """Integrate from ``start`` (k, W); gives states (m + 1, k, W). Divergence gives NaN."""
-        stages = self._stages(windows, constants, substeps)
-        return np.stack(list(self._march(windows, start, substeps, self._slope_only, stages)))
+        return self.track(windows, start, constants, pace).rows
+
+    def track(
+        self,
+        windows: Windows,
+        start: np.ndarray,
+        constants: np.ndarray,
+        pace: Pace = PLAIN,
+    ) -> Track:
+        """Integrate as :meth:`run` does, and keep where every step begins."""
+        h, places = self._steps(windows, pace)
+        at = self._columns(windows, constants, pace)
+        nodes, slopes = (np.empty((len(h) + 1, *start.shape)) for _ in range(2))
+        nodes[0] = start
+        with np.errstate(all="ignore"):
+            for n, stages in enumerate(places.tolist()):
+                inner = [at[place] for place in stages]
+                slopes[n] = k1 = self._slope_only(nodes[n], inner[0])
+                nodes[n + 1] = pace.step(self._slope_only, nodes[n], h[n], inner, k1)
+            if not self._strides(pace):
+                return Track(nodes, nodes[:: pace.substeps])
+            slopes[-1] = self._slope_only(nodes[-1], at[-1])
+            found = np.empty((len(windows.t), *start.shape))
+            found[0] = start
+            for some, rows in self._groups(windows, pace, len(h)):
+                rises = (h[some, None] * each[some] for each in (slopes[:-1], slopes[1:]))
+                inner_rows = _between(rows, nodes[:-1][some], nodes[1:][some], *rises)
+                pieces = np.concatenate([inner_rows, nodes[None, 1:][:, some]]).swapaxes(0, 1)
+                first = 1 + some.start * self.stride
+                found[first : first + rows * len(pieces)] = pieces.reshape(-1, *start.shape)
+        return Track(nodes, found)
 
     def run_sensitive(
-        self, windows: Windows, start: np.ndarray, constants: np.ndarray, substeps: int
+        self,
+        windows: Windows,
+        start: np.ndarray,
+        constants: np.ndarray,
+        pace: Pace = PLAIN,
+        track: Track | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Integrate with sensitivities (m + 1, k, P + k, W) to the constants, then the start."""
-        k, lanes = start.shape
-        count = len(constants)
-        sensitivity = np.zeros((k, count + k, lanes))
-        sensitivity[np.arange(k), count + np.arange(k)] = 1.0
-        joint = np.concatenate([start[:, None, :], sensitivity], axis=1)
-        stages = self._stages(windows, constants, substeps)
-        found = np.stack(list(self._march(windows, joint, substeps, self._slope_joint, stages)))
-        return found[:, :, 0, :], found[:, :, 1:, :]
+        """Integrate with sensitivities (m + 1, k, P + k, W) to the constants, then the start.
 
-    def _stages(self, windows: Windows, constants: np.ndarray, substeps: int) -> np.ndarray:
-        """Arguments after the states (d + 1 + P, W) at every node and midpoint."""
-        driven = windows.driven_at(substeps)
-        lanes = windows.t.shape[1]
-        fixed = np.broadcast_to(constants[None, :, None], (len(driven), len(constants), lanes))
-        return np.concatenate([driven, fixed], axis=1)
+        ``track`` is what :meth:`track` gave for the same arguments. What a step makes of the
+        sensitivities is linear in them and depends on nothing but the state where it begins, so
+        that many steps are differentiated at once, and then joined.
+        """
+        track = track or self.track(windows, start, constants, pace)
+        (k, lanes), count = start.shape, len(constants)
+        found = np.zeros((len(windows.t), k, count + k, lanes))
+        found[0, np.arange(k), count + np.arange(k)] = 1.0
+        now, row, step = found[0], 0, 0
+        with np.errstate(all="ignore"):
+            for some, rows in self._groups(windows, pace, max(1, _LANES // lanes)):
+                for pieces in self._differentiate(windows, track, constants, pace, some, rows):
+                    joined = np.einsum("rijw,jpw->ripw", pieces[..., count:, :], now)
+                    joined[:, :, :count] += pieces[..., :count, :]
+                    now, step = joined[-1], step + 1
+                    if self._strides(pace):
+                        found[row + 1 : row + 1 + rows] = joined
+                        row += rows
+                    elif step % pace.substeps == 0:
+                        row += 1
+                        found[row] = now
+        return track.rows, found
 
-    def _march(
+    def _differentiate(
         self,
         windows: Windows,
-        state: np.ndarray,
-        substeps: int,
-        slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
-        stages: np.ndarray,
-    ) -> Iterator[np.ndarray]:
-        yield state
-        if self.stride > 1 and substeps == 1:
-            yield from self._stride(windows, state, slope, stages)
+        track: Track,
+        constants: np.ndarray,
+        pace: Pace,
+        some: slice,
+        rows: int,
+    ) -> np.ndarray:
+        """Sensitivities (n, rows, k, P + k, W) along each of n steps to constants and its begin."""
+        h, places = self._steps(windows, pace)
+        states, h = track.nodes[:-1][some], h[some]
+        (steps, k, lanes), count = states.shape, len(constants)
+        joint = np.zeros((k, 1 + count + k, steps * lanes))
+        joint[:, 0] = _flat(states)
+        joint[np.arange(k), 1 + count + np.arange(k)] = 1.0
+        stages = [
+            (*self._driven_lanes(windows, pace, place), *constants) for place in places[some].T
+        ]
+        lengths, first = h.ravel(), self._slope_joint(joint, stages[0])
+        after = pace.step(self._slope_joint, joint, lengths, stages, first)
+        pieces = after[None]
+        if self._strides(pace):
+            rise_after = lengths * self._slope_joint(after, stages[-1])
+            inner = _between(rows, joint, after, lengths * first, rise_after)
+            pieces = np.concatenate([inner, pieces])
+        return pieces[:, :, 1:].reshape(rows, k, count + k, steps, lanes).transpose(3, 0, 1, 2, 4)
+
+    def _strides(self, pace: Pace) -> bool:
+        return self.stride > 1 and pace == PLAIN
+
+    def _steps(self, windows: Windows, pace: Pace) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths (n, W) of the steps, and places (n, stages) of what their stages need."""
+        if self._strides(pace):
+            last = len(windows.t) - 1
+            begin = np.arange(0, last, self.stride)
+            end = np.append(begin[1:], last)
+            return windows.t[end] - windows.t[begin], np.stack([2 * begin, begin + end, 2 * end], 1)
+        h = np.repeat(np.diff(windows.t, axis=0) / pace.substeps, pace.substeps, axis=0)
+        inner = len(pace.nodes) // pace.substeps
+        return h, inner * np.arange(len(h))[:, None] + np.arange(inner + 1)
+
+    def _groups(self, windows: Windows, pace: Pace, most: int) -> Iterator[tuple[slice, int]]:
+        """Steps, ``most`` at a time, that go over as many rows, 1 where they go over a part."""
+        last = len(windows.t) - 1
+        if not self._strides(pace):
+            yield from ((slice(n, n + most), 1) for n in range(0, last * pace.substeps, most))
             return
-        node = 0
-        with np.errstate(all="ignore"):
-            for interval in np.diff(windows.t, axis=0):
-                h = interval / substeps
-                for _ in range(substeps):
-                    state = runge_kutta_step(slope, state, h, tuple(stages[node : node + 3]))
-                    node += 2
-                yield state
+        full = last // self.stride
+        yield from ((slice(n, min(n + most, full)), self.stride) for n in range(0, full, most))
+        if last % self.stride:
+            yield slice(full, full + 1), last % self.stride
 
-    def _stride(
-        self,
-        windows: Windows,
-        state: np.ndarray,
-        slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
-        stages: np.ndarray,
-    ) -> Iterator[np.ndarray]:
-        last, row = len(windows.t) - 1, 0
-        with np.errstate(all="ignore"):
-            k1 = slope(state, stages[0])
-            while row < last:
-                rows = min(self.stride, last - row)
-                h = windows.t[row + rows] - windows.t[row]
-                at = stages[2 * row], stages[2 * row + rows], stages[2 * (row + rows)]
-                after = runge_kutta_step(slope, state, h, at, k1)
-                slope_after = slope(after, at[2])
-                yield from _between(rows, state, after, h * k1, h * slope_after)
-                yield after
-                state, k1, row = after, slope_after, row + rows
+    @cached_property
+    def _is_driven(self) -> bool:
+        exprs = [*self.rhs.values(), *(term for _, term in self.probes)]
+        used = {str(symbol) for expr in exprs for symbol in expr.free_symbols}
+        return not used.isdisjoint((*self.driven, "t"))
 
-    def _slope_only(self, x: np.ndarray, rest: np.ndarray) -> np.ndarray:
-        return self._slope(np.concatenate([x, rest]))
+    def _columns(
+        self, windows: Windows, constants: np.ndarray, pace: Pace
+    ) -> Sequence[tuple[Any, ...]]:
+        """Arguments after the states at every node, and at the end."""
+        if not self._is_driven:
+            count = len(pace.nodes) * (len(windows.t) - 1) + 1
+            return [(*self._unused, *constants)] * count
+        return [(*row, *constants) for row in windows.driven_at(pace)]
 
-    def _slope_joint(self, joint: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    def _driven_lanes(self, windows: Windows, pace: Pace, places: np.ndarray) -> Iterable[Any]:
+        """Driven columns (d, n W) at n nodes."""
+        return _flat(windows.driven_at(pace)[places]) if self._is_driven else self._unused
+
+    @property
+    def _unused(self) -> list[float]:
+        return [0.0] * (len(self.driven) + 1)
+
+    def _slope_only(self, x: np.ndarray, rest: Sequence[Any]) -> np.ndarray:
+        out = np.empty(x.shape)
+        self._slope((*x, *rest), out)
+        return out
+
+    def _slope_joint(self, joint: np.ndarray, rest: Sequence[Any]) -> np.ndarray:
         entries, evaluate = self._partial
         x, sensitivity = joint[:, 0, :], joint[:, 1:, :]
-        values = evaluate(np.concatenate([x, rest]))
         k = len(x)
+        values = np.empty((k + len(entries), x.shape[1]))
+        evaluate((*x, *rest), values)
         out = np.zeros_like(joint)
         out[:, 0, :] = values[:k]
         for (i, j), value in zip(entries, values[k:], strict=True):
@@ -247,6 +391,11 @@ class Flow:
             else:
                 out[i, 1 + j - k, :] += value
         return out
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    """(n, c, W) -> (c, n W): the lanes of n places side by side."""
+    return values.transpose(1, 0, 2).reshape(values.shape[1], -1)
 
 
 def cut_windows(
@@ -273,10 +422,10 @@ def cut_windows(
     owner = np.array([run for run, _ in lanes])
 
     def driven(times: np.ndarray) -> np.ndarray:
-        parts = [drive[run](times[owner == run]) for run in range(len(t))]
-        out = np.empty((len(parts[0]), len(times)))
+        parts = [drive[run](times[:, owner == run].ravel()) for run in range(len(t))]
+        out = np.empty((len(parts[0]), *times.shape))
         for run, part in enumerate(parts):
-            out[:, owner == run] = part
+            out[:, :, owner == run] = part.reshape(len(out), len(times), -1)
         return out
 
     return Windows(

@@ -30,7 +30,7 @@ class FitSettings:
     match_windows : windows of the data at most.
     match_gain : relative gain below which a fit to the states ends.
     match_trials : integrations of trial steps of one loss at most.
-    match_substeps : steps of a fit between two rows, to which they are halved where that helps.
+    match_substeps : steps of order 8 between two rows, at most, unless the equations are stiff.
     match_longest : intervals of the longest windows with fitted starts.
     match_follows : longer windows are taken while misses grow by less than this factor.
     match_reach : longer windows are tried where their misses are, before the fit, within this
@@ -70,7 +70,7 @@ class FitSettings:
     match_windows: int = 400
     match_gain: float = 1e-6
     match_trials: int = 60
-    match_substeps: int = 16
+    match_substeps: int = 8
     match_longest: int = 300
     match_follows: float = 1.15
     match_reach: float = 3.0

@@ -17,7 +17,7 @@ from dynsr.data import Trajectory, robust_scale
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
-from dynsr.fit.flow import Flow, Windows, cut_windows
+from dynsr.fit.flow import PLAIN, Flow, Pace, Track, Windows, cut_windows
 from dynsr.fit.linear import cauchy_weights
 from dynsr.fit.noise import independent_rows, is_noisy
 from dynsr.fit.settings import FIT, FitSettings
@@ -81,13 +81,15 @@ class Shooting:
     windows: Windows
     spread: np.ndarray
     free: bool
-    substeps: int = 1
+    pace: Pace = PLAIN
     width: float = 1.0
 
     def misses(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """(rows, k, W) found minus measured; NaN where the flow diverges."""
-        found = self.flow.run(self.windows, starts, constants, self.substeps)
-        return self._compare(found)
+        return self._compare(self._track(constants, starts).rows)
+
+    def _track(self, constants: np.ndarray, starts: np.ndarray) -> Track:
+        return self.flow.track(self.windows, starts, constants, self.pace)
 
     def _compare(self, found: np.ndarray) -> np.ndarray:
         return ((found - self.windows.x) / self._spreads())[0 if self.free else 1 :]
@@ -96,14 +98,20 @@ class Shooting:
         return self.spread[:, None] if self.spread.ndim == 1 else self.spread
 
     def linearise(
-        self, constants: np.ndarray, starts: np.ndarray
+        self, constants: np.ndarray, starts: np.ndarray, track: Track | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Misses, their slopes by the constants (W, rows * k, P) and by the starts (.., k or 0)."""
-        found, sensitivity = self.flow.run_sensitive(self.windows, starts, constants, self.substeps)
+        """Misses, their slopes by the constants (W, rows * k, P) and by the starts (.., k or 0).
+
+        ``track`` is where the flow goes from there, when that is known.
+        """
+        found, sensitivity = self.flow.run_sensitive(
+            self.windows, starts, constants, self.pace, track
+        )
         slopes = (sensitivity / self._spreads()[..., None, :])[0 if self.free else 1 :]
         lanes = slopes.transpose(3, 0, 1, 2).reshape(starts.shape[1], -1, slopes.shape[2])
         count = len(constants)
-        return self._compare(found), lanes[..., :count], lanes[..., count if self.free else None :]
+        last = lanes.shape[2] if self.free else count
+        return self._compare(found), lanes[..., :count], lanes[..., count:last]
 
     def unit(self, misses: np.ndarray) -> np.ndarray:
         """(k,) unit of the weights: ``width`` robust sizes of the misses, not below rounding."""
@@ -124,13 +132,14 @@ class Shooting:
         the loss by less than the share ``gain``, or than a thousandth where misses are rounding.
         """
         rho, weigh = LOSSES[loss]
-        misses = self.misses(constants, starts)
+        track = self._track(constants, starts)
+        misses = self._compare(track.rows)
         unit = self.unit(misses)[:, None]
         level, damping = _level(rho, misses / unit), 1e-4
         if np.max(unit) < _ROUNDING:
             gain = max(gain, 1e-3)
         for _ in range(most):
-            misses, by_constant, by_start = self.linearise(constants, starts)
+            misses, by_constant, by_start = self.linearise(constants, starts, track)
             weights = weigh((misses / unit) ** 2) / unit**2
             try:
                 normal = _normal(_by_lane(misses), by_constant, by_start, _by_lane(weights))
@@ -140,10 +149,13 @@ class Shooting:
             while damping < 1e8 and trials > 0:
                 trials -= 1
                 trial = self._try(normal, damping, constants, starts)
-                reached = np.inf if trial is None else _level(rho, self.misses(*trial) / unit)
-                if trial is not None and reached < level:
-                    (constants, starts), level, damping = trial, reached, damping / 10
-                    break
+                if trial is not None:
+                    tried = self._track(*trial)
+                    reached = _level(rho, self._compare(tried.rows) / unit)
+                    if reached < level:
+                        (constants, starts), track, level = trial, tried, reached
+                        damping /= 10
+                        break
                 damping *= 10
             if not level < before * (1 - gain):
                 break
@@ -378,9 +390,9 @@ def measure_errors(
         fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
         with np.errstate(all="ignore"):
             starts = shooting.windows.x[0]
-            fixed = replace(fixed, substeps=choose_substeps(fixed, np.empty(0), starts))
+            fixed = replace(fixed, pace=choose_pace(fixed, np.empty(0), starts))
             _, starts = fit_loss(fixed, np.empty(0), starts, settings)
-            shooting = replace(shooting, substeps=fixed.substeps)
+            shooting = replace(shooting, pace=fixed.pace)
             errors = _standard_errors(shooting, constants, starts)
     pairs = list(zip(owners, values, errors.tolist(), strict=True))
     return {s: tuple((v, e) for owner, v, e in pairs if owner == s) for s in exprs}
@@ -477,8 +489,8 @@ def _fit(
     """Give the constants, their errors and the misses; None when the start diverges."""
     starts = shooting.windows.x[0]
     with np.errstate(all="ignore"):
-        substeps = choose_substeps(shooting, constants, starts, settings.match_substeps)
-        shooting = replace(shooting, substeps=substeps)
+        pace = choose_pace(shooting, constants, starts, settings.match_substeps)
+        shooting = replace(shooting, pace=pace)
         if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
             return None
         constants, starts = fit_loss(shooting, constants, starts, settings)
@@ -508,24 +520,35 @@ def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarr
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
-def choose_substeps(
+def choose_pace(
     shooting: Shooting, constants: np.ndarray, starts: np.ndarray, most: int = FIT.match_substeps
-) -> int:
-    """Halve the step until that moves the states less than rounding or than their misses.
+) -> Pace:
+    """Take finer steps until that moves the states less than rounding or than their misses.
 
     Stiff systems begin with steps short enough to be stable, of which an interval has 64 at most.
     """
     stable = shooting.flow.stiffness(shooting.windows, constants) / _STABLE
     first = 2 ** min(max(math.ceil(math.log2(max(stable, 1.0))), 0), _MOST_HALVINGS)
-    coarse = replace(shooting, substeps=first).misses(constants, starts)
-    substeps = first
-    while substeps < max(most, 2 * first):
-        fine = replace(shooting, substeps=2 * substeps).misses(constants, starts)
+    pace = Pace(first)
+    coarse = replace(shooting, pace=pace).misses(constants, starts)
+    for finer in finer_paces(first, max(most, first)):
+        fine = replace(shooting, pace=finer).misses(constants, starts)
         moved = np.nanmax(np.abs(fine - coarse), initial=0.0)
         if moved < 1e-9 or moved < 0.01 * np.nanmedian(np.abs(fine)):
-            return substeps
-        coarse, substeps = fine, 2 * substeps
-    return substeps
+            return pace
+        coarse, pace = fine, finer
+    return pace
+
+
+def finer_paces(first: int, most: int) -> list[Pace]:
+    """Give what may follow ``first`` steps of order 4: twice as many, then up to ``most`` of 8.
+
+    One step of order 8 is closer than four of order 4, and costs less.
+    """
+    found = [Pace(2 * first), Pace(max(1, first // 2), 8)]
+    while found[-1].substeps < most:
+        found.append(Pace(2 * found[-1].substeps, 8))
+    return found
 
 
 def _match(

@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 
 from dynsr.data import Trajectory, robust_scale
 from dynsr.fit.settings import FIT, FitSettings
-from dynsr.fit.shooting import Shooting, build_shooting, choose_substeps, fit_loss, prepare
+from dynsr.fit.shooting import Shooting, build_shooting, choose_pace, fit_loss, prepare
 
 # Rows a step of the integration, longest first, that are tried on noisy data.
 _STRIDES = (8, 4, 2, 1)
@@ -175,7 +175,7 @@ def _in_reach(
     with np.errstate(all="ignore"):
         now = _large(shooting.misses(constants, starts))
         flow = replace(longer.flow, stride=shooting.flow.stride)
-        at = replace(longer, flow=flow, substeps=shooting.substeps)
+        at = replace(longer, flow=flow, pace=shooting.pace)
         then = _large(at.misses(constants, begin))
     return bool(np.all(then <= settings.match_reach * now))
 
@@ -206,7 +206,7 @@ def _step(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Shoo
             if moved < _STRIDE_ERROR * size:
                 return longer
             longer, misses = shorter, finer
-        return replace(longer, substeps=choose_substeps(longer, constants, starts))
+        return replace(longer, pace=choose_pace(longer, constants, starts))
 
 
 def _descend(
@@ -228,7 +228,7 @@ def _carry(
     """Give starts of longer windows, (k, W), from the states that the shorter ones came to."""
     windows = shooting.windows
     with np.errstate(all="ignore"):
-        found = shooting.flow.run(windows, starts, constants, shooting.substeps)
+        found = shooting.flow.run(windows, starts, constants, shooting.pace)
     known = {
         (float(windows.t[row, lane]), *windows.x[row, :, lane].tolist()): found[row, :, lane]
         for lane in range(windows.t.shape[1])
@@ -267,7 +267,7 @@ def _weigh(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Sho
     The likelihood of the misses decides, by 2 nats at least: one more number for a state.
     """
     with np.errstate(all="ignore"):
-        found = shooting.flow.run(shooting.windows, starts, constants, shooting.substeps)
+        found = shooting.flow.run(shooting.windows, starts, constants, shooting.pace)
     misses = shooting.misses(constants, starts)
     own = np.broadcast_to(shooting.spread[None, :, None], found.shape).copy()
     changed = False

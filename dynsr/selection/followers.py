@@ -19,7 +19,7 @@ import sympy
 
 from dynsr.data import SmoothedTrajectory, Trajectory, smooth_column
 from dynsr.expression import Program, compile_columns
-from dynsr.fit import Flow, Windows, drives_of, runge_kutta_step
+from dynsr.fit import Flow, Pace, Windows, cut_windows, drives_of, runge_kutta_step
 from dynsr.methods import Demands, Library, polynomials, trigonometrics
 
 Equations = dict[str, sympy.Expr]
@@ -123,14 +123,14 @@ class Trail:
             rows = np.unique([*range(0, len(run), own), len(run) - 1])
             whole = self.smoothed is not None and len(self.smoothed[i].t) == len(run)
             start = self.smoothed[i].x[0] if whole and self.smoothed is not None else run.x[0]
-            x = run.x[rows][:, self._places, None]
-            windows = Windows(run.t[rows, None], x, drives[i])
+            x = run.x[rows][:, self._places]
+            windows = cut_windows([run.t[rows]], [x], [drives[i]], len(rows) - 1, 1)
             found.append((windows, start[self._places, None]))
         return found
 
-    def substeps(self, windows: Windows) -> int:
+    def pace(self, windows: Windows) -> Pace:
         """Steps of the integration between two rows."""
-        return math.ceil(self.settings.steps / (len(windows.t) - 1))
+        return Pace(math.ceil(self.settings.steps / (len(windows.t) - 1)))
 
     def r2(self, exprs: Mapping[str, sympy.Expr]) -> np.ndarray:
         """(k,) share of the variance of each state that an integration explains, from -1 up.
@@ -143,7 +143,7 @@ class Trail:
         """
         flow = Flow({s: exprs[s] for s in self.states}, self.driven, ())
         found = [
-            flow.run(windows, start, np.zeros(0), self.substeps(windows))
+            flow.run(windows, start, np.zeros(0), self.pace(windows))
             for windows, start in self.windows
         ]
         return np.asarray(self._score(found)[:, 0])
@@ -190,15 +190,15 @@ class Trail:
         count: int,
     ) -> np.ndarray:
         """Integrate ``count`` systems from one start; NaN from where they leave the bounds."""
-        substeps = self.substeps(windows)
-        stages = windows.driven_at(substeps)[..., 0]
+        pace = self.pace(windows)
+        stages = windows.driven_at(pace)[..., 0]
         low, high = self.bounds
         x = np.repeat(start, count, axis=1)
         found = [x]
         with np.errstate(all="ignore"):
             node = 0
-            for h in np.diff(windows.t[:, 0]) / substeps:
-                for _ in range(substeps):
+            for h in np.diff(windows.t[:, 0]) / pace.substeps:
+                for _ in range(pace.substeps):
                     x = runge_kutta_step(slope, x, h, tuple(stages[node : node + 3]))
                     node += 2
                 x = np.where(np.all((x > low) & (x < high), axis=0), x, np.nan)

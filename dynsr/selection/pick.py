@@ -17,7 +17,7 @@ from dynsr.fit import (
     Loss,
     Noise,
     build_shooting,
-    choose_substeps,
+    choose_pace,
     collapse,
     description_length,
     improve,
@@ -55,8 +55,8 @@ def forecast_misses(
     shooting = build_shooting(flow, runs, inputs or {}, window, False)
     with np.errstate(all="ignore"):
         starts, constants = shooting.windows.x[0], np.array(values)
-        substeps = choose_substeps(shooting, constants, starts)
-        misses = np.abs(replace(shooting, substeps=substeps).misses(constants, starts))
+        pace = choose_pace(shooting, constants, starts)
+        misses = np.abs(replace(shooting, pace=pace).misses(constants, starts))
     return np.nan_to_num(misses, nan=np.inf, posinf=np.inf)
 
 
