@@ -90,7 +90,7 @@ def test_a_folder_holds_the_draws_of_one_method(tmp_path):
 
 
 def test_what_is_found_is_judged_against_the_truth():
-    """The right form counts as exact with its errors; a parabola, which no noise mends, does not."""
+    """The right form counts as exact with its errors; a parabola, which is not it, does not."""
     x, y = run_noise([DECAY], [0.0], [0], method=Truth())
     assert x.recovery.same_form and 0 <= x.recovery.constants_off < 0.02
     assert x.equation_rmse < 0.1 < y.equation_rmse
