@@ -8,6 +8,7 @@ its own, and without workers, which change no result and take long to start.
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import re
@@ -28,6 +29,14 @@ _ROOT = Path(__file__).parent
 # A shell starts background jobs with Ctrl-C ignored; the tests of it and their children would wait.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# As in a command, where imports and formulas are many small objects that live.
+gc.set_threshold(100_000, 20, 10)
+
+
+def pytest_collection_finish() -> None:
+    """Keep what all tests share out of every later look for garbage, a tenth of the suite."""
+    gc.freeze()
 
 
 _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")

@@ -9,8 +9,6 @@ import pytest
 from dynsr.discovery.search import discover
 from dynsr.methods.rational import RationalSearch
 
-distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
-
 
 def problem():
     """Give three states in closed form, searched by a quick method."""
@@ -26,6 +24,8 @@ def problem():
 def test_a_killed_worker_does_not_change_the_result(tmp_path):
     """With one of two workers killed mid-run the discovery ends as on one machine."""
     import joblib
+
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
 
     data, method = problem()
     alone = discover(data, method=method, jobs=1)

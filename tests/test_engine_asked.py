@@ -7,6 +7,7 @@ import importlib
 import inspect
 import json
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -95,9 +96,10 @@ def driven() -> InitialValueProblem:
     return InitialValueProblem((sympy.Symbol("u"),), ("x",), [1.0], T, drives=(ramp,))
 
 
+@cache
 def found_flow():
     """Give the decay as a discovery that keeps the embedded engine."""
-    return discover(DECAY, method="sindy", preset="quick", jobs=1)
+    return discover(DECAY, jobs=1)
 
 
 FUNCTIONS = {
@@ -105,7 +107,7 @@ FUNCTIONS = {
     "Discovery.simulate": lambda e, _: found_flow().simulate(engine=e),
     "Discovery.score": lambda e, _: found_flow().score(engine=e),
     "DynsrRegressor": lambda e, _: DynsrRegressor("sindy", engine=e).fit(T[:, None], 3 * T),
-    "SINDy": lambda e, _: discover(DECAY, method=dynsr.SINDy(engine=e), jobs=1),
+    "SINDy": lambda e, _: discover(DECAY, method=dynsr.SINDy(engine=e), functions=(), jobs=1),
     "simulate": lambda e, _: simulate(PENDULUM, engine=e),
     "simulate_driven": lambda e, _: simulate_driven(driven(), e),
     "training_trajectory": lambda e, _: dynsr.engines.training_trajectory(PENDULUM, e),
@@ -224,7 +226,7 @@ def test_what_has_no_solution_is_confirmed_as_such(julia, monkeypatch):
         raise EngineError("no")
 
     monkeypatch.setattr(julia, "integrate", give_up)
-    found = discover(DECAY, engine="julia", method="sindy", jobs=1)
+    found = discover(DECAY, engine="julia", method="rational", jobs=1)
     assert str(found.equations["x"]) == "-0.5*x"
     assert found.settings["confirmed"]["trajectory_rmse"] == {"x": None}
 
@@ -232,7 +234,7 @@ def test_what_has_no_solution_is_confirmed_as_such(julia, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(julia, "integrate", interrupt)
-    found = discover(DECAY, engine="julia", method="sindy", jobs=1)
+    found = discover(DECAY, engine="julia", method="rational", jobs=1)
     assert str(found.equations["x"]) == "-0.5*x" and "confirmed" not in found.settings
 
 

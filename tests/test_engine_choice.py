@@ -28,7 +28,7 @@ from command_line import run
 
 T = np.linspace(0.0, 3.0, 61)
 FAKE = Path(__file__).parent / "fake_julia"
-SINDY = {"method": "sindy", "preset": "quick", "jobs": 1}
+SINDY = {"method": "sindy", "preset": "quick", "functions": (), "jobs": 1}
 
 
 def decay(count: int = 1) -> Trajectory:
@@ -129,8 +129,8 @@ def test_the_embedded_engine_is_asked_for_nothing_else(julia):
 
 def test_a_discovery_in_the_shell_regresses_on_the_engine(julia, table, tmp_path):
     """dynsr discover --engine julia --method sindy; its saved result keeps the engine."""
-    words = ("discover", table, "--engine", "julia", "--method", "sindy", "-j", 1, "--json")
-    found = json.loads(run(*words, "-q", "--out", tmp_path / "kept").stdout)
+    words = ("discover", table, "--engine", "julia", "--method", "sindy", "--functions", "")
+    found = json.loads(run(*words, "-j", 1, "--json", "-q", "--out", tmp_path / "kept").stdout)
     assert (
         julia.regressed and found["engine"] == found["settings"]["engines"]["simulate"] == "julia"
     )
@@ -151,7 +151,9 @@ def test_the_name_travels_to_worker_processes(tmp_path):
         "import numpy as np, dynsr\n"
         "t = np.linspace(0, 3, 41)\n"
         "x = {'t': t, 'x': 2 * np.exp(-t / 2), 'y': np.exp(-t)}\n"
-        "found = dynsr.discover(x, engine='julia', method='sindy', preset='quick', jobs=2)\n"
+        "found = dynsr.discover(\n"
+        "    x, engine='julia', method='sindy', preset='quick', functions=(), jobs=2\n"
+        ")\n"
         "found.simulate()\n"
         "print(found.settings['engines']['regress'], dynsr.find_engine('julia').name)\n"
     )

@@ -61,9 +61,9 @@ def test_data_are_needed(noisy, tmp_path):
 
 def test_a_discovery_with_an_ensemble(tmp_path):
     """Asked for, it stands in the result, the saved file, the report, and what the shell prints."""
-    t = np.linspace(0, 4, 200)
-    data = np.column_stack([t, np.exp(-t) + np.random.default_rng(0).normal(0, 1e-3, 200)])
-    quick = {"method": "sindy", "preset": "quick", "functions": [], "jobs": 1}
+    t = np.linspace(0, 4, 100)
+    data = np.column_stack([t, np.exp(-t) + np.random.default_rng(0).normal(0, 1e-3, 100)])
+    quick = {"preset": "quick", "functions": [], "jobs": 1}
     found = discover((data[:, 0], data[:, 1]), ensemble=20, **quick)
     (term,) = [one for one in found.ensemble["x"] if one.term == "x"]
     assert term.probability > 0.9 and -1.2 < term.low < -1 < term.high < -0.8
@@ -74,7 +74,7 @@ def test_a_discovery_with_an_ensemble(tmp_path):
     assert "An ensemble of fits" not in render_discovery(replace(found, ensemble={}))
     np.savetxt(tmp_path / "decay.csv", data, header="t,x", comments="", delimiter=",")
     words = [
-        *("--method", "sindy", "--preset", "quick", "-j", "1"),
+        *("--preset", "quick", "-j", "1"),
         "--functions",
         "none",
         "-o",

@@ -56,7 +56,13 @@ def test_a_term_that_the_data_do_not_ask_for_is_there(
     """x^2 is in x' with a coefficient near 0 and its interval; the law stands beside it."""
     assert not plain.equations["x"].has(X**2)
     found = dynsr.discover(
-        prey(noise), method=method, jobs=1, preset="quick", targets="x", must={"x": "x**2"}
+        prey(noise),
+        method=method,
+        jobs=1,
+        preset="quick",
+        functions=(),
+        targets="x",
+        must={"x": "x**2"},
     )
     expr = found.equations["x"]
     assert expr.has(X**2)

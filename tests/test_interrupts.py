@@ -18,7 +18,7 @@ class Slow:
     """An object whose finaliser takes as long as it is told, and may interrupt its own process."""
 
     def __init__(self, seconds: float, number: int | None = None) -> None:
-        """Take the seconds, and the signal that is sent at their beginning."""
+        """Take the seconds, and the signal that is sent at their beginning, and arrives in them."""
         self.seconds, self.number = seconds, number
 
     def __del__(self) -> None:
@@ -51,21 +51,21 @@ def test_ctrl_c_in_a_finaliser_ends_the_run() -> None:
     """Ctrl-C while an object is being removed is raised when that has ended."""
     watch = Watch(None, {}, 1)
     with pytest.raises(KeyboardInterrupt), watch:
-        work(Slow(0.01, signal.SIGINT))
+        work(Slow(0.1, signal.SIGINT))
     assert watch.messages.stopped
 
 
 def test_a_command_hears_ctrl_c_once_where_it_was_lost() -> None:
     """Outside a search too it is raised when the finaliser has ended, and is no second Ctrl-C."""
     with pytest.raises(KeyboardInterrupt), _noted_interrupts() as noted:
-        work(Slow(0.01, signal.SIGINT))
+        work(Slow(0.1, signal.SIGINT))
     assert noted == [signal.SIGINT]
 
 
 def test_a_command_hears_sigterm_where_it_was_lost(capfd) -> None:
     """It ends with its code, and says so once."""
     with pytest.raises(SystemExit, match="143"), _orderly_end():
-        work(Slow(0.01, signal.SIGTERM))
+        work(Slow(0.1, signal.SIGTERM))
     assert capfd.readouterr().err == "error: terminated\n"
 
 

@@ -24,13 +24,18 @@ from dynsr.jobs.store import from_plain, to_plain
 from dynsr.methods.base import AbstractMethod, silent
 
 ROOT = Path(__file__).parent.parent
-# What is kept, and for whom, is the same for any number of rows.
-FEW_ROWS = replace(LOTKA_VOLTERRA, train=(0.0, 3.0), step=0.06)
+# A decay of few rows has the name of a system that there is: what is kept, and for whom, is the
+# same for any equations.
+DECAY = replace(
+    System.from_strings({"x": "-x/2", "y": "x - y"}, x0=(2.0, 1.0), name=LOTKA_VOLTERRA.name),
+    train=(0.0, 3.0),
+    step=0.06,
+)
 
 
 @dataclass(frozen=True)
 class Truth(AbstractMethod):
-    """Give the true form of Lotka-Volterra for x and a straight line for y, and count the calls."""
+    """Give the true form of the decay for x and a parabola for y, and count the calls."""
 
     log: str = ""
     name: str = field(default="truth", init=False)
@@ -40,8 +45,8 @@ class Truth(AbstractMethod):
         if self.log:
             with open(self.log, "a", encoding="utf-8") as file:
                 file.write(f"{samples.target}\n")
-        x, y = sympy.symbols("x y")
-        expr = {"x": 1.4 * x - 0.9 * x * y, "y": 0.3 * x - 0.5}[samples.target]
+        x = sympy.Symbol("x")
+        expr = {"x": -0.4 * x, "y": 0.3 * x**2 - 0.5}[samples.target]
         return ParetoFront([score_candidate(expr, samples, self.name)])
 
 
@@ -61,17 +66,17 @@ def test_draws_are_kept_and_taken_from_their_records(tmp_path):
             told.extend(step.record.rows)
 
     first = run_noise(
-        [FEW_ROWS], [0.0, 0.0002], [0], method=method, out=tmp_path / "out", progress=tell
+        [DECAY], [0.0, 0.0002], [0], method=method, out=tmp_path / "out", progress=tell
     )
     assert first == told and len(first) == 4 and len(log.read_text().split()) == 4
-    again = run_noise([FEW_ROWS], [0.0, 0.0002], [0], method=method, out=tmp_path / "out")
+    again = run_noise([DECAY], [0.0, 0.0002], [0], method=method, out=tmp_path / "out")
     assert again == first and len(log.read_text().split()) == 4
-    run_noise([FEW_ROWS], [0.0, 0.0002], [0, 1], method=method, out=tmp_path / "out")
+    run_noise([DECAY], [0.0, 0.0002], [0, 1], method=method, out=tmp_path / "out")
     # Without noise all draws are one.
     assert len(log.read_text().split()) == 6
     for lost in (tmp_path / "out" / "records").iterdir():
         lost.unlink()
-    resumed = run_noise([FEW_ROWS], [0.0], [0], method=method, out=tmp_path / "out")
+    resumed = run_noise([DECAY], [0.0], [0], method=method, out=tmp_path / "out")
     # The searches themselves are kept too.
     assert len(log.read_text().split()) == 6
     assert [r.recovery.found for r in resumed] == [r.recovery.found for r in first[:2]]
@@ -79,14 +84,14 @@ def test_draws_are_kept_and_taken_from_their_records(tmp_path):
 
 def test_a_folder_holds_the_draws_of_one_method(tmp_path):
     """Another method does not mix its records with those that are there."""
-    run_noise([FEW_ROWS], [0.0], [0], method=Truth(), out=tmp_path)
+    run_noise([DECAY], [0.0], [0], method=Truth(), out=tmp_path)
     with pytest.raises(InputError, match="holds results with preset best, not quick"):
-        run_noise([FEW_ROWS], [0.0], [0], method=Truth(), preset="quick", out=tmp_path)
+        run_noise([DECAY], [0.0], [0], method=Truth(), preset="quick", out=tmp_path)
 
 
 def test_what_is_found_is_judged_against_the_truth():
-    """The right form counts as exact with its errors; a line, which no noise mends, does not."""
-    x, y = run_noise([LOTKA_VOLTERRA], [0.0], [0], method=Truth())
+    """The right form counts as exact with its errors; a parabola, which is not it, does not."""
+    x, y = run_noise([DECAY], [0.0], [0], method=Truth())
     assert x.recovery.same_form and 0 <= x.recovery.constants_off < 0.02
     assert x.equation_rmse < 0.1 < y.equation_rmse
     assert not y.recovery.same_form
@@ -130,11 +135,8 @@ def test_table_of_the_levels():
 def test_the_script_writes_tables_and_pictures(tmp_path, monkeypatch, capsys):
     """The benchmark prints every equation and writes what it found; a bad level is one line."""
     words = ["--quick", "--levels", "0", "--method", "rational", "--out", str(tmp_path)]
-    # A decay, which is found at once, has the name of a system that there is.
-    name = LOTKA_VOLTERRA.name
-    decay = System.from_strings({"x": "-x/2", "y": "x - y"}, x0=(2.0, 1.0), name=name)
-    monkeypatch.setitem(SYSTEMS, name, decay)
-    monkeypatch.setattr(sys, "argv", ["noise.py", name, *words])
+    monkeypatch.setitem(SYSTEMS, DECAY.name, DECAY)
+    monkeypatch.setattr(sys, "argv", ["noise.py", DECAY.name, *words])
     script = runpy.run_path(str(ROOT / "scripts" / "benches" / "noise.py"))
     script["main"]()
     assert capsys.readouterr().out.count("exact, off") == 2

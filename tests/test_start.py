@@ -43,7 +43,7 @@ def earlier() -> dynsr.Discovery:
 
     Of the front a few formulas stay: each of them is fitted to whatever data go on.
     """
-    found = dynsr.discover(prey(100, 6), method="sindy", preset="quick", functions=(), jobs=1)
+    found = dynsr.discover(prey(100, 6), preset="quick", functions=(), jobs=1)
     shifted = {"x": 1.5015 * X - 1.001 * X * Y, "y": 0.999 * X * Y - 3.003 * Y}
     few = {state: ParetoFront(list(front)[:4]) for state, front in found.front.items()}
     return replace(found, equations=shifted, front=few)
@@ -100,8 +100,8 @@ def test_a_map_goes_on_as_well() -> None:
             x.append(3.7 * x[-1] * (1 - x[-1]))
         return dynsr.Trajectory(np.arange(float(count)), np.array(x)[:, None], ("x",))
 
-    few = dynsr.discover(rows(40), discrete=True, method="sindy", jobs=1)
-    found = dynsr.discover(rows(200), discrete=True, method="sindy", jobs=1, start=few)
+    few = dynsr.discover(rows(40), discrete=True, preset="quick", jobs=1)
+    found = dynsr.discover(rows(200), discrete=True, preset="quick", jobs=1, start=few)
     assert found.settings["methods"] == ["start"]
     assert sympy.expand(found.equations["x"]) == sympy.expand(3.7 * X * (1 - X))
     with pytest.raises(InputError, match="start found a map, but here one asks for equations of"):

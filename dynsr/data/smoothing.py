@@ -15,7 +15,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
-from scipy.ndimage import gaussian_filter1d, median_filter
 
 from dynsr.data.gaussian_process import Process, ProcessSettings, fit_process, screen
 from dynsr.data.noise_model import (
@@ -201,6 +200,8 @@ def _fixed_warps(t: np.ndarray, settings: SmoothSettings) -> list[_Warp]:
 
 def _arc_warps(t: np.ndarray, pilot: Process, settings: SmoothSettings) -> list[_Warp]:
     """Stretch time where a pilot moves fast."""
+    from scipy.ndimage import gaussian_filter1d
+
     # Averaged over neighbours, so that turning points are no rest.
     squares = gaussian_filter1d(pilot.slope**2, max(1.0, len(t) / 100), mode="nearest")
     speed = np.sqrt(squares + settings.still**2 * np.mean(squares))
@@ -257,6 +258,8 @@ def _smooth_plain(
 
     ``known`` is the standard deviation of every row where the noise is that of a logarithm.
     """
+    from scipy.ndimage import gaussian_filter1d, median_filter
+
     level = median_filter(x, 3, mode="nearest")
     sd = noise.sd(gaussian_filter1d(level, 1.0, mode="nearest")) if known is None else known
     sd = np.maximum(sd, 0.1 * np.median(sd))

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import sympy
-from scipy.integrate import Radau
 
 from dynsr.engines.base import InitialValueProblem, Integration
 from dynsr.engines.tsit5.single import NO_REAL_VALUE, interpolate, take_steps
@@ -176,6 +175,8 @@ def _implicit(
     limit: Callable[[float], float] | None,
 ) -> np.ndarray:
     """Integrate by Radau from ``x0`` at ``begin``; the states (n, k) at the later times ``t``."""
+    from scipy.integrate import Radau
+
     out, done = np.empty((len(t), len(x0))), 0
     most = _IMPLICIT_STEPS + _STEPS_A_ROW * len(motion.rows)
     reached, x, reason = begin, x0, ""

@@ -6,6 +6,7 @@ Neither Ctrl-C nor a kill of this process leaves workers behind.
 from __future__ import annotations
 
 import ctypes
+import gc
 import math
 import multiprocessing
 import operator
@@ -277,6 +278,8 @@ def _belong_to(parent: int, lasting: bool) -> None:
     A search would answer an interrupt with what it has found so far, which is no result here.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Garbage waits as it does in the command.
+    gc.set_threshold(100_000, 20, 10)
     if lasting and sys.platform == "linux":
         # At once, even from within a long call that lets no other thread run.
         with suppress(OSError, AttributeError):

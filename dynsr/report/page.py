@@ -8,6 +8,7 @@ browser to ask for anything.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,12 @@ def render_page(template: str, **content: Any) -> str:
     Tables are shown by ``show_table`` of ``parts.html.j2``, a Picture by ``show_picture``, pairs
     of names and values by ``show_facts``.
     """
+    return _environment().get_template(template).render(**content)
+
+
+@cache
+def _environment() -> Environment:
+    """Make what reads templates, once a process: it keeps those that it has compiled."""
     environment = Environment(
         loader=PackageLoader("dynsr.report"),
         autoescape=True,
@@ -57,7 +64,7 @@ def render_page(template: str, **content: Any) -> str:
     environment.filters["read"] = format_value
     environment.filters["typeset"] = typeset
     environment.tests["formula"] = lambda value: isinstance(value, Formula)
-    return environment.get_template(template).render(**content)
+    return environment
 
 
 def typeset(formula: str) -> str:

@@ -17,7 +17,6 @@ from itertools import pairwise
 
 import numpy as np
 import sympy
-from scipy.integrate import solve_ivp
 from scipy.linalg import LinAlgError
 
 from dynsr.expression import compile_columns, evaluate
@@ -484,6 +483,8 @@ def integrate(fit: SystemFit, evaluations: int = COMPARISON.evaluations, pieces:
     evaluations : of the right-hand sides for each row; a run that takes more counts as missed.
     pieces : of each run; a chaotic one parts from the data over the whole.
     """
+    from scipy.integrate import solve_ivp
+
     mesh, constants = fit.problem.mesh, fit.fit.constants
     slope = fit.problem.slope
     first = np.setdiff1d(np.arange(len(mesh.t)), mesh.left + 1)
