@@ -148,3 +148,15 @@ def test_arguments_stay_as_they_are():
     x.flags.writeable = False
     compile_columns([parse("x"), parse("x^2 + x"), parse("-x")], ["x"])(x)
     np.testing.assert_array_equal(x, [1, 2])
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(st.lists(expressions(), min_size=1, max_size=3), st.tuples(*[st.integers(-3, 3)] * 3))
+def test_a_point_has_the_very_values_of_arrays(exprs, whole):
+    """At floats, zeros among them, a program gives bit for bit what it gives for arrays."""
+    program, point = compile_columns(exprs, NAMES), [0.7 * number for number in whole]
+    expected = program(*np.array(point)[:, None])[:, 0]
+    with np.errstate(all="ignore"):
+        found = program.at(*point)
+    assert all(type(value) is float for value in found)
+    np.testing.assert_array_equal(found, expected)

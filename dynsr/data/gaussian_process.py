@@ -102,7 +102,9 @@ class _Problem:
         self.basis[:, 0], self.basis[:, 1] = 1.0, self.s
         np.cos(np.outer(self.s + _REACH, self.omega[:count]), out=self.basis[:, 2:])
         weighted = self.basis / self.variance[:, None]
-        self.gram, self.moments = self.basis.T @ weighted, weighted.T @ self.y
+        # In the order of LAPACK, which then factors in place what is made of it.
+        self.gram = np.asfortranarray(self.basis.T @ weighted)
+        self.moments = weighted.T @ self.y
 
     def slopes(self, count: int) -> np.ndarray:
         """Slopes (n, count) of offset, trend and cosines per unit of s."""
@@ -130,9 +132,12 @@ class _Problem:
         """Give roots of the variances, Cholesky factor, whitened coefficients, log gradients."""
         logs, gradient = self.variances(kernel)
         root, m = np.exp(logs / 2), len(logs)
-        inner = self.gram[:m, :m] * np.exp(-kernel[3]) * root[:, None] * root
+        inner = self.gram[:m, :m] * np.exp(-kernel[3])
+        inner *= root[:, None]
+        inner *= root
         # Rounding must not make the matrix indefinite where noise is far below the spread.
-        inner[np.diag_indices(m)] += 1.0 + m * np.finfo(float).eps * np.max(np.diag(inner))
+        diagonal = np.einsum("ii->i", inner)
+        diagonal += 1.0 + m * np.finfo(float).eps * np.max(diagonal)
         factor = cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
         right = root * self.moments[:m] * np.exp(-kernel[3])
         return root, factor, cho_solve((factor, True), right, check_finite=False), gradient

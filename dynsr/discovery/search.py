@@ -315,7 +315,7 @@ def discover(
     record["engines"] |= ENGINES if discrete else {}
     settled = None if demands.conserved else found.verdict
     verdict = settled or problem.judge(found, rivals)
-    if settled is None:
+    if settled is None and _left_to_us(method, preset):
         found, verdict = _follow(problem, found, verdict, record)
     return replace(
         found,
@@ -387,6 +387,12 @@ def _claim(
     return key
 
 
+def _left_to_us(method: str | AbstractMethod | Sequence[str | AbstractMethod], preset: str) -> bool:
+    """Whether other ways than those of the methods named may be gone."""
+    asked = [method] if isinstance(method, (str, AbstractMethod)) else method
+    return preset != "paper" and AUTO in asked
+
+
 def _choose_first(
     method: str | AbstractMethod | Sequence[str | AbstractMethod],
     preset: str,
@@ -394,8 +400,7 @@ def _choose_first(
     engine: AbstractEngine,
 ) -> tuple[str, ...]:
     """Name what looks at every state before the methods, where these are left to us."""
-    asked = [method] if isinstance(method, (str, AbstractMethod)) else method
-    if preset == "paper" or AUTO not in asked:
+    if not _left_to_us(method, preset):
         return ()
     # Who names an engine wants the methods that regress in it.
     looked = not problem.form.discrete and engine.name == DEFAULT_ENGINE

@@ -7,8 +7,10 @@ computed once.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,9 +19,14 @@ import sympy
 from dynsr.expression.operators import FUNCTIONS
 
 _BY_CLASS: dict[Any, Callable[..., Any]] = {
-    operator.sympy: operator.numpy
-    for operator in FUNCTIONS.values()
-    if isinstance(operator.sympy, type)
+    known.sympy: known.numpy for known in FUNCTIONS.values() if isinstance(known.sympy, type)
+}
+
+# What floats do among themselves as arrays do, and several times quicker.
+_PLAIN: dict[Callable[..., Any], Callable[..., Any]] = {
+    np.add: operator.add,
+    np.multiply: operator.mul,
+    np.divide: operator.truediv,
 }
 
 
@@ -45,10 +52,34 @@ class Program:
                     values.append(function(values[places[0]], values[places[1]]))
                 else:
                     values.append(function(values[places[0]]))
-        out = np.empty((len(self.results), *np.broadcast_shapes(*map(np.shape, columns))))
+        shapes = {np.shape(column) for column in columns}
+        out = np.empty((len(self.results), *np.broadcast_shapes(*shapes)))
         for row, place in enumerate(self.results):
             out[row] = values[place]
         return out
+
+    def at(self, *numbers: float) -> list[float]:
+        """Give the values of the k expressions at p plain floats, bit for bit as a call does.
+
+        Many times quicker than a call, for integrations point by point. The caller says what
+        becomes of warnings.
+
+        Parameters
+        ----------
+        numbers : the p arguments.
+        """
+        values: list[Any] = [*numbers, *self.constants]
+        try:
+            for function, places in self._plain:
+                values.append(function(*[values[place] for place in places]))
+        except ZeroDivisionError:
+            whole: list[float] = self(*numbers).tolist()
+            return whole
+        return [float(values[place]) for place in self.results]
+
+    @cached_property
+    def _plain(self) -> list[tuple[Callable[..., Any], tuple[int, ...]]]:
+        return [(_PLAIN.get(function, function), places) for function, places in self.steps]
 
 
 class _Writer:

@@ -12,7 +12,7 @@ systems, since the rule is implicit.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -30,7 +30,7 @@ from dynsr.data import (
     join_samples,
     smooth,
 )
-from dynsr.expression import compile_columns
+from dynsr.expression import Program, compile_columns
 from dynsr.fit.constants import free_constants
 from dynsr.fit.shooting import drives_of
 
@@ -243,7 +243,7 @@ class Collocation:
         return shapes, values
 
     @cached_property
-    def slope(self) -> Callable[..., np.ndarray]:
+    def slope(self) -> Program:
         """Right-hand sides (k, ...) of the states, the driven columns and the constants."""
         shapes, values = self._template
         names = [*self.mesh.states, *self.mesh.driven_names, *map(str, values)]

@@ -6,7 +6,6 @@ subsets of one size is grown by one term at a time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,48 +49,59 @@ def best_subsets(
     """
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     gram, target = information / np.outer(scale, scale), pull / scale
-    known: dict[tuple[int, ...], Subset] = {}
-    layer: Sequence[tuple[int, ...]] = [()]
+    known: list[Subset] = []
+    layer = _Layer.of(gram, target, squares, [()])
     for _ in range(most):
+        gains = np.where(
+            layer.diagonal > 1e-7, layer.rest**2 / np.maximum(layer.diagonal, 1e-12), 0.0
+        )
+        reached = np.maximum(layer.left[:, None] - gains, max(least, 1e-9 * squares))
+        bits = rows / 2 * np.log2(reached / rows) + costs
+        bits += np.array([costs[list(places)].sum() for places in layer.places])[:, None]
+        bits[~((gains > 0) & np.isfinite(bits))] = np.inf
         grown: dict[tuple[int, ...], float] = {}
-        for places in layer:
-            left, rest, diagonal = _sweep(gram, target, squares, places)
-            gains = np.where(diagonal > 1e-7, rest**2 / np.maximum(diagonal, 1e-12), 0.0)
-            reached = np.maximum(left - gains, max(least, 1e-9 * squares))
-            bits = rows / 2 * np.log2(reached / rows) + costs + costs[list(places)].sum()
-            bits[gains <= 0] = np.inf
-            for place in np.argsort(bits, kind="stable")[:beam]:
-                if np.isfinite(bits[place]):
-                    grown.setdefault(tuple(sorted((*places, int(place)))), float(bits[place]))
-        layer = sorted(grown, key=lambda p: (grown[p], p))[:beam]
-        for places in layer:
-            known[places] = _solve(gram, target, squares, scale, places, grown[places])
-    return sorted(known.values(), key=lambda s: (s.bits, s.places))[:keep]
+        for flat in np.argsort(bits, axis=None, kind="stable"):
+            parent, place = divmod(int(flat), len(costs))
+            if len(grown) == beam or not bits[parent, place] < np.inf:
+                break
+            grown.setdefault(
+                tuple(sorted((*layer.places[parent], place))), float(bits[parent, place])
+            )
+        if not grown:
+            break
+        layer = _Layer.of(gram, target, squares, sorted(grown, key=lambda p: (grown[p], p)))
+        known += [
+            Subset(places, found / scale[list(places)], float(left), grown[places])
+            for places, found, left in zip(
+                layer.places, layer.coefficients, layer.left, strict=True
+            )
+        ]
+    return sorted(known, key=lambda s: (s.bits, s.places))[:keep]
 
 
-def _sweep(
-    gram: np.ndarray, target: np.ndarray, squares: float, places: Sequence[int]
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """Take some terms out: squares left, products with the rest, and squares of the rest."""
-    if not places:
-        return squares, target, np.diag(gram).copy()
-    own = list(places)
-    block = gram[np.ix_(own, own)]
-    solved = np.linalg.lstsq(block, np.column_stack([target[own], gram[own]]), rcond=1e-12)[0]
-    rest = target - gram[:, own] @ solved[:, 0]
-    diagonal = np.diag(gram) - np.einsum("ip,ip->p", gram[own], solved[:, 1:])
-    diagonal[own] = 0.0
-    return float(squares - target[own] @ solved[:, 0]), rest, diagonal
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """Subsets of one size with their terms taken out of all others.
 
+    ``coefficients`` (b, s); ``left`` (b,) sums of squares; ``rest`` (b, p) products of the target,
+    and ``diagonal`` (b, p) squares, of what is left of each term, 0 for their own.
+    """
 
-def _solve(
-    gram: np.ndarray,
-    target: np.ndarray,
-    squares: float,
-    scale: np.ndarray,
-    places: tuple[int, ...],
-    bits: float,
-) -> Subset:
-    own = list(places)
-    found = np.linalg.lstsq(gram[np.ix_(own, own)], target[own], rcond=1e-12)[0]
-    return Subset(places, found / scale[own], float(squares - target[own] @ found), bits)
+    places: list[tuple[int, ...]]
+    coefficients: np.ndarray
+    left: np.ndarray
+    rest: np.ndarray
+    diagonal: np.ndarray
+
+    @classmethod
+    def of(
+        cls, gram: np.ndarray, target: np.ndarray, squares: float, places: list[tuple[int, ...]]
+    ) -> _Layer:
+        own = np.array(places, dtype=int).reshape(len(places), -1)
+        rows, pull = gram[own], target[own]
+        inverse = np.linalg.pinv(gram[own[:, :, None], own[:, None]], rcond=1e-12, hermitian=True)
+        found = (inverse @ pull[..., None])[..., 0]
+        diagonal = np.diag(gram) - np.einsum("bsp,bsp->bp", rows, inverse @ rows)
+        np.put_along_axis(diagonal, own, 0.0, axis=1)
+        rest = target - np.einsum("bsp,bs->bp", rows, found)
+        return cls(places, found, squares - np.einsum("bs,bs->b", pull, found), rest, diagonal)

@@ -486,7 +486,10 @@ def integrate(fit: SystemFit, evaluations: int = COMPARISON.evaluations, pieces:
     from scipy.integrate import solve_ivp
 
     mesh, constants = fit.problem.mesh, fit.fit.constants
-    slope = fit.problem.slope
+    slope = fit.problem.slope.at
+    used = {str(symbol) for expr in fit.exprs.values() for symbol in expr.free_symbols}
+    read = [name in used for name in mesh.driven_names]
+    numbers = constants.tolist()
     first = np.setdiff1d(np.arange(len(mesh.t)), mesh.left + 1)
     found = np.full(mesh.x.shape, np.nan)
     ends = [*first[1:], len(mesh.t)]
@@ -504,10 +507,14 @@ def integrate(fit: SystemFit, evaluations: int = COMPARISON.evaluations, pieces:
             t: np.ndarray = t,
             u: np.ndarray = driven,
             left: Iterator[int] = left,
-        ) -> np.ndarray:
+        ) -> list[float]:
             if next(left, None) is None:
                 raise _TooLong
-            return slope(*x, *[np.interp(at, t, row) for row in u], *constants)
+            driven = [
+                float(np.interp(at, t, row)) if needed else 0.0
+                for row, needed in zip(u, read, strict=True)
+            ]
+            return slope(*x.tolist(), *driven, *numbers)
 
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")

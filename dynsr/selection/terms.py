@@ -337,15 +337,15 @@ def _functions(
 def _distinct(values: np.ndarray, same: float = 1e-8) -> list[int]:
     """Give the places of the rows that are finite and no multiple of an earlier one."""
     kept: list[int] = []
-    units = np.zeros((0, values.shape[1]))
+    units = np.empty_like(values)
     with np.errstate(all="ignore"):
         norms = np.linalg.norm(values, axis=1)
     for place, (row, norm) in enumerate(zip(values, norms, strict=True)):
         if not (np.isfinite(norm) and 0 < norm < 1e150):
             continue
         unit = row / norm
-        if len(units) and np.max(np.abs(units @ unit)) > 1 - same:
+        if kept and np.max(np.abs(units[: len(kept)] @ unit)) > 1 - same:
             continue
+        units[len(kept)] = unit
         kept.append(place)
-        units = np.vstack([units, unit])
     return kept
