@@ -129,6 +129,15 @@ def test_a_law_across_layers_is_judged_by_an_implicit_integration():
     assert judge({**exact, "y": parse("50*y - 50*x**2*y")}, [run]).level == "not found"
 
 
+def test_a_law_is_judged_on_the_rows_of_its_own_solver():
+    """Radau's own rows are close in the layers and far apart between them; the law is one there
+    too, and with another damping it is none."""
+    run = relaxation(tolerance=1e-8)
+    for damping, law in ((50, True), (55, False)):
+        found = judge({"x": parse("y"), "y": parse(f"{damping}*y*(1 - x**2) - x")}, [run])
+        assert (found.level == "law") == law, found.reason
+
+
 def test_a_term_is_left_out_of_a_product_without_a_rest(monkeypatch):
     """Of b (1 - x^2) y without b x^2 y is left b y, and not the difference of two huge numbers."""
     tried = []

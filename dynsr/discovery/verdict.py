@@ -91,6 +91,8 @@ class VerdictSettings:
 JUDGE = VerdictSettings()
 # Causes of what looks like noise between neighbouring rows and is none.
 _JUMPING = ("map", "sampling too coarse")
+# An explicit step from row to row is unstable beyond this |eigenvalue| times its length.
+_UNSTABLE = 2.5
 # Of more terms that the data are not sure of, the first are named.
 _NAMED = 5
 # Causes that the same data may have, of which all are said.
@@ -603,14 +605,20 @@ class _Bench:
             f"{self.settings.held_back:.0%}, and needs each of its terms."
         )
 
+    def _stiffness(self, shooting: Shooting) -> float:
+        return shooting.flow.stiffness(shooting.windows, self.values)
+
     def cross_layers(self) -> dict[str, StateVerdict] | None:
         """Judge stiff equations of clean data by one implicit integration from the first rows.
 
         None where the data are noisy or have no layers, and where that does not reproduce them.
         """
+        if not np.all(self.clean):
+            return None
         causes = [diagnose(self.course.runs, state) for state in self.equations]
         stiff = any(cause.kind == "stiff" for told in causes for cause in told)
-        if not (stiff and bool(np.all(self.clean))):
+        # A solver's own rows are as close in the layers as these are thin.
+        if not stiff and max(map(self._stiffness, self.shoot(self.course.longest))) < _UNSTABLE:
             return None
         found = cross_layers(self.equations, self.course.runs, self.course.inputs)
         if found is None or np.min(found.r2) < self.settings.r2:
