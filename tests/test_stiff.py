@@ -131,7 +131,8 @@ def test_a_law_across_layers_is_judged_by_an_implicit_integration():
 
 def test_a_law_is_judged_on_the_rows_of_its_own_solver():
     """Radau's own rows are close in the layers and far apart between them; the law is one there
-    too, and with another damping it is none."""
+    too, and with another damping it is none.
+    """
     run = relaxation(tolerance=1e-8)
     for damping, law in ((50, True), (55, False)):
         found = judge({"x": parse("y"), "y": parse(f"{damping}*y*(1 - x**2) - x")}, [run])
