@@ -15,7 +15,7 @@ SEARCH = (
     "--functions",
     "none",
     "--targets",
-    "y",
+    "x",
 )
 
 
