@@ -35,7 +35,7 @@ _STARTS = 3
 _SEARCH = ("--preset", "quick", "--method", "rational,sindy")
 # For every line it reads: forks a command, writes its number, and then how it ended.
 _WARM = """
-import json, os, sys, tempfile
+import gc, json, os, sys, tempfile
 import numpy, pandas, dynsr
 from dynsr.cli import app, discovery, main, results
 # Much is loaded, and remembered, only by a first discovery and its report.
@@ -45,6 +45,8 @@ law = dynsr.discover(
 )
 with tempfile.TemporaryDirectory() as folder:
     law.report(os.path.join(folder, "report.html"))
+# What is there now is looked at by no fork, which would copy it.
+gc.freeze()
 for line in sys.stdin:
     words, environment, said = json.loads(line)
     child = os.fork()

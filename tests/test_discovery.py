@@ -89,7 +89,7 @@ def test_the_bias_of_clean_slopes_is_not_followed(tolerance):
 
 def test_the_cart_pole_is_found_exactly_with_its_force_as_input():
     """The rational form of the cart's acceleration is found with F given as an expression."""
-    data = simulate(CART_POLE, t=np.arange(500) * 0.01, reltol=1e-10, abstol=1e-12)
+    data = simulate(CART_POLE, t=np.arange(250) * 0.02, reltol=1e-10, abstol=1e-12)
     result = discover(data, method="rational", preset="quick", targets="z", jobs=1)
     assert same(result.equations["z"], CART_POLE.rhs[3])
 

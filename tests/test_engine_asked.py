@@ -196,8 +196,7 @@ def test_no_command_answers_without_asking(julia, tmp_path, monkeypatch, name):
 
 def test_noisy_data_are_followed_by_the_engine(julia):
     """Found along the states by NumPy alone, as the record says, then integrated by the engine."""
-    noisy = add_noise(simulate(LOTKA_VOLTERRA), 0.03, np.random.default_rng(1))
-    noisy = Trajectory(noisy.t[::20], noisy.x[::20], noisy.states)
+    noisy = add_noise(DECAY, 0.03, np.random.default_rng(1))
     found = discover(noisy, engine="julia", jobs=1)
     engines = found.settings["engines"]
     assert engines["search"] == "none (NumPy along the states)" and "regress" not in engines

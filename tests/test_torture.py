@@ -15,7 +15,7 @@ SEARCH = (
     "--functions",
     "none",
     "--targets",
-    "y",
+    "x",
 )
 
 
@@ -29,7 +29,7 @@ def test_six_discoveries_that_are_ended_end_in_the_same_result(tmp_path):
     spec.loader.exec_module(script)
     counts = {"parent": 3, "worker": 1, "interrupt": 1, "terminate": 1}
     with script.warmed() as warm:
-        tally = script.torture(counts, 30, script.Work(tmp_path, SEARCH, 1, warm))
+        tally = script.torture(counts, 18, script.Work(tmp_path, SEARCH, 1, warm))
     assert tally.trials == counts
     assert tally.faults == []
     assert sum(tally.hits.values()) > 3

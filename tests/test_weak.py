@@ -94,7 +94,7 @@ def test_slopes_of_the_weak_scheme_have_the_means_of_the_weak_form():
 
 def test_a_discovery_by_the_weak_scheme():
     """The law of the predators comes out of noise, and the record names the scheme."""
-    data, _ = prey(np.linspace(0, 8, 400), 0.005)
+    data, _ = prey(np.linspace(0, 8, 200), 0.005)
     found = dynsr.discover(data, scheme="weak", method=FEW, targets="y", jobs=1)
     assert {str(t.as_coeff_Mul()[1]) for t in found.equations["y"].args} == {"y", "x*y"}
     assert found.settings["scheme"] == {"y": "weak"}

@@ -166,7 +166,7 @@ def _wait(condition, seconds=60.0):
 
 def test_ctrl_c_on_one_of_two_commands_on_a_folder_leaves_the_other(table, tmp_path):
     """Two discoveries write the same records; the end of one is not that of the other."""
-    words = ("discover", table, "--preset", "quick", "--method", "rational", "--targets", "y")
+    words = ("discover", table, "--preset", "quick", "--method", "rational", "--targets", "x")
     search = (*words, "--functions", "none", "-j", 1, "-q", "-o")
     words = (*search, tmp_path / "out")
     run(*search, tmp_path / "whole")

@@ -5,6 +5,7 @@ A job is stopped as Ctrl-C stops a command: searches answer with the best that t
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import signal
@@ -41,6 +42,8 @@ def run(connection: Connection, folder: Path, jobs: int) -> None:
     if hasattr(os, "setsid"):
         os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Garbage waits as it does in the command.
+    gc.set_threshold(100_000, 20, 10)
     worker = _Worker(connection, folder)
     teller = threading.Thread(target=worker.tell, daemon=True)
     teller.start()

@@ -278,7 +278,7 @@ def _belong_to(parent: int, lasting: bool) -> None:
     A search would answer an interrupt with what it has found so far, which is no result here.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Garbage waits as it does in the command.
+    # Garbage waits as it does in the command, from before the task and its libraries load.
     gc.set_threshold(100_000, 20, 10)
     if lasting and sys.platform == "linux":
         # At once, even from within a long call that lets no other thread run.

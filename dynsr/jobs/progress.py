@@ -17,14 +17,16 @@ from dataclasses import dataclass, field, replace
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Client, Connection, Listener
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from typing_extensions import Self
 
-from dynsr.expression import shown
-from dynsr.fit import ParetoFront, tidy
 from dynsr.jobs.interrupts import heard_again, interrupt_again
-from dynsr.methods import Progress
+
+# A worker loads this file before it knows its task, which says what else is needed.
+if TYPE_CHECKING:
+    from dynsr.fit import ParetoFront
+    from dynsr.methods import Progress
 
 _SECONDS_BETWEEN = 0.5
 # Telling may take this share of a task's time at most.
@@ -37,6 +39,12 @@ _BACKLOG = 64
 _BELIEF = 10.0
 # A task that ends at once had nothing to search and tells nothing of the others.
 _AT_ONCE = 0.3
+
+
+def _no_front() -> ParetoFront:
+    from dynsr.fit import ParetoFront
+
+    return ParetoFront()
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,7 @@ class Running:
     total: float | None = None
     best: str = ""
     began: float = field(default_factory=time.time)
-    front: ParetoFront = field(default=ParetoFront(), repr=False)
+    front: ParetoFront = field(default_factory=_no_front, repr=False)
 
     @property
     def seconds(self) -> float:
@@ -87,12 +95,15 @@ def best_equation(front: ParetoFront) -> str:
     """Give the front's knee in a few characters, its error beside it; "" for an empty front.
 
     >>> import sympy
-    >>> from dynsr.fit import Candidate
+    >>> from dynsr.fit import Candidate, ParetoFront
     >>> best_equation(ParetoFront([Candidate(2 * sympy.Symbol("x"), 0.125, 3.0)]))
     '2*x  (error 0.12)'
     """
     if not len(front):
         return ""
+    from dynsr.expression import shown
+    from dynsr.fit import tidy
+
     text = shown(tidy(front.knee.expr), _DIGITS)
     text = text if len(text) <= _MOST_CHARACTERS else text[: _MOST_CHARACTERS - 3] + "..."
     return f"{text}  (error {front.knee.loss:.2g})"
