@@ -20,7 +20,13 @@ from dynsr.data.samples import (
     difference,
     join_samples,
 )
-from dynsr.data.smoothing import SmoothColumn, estimate_noise, smooth_values
+from dynsr.data.smoothing import (
+    LONGEST_KEPT,
+    SmoothColumn,
+    as_bytes,
+    estimate_noise,
+    smooth_values,
+)
 from dynsr.data.trajectory import Trajectory, as_floats
 from dynsr.data.weak import weak_slopes
 from dynsr.errors import InputError, need
@@ -261,6 +267,20 @@ def choose_scheme(
     >>> choose_scheme(t, np.sin(t), 0.0).scheme
     'central4'
     """
+    if len(t) > LONGEST_KEPT:
+        return _choose_anew(t, x, sigma, settings)
+    return _choose_once(as_bytes(t), as_bytes(x), sigma, settings)
+
+
+# The samples of every target want the choices for all columns, and a report wants them again.
+@lru_cache(maxsize=64)
+def _choose_once(times: bytes, values: bytes, sigma: float, settings: SlopeSettings) -> Choice:
+    return _choose_anew(np.frombuffer(times), np.frombuffer(values), sigma, settings)
+
+
+def _choose_anew(
+    t: np.ndarray, x: np.ndarray, sigma: float, settings: SlopeSettings = _SETTINGS
+) -> Choice:
     step = float(np.median(np.diff(t)))
     slopes = np.diff(x) / np.diff(t)
     if find_layers(t, x, settings) is not None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -26,6 +27,9 @@ from dynsr.data.noise_model import (
 )
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
+
+# What is worked out from longer columns is not kept for the next who asks.
+LONGEST_KEPT = 20_000
 
 
 @dataclass(frozen=True)
@@ -157,6 +161,27 @@ def smooth_values(
     t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings = _SETTINGS
 ) -> SmoothColumn:
     """Smooth one column; the parameters are those of :func:`smooth`, for (n,) times and values."""
+    if len(t) > LONGEST_KEPT:
+        return _smooth_anew(t, x, noise, settings)
+    return _smooth_once(as_bytes(t), as_bytes(x), noise, settings)
+
+
+def as_bytes(values: np.ndarray) -> bytes:
+    """Write (n,) numbers as a key that can be looked up."""
+    return np.asarray(values, dtype=float).tobytes()
+
+
+# A search smooths what its report then shows.
+@lru_cache(maxsize=32)
+def _smooth_once(
+    times: bytes, values: bytes, noise: StateNoise, settings: SmoothSettings
+) -> SmoothColumn:
+    return _smooth_anew(np.frombuffer(times), np.frombuffer(values), noise, settings)
+
+
+def _smooth_anew(
+    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings
+) -> SmoothColumn:
     if len(t) <= settings.chunk:
         return _smooth_piece(t, x, noise, settings)
     count = int(np.ceil((len(t) - settings.overlap) / (settings.chunk - settings.overlap)))

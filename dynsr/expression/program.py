@@ -52,8 +52,10 @@ class Program:
                     values.append(function(values[places[0]], values[places[1]]))
                 else:
                     values.append(function(values[places[0]]))
-        shapes = {np.shape(column) for column in columns}
-        out = np.empty((len(self.results), *np.broadcast_shapes(*shapes)))
+        shapes = {column.shape if isinstance(column, np.ndarray) else () for column in columns}
+        shapes.discard(())
+        shape = shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
+        out = np.empty((len(self.results), *shape))
         for row, place in enumerate(self.results):
             out[row] = values[place]
         return out

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import sympy
 from scipy.interpolate import CubicSpline
-from scipy.linalg import LinAlgError, cholesky_banded, lapack
+from scipy.linalg import LinAlgError, lapack
 
 from dynsr.data import (
     Samples,
@@ -94,6 +94,18 @@ class Mesh:
         """(m,) lengths of the intervals."""
         steps: np.ndarray = self.t[self.left + 1] - self.t[self.left]
         return steps
+
+    @cached_property
+    def sixth(self) -> np.ndarray:
+        """(m,) sixths of the intervals."""
+        parts: np.ndarray = self.h / 6
+        return parts
+
+    @cached_property
+    def eighth(self) -> np.ndarray:
+        """(m,) eighths of the intervals."""
+        parts: np.ndarray = self.h / 8
+        return parts
 
     @cached_property
     def unit(self) -> np.ndarray:
@@ -265,38 +277,35 @@ class Collocation:
         given = dict(zip(values, numbers, strict=True))
         return {state: expr.xreplace(given) for state, expr in shapes.items()}
 
-    def _slopes(self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray) -> np.ndarray:
+    def _steps(self, constants: np.ndarray) -> np.ndarray:
+        """(k + P,) steps of the numerical derivatives by states and constants."""
+        sizes = np.concatenate([self.mesh.spread, np.maximum(np.abs(constants), 1e-3)])
+        return self.settings.difference * sizes
+
+    def _slopes(
+        self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray, steps: np.ndarray
+    ) -> np.ndarray:
         """(k, 1 + k + P, points): the right-hand sides, then with each argument moved a little."""
-        k, count = len(states), len(constants)
-        moves = 1 + k + count
-        rows = np.repeat(states[:, None], moves, axis=1)
-        steps = self._state_steps()
-        rows[np.arange(k), 1 + np.arange(k)] += steps[:, None]
-        shifts = np.repeat(constants[:, None], moves, axis=1)
-        shifts[np.arange(count), 1 + k + np.arange(count)] += self._constant_steps(constants)
+        k, moved = len(states), np.arange(len(steps))
+        rows = np.repeat(states[:, None], 1 + len(steps), axis=1)
+        rows[moved[:k], 1 + moved[:k]] += steps[:k, None]
+        shifts = np.repeat(constants[:, None], 1 + len(steps), axis=1)
+        shifts[moved[: len(constants)], 1 + moved[k:]] += steps[k:]
         return self.slope(*rows, *driven[:, None], *shifts[..., None])
 
-    def _state_steps(self) -> np.ndarray:
-        return self.settings.difference * self.mesh.spread
-
-    def _constant_steps(self, constants: np.ndarray) -> np.ndarray:
-        return self.settings.difference * np.maximum(np.abs(constants), 1e-3)
-
     def _split(
-        self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray
+        self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray, steps: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slopes (k, points), their derivatives by states (k, k, points), constants (k, P, ..)."""
-        found = self._slopes(states, constants, driven)
+        found = self._slopes(states, constants, driven, steps)
         base, k = found[:, 0], len(states)
-        moved = found[:, 1:] - base[:, None]
-        by_state = moved[:, :k] / self._state_steps()[:, None]
-        by_constant = moved[:, k:] / self._constant_steps(constants)[:, None]
-        return base, by_state, by_constant
+        by_each = (found[:, 1:] - base[:, None]) / steps[:, None]
+        return base, by_each[:, :k], by_each[:, k:]
 
     def _middle(self, states: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         left, right = self.mesh.ends
         ends = (states[:, left] + states[:, right]) / 2
-        middle: np.ndarray = ends + self.mesh.h / 8 * (slopes[:, left] - slopes[:, right])
+        middle: np.ndarray = ends + self.mesh.eighth * (slopes[:, left] - slopes[:, right])
         return middle
 
     def _along(
@@ -313,7 +322,7 @@ class Collocation:
         """(k, m) how far each step misses the next state, in units of the noise."""
         left, right = self.mesh.ends
         at_rows, _, inside = self._along(states, constants)
-        step = self.mesh.h / 6 * (at_rows[:, left] + 4 * inside + at_rows[:, right])
+        step = self.mesh.sixth * (at_rows[:, left] + 4 * inside + at_rows[:, right])
         found: np.ndarray = (states[:, right] - states[:, left] - step) / self.mesh.by_state[2]
         return found
 
@@ -321,22 +330,22 @@ class Collocation:
         self, states: np.ndarray, constants: np.ndarray, probes: np.ndarray | None = None
     ) -> _Point:
         """Defects and their derivatives; ``probes`` (k, Q, n + m) are slopes by more constants."""
-        n, h = len(self.mesh.t), self.mesh.h
-        left, right = self.mesh.ends
-        f, by_x, by_c = self._split(states, constants, self.mesh.driven[:, :n])
+        n, sixth, eighth = len(self.mesh.t), self.mesh.sixth, self.mesh.eighth
+        (left, right), steps = self.mesh.ends, self._steps(constants)
+        f, by_x, by_c = self._split(states, constants, self.mesh.driven[:, :n], steps)
         middle = self._middle(states, f)
-        fm, mid_x, mid_c = self._split(middle, constants, self.mesh.driven[:, n:])
+        fm, mid_x, mid_c = self._split(middle, constants, self.mesh.driven[:, n:], steps)
         if probes is not None:
             by_c = np.concatenate([by_c, probes[..., :n]], axis=1)
             mid_c = np.concatenate([mid_c, probes[..., n:]], axis=1)
         one = np.eye(len(states))[..., None]
         low, high = by_x[..., left], by_x[..., right]
-        by_left = -one - h / 6 * (low + 4 * _times(mid_x, one / 2 + h / 8 * low))
-        by_right = one - h / 6 * (high + 4 * _times(mid_x, one / 2 - h / 8 * high))
+        by_left = -one - sixth * (low + 4 * _times(mid_x, one / 2 + eighth * low))
+        by_right = one - sixth * (high + 4 * _times(mid_x, one / 2 - eighth * high))
         low, high = by_c[..., left], by_c[..., right]
-        inside = mid_c + _times(mid_x, h / 8 * (low - high))
-        by_constant = -h / 6 * (low + 4 * inside + high)
-        step = h / 6 * (f[:, left] + 4 * fm + f[:, right])
+        inside = mid_c + _times(mid_x, eighth * (low - high))
+        by_constant = -sixth * (low + 4 * inside + high)
+        step = sixth * (f[:, left] + 4 * fm + f[:, right])
         unit = self.mesh.by_state[2]
         return _Point(
             (states[:, right] - states[:, left] - step) / unit,
@@ -349,8 +358,8 @@ class Collocation:
         x, weights, _ = self.mesh.by_state
         with np.errstate(all="ignore"):
             defects = self._defects(states, constants)
-            misses = ((states - x) * weights) ** 2
-            cost = float(np.sum(misses) + stiffness * np.sum(defects**2))
+            misses = (states - x) * weights
+            cost = float(np.vdot(misses, misses) + stiffness * np.vdot(defects, defects))
         return cost if np.isfinite(cost) else np.inf
 
     def fit(self, near: CollocationFit | None = None) -> CollocationFit | None:
@@ -474,7 +483,9 @@ class Collocation:
         border[..., left] += stiffness * _products(low, pulls)
         border[..., right] += stiffness * _products(high, pulls)
         sides = np.ascontiguousarray(border.transpose(1, 2, 0)).reshape(1 + count, n * k)
-        factor = cholesky_banded(_band(diagonal, beside), overwrite_ab=True, check_finite=False)
+        factor, failed = lapack.dpbtrf(_band(diagonal, beside), overwrite_ab=1)
+        if failed:
+            raise LinAlgError
         white, _ = lapack.dtbtrs(factor, sides.T, uplo="U", trans="T")
         if not np.all(np.isfinite(white)):
             raise LinAlgError
@@ -722,7 +733,7 @@ def _products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _band(diagonal: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """Write blocks (k, k, n) on and right of the diagonal in the upper form of cholesky_banded."""
+    """Write blocks (k, k, n) on and right of the diagonal in the upper form of LAPACK's pbtrf."""
     k, _, n = diagonal.shape
     width = 2 * k - 1
     # Column after column, as LAPACK reads it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import sympy
@@ -34,6 +34,14 @@ def free_constants(expr: sympy.Expr, prefix: str) -> tuple[sympy.Expr, dict[symp
     >>> template, list(values.values())
     (c0*x, [2.5])
     """
+    template, values = _free_constants(expr, prefix)
+    return template, dict(values)
+
+
+@lru_cache(maxsize=4096)
+def _free_constants(
+    expr: sympy.Expr, prefix: str
+) -> tuple[sympy.Expr, tuple[tuple[sympy.Symbol, float], ...]]:
     values: dict[sympy.Symbol, float] = {}
 
     def replaced(node: sympy.Expr) -> sympy.Expr:
@@ -47,9 +55,11 @@ def free_constants(expr: sympy.Expr, prefix: str) -> tuple[sympy.Expr, dict[symp
             return node.func(replaced(node.base), sympy.Integer(int(node.exp)))
         return node.func(*[replaced(argument) for argument in node.args])
 
-    return replaced(expr), values
+    return replaced(expr), tuple(values.items())
 
 
+# Systems differ in one equation from those before them.
+@lru_cache(maxsize=4096)
 def skeleton(expr: sympy.Expr) -> sympy.Expr:
     """Write a formula with all its floats alike; formulas of one shape have one skeleton.
 

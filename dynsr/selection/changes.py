@@ -111,16 +111,16 @@ def _rank(
     moves: Sequence[_Move], gram: np.ndarray, values: np.ndarray, paired: int
 ) -> Iterator[tuple[float, _Move]]:
     """Give every move, and the best moves of a state with its best terms, with their squares."""
-    single = [(_expected_squares(gram, values, m), m) for m in moves]
+    single = list(zip(_expected_squares(gram, values, moves), moves, strict=True))
     yield from single
+    pairs = []
     for state in dict.fromkeys(m.state for m in moves):
         mine = sorted((p for p in single if p[1].state == state), key=lambda pair: pair[0])
         grown = [m for _, m in mine if m.free][:paired]
         others = [m for _, m in mine if not m.free][: 4 * paired]
         for move in others:
-            for more in grown:
-                both = _join(move, more)
-                yield _expected_squares(gram, values, both), both
+            pairs += [_join(move, more) for more in grown]
+    yield from zip(_expected_squares(gram, values, pairs), pairs, strict=True)
 
 
 def _owners(fit: SystemFit) -> list[str]:
@@ -321,21 +321,28 @@ def _gram(fit: SystemFit, slopes: np.ndarray) -> np.ndarray | None:
     return gram if np.all(np.isfinite(gram)) else None
 
 
-def _expected_squares(gram: np.ndarray, values: np.ndarray, move: _Move) -> float:
-    """Sum of squared misses that the linearised fit expects after a change."""
-    shift = np.zeros(len(gram))
-    shift[-1] = 1.0
-    shift[list(move.out)] = -values[list(move.out)]
-    shift[list(move.whole)] = 1.0
-    loose = [i for i in range(len(values)) if i not in move.out] + list(move.free)
-    total = float(shift @ gram @ shift)
-    if not loose:
-        return total
-    block, pull = gram[np.ix_(loose, loose)], gram[loose] @ shift
-    scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
-    scaled = block / np.outer(scale, scale) + _NOTHING * np.eye(len(loose))
-    steps = np.linalg.solve(scaled, pull / scale)
-    return total - float(steps @ (pull / scale))
+def _expected_squares(gram: np.ndarray, values: np.ndarray, moves: Sequence[_Move]) -> list[float]:
+    """Sums of squared misses that the linearised fit expects after each change."""
+    loose = [[i for i in range(len(values)) if i not in m.out] + list(m.free) for m in moves]
+    found = np.empty(len(moves))
+    for size in set(map(len, loose)):
+        alike = [i for i, own in enumerate(loose) if len(own) == size]
+        shifts = np.zeros((len(alike), len(gram)))
+        shifts[:, -1] = 1.0
+        for shift, move in zip(shifts, (moves[i] for i in alike), strict=True):
+            shift[list(move.out)] = -values[list(move.out)]
+            shift[list(move.whole)] = 1.0
+        pulls = shifts @ gram
+        found[alike] = np.einsum("bi,bi->b", pulls, shifts)
+        if not size:
+            continue
+        own = np.array([loose[i] for i in alike])
+        scale = np.sqrt(np.maximum(np.diag(gram)[own], 1e-300))
+        scaled = gram[own[:, :, None], own[:, None]] / (scale[:, :, None] * scale[:, None])
+        pull = np.take_along_axis(pulls, own, axis=1) / scale
+        steps = np.linalg.solve(scaled + _NOTHING * np.eye(size), pull[..., None])[..., 0]
+        found[alike] -= np.einsum("bi,bi->b", steps, pull)
+    return [float(squares) for squares in found]
 
 
 def swap_everywhere(expr: sympy.Expr) -> list[sympy.Expr]:
