@@ -50,8 +50,8 @@ class VerdictSettings:
     correlated : correlation of neighbouring misses above which they are no noise, if significant.
     sure : smallest ratio of a term to its standard error in a law.
     rival_bits : bits by which every different formula is worse than a law.
-    stand_in_bits : the same for a formula with a root, a logarithm, an exponential, tanh or a bare
-        reciprocal, in noise: over one record each of them may do for what the law has.
+    stand_in_bits : the same for a formula with a root, a logarithm, an exponential, tanh, a sine, a
+        cosine or a bare reciprocal, in noise: over one record each of them may do for what the law has.
     rivals : formulas of the front that are fitted to the trajectories, for each state.
     different : rms difference, in shares of the slopes' spread, of formulas that are different.
     held_back : share of each trajectory's end that is forecast.
@@ -710,19 +710,20 @@ def likely_cause(runs: Sequence[Trajectory], state: str) -> str:
 def has_stand_in(expr: sympy.Expr) -> bool:
     """Whether a formula has a function that stands for many others over a short range.
 
-    Roots, logarithms, exponentials, tanh, sizes, and one over a bare variable.
+    Roots, logarithms, exponentials, tanh, sizes, sines and cosines, and one over a bare variable.
 
     Parameters
     ----------
     expr : the formula.
 
     >>> x = sympy.Symbol("x")
-    >>> has_stand_in(sympy.sqrt(x)), has_stand_in(2 / x), has_stand_in(x / (x + 1) - sympy.sin(x))
+    >>> has_stand_in(sympy.sqrt(x)), has_stand_in(2 / x), has_stand_in(x / (x + 1) - x**2)
     (True, True, False)
     """
     powers = expr.atoms(sympy.Pow)
     odd = any(not p.exp.is_Integer or (p.base.is_Symbol and p.exp < 0) for p in powers)
-    return odd or expr.has(sympy.log, sympy.exp, sympy.tanh, sympy.Abs)
+    waves = (sympy.sin, sympy.cos)
+    return odd or expr.has(sympy.log, sympy.exp, sympy.tanh, sympy.Abs, *waves)
 
 
 def explain(state: str, expr: sympy.Expr, verdict: StateVerdict, discrete: bool = False) -> str:
