@@ -51,7 +51,7 @@ class VerdictSettings:
     sure : smallest ratio of a term to its standard error in a law.
     rival_bits : bits by which every different formula is worse than a law.
     stand_in_bits : the same for a formula with a root, a logarithm, an exponential, tanh, a sine, a
-        cosine or a bare reciprocal, in noise: over one record each of them may do for what the law has.
+        cosine or a bare reciprocal, in noise: over one record each may do for what the law has.
     rivals : formulas of the front that are fitted to the trajectories, for each state.
     different : rms difference, in shares of the slopes' spread, of formulas that are different.
     held_back : share of each trajectory's end that is forecast.
