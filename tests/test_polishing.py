@@ -45,6 +45,23 @@ def rational(text):
     return sympy.nsimplify(parse(text), rational=True)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_constants_fitted_again_come_back_to_their_own_terms(seed):
+    """However SymPy sorts terms by their numbers, a pendulum's friction stays beside its speed."""
+    t, rng = np.linspace(0, 10, 101), np.random.default_rng(seed)
+    friction, pull = rng.uniform(0.15, 0.35), rng.uniform(8.0, 12.0)
+    x = solve_ivp(
+        lambda t, u: [u[1], -friction * u[1] - pull * np.sin(u[0])], (0, 10), [1.0, 0.0], t_eval=t
+    ).y.T
+    run = Trajectory(t, x + 0.03 * x.std(axis=0) * rng.normal(size=x.shape), ("a", "v"))
+    rough = {"a": parse("0.99*v"), "v": parse("-0.2*v - 9.0*sin(a)")}
+    match = polish(rough, [run], {}, {}, {})
+    assert match.exprs["a"] == parse("v")
+    own = match.exprs["v"].as_coefficients_dict()
+    assert float(own[parse("v")]) == pytest.approx(-friction, rel=0.2)
+    assert float(own[parse("sin(a)")]) == pytest.approx(-pull, rel=0.1)
+
+
 def test_every_final_constant_has_its_standard_error(exact):
     """The errors hold the constants of the final formula, though all of them are simple numbers."""
     x, y = exact.x.T

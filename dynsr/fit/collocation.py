@@ -458,6 +458,7 @@ class Collocation:
             raise LinAlgError
         return moved.reshape(states.T.shape).T, shift
 
+    @np.errstate(all="ignore")
     def _eliminate(
         self, point: _Point, states: np.ndarray, stiffness: float, damping: float
     ) -> tuple[Linearised, np.ndarray, np.ndarray]:

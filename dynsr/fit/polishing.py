@@ -268,7 +268,11 @@ def _whole_numbers(
         return fit, whole
     shortest = replace(settings, match_longest=_SHORT)
     short = fit_states(fit.put(as_floats(fit.constants)), _plain(runs), inputs, shortest)
-    if short is None or _allowed(short, whole, runs, inputs, settings):
+    if short is None:
+        return fit, {}
+    order = _places(fit, as_floats(fit.constants))
+    whole = {place: whole[i] for place, i in enumerate(order) if i in whole}
+    if _allowed(short, whole, runs, inputs, settings):
         return fit, {}
     numbers = [whole.get(i, n) for i, n in enumerate(as_floats(short.constants))]
     again = _fit(short.put(numbers), runs, inputs, settings, near=short)
@@ -322,11 +326,34 @@ def _simple_numbers(
             del taken[max(more, key=lambda i: _distance(fit, i, taken[i]))]
             continue
         break
-    rest = iter(zip(again.constants, again.errors, strict=True))
+    order = range(len(fit.constants)) if again is fit else _places(fit, numbers)
+    rest = dict(zip(order, zip(again.constants, again.errors, strict=True), strict=True))
     return [
-        taken[i] if i in taken else sympy.Float(written_constant(*next(rest)))
-        for i in range(len(fit.constants))
+        taken[i] if i in taken else sympy.Float(written_constant(*rest.get(i, own)))
+        for i, own in enumerate(zip(fit.constants, fit.errors, strict=True))
     ]
+
+
+def _places(fit: Fit, numbers: Sequence[sympy.Expr]) -> list[int]:
+    """Give the places in a fit of the floats among numbers, in their order once these are put.
+
+    SymPy sorts the terms of a sum by their numbers, so that other numbers have another order.
+    """
+    left = [i for i, number in enumerate(numbers) if number.is_Float]
+    shown = [
+        value
+        for expr in fit.put(numbers).values()
+        for value in free_constants(expr, "constant ")[1].values()
+    ]
+    found = []
+    for value in shown:
+        place = next((i for i in left if float(numbers[i]) == value), None)
+        if place is None:
+            # What was multiplied out has no place of its own; its neighbours keep theirs.
+            return [i for i, number in enumerate(numbers) if number.is_Float][: len(shown)]
+        left.remove(place)
+        found.append(place)
+    return found
 
 
 def _distance(fit: Fit, index: int, number: sympy.Expr) -> float:
