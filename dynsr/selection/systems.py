@@ -58,7 +58,7 @@ class SystemChoice:
     exprs : state -> equation; one that nothing beat comes back as it was given.
     fit : its fit to the states; None where the states could not be used.
     others : state -> (formula, bits more) of the other formulas that were fitted in its place,
-        the closest first.
+        the closest first; of one with no more constants the bits are those of the misses.
     """
 
     exprs: Equations
@@ -538,5 +538,20 @@ def _closest(
     for fit in comparison.fits():
         changed = [s for s, e in fit.exprs.items() if skeleton(e) != shapes[s]]
         if len(changed) == 1:
-            found[changed[0]].append((fit.exprs[changed[0]], fit.bits - best.bits))
+            found[changed[0]].append((fit.exprs[changed[0]], _bits_above(fit, best)))
     return {s: tuple(sorted(o, key=lambda p: (p[1], str(p[0])))) for s, o in found.items()}
+
+
+def _bits_above(other: SystemFit, best: SystemFit) -> float:
+    """Bits that a system takes more than the best one, by what the data tell of it.
+
+    How plainly a formula is written says nothing of whether the data exclude it: that counts for
+    one of more constants only, which may follow anything.
+    """
+    more = len(other.fit.constants) - len(best.fit.constants)
+    rows = best.problem.mesh.rows
+    squares = [np.log2(np.maximum(f.fit.mean_squares, 1e-12)) for f in (other, best)]
+    told = float(np.sum(rows / 2 * (squares[0] - squares[1])))
+    told += more * constant_bits(float(np.max(rows)))
+    bits = other.bits - best.bits
+    return bits if more > 0 else min(bits, told)
