@@ -99,9 +99,12 @@ class _Layer:
     ) -> _Layer:
         own = np.array(places, dtype=int).reshape(len(places), -1)
         rows, pull = gram[own], target[own]
-        inverse = np.linalg.pinv(gram[own[:, :, None], own[:, None]], rcond=1e-12, hermitian=True)
-        found = (inverse @ pull[..., None])[..., 0]
-        diagonal = np.diag(gram) - np.einsum("bsp,bsp->bp", rows, inverse @ rows)
+        solved = np.zeros((*own.shape, 1 + len(gram)))
+        for one, mine in zip(solved, own if own.size else (), strict=False):
+            sides = np.column_stack([target[mine], gram[mine]])
+            one[:] = np.linalg.lstsq(gram[np.ix_(mine, mine)], sides, rcond=1e-12)[0]
+        found = solved[..., 0]
+        diagonal = np.diag(gram) - np.einsum("bsp,bsp->bp", rows, solved[..., 1:])
         np.put_along_axis(diagonal, own, 0.0, axis=1)
         rest = target - np.einsum("bsp,bs->bp", rows, found)
         return cls(places, found, squares - np.einsum("bs,bs->b", pull, found), rest, diagonal)
