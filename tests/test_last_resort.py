@@ -29,7 +29,8 @@ def pose(run, **asked):
 def give_up(problem, equations):
     """Give a discovery of these equations, and what is thought of it."""
     fronts = {s: ParetoFront([]) for s in equations}
-    found = Discovery(dict(equations), dict.fromkeys(equations, ()), fronts, {})
+    said = dict.fromkeys(equations, " Found by search. sindy failed.")
+    found = Discovery(dict(equations), dict.fromkeys(equations, ()), fronts, said)
     return found, problem.judge(found, None)
 
 
@@ -58,6 +59,7 @@ def test_what_was_not_found_gives_way_to_what_follows(prey, followed):
     assert judged.level == "approximation"
     for state, expr in changed.equations.items():
         assert "closest to the data when it is integrated" in changed.explanation[state]
+        assert changed.explanation[state].endswith(" sindy failed.")
         assert SOURCE in {c.source for c in changed.front[state].leaders}
         assert len(changed.errors[state]) == len(expr.atoms(type(parse("0.5"))))
 

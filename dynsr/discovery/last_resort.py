@@ -127,9 +127,10 @@ def _put(problem: Problem, found: Discovery, match: Match) -> Discovery:
             continue
         samples = problem.samples(state, problem.runs)
         front[state] = front[state].add(score_candidate(expr, samples, SOURCE))
+        notes = explanation.get(state, "").partition("Found by ")[2].partition(".")[2]
         explanation[state] = (
-            " No law was found; of the formulas found and of many sums of terms, this one keeps "
-            "closest to the data when it is integrated."
+            " Found by following: no law was found, and of the formulas found and many sums of "
+            f"terms this one keeps closest to the data when it is integrated.{notes}"
         )
     return replace(
         found,
