@@ -10,6 +10,7 @@ import sympy
 from scipy.integrate import solve_ivp
 
 from dynsr.data import Trajectory
+from dynsr.discovery import discover
 from dynsr.expression import parse
 from dynsr.fit import Measurements, skeleton
 from dynsr.methods.demands import read_demands
@@ -292,3 +293,18 @@ def test_half_of_the_rows_are_measured_in_a_half():
     assert np.array_equal(sum(h.weights for h in halves), whole.weights)
     assert not np.any(halves[0].weights * halves[1].weights)
     assert all(np.array_equal(h.start, whole.start) for h in halves)
+
+
+def test_columns_that_move_as_one_hold_no_law_apart():
+    """Two decays of one start and rate: x' = -x/2 and x' = -y/2 are one function along them, and
+    neither is a law."""
+    t = np.linspace(0, 6, 120)
+    noise = 0.003 * np.random.default_rng(0).standard_normal((2, 120))
+    run = Trajectory(t, (np.exp(-t / 2) + noise).T, ("x", "y"))
+    found = discover(run, jobs=1)
+    for state, other in (("x", "y"), ("y", "x")):
+        own = found.verdict.states[state]
+        assert own.level == "approximation"
+        mine = found.equations[state].free_symbols
+        named = other if mine == {sympy.Symbol(state)} else state
+        assert "cannot be told apart" in own.reason and named in own.rivals[0].equation

@@ -43,6 +43,8 @@ from dynsr.selection.stand_ins import try_stand_ins
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import Joint
 
+# How much further apart different functions are where columns take any of their values.
+_ASIDE = 5.0
 # More terms may make up for a function that is none of theirs.
 _PLAIN = 4
 # Correlation of a column's slopes with another column from which on that is its speed.
@@ -83,34 +85,50 @@ class SystemChoice:
     def different(
         self, share: float = COMPARISON.different
     ) -> dict[str, list[tuple[sympy.Expr, float]]]:
-        """State -> (formula, bits more) of those that are other functions along the fitted states.
+        """State -> (formula, bits more) of those that are other functions of the columns.
+
+        A run may hold two columns so close to each other that different functions are one along it;
+        what they say where each column takes any of its values tells them apart.
 
         Parameters
         ----------
-        share : rms difference, as a share of the slopes' spread, from which on they are.
+        share : rms difference, as a share of the slopes' spread, from which on they are, along the
+            fitted states; beside these it is five times as large, since constants are not sure.
         """
         assert self.fit is not None
         mesh = self.fit.problem.mesh
         columns = {**mesh.columns, **dict(zip(mesh.states, self.fit.fit.states.T, strict=True))}
+        beside = _shuffle(columns)
         found: dict[str, list[tuple[sympy.Expr, float]]] = {}
         for state, others in self.others.items():
-            own = evaluate(self.fit.exprs[state], columns)
+            mine = self.fit.exprs[state]
+            own, aside = evaluate(mine, columns), evaluate(mine, beside)
             near = found[state] = []
-            terms = _bare_terms(self.fit.exprs[state])
+            terms = _bare_terms(mine)
             # What has one term more than the law, and a small one, is no other law.
             for expr, more in [o for o in others[:60] if not terms <= _bare_terms(o[0])]:
                 apart = _apart(own, expr, columns)
-                if np.isfinite(apart) and apart > share:
+                if apart > share or _apart(aside, expr, beside) > _ASIDE * share:
                     near.append((expr, more))
             del near[3:]
         return found
 
 
+def _shuffle(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Give the values of every column in an order of its own, always the same."""
+    rng = np.random.default_rng(0)
+    return {name: rng.permutation(values) for name, values in columns.items()}
+
+
 def _apart(own: np.ndarray, other: sympy.Expr, columns: Mapping[str, np.ndarray]) -> float:
-    """Rms difference of an equation from slopes (n,), as a share of their spread."""
+    """Rms difference of an equation from slopes (n,), as a share of their spread; NaN for none."""
     with np.errstate(all="ignore"):
-        gap = float(np.sqrt(np.mean((evaluate(other, columns) - own) ** 2)))
-    return gap / max(float(np.std(own)), 1e-300)
+        values = evaluate(other, columns)
+        fine = np.isfinite(values) & np.isfinite(own)
+        if 2 * np.count_nonzero(fine) < len(fine):
+            return np.nan
+        gap = float(np.sqrt(np.mean((values[fine] - own[fine]) ** 2)))
+    return gap / max(float(np.std(own[fine])), 1e-300)
 
 
 def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
