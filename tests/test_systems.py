@@ -297,7 +297,8 @@ def test_half_of_the_rows_are_measured_in_a_half():
 
 def test_columns_that_move_as_one_hold_no_law_apart():
     """Two decays of one start and rate: x' = -x/2 and x' = -y/2 are one function along them, and
-    neither is a law."""
+    neither is a law.
+    """
     t = np.linspace(0, 6, 120)
     noise = 0.003 * np.random.default_rng(0).standard_normal((2, 120))
     run = Trajectory(t, (np.exp(-t / 2) + noise).T, ("x", "y"))
