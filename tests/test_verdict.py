@@ -56,6 +56,19 @@ def test_noise_is_not_there_to_be_explained():
     assert found.level != "not found"
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["1/(3*s) - 0.5*sqrt(s)*x", "x/(1.5 + 2.5*s)", "exp(-2.5*s)/(4*x)", "1/(3*s*x) + s/(2 - x)"],
+)
+def test_opened_constants_give_the_same_function(text):
+    """Whatever stands below a line, an equation is what its opened form is at their values."""
+    opened, places = open_constants({"s": parse(text)})
+    values = {symbol: sympy.Float(place.value) for symbol, place in places.items()}
+    at = {"s": np.array([1.3, 0.4]), "x": np.array([0.7, 1.1])}
+    back = evaluate(opened["s"].xreplace(values), at)
+    assert back == pytest.approx(evaluate(parse(text), at), rel=1e-12)
+
+
 def test_a_missing_state_is_not_found():
     """The position of a pendulum alone has no equation; 0 is none, and the cause is said."""
     both = {"q": parse("p"), "p": parse("-9.81*sin(q)")}

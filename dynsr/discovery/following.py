@@ -68,14 +68,15 @@ def open_constants(
         # A number alone below the line, as in 5 x / 7, belongs to its term.
         ratio = _is_ratio(expr)
         top, bottom = sympy.fraction(sympy.together(expr)) if ratio else (expr, sympy.S.One)
+        # A ratio is given up to a factor, so that its last number below the line stays.
+        loose = loosen(1 / bottom) if ratio else sympy.S.One
+        factor, below = loose.as_coeff_Mul()[0], sympy.fraction(loose)[1]
         terms = []
         for term in sympy.Add.make_args(sympy.expand(top)):
             coefficient, rest = term.as_coeff_Mul()
             symbol = sympy.Symbol(f"constant {state} {len(places)}")
-            places[symbol] = Place(state, rest, float(coefficient))
+            places[symbol] = Place(state, rest, float(coefficient * factor))
             terms.append(symbol * _open_inside(rest, state, places))
-        # A ratio is given up to a factor, so that its last number below the line stays.
-        below = sympy.S.One if bottom == 1 else sympy.fraction(loosen(1 / bottom))[1]
         opened[state] = sympy.Add(*terms) / _open_floats(below, state, places)
     return opened, places
 
