@@ -39,7 +39,7 @@ from dynsr.fit import (
     confirm,
     description_length,
     is_noisy,
-    loosen,
+    loosen_all,
     match_trajectories,
     polish,
     refit,
@@ -235,8 +235,7 @@ class Problem:
         close = float(np.sqrt(np.mean(fitted.misses**2))) < _FAR_BELOW_NOISE
         if not close and data.parts == 1:
             return None
-        loose = {s: e if e.is_Symbol or e == 0 else loosen(e) for s, e in fitted.exprs.items()}
-        return self._confirmed(loose)
+        return self._confirmed(loosen_all(fitted.exprs))
 
     def _allowed(self, pick: Pick) -> sympy.Expr:
         """Give the best formula that keeps to the demands; the choice varies those of the pool."""

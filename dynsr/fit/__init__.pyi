@@ -42,7 +42,7 @@ from .noise import (
     slope_size,
 )
 from .parsimony import collapse, without_flat_line
-from .polishing import polish, untouched_match
+from .polishing import loosen_all, polish, untouched_match
 from .settings import FitSettings
 from .shooting import (
     Match,
@@ -104,6 +104,7 @@ __all__ = [
     "judge_by_loss",
     "linearly_independent",
     "loosen",
+    "loosen_all",
     "match_trajectories",
     "mean_error_bits",
     "missing_terms",

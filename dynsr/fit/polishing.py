@@ -72,7 +72,7 @@ def polish(
     elif not match.success:
         match = Match.untouched(start)
     if match.success and not settings.snap:
-        match = match_trajectories(_loosen_all(match.exprs), runs, inputs=inputs, settings=settings)
+        match = match_trajectories(loosen_all(match.exprs), runs, inputs=inputs, settings=settings)
     return _with_errors(match, runs, inputs, settings)
 
 
@@ -84,7 +84,7 @@ def _with_errors(
 ) -> Match:
     """Round and tidy the equations, and give every constant its standard error."""
     final = {s: tidy(_round_floats(e)) for s, e in match.exprs.items()}
-    loose = _loosen_all(final)
+    loose = loosen_all(final)
     measured = measure_errors(loose, runs, inputs, settings)
     fitted = fitted_values(loose, runs, inputs, settings)
     # Errors of the states' solver are no chance: a number that was taken is no less sure than far.
@@ -123,7 +123,7 @@ def _polish_noisy(
     settings: FitSettings,
 ) -> Match:
     """Fit all constants to the states, drop terms that do not pay, and take simple numbers."""
-    fit = _fit(_loosen_all(exprs), runs, inputs, settings)
+    fit = _fit(loosen_all(exprs), runs, inputs, settings)
     if len(exprs) > 1 and (fit is None or not _follows(fit, list(exprs), runs, settings)):
         # One wrong equation would bend the constants of all: each reads the others off the data.
         alone = [_polish_noisy({s: e}, runs, inputs, settings) for s, e in exprs.items()]
@@ -136,7 +136,7 @@ def _polish_noisy(
         fit, whole = _whole_numbers(fit, runs, inputs, settings)
         numbers = _simple_numbers(fit, whole, runs, inputs, settings)
     final = {s: tidy(e) for s, e in fit.put(numbers).items()}
-    loose = _loosen_all(final)
+    loose = loosen_all(final)
     free = _fit(loose, runs, inputs, settings, near=fit) or fit
     _, values, owners = prepare(loose, _plain(runs), inputs)
     errors, fitted = free.errors, free.constants
@@ -195,13 +195,22 @@ def untouched_match(
     settings : the numbers that decide.
     """
     final = {s: tidy(_round_floats(e)) for s, e in exprs.items()}
-    errors = measure_errors(_loosen_all(final), _plain(runs), inputs, settings)
+    errors = measure_errors(loosen_all(final), _plain(runs), inputs, settings)
     fitted = {s: tuple(value for value, _ in pairs) for s, pairs in errors.items()}
     return replace(Match.untouched(final), errors=errors, fitted=fitted)
 
 
-def _loosen_all(exprs: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
-    """Make coefficients floats; a bare column, q' = v, and 0 are structure."""
+def loosen_all(exprs: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
+    """Make coefficients floats; a bare column, q' = v, and 0 are structure.
+
+    Parameters
+    ----------
+    exprs : state -> right-hand side.
+
+    >>> q, v = sympy.symbols("q v")
+    >>> loosen_all({"q": v, "v": -2 * q})
+    {'q': v, 'v': -2.0*q}
+    """
     return {s: e if e.is_Symbol or e == 0 else loosen(e) for s, e in exprs.items()}
 
 
@@ -235,7 +244,7 @@ def _drop_terms(
         if best is None or gains[best] <= 0:
             break
         less = fit.put([*numbers[:best], sympy.S.Zero, *numbers[best + 1 :]])
-        shorter = _fit(_loosen_all(less), runs, inputs, settings, near=fit)
+        shorter = _fit(loosen_all(less), runs, inputs, settings, near=fit)
         surely = settings.surely_zero**2
         if shorter is None or fit.ratio(shorter) > max(surely, gains[best] * 2 * math.log(2)):
             break
