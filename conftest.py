@@ -24,14 +24,16 @@ from sybil import Example, Sybil
 from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown import CodeBlockParser, SkipParser
 
+from dynsr.jobs import let_garbage_wait
+
 _ROOT = Path(__file__).parent
 
 # A shell starts background jobs with Ctrl-C ignored; the tests of it and their children would wait.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# As in a command, where imports and formulas are many small objects that live.
-gc.set_threshold(100_000, 20, 10)
+# As in a command.
+let_garbage_wait()
 
 
 def pytest_collection_finish() -> None:

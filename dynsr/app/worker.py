@@ -5,7 +5,6 @@ A job is stopped as Ctrl-C stops a command: searches answer with the best that t
 
 from __future__ import annotations
 
-import gc
 import os
 import shutil
 import signal
@@ -19,6 +18,7 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from dynsr.errors import in_words
+from dynsr.jobs import let_garbage_wait
 
 if TYPE_CHECKING:
     from dynsr.app.work import Work
@@ -42,8 +42,7 @@ def run(connection: Connection, folder: Path, jobs: int) -> None:
     if hasattr(os, "setsid"):
         os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    # Garbage waits as it does in the command.
-    gc.set_threshold(100_000, 20, 10)
+    let_garbage_wait()
     worker = _Worker(connection, folder)
     teller = threading.Thread(target=worker.tell, daemon=True)
     teller.start()

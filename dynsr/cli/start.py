@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
 from contextlib import suppress
 from types import FrameType
+
+from dynsr.jobs import let_garbage_wait
 
 _INTERRUPTED = 130
 
@@ -36,9 +37,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 def _prepare() -> None:
     """Let every name be printed, no window be opened, and garbage wait."""
-    # Imports and formulas are many small objects that live: looking for garbage among them as often
-    # as Python does by itself takes a tenth of a short command.
-    gc.set_threshold(100_000, 20, 10)
+    let_garbage_wait()
     # A terminal that knows no Greek letters, or the bytes of a file's name that are no text.
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):

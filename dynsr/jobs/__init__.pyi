@@ -1,5 +1,6 @@
 from .budget import Budget, TimeUp, Turn, finish_by, time_limit
 from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_notebook, say_left
+from .garbage import let_garbage_wait
 from .interrupts import heard_again, interrupt_again, is_repeated, signal_again
 from .pool import Task, check_jobs, check_seed, run_tasks, spread
 from .progress import Step, Watch, best_equation
@@ -44,6 +45,7 @@ __all__ = [
     "in_notebook",
     "interrupt_again",
     "is_repeated",
+    "let_garbage_wait",
     "read_json",
     "read_manifest",
     "read_record",

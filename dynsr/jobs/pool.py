@@ -6,7 +6,6 @@ Neither Ctrl-C nor a kill of this process leaves workers behind.
 from __future__ import annotations
 
 import ctypes
-import gc
 import math
 import multiprocessing
 import operator
@@ -31,6 +30,7 @@ from joblib.parallel import BACKENDS, get_active_backend
 from threadpoolctl import threadpool_limits
 
 from dynsr.errors import DynsrError, InputError
+from dynsr.jobs.garbage import let_garbage_wait
 from dynsr.jobs.progress import Reporter, Watch
 from dynsr.jobs.store import RunFolder, as_read
 
@@ -278,8 +278,8 @@ def _belong_to(parent: int, lasting: bool) -> None:
     A search would answer an interrupt with what it has found so far, which is no result here.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Garbage waits as it does in the command, from before the task and its libraries load.
-    gc.set_threshold(100_000, 20, 10)
+    # Before the task and its libraries load.
+    let_garbage_wait()
     if lasting and sys.platform == "linux":
         # At once, even from within a long call that lets no other thread run.
         with suppress(OSError, AttributeError):
