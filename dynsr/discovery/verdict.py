@@ -29,7 +29,7 @@ from dynsr.discovery.layers import cross_layers
 from dynsr.discovery.rivals import compare_rivals
 from dynsr.errors import InputError, one_line
 from dynsr.expression import shown
-from dynsr.fit import Flow, ParetoFront, Shooting, noise_and_spread, tidy
+from dynsr.fit import STABLE, Flow, ParetoFront, Shooting, noise_and_spread, tidy
 
 LAW, APPROXIMATION, NOT_FOUND = LEVELS = ("law", "approximation", "not found")
 
@@ -91,8 +91,6 @@ class VerdictSettings:
 JUDGE = VerdictSettings()
 # Causes of what looks like noise between neighbouring rows and is none.
 _JUMPING = ("map", "sampling too coarse")
-# An explicit step from row to row is unstable beyond this |eigenvalue| times its length.
-_UNSTABLE = 2.5
 # Of more terms that the data are not sure of, the first are named.
 _NAMED = 5
 # Causes that the same data may have, of which all are said.
@@ -618,7 +616,7 @@ class _Bench:
         causes = [diagnose(self.course.runs, state) for state in self.equations]
         stiff = any(cause.kind == "stiff" for told in causes for cause in told)
         # A solver's own rows are as close in the layers as these are thin.
-        if not stiff and max(map(self._stiffness, self.shoot(self.course.longest))) < _UNSTABLE:
+        if not stiff and max(map(self._stiffness, self.shoot(self.course.longest))) < STABLE:
             return None
         found = cross_layers(self.equations, self.course.runs, self.course.inputs)
         if found is None or np.min(found.r2) < self.settings.r2:

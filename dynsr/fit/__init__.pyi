@@ -45,6 +45,7 @@ from .parsimony import collapse, without_flat_line
 from .polishing import loosen_all, polish, untouched_match
 from .settings import FitSettings
 from .shooting import (
+    STABLE,
     Match,
     Shooting,
     build_shooting,
@@ -62,6 +63,7 @@ from .variation import improve, loosen, neighbours, with_floats
 __all__ = [
     "FINEST_SLOPES",
     "LOSSES",
+    "STABLE",
     "Candidate",
     "Collocation",
     "CollocationFit",

@@ -23,7 +23,7 @@ from dynsr.fit.noise import independent_rows, is_noisy
 from dynsr.fit.settings import FIT, FitSettings
 
 # Runge-Kutta 4 is stable for |eigenvalue| * step up to about 2.8 (Hairer and Wanner 1996, IV.2).
-_STABLE = 2.5
+STABLE = 2.5
 # Misses below this share of the spread are those of solvers and rounding.
 _ROUNDING = 1e-9
 # An interval is cut into at most 2^6 stable steps; what is stiffer still diverges.
@@ -527,7 +527,7 @@ def choose_pace(
 
     Stiff systems begin with steps short enough to be stable, of which an interval has 64 at most.
     """
-    stable = shooting.flow.stiffness(shooting.windows, constants) / _STABLE
+    stable = shooting.flow.stiffness(shooting.windows, constants) / STABLE
     first = 2 ** min(max(math.ceil(math.log2(max(stable, 1.0))), 0), _MOST_HALVINGS)
     pace = Pace(first)
     coarse = replace(shooting, pace=pace).misses(constants, starts)
