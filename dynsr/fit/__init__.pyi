@@ -1,4 +1,4 @@
-from .candidates import Candidate, ParetoFront, r_squared, rmse, score_candidate
+from .candidates import Candidate, ParetoFront, explained_shares, r_squared, rmse, score_candidate
 from .collocation import (
     Collocation,
     CollocationFit,
@@ -94,6 +94,7 @@ __all__ = [
     "description_length",
     "drives_of",
     "eliminate",
+    "explained_shares",
     "finer_paces",
     "fit_along",
     "fit_ratio",

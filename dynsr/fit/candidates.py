@@ -182,8 +182,22 @@ def r_squared(truth: np.ndarray, found: np.ndarray) -> float:
     >>> r_squared(np.array([[0.0], [2.0]]), np.array([[0.0], [1.0]]))
     0.5
     """
-    missed = np.sum(np.square(found - truth), axis=0)
-    spread = np.sum(np.square(truth - truth.mean(axis=0)), axis=0)
+    return float(np.mean(explained_shares(truth, found)))
+
+
+def explained_shares(truth: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Give R2 of every state, from -1 up; (k,) or, of many integrations at once, (k, M).
+
+    Parameters
+    ----------
+    truth : (n, k) or (n, k, 1) states.
+    found : (n, k) or (n, k, M); where it is not finite, R2 is -1.
+
+    >>> explained_shares(np.array([[0.0], [2.0]]), np.array([[np.nan], [1.0]])).tolist()
+    [-1.0]
+    """
     with np.errstate(all="ignore"):
+        missed = np.sum(np.square(found - truth), axis=0)
+        spread = np.sum(np.square(truth - truth.mean(axis=0)), axis=0)
         each = 1 - missed / np.where(spread > 0, spread, np.finfo(float).tiny)
-    return float(np.mean(np.where(np.isfinite(each), np.maximum(each, -1.0), -1.0)))
+    return np.where(np.isfinite(each), np.maximum(each, -1.0), -1.0)

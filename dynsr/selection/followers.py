@@ -19,7 +19,15 @@ import sympy
 
 from dynsr.data import SmoothedTrajectory, Trajectory, smooth_column
 from dynsr.expression import Program, compile_columns
-from dynsr.fit import Flow, Pace, Windows, cut_windows, drives_of, runge_kutta_step
+from dynsr.fit import (
+    Flow,
+    Pace,
+    Windows,
+    cut_windows,
+    drives_of,
+    explained_shares,
+    runge_kutta_step,
+)
 from dynsr.methods import Demands, Library, polynomials, trigonometrics
 
 Equations = dict[str, sympy.Expr]
@@ -150,15 +158,8 @@ class Trail:
 
     def _score(self, found: Sequence[np.ndarray]) -> np.ndarray:
         """R2 (k, M) of M integrations, (rows, k, M) for every run."""
-        x = np.concatenate([windows.x for windows, _ in self.windows])
-        total = np.maximum(np.sum((x - x.mean(axis=0)) ** 2, axis=0), 1e-300)
-        with np.errstate(all="ignore"):
-            missed = sum(
-                np.sum((own - windows.x) ** 2, axis=0)
-                for own, (windows, _) in zip(found, self.windows, strict=True)
-            )
-            each = 1 - missed / total
-        return np.where(np.isfinite(each), np.maximum(each, -1.0), -1.0)
+        measured = np.concatenate([windows.x for windows, _ in self.windows])
+        return explained_shares(measured, np.concatenate(found))
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -295,14 +296,10 @@ class _Libraries:
         own = [e for e in demands.offered if e not in whole.functions]
         whole = whole + Library(tuple(own)) if own else whole
         degree = np.array([_degree(e) for e in whole.functions])
-        constant, asked = degree == 0, np.array([e in own for e in whole.functions])
-        sets = [(degree >= 0) & (degree <= d) for d in degrees]
-        sets.append(
-            (degree == -1) | ((degree >= 0) & (degree <= min(settings.beside_waves, max(degrees))))
-        )
-        choices = [
-            (s & ~without) | asked for s in sets for without in (constant, ~constant & constant)
-        ]
+        asked = np.array([e in own for e in whole.functions])
+        plain = {d: (degree >= 0) & (degree <= d) for d in (*degrees, settings.beside_waves)}
+        sets = [*(plain[d] for d in degrees), plain[settings.beside_waves] | (degree == -1)]
+        choices = [mine | asked for every in sets for mine in (every & (degree != 0), every)]
         return cls(whole, tuple(choices))
 
     def place(self, expr: sympy.Expr) -> int:
