@@ -7,7 +7,6 @@ that they explain. Causes that were found, such as a missing state, stay in the 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -23,6 +22,7 @@ from dynsr.discovery.verdict import (
     LEVELS,
     NOT_FOUND,
     Verdict,
+    follows_to,
     least_r2,
     likely_cause,
     summarise,
@@ -180,8 +180,7 @@ def _approximate(
             why = "follows the data within their noise, but its terms were chosen for that alone."
             found = replace(own, level=APPROXIMATION, reason=why)
         if own.level == NOT_FOUND and r2[state] > max(least[state], own.r2):
-            missed = 100 * math.sqrt(1 - r2[state])
-            why = f"follows the data to {missed:.2g} % of the spread, and was chosen for that."
+            why = f"{follows_to(r2[state])}, and was chosen for that."
             why = f"{why} {likely_cause(trail.runs, state)}".strip()
             found = replace(own, level=APPROXIMATION, reason=why, r2=round(r2[state], 6))
         states[state] = found

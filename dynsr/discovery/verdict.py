@@ -514,8 +514,7 @@ class _Bench:
             said = f"{state} moves, and a constant slope does not reproduce it."
             return replace(found, reason=said + self._because(state, cause))
         if doubts:
-            follows = f"follows the data to {_percent(math.sqrt(max(0.0, 1 - r2)))} of the spread"
-            said = f"{follows}{self._while(followed)}, but {'; '.join(doubts)}."
+            said = f"{follows_to(r2)}{self._while(followed)}, but {'; '.join(doubts)}."
             return replace(found, level=APPROXIMATION, reason=said + self._because(state, cause))
         return replace(found, level=LAW, reason=self._praise(place, noise, followed, evidence))
 
@@ -686,6 +685,19 @@ def least_r2(noise: float, settings: VerdictSettings = JUDGE) -> float:
     (0.9, 0.819)
     """
     return settings.r2 * (1 - min(float(noise), 1.0) ** 2)
+
+
+def follows_to(r2: float) -> str:
+    """Say how closely equations follow the data.
+
+    Parameters
+    ----------
+    r2 : share of the variance of a state that they explain.
+
+    >>> follows_to(0.9)
+    'follows the data to 32 % of the spread'
+    """
+    return f"follows the data to {_percent(math.sqrt(max(0.0, 1 - r2)))} of the spread"
 
 
 def likely_cause(runs: Sequence[Trajectory], state: str) -> str:
