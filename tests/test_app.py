@@ -333,21 +333,21 @@ def test_what_is_downloaded_is_what_was_found(page, tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize(
-    ("name", "jobs", "code", "line"),
+    ("name", "code", "line"),
     [
-        ("SIGINT", "2", 130, "error: interrupted\n"),
-        ("SIGTERM", "1", 143, "error: terminated\n"),
-        ("SIGKILL", "2", -9, ""),
+        ("SIGINT", 130, "error: interrupted\n"),
+        ("SIGTERM", 143, "error: terminated\n"),
+        ("SIGKILL", -9, ""),
     ],
 )
-def test_its_end_in_a_search_leaves_nothing_behind(tmp_path, name, jobs, code, line):
+def test_its_end_in_a_search_leaves_nothing_behind(tmp_path, name, code, line):
     """Ctrl-C, SIGTERM or a kill end the page, its search and all workers; no data are left."""
     rng = np.random.default_rng(1)
     walk = np.cumsum(rng.standard_normal((60, 2)), axis=0)
     (tmp_path / "w.csv").write_text(
         "t,a,b\n" + "\n".join(f"{k},{a},{b}" for k, (a, b) in enumerate(walk))
     )
-    served = Page(str(tmp_path / "w.csv"), "-j", jobs, folder=tmp_path)
+    served = Page(str(tmp_path / "w.csv"), "-j", "2", folder=tmp_path)
     served.wait(lambda parts: parts.get("table") and not parts["busy"])
     served.post("search", options={"preset": "quick"})
     served.wait(lambda parts: parts.get("progress") and parts["progress"]["running"])

@@ -18,7 +18,6 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from dynsr.errors import in_words
-from dynsr.jobs import let_garbage_wait
 
 if TYPE_CHECKING:
     from dynsr.app.work import Work
@@ -42,6 +41,9 @@ def run(connection: Connection, folder: Path, jobs: int) -> None:
     if hasattr(os, "setsid"):
         os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Only here: no Ctrl-C of the terminal falls into these imports any more.
+    from dynsr.jobs import let_garbage_wait
+
     let_garbage_wait()
     worker = _Worker(connection, folder)
     teller = threading.Thread(target=worker.tell, daemon=True)
