@@ -18,7 +18,17 @@ from dynsr.selection import ComparisonSettings
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.systems import explore
-from dynsr.selection.terms import Terms, TermSettings, cited_bits, in_coordinates, unusual_bits
+from dynsr.selection.terms import (
+    Terms,
+    TermSettings,
+    by_inside,
+    cited_bits,
+    find_turning,
+    in_coordinates,
+    move_inside,
+    shape_bits,
+    unusual_bits,
+)
 
 X, Y = sympy.symbols("x y")
 RNG = np.random.default_rng(0)
@@ -88,9 +98,7 @@ def test_terms_cost_their_length_and_their_functions():
     """A term costs the bits of its structure with one constant before it; functions cost more."""
     found = grow(POSITIVE, angles=())
     for expr, bits, inside in zip(found.exprs, found.bits, found.inside, strict=True):
-        assert bits == pytest.approx(
-            structure_bits(sympy.Float(0.5) * expr) + unusual_bits(expr, ())
-        )
+        assert bits == pytest.approx(shape_bits(sympy.Float(0.5) * expr) + unusual_bits(expr, ()))
         assert inside == len(expr.atoms(sympy.Float))
     cost = dict(zip(found.exprs, found.bits, strict=True))
     assert cost[X] < cost[X**2] < cost[X**3]
@@ -258,3 +266,66 @@ def test_ratios_of_one_denominator_cite_it():
     line = 1 + 0.7 * X**2 * Y
     alike = cited_bits([X / line, sympy.sin(Y) / line])
     assert alike > cited_bits([X / line, sympy.sin(Y) / (1 + 0.7 * Y)])
+
+
+def test_a_saturation_costs_what_a_function_does():
+    """Monod's and Hill's terms cost no more than a few bits beside a power of the same variable."""
+    half = sympy.Float(0.5)
+    for term in (X / (X + 1.5), X**2 / (X**2 + 1.5), 1 / (X**4 + 1.5)):
+        assert shape_bits(half * X**2) < shape_bits(half * term) < shape_bits(half * X**2) + 8
+        assert shape_bits(half * Y * term) < structure_bits(half * Y * term)
+
+
+def test_what_all_terms_share_is_written_once():
+    """x (a - b x - c y) costs less than its terms do one by one, and a sum without a factor not."""
+    growth = 1.5 * X - 0.5 * X**2 - 2.5 * X * Y
+    assert shape_bits(growth) < structure_bits(growth)
+    assert shape_bits(growth + 0.5) == structure_bits(growth + 0.5)
+
+
+def test_the_slope_by_a_constant_inside_is_its_derivative():
+    """Moving the constant inside a term changes it as its slope says, to first order."""
+    columns = {"x": POSITIVE[0], "y": POSITIVE[1]}
+    for term in (X / (X + 1.5), sympy.exp(-0.7 * X), Y * X**1.4, X * Y / (X + 0.8 * Y)):
+        moved = evaluate(move_inside(term, 1e-5), columns) - evaluate(term, columns)
+        np.testing.assert_allclose(moved / 1e-5, evaluate(by_inside(term), columns), rtol=1e-3)
+
+
+def test_a_constant_inside_is_found_between_those_that_are_tried():
+    """A saturation at 2.2 is reached from one at 1.5 by its slope, not by a sum of others."""
+    x, noise = np.linspace(0.3, 6, 60), 1e-3 * np.random.default_rng(3).standard_normal(60)
+    columns = np.stack([x / (x + 1.5), x, x**2, x**3, -1.5 * x / (x + 1.5) ** 2])
+    target = 3 * x / (x + 2.2) + noise
+    best = best_subsets(
+        columns @ columns.T / 1e-6,
+        columns @ target / 1e-6,
+        target @ target / 1e-6,
+        np.array([20.0, 10.0, 10.0, 10.0]),
+        60.0,
+        slopes=np.array([4, -1, -1, -1]),
+    )
+    alone = next(s for s in best if s.places == (0,))
+    assert 1.5 * np.exp(alone.shifts[0]) == pytest.approx(2.2, rel=0.1)
+    assert alone.coefficients[0] == pytest.approx(3, rel=0.1)
+
+
+def test_a_pair_that_tells_nothing_alone_is_found():
+    """Two of forty columns whose difference is the target are found, though others lead alone."""
+    rng = np.random.default_rng(5)
+    common = 100 * rng.standard_normal(80)
+    pair = np.stack([common + rng.standard_normal(80), common])
+    target = pair[0] - pair[1]
+    others = 0.1 * target + rng.standard_normal((60, 80))
+    columns = np.concatenate([others, pair])
+    best = best_subsets(
+        columns @ columns.T, columns @ target, target @ target, np.full(62, 5.0), 80.0
+    )
+    assert best[0].places == (60, 61)
+
+
+def test_a_phase_that_turns_on_may_have_sines():
+    """A column that goes one way by more than half a turn may be an angle."""
+    t = np.linspace(0, 1, 50)
+    assert find_turning(["short", "long", "back"], [1 + t, 1 + 9 * t, 5 + 4 * np.cos(9 * t)]) == (
+        "long",
+    )

@@ -56,6 +56,8 @@ class CollocationSettings:
 
 COLLOCATION = CollocationSettings()
 # Simple numbers are judged by differences of some units in a sum of squares of thousands.
+# Share of the largest eigenvalue of the scaled information below which a direction is rounding.
+_SILENT = 1e-12
 _CLOSELY = replace(COLLOCATION, steps=40, gain=1e-8)
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
 _TURN, _PARTS, _NODES = 20.0, 4, 2000
@@ -195,7 +197,19 @@ class CollocationFit:
     def errors(self) -> np.ndarray:
         """(P,) standard errors of the constants at the noise that was given; inf if unknown."""
         variances = np.diag(self.covariance)
-        return np.where(variances > 0, np.sqrt(np.maximum(variances, 0)), np.inf)
+        known = (variances > 0) & ~self._open
+        return np.where(known, np.sqrt(np.maximum(variances, 0)), np.inf)
+
+    @property
+    def _open(self) -> np.ndarray:
+        """(P,) whether a constant has a share in a direction that the data say nothing of."""
+        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        scaled = self.information / np.outer(scale, scale)
+        if not np.all(np.isfinite(scaled)):
+            return np.ones(len(scale), dtype=bool)
+        values, directions = np.linalg.eigh(scaled)
+        silent = values < _SILENT * values.max(initial=0.0)
+        return np.asarray(np.sum(directions[:, silent] ** 2, axis=1) > 1e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,17 +376,20 @@ class Collocation:
             cost = float(np.vdot(misses, misses) + stiffness * np.vdot(defects, defects))
         return cost if np.isfinite(cost) else np.inf
 
-    def fit(self, near: CollocationFit | None = None) -> CollocationFit | None:
+    def fit(
+        self, near: CollocationFit | None = None, strict: bool = False
+    ) -> CollocationFit | None:
         """Fit states and constants; None where the right-hand sides are not finite on the data.
 
         Parameters
         ----------
-        near : a fit of a like system, whose states are the start; by default the smoothed data,
-            on which the system is made strict in stages.
+        near : a fit of a like system, whose states are the start; by default the smoothed data.
+        strict : whether the states follow the system from the first step on, and not in stages:
+            from a fit of almost the same system nothing is to be gone back to.
         """
         states = np.ascontiguousarray((self.mesh.start if near is None else near.states).T)
         constants = self.constants
-        for stiffness in self.settings.stiffness:
+        for stiffness in self.settings.stiffness[-1:] if strict else self.settings.stiffness:
             moved = self._stage(states, constants, stiffness)
             if moved is None:
                 return None
@@ -387,6 +404,8 @@ class Collocation:
         x, weights, _ = self.mesh.by_state
         misses = (states - x) * weights
         squares = np.sum(misses**2, axis=1) + self._unresolved(states, constants)
+        # Where the steps came to rest early, the states do not follow the system yet.
+        squares += np.sum(self._defects(states, constants) ** 2, axis=1)
         squares /= np.maximum(self.mesh.rows, 1.0)
         exprs = self.put([sympy.Float(c) for c in constants.tolist()])
         return CollocationFit(exprs, constants, states.T, misses.T, squares, information)
@@ -787,8 +806,8 @@ class AlongFit:
 
     @property
     def errors(self) -> np.ndarray:
-        """(P,) standard errors."""
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0))
+        """(P,) standard errors; inf where the data say nothing."""
+        return self.found.errors * math.sqrt(self._scale)
 
     @property
     def misses(self) -> np.ndarray:

@@ -26,6 +26,8 @@ from dynsr.fit.whole import StatesFit, fit_states, interval_reach
 
 # Intervals over which no system amplifies the errors of its solver much.
 _SHORT = 100
+# Share by which the errors of a solver of loose tolerance may bend a constant.
+_BENT = 0.01
 
 Data = Sequence[Trajectory] | Measurements
 Fit = StatesFit | AlongFit
@@ -275,6 +277,10 @@ def _whole_numbers(
     near_enough = {i: n for i, n in whole.items() if _distance(fit, i, n) <= reach(n, settings)}
     if near_enough == whole and (not whole or _allowed(fit, whole, runs, inputs, settings)):
         return fit, whole
+    # A solver bends constants by little: what is further off is another number.
+    whole = {i: n for i, n in whole.items() if abs(n - fit.constants[i]) <= _BENT * abs(n)}
+    if not whole:
+        return fit, {}
     shortest = replace(settings, match_longest=_SHORT)
     short = fit_states(fit.put(as_floats(fit.constants)), _plain(runs), inputs, shortest)
     if short is None:

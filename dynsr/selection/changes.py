@@ -21,11 +21,10 @@ from dynsr.fit import (
     neighbours,
     shift_bits,
     skeleton,
-    structure_bits,
     without_flat_line,
 )
 from dynsr.selection.comparison import SystemComparison, SystemFit
-from dynsr.selection.terms import Terms, citing_bits, term_bodies
+from dynsr.selection.terms import Terms, citing_bits, shape_bits, term_bodies, unusual_bits
 
 # A new constant starts here, relative to the size of what it multiplies, and is fitted.
 _SMALL = sympy.Float(1e-6)
@@ -160,7 +159,8 @@ def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
 def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit:
     """Take terms out of one equation, that expected to be missed least first, while bits fall.
 
-    A fraction line below which hardly anything changes goes before all.
+    A fraction line below which hardly anything changes goes before all, and exponents become whole
+    or half ones.
 
     Parameters
     ----------
@@ -169,11 +169,29 @@ def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit
     state : whose equation loses terms.
     """
     while True:
-        shorter = _without_line(comparison, fit, state) or drop_least(fit, state)
-        less = shorter and comparison.fit({**fit.exprs, state: shorter}, fit)
-        if less is None or less.bits >= fit.bits:
+        for shorter in (
+            _without_line(comparison, fit, state),
+            _round_powers(fit.exprs[state]),
+            drop_least(fit, state),
+        ):
+            less = shorter and comparison.fit_near({**fit.exprs, state: shorter}, fit)
+            if less is not None and less.bits < fit.bits:
+                fit = less
+                break
+        else:
             return fit
-        fit = less
+
+
+def _round_powers(expr: sympy.Expr) -> sympy.Expr | None:
+    """Give an equation with the nearest half for every exponent that was set free; None for none.
+
+    >>> x = sympy.Symbol("x")
+    >>> _round_powers(2.5 * x**1.97)
+    2.5*x**2
+    """
+    free = [p for p in expr.atoms(sympy.Pow) if p.exp.is_Float]
+    nearest = {p: p.base ** sympy.Rational(round(2 * float(p.exp)), 2) for p in free}
+    return expr.xreplace(nearest) if free else None
 
 
 def _without_line(comparison: SystemComparison, fit: SystemFit, state: str) -> sympy.Expr | None:
@@ -206,18 +224,20 @@ def _make_moves(comparison: SystemComparison, fit: SystemFit, points: np.ndarray
         if expr.is_Symbol:
             # q' = v holds by definition far more often than not.
             continue
-        before = structure_bits(expr)
+        before = shape_bits(expr)
         for index, owner in enumerate(owners):
             if owner == state:
                 lost = _without(expr, fit.fit.constants[index])
                 if lost is not None:
-                    cost = structure_bits(lost) - before
+                    cost = shape_bits(lost) - before
                     moves.moves.append(_Move(state, _always(lost), cost, out=(index,)))
         allowed = comparison.settings.demands.limits(state).allow
         others = [e for s, e in fit.exprs.items() if s != state]
         beside = set().union(*map(term_bodies, others))
         _add_terms(moves, row, state, expr, terms, values, allowed, beside)
         _add_saturations(moves, row, state, expr, names, points)
+        _add_powers(moves, row, state, expr, names, points)
+        _add_below(moves, row, state, expr, names, points)
         _add_swaps(moves, row, state, expr, comparison, points)
     return moves
 
@@ -274,8 +294,62 @@ def _add_saturations(
                 below = 1 + start * sympy.Symbol(name) ** power
                 other = sympy.Add(*[t for t in terms if t is not term], term / below)
                 place = moves.probe(row, -own * column**power)
-                cost = structure_bits(other) - structure_bits(expr)
+                cost = shape_bits(other) - shape_bits(expr)
                 moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
+
+
+def _add_powers(
+    moves: _Moves,
+    row: int,
+    state: str,
+    expr: sympy.Expr,
+    names: Sequence[str],
+    points: np.ndarray,
+) -> None:
+    """Set the exponent of a positive column in one term of a sum free."""
+    terms = sympy.Add.make_args(expr)
+    values = compile_columns(list(terms), names)(*points)
+    for term, own in zip(terms, values, strict=True):
+        free = {power.base for power in term.atoms(sympy.Pow) if power.exp.is_Float}
+        for name, column in zip(names[:-1], points[:-1], strict=True):
+            symbol = sympy.Symbol(name)
+            if column.min() <= 0 or symbol in free:
+                continue
+            other = sympy.Add(*[t for t in terms if t is not term], term * symbol**_SMALL)
+            place = moves.probe(row, own * np.log(column))
+            moves.moves.append(_Move(state, _always(other), _costs(other, expr), free=(place,)))
+
+
+def _add_below(
+    moves: _Moves,
+    row: int,
+    state: str,
+    expr: sympy.Expr,
+    names: Sequence[str],
+    points: np.ndarray,
+) -> None:
+    """Put one more positive column below a fraction line: x / (k + x) to x / (k + x + c y)."""
+    terms = sympy.Add.make_args(expr)
+    for term in terms:
+        for line in sympy.Mul.make_args(term):
+            below = 1 / line
+            if not (below.is_Add and below.free_symbols):
+                continue
+            own, size = compile_columns([term * line, below], names)(*points)
+            for name, column in zip(names[:-1], points[:-1], strict=True):
+                symbol = sympy.Symbol(name)
+                if column.min() <= 0 or symbol in below.args or below.coeff(symbol) != 0:
+                    continue
+                start = 0.1 * float(np.median(np.abs(size)) / np.median(column))
+                more = term * below / (below + sympy.Float(float(f"{start:.3g}")) * symbol)
+                other = sympy.Add(*[t for t in terms if t is not term], more)
+                place = moves.probe(row, -own * column)
+                moves.moves.append(_Move(state, _always(other), _costs(other, expr), free=(place,)))
+
+
+def _costs(other: sympy.Expr, expr: sympy.Expr) -> float:
+    """Bits that a formula takes more than another by its shape and its unusual powers."""
+    return shape_bits(other) - shape_bits(expr) + unusual_bits(other, ()) - unusual_bits(expr, ())
 
 
 def _add_swaps(
@@ -301,11 +375,11 @@ def _add_swaps(
     if not changed:
         return
     values = compile_columns([other - expr for other in changed], names)(*points)
-    before = structure_bits(expr)
+    before = shape_bits(expr)
     for other, slope in zip(changed, values, strict=True):
         if np.all(np.isfinite(slope)):
             place = moves.probe(row, slope)
-            cost = structure_bits(other) - before
+            cost = shape_bits(other) - before
             moves.moves.append(_Move(state, _always(other), cost, whole=(place,)))
 
 

@@ -29,13 +29,19 @@ from dynsr.methods import Demands, MonomialLibrary
 from dynsr.selection.terms import (
     Terms,
     TermSettings,
+    as_written,
     cited_bits,
-    find_angles,
+    find_turning,
     in_coordinates,
+    saturating,
     unusual_bits,
 )
 
 Equations = dict[str, sympy.Expr]
+# Points at which the line below a fraction is looked at, so that even a narrow pole shows.
+_ACROSS = 201
+# Half-saturation, as a multiple of the largest value, from which on nothing is seen of it.
+_NEAR = 4.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,8 @@ class ComparisonSettings:
         states; those have a pattern, and terms would be found for it.
     alone : formulas of each state that are fitted with the other states read off their curves.
     sums : sums of the terms of each kind that are fitted alone, those expected to take the fewest
-        bits.
+        bits; twice as many of all kinds together.
+    halved : the same where half of the rows are asked for another formula.
     softness : weight of the defects where sums of terms are looked for: the smoothed states are
         not quite those of the system.
     pruned : of these, how many lose the terms that do not pay.
@@ -61,6 +68,7 @@ class ComparisonSettings:
     together : the best of them that enter whole systems.
     behind : bits that they may take more than the best of them.
     near : the same, once a system leaves nothing but noise.
+    unseen : bits of a saturation of which the columns see less than a fifth.
     leaving : bits of an equation by which a state that is positive throughout would fall below 0.
     doubtful : noise, as a share of the spread, above which slopes tell other methods nothing more.
     different : rms difference of two equations, as a share of the slopes' spread, from which on
@@ -86,7 +94,8 @@ class ComparisonSettings:
     factors: MonomialLibrary = MonomialLibrary()
     noisy: float = 5e-4
     alone: int = 40
-    sums: int = 15
+    sums: int = 10
+    halved: int = 5
     softness: float = 100.0
     pruned: int = 12
     again: int = 2
@@ -95,6 +104,7 @@ class ComparisonSettings:
     together: int = 20
     behind: float = 40.0
     near: float = 12.0
+    unseen: float = 4.0
     leaving: float = 6.0
     doubtful: float = 0.02
     different: float = 0.02
@@ -113,6 +123,13 @@ class ComparisonSettings:
 
 
 COMPARISON: ComparisonSettings = ComparisonSettings()
+
+
+def _lines(expr: sympy.Expr) -> Iterator[sympy.Expr]:
+    """Give what stands below the fraction lines of a formula, beside bare columns."""
+    for power in expr.atoms(sympy.Pow):
+        if power.base.is_Add and power.exp.is_negative and power.free_symbols:
+            yield power.base
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +170,42 @@ class SystemComparison:
             found = problem.fit(None if near is None else near.fit)
             if found is None and near is not None:
                 found = problem.fit()
+            if found is not None and self._has_pole(found):
+                found = None
             self._cache[key] = (
                 None if found is None else SystemFit(problem, found, self.bits(found))
             )
         return self._cache[key]
+
+    def fit_near(self, exprs: Equations, near: SystemFit) -> SystemFit | None:
+        """Fit from a system that is almost the same, going back no further than needed.
+
+        Another start may have led to a worse fit before, as it does on a chaotic run.
+
+        Parameters
+        ----------
+        exprs : state -> equation.
+        near : the system.
+        """
+        if not self.settings.demands.keep_all(exprs):
+            return None
+        key = tuple(skeleton(e) for e in exprs.values())
+        before = self._cache.get(key)
+        if before is not None and before.bits < near.bits:
+            return before
+        problem = Collocation(exprs, self.mesh, self.settings.fit)
+        found = problem.fit(near.fit, strict=True)
+        if found is not None and not self._has_pole(found):
+            fit = SystemFit(problem, found, self.bits(found))
+            if before is None or fit.bits < before.bits:
+                self._cache[key] = before = fit
+        if before is None or before.bits >= near.bits:
+            self._cache.pop(key, None)
+            again = self.fit(exprs, near)
+            if before is not None and (again is None or before.bits <= again.bits):
+                self._cache[key] = again = before
+            before = again
+        return before
 
     def fit_anew(self, exprs: Equations) -> SystemFit | None:
         """Fit from the constants given and the smoothed states; of two fits the better is kept.
@@ -179,10 +228,39 @@ class SystemComparison:
         squares = np.maximum(fit.mean_squares, 1e-12)
         exprs, said = in_coordinates(list(fit.exprs.values()), self.angles)
         said += sum(unusual_bits(e, self.angles) for e in exprs)
+        said += sum(self.settings.unseen * self._far_off(e) for e in fit.exprs.values())
         said += sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
-        length = information_criterion(squares, self.mesh.rows, exprs, len(fit.constants))
+        named = [as_written(e) for e in exprs]
+        length = information_criterion(squares, self.mesh.rows, named, len(fit.constants))
         simple = simplicity_bits(fit.constants, fit.errors)
         return length + said - cited_bits(exprs) - simple
+
+    def _has_pole(self, fit: CollocationFit) -> bool:
+        """Whether a fraction line passes through 0 where the columns are."""
+        columns = self.mesh.columns
+        for line in {line for expr in fit.exprs.values() for line in _lines(expr)}:
+            names = [str(symbol) for symbol in line.free_symbols]
+            with np.errstate(all="ignore"):
+                if len(names) == 1:
+                    ends = columns[names[0]].min(), columns[names[0]].max()
+                    values = evaluate(line, {names[0]: np.linspace(*ends, _ACROSS)})
+                else:
+                    values = evaluate(line, columns)
+            if not np.min(values) * np.max(values) > 0:
+                return True
+        return False
+
+    def _far_off(self, expr: sympy.Expr) -> int:
+        """Count the saturations that the columns do not come near to."""
+        columns, found = self.mesh.columns, 0
+        for line in _lines(expr):
+            power = saturating(line)
+            if power is not None:
+                top = float(np.max(np.abs(evaluate(power, columns))))
+                (constant,) = [abs(float(a)) for a in line.args if a.is_Number]
+                (factor,) = [abs(float(a.as_coeff_Mul()[0])) for a in line.args if not a.is_Number]
+                found += constant > _NEAR * factor * top
+        return found
 
     def _leaves(self, state: str, expr: sympy.Expr) -> bool:
         """Whether a state that was positive throughout would fall below 0 from there."""
@@ -210,9 +288,9 @@ class SystemComparison:
 
     @cached_property
     def angles(self) -> tuple[str, ...]:
-        """Columns that may be angles: those that take both signs."""
-        rows = [*self.mesh.start.T, *self.mesh.driven[:-1]]
-        return find_angles(self.names, rows)
+        """Columns that may be angles: those that take both signs, or turn on and on."""
+        rows = [*self.mesh.start.T, *self.mesh.driven[:-1, : len(self.mesh.t)]]
+        return find_turning(self.names, rows)
 
     def fits(self) -> Iterator[SystemFit]:
         """Give all systems that were fitted."""

@@ -30,7 +30,14 @@ from dynsr.fit import (
 )
 from dynsr.methods import Limits
 from dynsr.selection.subsets import best_subsets
-from dynsr.selection.terms import Joint, Terms, TermSettings, find_angles, products
+from dynsr.selection.terms import (
+    Joint,
+    Terms,
+    TermSettings,
+    find_angles,
+    find_turning,
+    products,
+)
 
 SOURCE = "the first look"
 # Of more columns none is surely left out by chance; steps that are looked at; rounds of a fit.
@@ -161,7 +168,7 @@ class _Search:
     @classmethod
     def of(cls, samples: Samples, limits: Limits, settings: LookSettings) -> _Search:
         names = samples.names
-        angles = find_angles(names, samples.X.T)
+        angles = find_turning(names, samples.X.T)
         terms = Terms.grow(names, samples.X.T, settings.terms, angles, limits.terms)
         under = _factors(names, angles, settings.below)
         return cls._make(terms.exprs, terms.bits, under, samples, limits, settings)

@@ -19,6 +19,8 @@ from dynsr.selection.comparison import SystemComparison, SystemFit
 
 # Values of a constant inside, in units of the median size of its variable, that are tried first.
 _SHARES = (0.3, 1.0, 3.0)
+# Powers of cooperation beside 2, and exponents from which a fit reaches any other.
+_HILL, _POWERS = (3, 4), (-1.5, -0.7, 0.7, 1.5)
 
 
 def stand_ins(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> Iterator[sympy.Expr]:
@@ -98,9 +100,14 @@ def _functions(symbol: sympy.Symbol, values: np.ndarray) -> Iterator[sympy.Expr]
     yield sympy.tanh(symbol)
     for share in _SHARES:
         scale = sympy.Float(float(f"{share * size:.3g}"))
+        yield sympy.tanh(symbol / scale)
+        yield sympy.exp(-symbol / scale)
         yield 1 / (symbol**2 + scale**2)
         yield symbol / (symbol**2 + scale**2)
         yield symbol**2 / (symbol**2 + scale**2)
+        for power in _HILL if positive else ():
+            yield symbol**power / (symbol**power + scale**power)
+            yield 1 / (symbol**power + scale**power)
         if positive:
             yield symbol / (symbol + scale)
             yield 1 / (symbol + scale)
@@ -108,6 +115,8 @@ def _functions(symbol: sympy.Symbol, values: np.ndarray) -> Iterator[sympy.Expr]
         yield sympy.sqrt(symbol)
         yield sympy.log(symbol)
         yield symbol * sympy.log(symbol)
+        for exponent in _POWERS:
+            yield symbol ** sympy.Float(exponent)
     if np.min(values) > 0.1 * size:
         yield 1 / symbol
 

@@ -1,7 +1,8 @@
 """Subsets of terms: the sums that a linear fit expects to follow the states best.
 
 All is read off the normal equations of the terms with the states eliminated; a beam of the best
-subsets of one size is grown by one term at a time.
+subsets of one size is grown by one term at a time. A term with a constant inside brings a second
+column, its slope by that constant, which says what another value of the constant would do.
 """
 
 from __future__ import annotations
@@ -10,15 +11,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# Square of what is left of a unit column from which on it is rounding.
+_NOTHING = 1e-7
+# Logarithm of a constant inside by which a linear fit may move it.
+_FARTHEST = 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class Subset:
-    """Some terms, their coefficients, the sum of squares that is left and the bits of it all."""
+    """Some terms, their coefficients, the sum of squares that is left and the bits of it all.
+
+    ``shifts`` are the logarithms of what the constants inside are to be multiplied by; 0 for a term
+    without one.
+    """
 
     places: tuple[int, ...]
     coefficients: np.ndarray
     squares: float
     bits: float
+    shifts: np.ndarray
 
 
 def best_subsets(
@@ -28,10 +39,11 @@ def best_subsets(
     costs: np.ndarray,
     rows: float,
     *,
-    beam: int = 24,
+    beam: int = 40,
     most: int = 6,
     keep: int = 40,
     least: float = 0.0,
+    slopes: np.ndarray | None = None,
 ) -> list[Subset]:
     """Give the subsets that take the fewest bits, the best first.
 
@@ -42,19 +54,22 @@ def best_subsets(
     squares : the target's own sum of squares.
     costs : (p,) bits of each term with its coefficient.
     rows : m of the bits m / 2 log2(squares / m).
-    beam : subsets of each size that are grown further.
+    beam : subsets of each size that are grown further; of single terms all are, since two that
+        tell nothing alone may tell all together.
     most : terms of a subset at most.
     keep : subsets that are given at most.
     least : sum of squares below which nothing is gained, at least a billionth of ``squares``.
+    slopes : (terms,) place of the column that is the slope of a term by the logarithm of the
+        constant inside it, -1 for a term without; the first columns are the terms, in the order of
+        ``costs``, and by default they are all.
     """
+    slopes = np.full(len(costs), -1) if slopes is None else slopes
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     gram, target = information / np.outer(scale, scale), pull / scale
     known: list[Subset] = []
-    layer = _Layer.of(gram, target, squares, [()])
-    for _ in range(most):
-        gains = np.where(
-            layer.diagonal > 1e-7, layer.rest**2 / np.maximum(layer.diagonal, 1e-12), 0.0
-        )
+    layer = _Layer.of(gram, target, squares, [()], slopes)
+    for size in range(most):
+        gains = layer.gains(slopes, scale)
         reached = np.maximum(layer.left[:, None] - gains, max(least, 1e-9 * squares))
         bits = rows / 2 * np.log2(reached / rows) + costs
         bits += np.array([costs[list(places)].sum() for places in layer.places])[:, None]
@@ -62,29 +77,41 @@ def best_subsets(
         grown: dict[tuple[int, ...], float] = {}
         for flat in np.argsort(bits, axis=None, kind="stable"):
             parent, place = divmod(int(flat), len(costs))
-            if len(grown) == beam or not bits[parent, place] < np.inf:
+            if (size and len(grown) == beam) or not bits[parent, place] < np.inf:
                 break
             grown.setdefault(
                 tuple(sorted((*layer.places[parent], place))), float(bits[parent, place])
             )
         if not grown:
             break
-        layer = _Layer.of(gram, target, squares, sorted(grown, key=lambda p: (grown[p], p)))
+        ranked = sorted(grown, key=lambda p: (grown[p], p))
+        layer = _Layer.of(gram, target, squares, ranked, slopes)
         known += [
-            Subset(places, found / scale[list(places)], float(left), grown[places])
-            for places, found, left in zip(
-                layer.places, layer.coefficients, layer.left, strict=True
-            )
+            _subset(places, grown[places], layer.coefficients[i] / scale, layer.left[i], slopes)
+            for i, places in enumerate(layer.places)
         ]
     return sorted(known, key=lambda s: (s.bits, s.places))[:keep]
 
 
+def _subset(
+    places: tuple[int, ...], bits: float, found: np.ndarray, left: float, slopes: np.ndarray
+) -> Subset:
+    own = slopes[list(places)]
+    moved = np.where(own >= 0, found[own], 0.0)
+    values = found[list(places)]
+    with np.errstate(all="ignore"):
+        shifts = np.nan_to_num(np.clip(moved / values, -_FARTHEST, _FARTHEST))
+    return Subset(places, values, float(left), bits, shifts)
+
+
 @dataclass(frozen=True, eq=False)
 class _Layer:
-    """Subsets of one size with their terms taken out of all others.
+    """Subsets of one size with their columns taken out of all others.
 
-    ``coefficients`` (b, s); ``left`` (b,) sums of squares; ``rest`` (b, p) products of the target,
-    and ``diagonal`` (b, p) squares, of what is left of each term, 0 for their own.
+    ``coefficients`` (b, c) of all columns, 0 for those that are not their own; ``left`` (b,) sums
+    of squares; ``rest`` (b, c) products of the target, and ``diagonal`` (b, c) squares, of what is
+    left of each column, 0 for their own; ``beside`` (b, p) products of what is left of each term
+    and of its slope.
     """
 
     places: list[tuple[int, ...]]
@@ -92,19 +119,50 @@ class _Layer:
     left: np.ndarray
     rest: np.ndarray
     diagonal: np.ndarray
+    beside: np.ndarray
 
     @classmethod
     def of(
-        cls, gram: np.ndarray, target: np.ndarray, squares: float, places: list[tuple[int, ...]]
+        cls,
+        gram: np.ndarray,
+        target: np.ndarray,
+        squares: float,
+        places: list[tuple[int, ...]],
+        slopes: np.ndarray,
     ) -> _Layer:
-        own = np.array(places, dtype=int).reshape(len(places), -1)
-        rows, pull = gram[own], target[own]
-        solved = np.zeros((*own.shape, 1 + len(gram)))
-        for one, mine in zip(solved, own if own.size else (), strict=False):
+        count = len(gram)
+        left, coefficients = np.full(len(places), squares), np.zeros((len(places), count))
+        rest, diagonal = np.tile(target, (len(places), 1)), np.tile(np.diag(gram), (len(places), 1))
+        terms = np.arange(len(slopes))
+        beside = np.tile(gram[terms, slopes], (len(places), 1))
+        for i, own in enumerate(places):
+            mine = [*own, *(int(slopes[p]) for p in own if slopes[p] >= 0)]
+            if not mine:
+                continue
             sides = np.column_stack([target[mine], gram[mine]])
-            one[:] = np.linalg.lstsq(gram[np.ix_(mine, mine)], sides, rcond=1e-12)[0]
-        found = solved[..., 0]
-        diagonal = np.diag(gram) - np.einsum("bsp,bsp->bp", rows, solved[..., 1:])
-        np.put_along_axis(diagonal, own, 0.0, axis=1)
-        rest = target - np.einsum("bsp,bs->bp", rows, found)
-        return cls(places, found, squares - np.einsum("bs,bs->b", pull, found), rest, diagonal)
+            solved = np.linalg.lstsq(gram[np.ix_(mine, mine)], sides, rcond=1e-12)[0]
+            coefficients[i, mine] = solved[:, 0]
+            rest[i] -= solved[:, 0] @ gram[mine]
+            diagonal[i] -= np.einsum("sc,sc->c", gram[mine], solved[:, 1:])
+            diagonal[i, mine] = 0.0
+            beside[i] -= np.einsum("sp,sp->p", gram[mine][:, terms], solved[:, 1:][:, slopes])
+            left[i] -= target[mine] @ solved[:, 0]
+        return cls(places, coefficients, left, rest, diagonal, beside)
+
+    def gains(self, slopes: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        """(b, p) what each term takes off the sums of squares, its constant inside set free.
+
+        Where a linear fit would move that far, the term is taken as it is.
+        """
+        terms = np.arange(len(slopes))
+        own, rest = self.diagonal[:, terms], self.rest[:, terms]
+        alone = np.where(own > _NOTHING, rest**2 / np.maximum(own, 1e-12), 0.0)
+        other, pull = self.diagonal[:, slopes], self.rest[:, slopes]
+        with np.errstate(all="ignore"):
+            whole = own * other - self.beside**2
+            mine = (rest * other - pull * self.beside) / whole
+            moved = (pull * own - rest * self.beside) / whole
+            shift = moved / mine * (scale[terms] / scale[slopes])
+            both = mine * rest + moved * pull
+        fine = (slopes >= 0) & (own > _NOTHING) & (whole > _NOTHING * own)
+        return np.where(fine & (np.abs(shift) <= _FARTHEST), both, alone)

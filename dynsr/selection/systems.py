@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -40,13 +40,24 @@ from dynsr.selection.comparison import (
 )
 from dynsr.selection.first_look import look
 from dynsr.selection.stand_ins import try_stand_ins
-from dynsr.selection.subsets import best_subsets
-from dynsr.selection.terms import Joint
+from dynsr.selection.subsets import Subset, best_subsets
+from dynsr.selection.terms import (
+    Joint,
+    by_inside,
+    citing_bits,
+    move_inside,
+    saturating,
+    shape_bits,
+    term_bodies,
+    unusual_bits,
+)
 
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0
 # More terms may make up for a function that is none of theirs.
 _PLAIN = 4
+# Of the leaders of other equations, terms and plain terms that are offered to one together.
+_CITED, _OFFERED, _PLAINEST = 3, 12, 40
 # Correlation of a column's slopes with another column from which on that is its speed.
 _SPEED = 0.99
 
@@ -197,6 +208,8 @@ def compare_systems(
             break
         best = other
     best = try_stand_ins(comparison, best, lambda fit: _climb(comparison, fit, {}))
+    for state in states:
+        best = prune(comparison, best, state)
     best = _prefer_reproducing(comparison, best)
     same = {s: skeleton(best.exprs[s]) == skeleton(with_floats(exprs[s])) for s in states}
     chosen = {s: exprs[s] if same[s] else best.exprs[s] for s in states}
@@ -211,9 +224,12 @@ def _search(
 ) -> tuple[SystemFit | None, SystemComparison]:
     """Rank each state's formulas alone, put the best together and climb."""
     # What is one bare column, such as q' = v, is known well enough.
-    leaders = {
-        s: [] if pool[0].is_Symbol else _Alone.of(s, data, settings).lead(pool)
-        for s, pool in pools.items()
+    alone = {s: _Alone.of(s, data, settings) for s, pool in pools.items() if not pool[0].is_Symbol}
+    leaders = {s: alone[s].lead(pool) if s in alone else [] for s, pool in pools.items()}
+    # What leaves one state enters another: terms of the one are cheap in the other.
+    leaders |= {
+        s: own.lead_citing(leaders[s], [e for o in leaders if o != s for e in leaders[o][:_CITED]])
+        for s, own in alone.items()
     }
     leaders = {s: own or [_Leader(pools[s][0], 0.0)] for s, own in leaders.items()}
     together = comparison or SystemComparison(data.mesh(tuple(pools)), settings)
@@ -294,8 +310,10 @@ def other_in_halves(
     settings : the numbers that decide.
     """
     own = with_floats(expr)
+    # The likeliest few show whether there is another.
+    few = replace(settings, sums=settings.halved)
     for which in (0, 1):
-        alone = _Alone.of(state, data.half(which), settings)
+        alone = _Alone.of(state, data.half(which), few)
         mine = alone.comparison.fit({**alone.beside, state: own})
         alone.rank(alone.sums_of_terms())
         best = alone.best()
@@ -342,12 +360,68 @@ class _Alone:
     def lead(self, pool: Iterable[sympy.Expr]) -> list[_Leader]:
         """Give those of the formulas that come close to the best."""
         self.rank(pool)
-        settings, ranked = self.comparison.settings, self._ranked()
-        close = [f for f in ranked if f.bits <= ranked[0].bits + settings.behind]
-        return [
-            _Leader(f.exprs[self.state], f.bits - ranked[0].bits)
-            for f in close[: settings.together]
-        ]
+        return self._leaders({})
+
+    def lead_citing(self, own: list[_Leader], others: Sequence[_Leader]) -> list[_Leader]:
+        """Give the formulas that come close, those too that hold terms of other equations.
+
+        Parameters
+        ----------
+        own, others : what leads here, and in the equations of the other states.
+        """
+        bodies: dict[sympy.Expr, sympy.Expr] = {}
+        for one in others:
+            for term in sympy.Add.make_args(one.expr):
+                for body in _ways_to_write(term.as_coeff_Mul()[1]):
+                    if not body.is_Symbol and body.free_symbols and citing_bits(body) > 0:
+                        bodies.setdefault(skeleton(body), body)
+        new = list(bodies.values())
+        if not own or not new:
+            return own
+        self.rank(self._sums_citing(new[:_OFFERED]))
+        return self._leaders({shape: citing_bits(body) for shape, body in bodies.items()})
+
+    def _leaders(self, saved: Mapping[sympy.Expr, float]) -> list[_Leader]:
+        """Give the best, bits that terms save elsewhere taken off."""
+        settings = self.comparison.settings
+        found = []
+        for fit in self.comparison.fits():
+            expr = fit.exprs[self.state]
+            less = sum(saved.get(body, 0.0) for body in term_bodies(expr)) if saved else 0.0
+            found.append((fit.bits - less, expr))
+        found.sort(key=lambda pair: pair[0])
+        close = [_Leader(e, bits - found[0][0]) for bits, e in found[: settings.together]]
+        return [one for one in close if one.behind <= settings.behind]
+
+    def _sums_citing(self, bodies: Sequence[sympy.Expr]) -> list[sympy.Expr]:
+        """Give the sums of cheap terms and of those of other equations that are expected best."""
+        settings, terms = self.comparison.settings, self.comparison.terms
+        allow = settings.demands.limits(self.state).allow
+        plain = [e for e, free in zip(terms.exprs, terms.inside, strict=True) if not free]
+        plain = [e for e in plain[:_PLAINEST] if allow(e)]
+        exprs = [*(b for b in bodies if allow(b)), *(e for e in plain if e not in bodies)]
+        curved = [e for e in exprs if len(e.atoms(sympy.Float)) == 1]
+        slopes = np.full(len(exprs), -1)
+        slopes[[exprs.index(e) for e in curved]] = len(exprs) + np.arange(len(curved))
+        columns = [*exprs, *map(by_inside, curved)]
+        normal = self._normal(compile_columns(columns, self.comparison.names)(*self._points))
+        if normal is None:
+            return []
+        rows, angles = self._rows, self.comparison.angles
+        costs = np.array(
+            [
+                shape_bits(sympy.Float(0.5) * e)
+                + unusual_bits(e, angles)
+                - (citing_bits(e) if e in bodies else 0.0)
+                + constant_bits(rows) * (1 + len(e.atoms(sympy.Float)))
+                for e in exprs
+            ]
+        )
+        subsets = best_subsets(
+            normal.information, -normal.pull, normal.squares, costs, rows, slopes=slopes
+        )
+        told = [s for s in subsets if any(exprs[i] in bodies for i in s.places)]
+        return [_sum_of(exprs, s) for s in told[: settings.sums]]
 
     def sums_around(self, angle: str) -> list[sympy.Expr]:
         """Give sums of what hangs from a joint that a linear fit expects most of.
@@ -420,24 +494,58 @@ class _Alone:
     def sums_of_terms(self) -> list[sympy.Expr]:
         """Give the sums that a linear fit expects most of, the best first."""
         settings, terms = self.comparison.settings, self.comparison.terms
-        normal = self._normal(terms.values(self._points))
+        points, slopes = self._points, terms.slopes
+        normal = self._normal(np.concatenate([terms.values(points), terms.shifts(points)]))
         if normal is None:
             return [sympy.S.Zero]
         rows = self._rows
         costs = terms.bits + constant_bits(rows) * (1 + terms.inside)
         limits = settings.demands.limits(self.state)
         costs[[not limits.allow(term) for term in terms.exprs]] = np.inf
-        found: dict[tuple[int, ...], np.ndarray] = {}
+        found: dict[tuple[int, ...], Subset] = {}
+        first: dict[tuple[int, ...], None] = {}
         # A beam through few terms reaches sums that one through all of them passes by.
-        for tier in terms.tiers:
-            gram, pull = normal.information[np.ix_(tier, tier)], -normal.pull[tier]
-            subsets = best_subsets(gram, pull, normal.squares, costs[tier], rows)
-            for subset in subsets[: settings.sums]:
+        for tier in (*terms.tiers, terms.divisible_by(self.state)):
+            curved = slopes[tier] >= 0
+            columns = np.concatenate([tier, slopes[tier][curved]])
+            own = np.where(curved, len(tier) + np.cumsum(curved) - 1, -1)
+            gram, pull = normal.information[np.ix_(columns, columns)], -normal.pull[columns]
+            subsets = best_subsets(gram, pull, normal.squares, costs[tier], rows, slopes=own)
+            for rank, subset in enumerate(subsets):
                 places = tuple(int(tier[i]) for i in subset.places)
-                found.setdefault(places, subset.coefficients)
-        sums = [_add(terms.exprs, places, values) for places, values in found.items()]
-        columns = [sympy.Symbol(n) for n in self.comparison.names if n != self.state]
-        return [sympy.S.Zero, *columns, *sums]
+                found.setdefault(places, replace(subset, places=places))
+                if rank < settings.sums:
+                    first.setdefault(places)
+        # Beside the best of every tier those that are best of all.
+        ranked = sorted(found, key=lambda places: (found[places].bits, places))
+        first |= dict.fromkeys(ranked[: 2 * settings.sums])
+        sums = [_sum_of(terms.exprs, found[places]) for places in first]
+        others = [sympy.Symbol(n) for n in self.comparison.names if n != self.state]
+        return [sympy.S.Zero, *others, *sums]
+
+
+def _ways_to_write(body: sympy.Expr) -> list[sympy.Expr]:
+    """Give a term, and what it is beside a plain one: y/(x + k) and x y/(x + k).
+
+    >>> x, y = sympy.symbols("x y")
+    >>> _ways_to_write(y / (x + 1.5))
+    [y/(x + 1.5), x*y/(x + 1.5)]
+    """
+    power = next(filter(None, (saturating(1 / f) for f in sympy.Mul.make_args(body))), None)
+    if power is None:
+        return [body]
+    above = sympy.fraction(body)[0]
+    held = (above / power).as_numer_denom()[1].free_symbols != power.free_symbols
+    return [body, body / power if held else body * power]
+
+
+def _sum_of(terms: Sequence[sympy.Expr], subset: Subset) -> sympy.Expr:
+    """Give a sum of terms, the constants inside them moved as the linear fit expects."""
+    exprs = [
+        move_inside(terms[place], shift) if shift else terms[place]
+        for place, shift in zip(subset.places, subset.shifts.tolist(), strict=True)
+    ]
+    return _add(exprs, range(len(exprs)), subset.coefficients)
 
 
 def _add(exprs: Sequence[sympy.Expr], places: Sequence[int], values: np.ndarray) -> sympy.Expr:

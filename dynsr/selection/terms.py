@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import combinations_with_replacement
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 import sympy
@@ -21,10 +21,18 @@ from dynsr.expression import Program, bits_in_force, compile_columns, plausibili
 from dynsr.fit import skeleton, structure_bits
 
 _NO_POLYNOMIAL = 99
+# Share of its way that a phase makes in one direction.
+_ONE_WAY = 0.9
 # Bits of saying that a variable is an angle.
 _ANGLE = 8.0
 # Constants of sin^2 and of cos beside 1 below the line, from which a fit reaches any other.
 _SQUARES, _COSINES = (-0.75, -0.5, 0.3, 1.0, 3.0), (-0.8, -0.5, 0.5, 0.8)
+# Bits of a power that is half of a whole one: of a root, and of any other.
+_ROOT_BITS, _HALF_BITS = 2.0, 4.0
+# Bits of an exponent to be fitted; at no half the prior of formulas counts them.
+_FREE_BITS = 3.0
+# Bits of a saturation in the ratio of two columns.
+_SHARED_BITS = 3.0
 # Bits that a function costs beside its length: laws are mostly made of powers and their ratios.
 FUNCTION_BITS = {
     sympy.log: 3.0,
@@ -49,7 +57,131 @@ def unusual_bits(expr: sympy.Expr, angles: Collection[str]) -> float:
     (0.0, 3.0)
     """
     functions = sum(FUNCTION_BITS.get(f.func, 3.0) for f in expr.atoms(sympy.Function))
+    powers = expr.atoms(sympy.Pow)
+    halves = [p.exp for p in powers if p.exp.is_Rational and p.exp.q == 2]
+    functions += sum(_ROOT_BITS if p == sympy.S.Half else _HALF_BITS for p in halves)
+    functions += _SHARED_BITS * sum(is_shared(p.base) for p in powers)
+    # What is still to be fitted is no half, wherever it begins.
+    functions += _FREE_BITS * sum(p.exp.is_Float and float(2 * p.exp).is_integer() for p in powers)
     return functions + plausibility_bits(expr, angles)
+
+
+class saturation(sympy.Function):  # noqa: N801
+    """What v^n / (v^n + k) and 1 / (v^n + k) are to who writes them often: one function."""
+
+
+def shape_bits(expr: sympy.Expr) -> float:
+    """Give the bits of the length of a formula as those who know such laws would write it.
+
+    v / (k + v) is to rates what sin(v) is to angles: one function of a variable and a constant,
+    and not a ratio of sums that somebody had to find. What all terms have in common is written
+    once, as in x (a - b x - c y).
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x = sympy.Symbol("x")
+    >>> shape_bits(0.5 * x / (x + 1.5)) < structure_bits(0.5 * x / (x + 1.5)) - 5
+    True
+    >>> shape_bits(0.5 * x) == structure_bits(0.5 * x)
+    True
+    """
+    return structure_bits(as_written(expr))
+
+
+def as_written(expr: sympy.Expr) -> sympy.Expr:
+    """Write a formula in saturations, with a common factor before a bracket where that is shorter.
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> as_written(1.5 * x - 0.5 * x**2 - 2.5 * x * y / (y + 1.5))
+    x*(-0.5*x - 2.5*saturation(y, 1.5) + 1.5)
+    """
+    named = in_saturations(expr)
+    terms = sympy.Add.make_args(named)
+    shared: set[sympy.Expr] = set.intersection(*(_factors(term) for term in terms))
+    if len(terms) == 1 or not shared:
+        return named
+    outside = sympy.Mul(*shared)
+    bracket = sympy.Mul(outside, sympy.Add(*[term / outside for term in terms]), evaluate=False)
+    return min(named, bracket, key=structure_bits)
+
+
+def _factors(term: sympy.Expr) -> set[sympy.Expr]:
+    """Give the symbols and functions that a term may be divided by."""
+    parts = (factor.as_base_exp() for factor in sympy.Mul.make_args(term))
+    return {
+        base for base, power in parts if power.is_positive and power >= 1 and not base.is_Number
+    }
+
+
+def in_saturations(expr: sympy.Expr) -> sympy.Expr:
+    """Write a formula with :class:`saturation` for what saturates, and for what inhibits.
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> in_saturations(2.5 * x**2 * y / (x**2 + 1.5))
+    2.5*y*saturation(x**2, 1.5)
+    """
+    if not any(p.exp is sympy.S.NegativeOne and p.base.is_Add for p in expr.atoms(sympy.Pow)):
+        return expr
+    return sympy.Add(*[_name_saturations(term) for term in sympy.Add.make_args(expr)])
+
+
+def _name_saturations(term: sympy.Expr) -> sympy.Expr:
+    for factor in sympy.Mul.make_args(term):
+        below = 1 / factor
+        # x y / (x + k y) is a saturation too, in the ratio of two columns.
+        if is_shared(below):
+            pair = sorted(below.free_symbols, key=lambda symbol: str(symbol.name))
+            rest = term / factor / sympy.Mul(*pair)
+            if not rest.as_numer_denom()[1].free_symbols & set(pair):
+                k = next((a for a in factor.atoms(sympy.Float)), sympy.S.One)
+                term = rest * saturation(pair[0], k * pair[1])
+            continue
+        power = saturating(below)
+        if power is None:
+            continue
+        rest = term / factor
+        constant = next(a for a in below.args if a.is_Number)
+        above = rest / power
+        # Only a power that stands above the line is cancelled by it.
+        cancelled = above.as_numer_denom()[1].free_symbols != power.free_symbols
+        cancelled = cancelled and power.free_symbols <= rest.free_symbols
+        term = (above if cancelled else rest) * saturation(power, constant)
+    return term
+
+
+def is_shared(below: sympy.Expr) -> bool:
+    """Whether a line is a sum of two columns, as in x y / (x + k y).
+
+    Parameters
+    ----------
+    below : what stands below a fraction line.
+    """
+    bodies = [a.as_coeff_Mul()[1] for a in below.args] if below.is_Add else []
+    return len(bodies) == 2 and all(body.is_Symbol for body in bodies)
+
+
+def saturating(below: sympy.Expr) -> sympy.Expr | None:
+    """Give v^n of a line k + c v^n; None for another.
+
+    Parameters
+    ----------
+    below : what stands below a fraction line.
+    """
+    if not (below.is_Add and len(below.args) == 2 and any(a.is_Number for a in below.args)):
+        return None
+    power = next(a for a in below.args if not a.is_Number).as_coeff_Mul()[1]
+    base, exponent = power.as_base_exp()
+    return power if base.is_Symbol and exponent.is_Number and exponent > 0 else None
 
 
 def cited_bits(exprs: Iterable[sympy.Expr]) -> float:
@@ -78,7 +210,7 @@ def citing_bits(body: sympy.Expr) -> float:
     body : the term without its coefficient.
     """
     factor = sympy.Float(0.5)
-    return structure_bits(factor * body) - structure_bits(factor * sympy.Symbol("term"))
+    return shape_bits(factor * body) - shape_bits(factor * sympy.Symbol("term"))
 
 
 def term_bodies(expr: sympy.Expr) -> set[sympy.Expr]:
@@ -127,7 +259,7 @@ def in_coordinates(
 
 
 def _written(expr: sympy.Expr) -> float:
-    return structure_bits(expr) + unusual_bits(expr, ())
+    return shape_bits(expr) + unusual_bits(expr, ())
 
 
 def find_angles(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str, ...]:
@@ -141,6 +273,30 @@ def find_angles(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str, 
     return tuple(name for name, row in pairs if row.min() < 0 < row.max())
 
 
+def find_turning(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str, ...]:
+    """Name the columns that sines and cosines are tried of.
+
+    Those that may be angles, and those that turn on and on: that go one way by more than half a
+    turn.
+
+    Parameters
+    ----------
+    names, rows : the columns and their values in order.
+
+    >>> t = np.linspace(0.0, 9.0, 50)
+    >>> find_turning(["u", "x", "phase"], [np.sin(t), 2 + np.sin(t), 0.1 + t])
+    ('u', 'phase')
+    """
+    columns = dict(zip(names, rows, strict=True))
+    angles = find_angles(columns, columns.values())
+    return tuple(n for n, row in columns.items() if n in angles or _keeps_turning(row))
+
+
+def _keeps_turning(row: np.ndarray) -> bool:
+    way = abs(float(row[-1] - row[0]))
+    return way > np.pi and way > _ONE_WAY * float(np.sum(np.abs(np.diff(row))))
+
+
 @dataclass(frozen=True)
 class TermSettings:
     """Settings of the terms; they stand in a run's record.
@@ -149,11 +305,13 @@ class TermSettings:
     ----------
     degree : most variables in a product without a function.
     inside : values of a constant inside a function, in units of the median size of its variable.
+    powers : exponents of a positive variable from which a fit reaches any other.
     most : terms at most; the cheapest are kept.
     """
 
     degree: int = 3
     inside: tuple[float, ...] = (0.3, 1.0, 3.0)
+    powers: tuple[float, ...] = (-1.5, -0.5, 0.7, 1.5)
     most: int = 600
 
 
@@ -199,8 +357,9 @@ class Terms:
             tuple(_functions(sympy.Symbol(name), values, settings, name in angles))
             for name, values in zip(names, points, strict=True)
         )
+        shared = _shared(names, points, settings)
         exprs, bits, program = _make_terms(
-            tuple(names), functions, settings, tuple(angles), tuple(own), bits_in_force()
+            tuple(names), functions, settings, tuple(angles), (*own, *shared), bits_in_force()
         )
         kept = _distinct(program(*points))
         return cls(
@@ -224,6 +383,11 @@ class Terms:
         found = {int(kind.sum()): np.flatnonzero(kind) for kind in kinds if kind.any()}
         return tuple(found.values())
 
+    def divisible_by(self, name: str) -> np.ndarray:
+        """Places of the terms that hold a variable as a factor: rates of each one of a kind."""
+        symbol = sympy.Symbol(name)
+        return np.array([i for i, e in enumerate(self.exprs) if symbol in _factors(e)], dtype=int)
+
     @cached_property
     def _program(self) -> Callable[..., np.ndarray]:
         return compile_columns(self.exprs, self.names)
@@ -231,6 +395,45 @@ class Terms:
     def values(self, points: np.ndarray) -> np.ndarray:
         """(p, n) values at points (len(names), n)."""
         return self._program(*points)
+
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """(p,) row of :meth:`shifts` that belongs to each term, counted from p on; -1 for none."""
+        places = np.full(len(self.exprs), -1)
+        curved = np.flatnonzero(self.inside == 1)
+        places[curved] = len(self.exprs) + np.arange(len(curved))
+        return places
+
+    def shifts(self, points: np.ndarray) -> np.ndarray:
+        """Slopes of the terms by the logarithm of the one constant inside them, (rows, n)."""
+        curved = [e for e, inside in zip(self.exprs, self.inside, strict=True) if inside == 1]
+        if not curved:
+            return np.zeros((0, points.shape[1]))
+        program = compile_columns([by_inside(term) for term in curved], self.names)
+        return np.asarray(program(*points))
+
+
+@lru_cache(maxsize=4096)
+def by_inside(term: sympy.Expr) -> sympy.Expr:
+    """Give the slope of a term by the logarithm of the one constant inside it.
+
+    Parameters
+    ----------
+    term : the term.
+    """
+    (inside,) = term.atoms(sympy.Float)
+    constant = sympy.Dummy()
+    return inside * term.xreplace({inside: constant}).diff(constant).xreplace({constant: inside})
+
+
+def move_inside(term: sympy.Expr, shift: float) -> sympy.Expr:
+    """Multiply the one constant inside a term by exp(shift).
+
+    Parameters
+    ----------
+    term, shift : the term, and the logarithm.
+    """
+    return term.xreplace({c: c * sympy.Float(np.exp(shift)) for c in term.atoms(sympy.Float)})
 
 
 # The same few choices of variables come again and again in one discovery.
@@ -255,12 +458,12 @@ def _make_terms(
         for factor in factors:
             # What is divided by a column may be a product, or a sine of another one.
             more = [*pairs, *waves] if factor == 1 / symbol else []
-            if factor.is_Pow or factor.is_Mul:
+            if (factor.is_Pow and not factor.exp.is_Float) or factor.is_Mul:
                 more += [symbol * other for other in symbols]
             for other in (sympy.S.One, *symbols, *more):
                 found.setdefault(factor * other)
     exprs = list(found)
-    bits = np.array([structure_bits(sympy.Float(0.5) * e) + unusual_bits(e, angles) for e in exprs])
+    bits = np.array([shape_bits(sympy.Float(0.5) * e) + unusual_bits(e, angles) for e in exprs])
     order = np.argsort(bits, kind="stable")[: settings.most]
     cheapest = tuple(exprs[i] for i in order)
     return cheapest, bits[order], compile_columns(cheapest, names)
@@ -320,6 +523,7 @@ def _functions(
         yield sympy.Abs(symbol)
     yield sympy.tanh(symbol)
     if positive:
+        yield from (symbol ** sympy.Float(p) for p in settings.powers)
         yield sympy.sqrt(symbol)
         yield sympy.log(symbol)
     if apart:
@@ -328,10 +532,26 @@ def _functions(
         scale = sympy.Float(float(f"{share * size:.3g}"))
         if np.max(np.abs(values)) < 50 * float(scale):
             yield sympy.exp(-symbol / scale)
+        if angle:
+            yield sympy.tanh(symbol / scale)
         if positive:
             yield 1 / (symbol + scale)
         yield 1 / (symbol**2 + scale**2)
         yield symbol**2 / (symbol**2 + scale**2)
+
+
+def _shared(
+    names: Sequence[str], points: np.ndarray, settings: TermSettings
+) -> Iterator[sympy.Expr]:
+    """Give what two positive columns share out: x y / (x + c y), as in frequencies and ratios."""
+    sizes = {
+        n: float(np.median(row)) for n, row in zip(names, points, strict=True) if row.min() > 0
+    }
+    for first, second in combinations(sizes, 2):
+        x, y = sympy.Symbol(first), sympy.Symbol(second)
+        for share in settings.inside:
+            scale = sympy.Float(float(f"{share * sizes[first] / sizes[second]:.3g}"))
+            yield x * y / (x + scale * y)
 
 
 def _distinct(values: np.ndarray, same: float = 1e-8) -> list[int]:
