@@ -56,7 +56,7 @@ class _Layers:
     """Linear layers with tanh between them, all weights in one vector.
 
     Training is thousands of small steps. One vector to descend in and one place a layer for values
-    and slopes spare them a fifth of their time beside autograd, to the same last digit.
+    and slopes spare them the overhead of autograd, to the same last digit.
 
     Parameters
     ----------
