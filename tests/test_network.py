@@ -35,3 +35,13 @@ def test_training_repeats_itself():
     )
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
+
+
+def test_the_gradient_is_that_of_the_values():
+    """Central differences of the values give the gradient, before the network follows anything."""
+    network = fit_network(_samples(80), np.random.default_rng(5), epochs=10)
+    X = _samples(80).X
+    for k, step in enumerate((1e-4, 1e-2)):
+        shift = step * np.eye(2)[k]
+        rise = network.predict(X + shift) - network.predict(X - shift)
+        assert np.allclose(network.gradient(X)[:, k], rise / (2 * step), rtol=1e-5, atol=1e-7)

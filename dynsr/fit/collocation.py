@@ -237,6 +237,21 @@ class _Point:
 
 
 @dataclass(frozen=True, eq=False)
+class _Gathered:
+    """The normal equations at a trial point, of states and constants together.
+
+    ``band`` holds those of the states as LAPACK's pbtrf reads them, ``sides`` (n k, 1 + P) what
+    they are pulled by, ``products`` (1 + P, 1 + P) the products of defects and their derivatives
+    by constants, ``squares`` the sum of squared misses.
+    """
+
+    band: np.ndarray
+    sides: np.ndarray
+    products: np.ndarray
+    squares: float
+
+
+@dataclass(frozen=True, eq=False)
 class Collocation:
     """The least-squares problem of one system on one mesh.
 
@@ -444,9 +459,10 @@ class Collocation:
                 point = self._linearise(states, constants)
             if not all(np.all(np.isfinite(a)) for a in (point.by_left, point.by_constant)):
                 break
+            gathered = self._gather(point, states, stiffness)
             while damping < 1e6:
                 try:
-                    step = self._step(point, states, stiffness, damping)
+                    step = self._step(gathered, damping)
                 except (LinAlgError, ValueError):
                     damping = max(damping * 100, 1e-4)
                     continue
@@ -460,10 +476,8 @@ class Collocation:
                 break
         return states, constants
 
-    def _step(
-        self, point: _Point, states: np.ndarray, stiffness: float, damping: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        found, factor, white = self._eliminate(point, states, stiffness, damping)
+    def _step(self, gathered: _Gathered, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        found, factor, white = self._eliminate(gathered, damping)
         pull, centre = found.pull, found.information
         count = centre.shape[0]
         shift = np.zeros(0)
@@ -475,16 +489,11 @@ class Collocation:
         moved, _ = lapack.dtbtrs(factor, -(white @ np.append(1.0, shift)), uplo="U")
         if not np.all(np.isfinite(moved)):
             raise LinAlgError
-        return moved.reshape(states.T.shape).T, shift
+        return moved.reshape(-1, len(self.mesh.states)).T, shift
 
     @np.errstate(all="ignore")
-    def _eliminate(
-        self, point: _Point, states: np.ndarray, stiffness: float, damping: float
-    ) -> tuple[Linearised, np.ndarray, np.ndarray]:
-        """Take the states out: what is left, the factor of their banded block, and what it whitens.
-
-        The whitened pulls are (n k, 1 + P): that of the misses and defects, then of the constants.
-        """
+    def _gather(self, point: _Point, states: np.ndarray, stiffness: float) -> _Gathered:
+        """Form the normal equations; every damping begins with the same ones."""
         (k, n), (left, right) = states.shape, self.mesh.ends
         low, high, by_c, defects = point.by_left, point.by_right, point.by_constant, point.defects
         x, weights, _ = self.mesh.by_state
@@ -493,7 +502,6 @@ class Collocation:
         diagonal[own, own] = squared
         diagonal[..., left] += stiffness * _products(low, low)
         diagonal[..., right] += stiffness * _products(high, high)
-        diagonal[own, own] *= 1 + damping * 1e-3
         beside[..., left] = stiffness * _products(low, high)
         # What the states are pulled by: their misses and defects, then each constant.
         pulls = np.concatenate([defects[:, None], by_c], axis=1)
@@ -503,16 +511,29 @@ class Collocation:
         border[..., left] += stiffness * _products(low, pulls)
         border[..., right] += stiffness * _products(high, pulls)
         sides = np.ascontiguousarray(border.transpose(1, 2, 0)).reshape(1 + count, n * k)
-        factor, failed = lapack.dpbtrf(_band(diagonal, beside), overwrite_ab=1)
+        flat = pulls.transpose(1, 0, 2).reshape(1 + count, -1)
+        squares = np.sum(squared * misses**2)
+        return _Gathered(_band(diagonal, beside), sides.T, stiffness * (flat @ flat.T), squares)
+
+    @np.errstate(all="ignore")
+    def _eliminate(
+        self, gathered: _Gathered, damping: float
+    ) -> tuple[Linearised, np.ndarray, np.ndarray]:
+        """Take the states out: what is left, the factor of their banded block, and what it whitens.
+
+        The whitened pulls are (n k, 1 + P): that of the misses and defects, then of the constants.
+        """
+        band = gathered.band.copy(order="F")
+        band[-1] *= 1 + damping * 1e-3
+        factor, failed = lapack.dpbtrf(band, overwrite_ab=1)
         if failed:
             raise LinAlgError
-        white, _ = lapack.dtbtrs(factor, sides.T, uplo="U", trans="T")
+        white, _ = lapack.dtbtrs(factor, gathered.sides, uplo="U", trans="T")
         if not np.all(np.isfinite(white)):
             raise LinAlgError
-        flat = pulls.transpose(1, 0, 2).reshape(1 + count, -1)
-        left_over = stiffness * (flat @ flat.T) - white.T @ white
+        left_over = gathered.products - white.T @ white
         centre = left_over[1:, 1:]
-        squares = float(np.sum(squared * misses**2) + left_over[0, 0])
+        squares = float(gathered.squares + left_over[0, 0])
         found = Linearised((centre + centre.T) / 2, left_over[1:, 0], squares)
         return found, factor, white
 
@@ -539,7 +560,7 @@ class Collocation:
         with np.errstate(all="ignore"):
             point = self._linearise(columns, constants, probes)
         weight = self.settings.stiffness[-1] if stiffness is None else stiffness
-        return self._eliminate(point, columns, weight, 0.0)[0]
+        return self._eliminate(self._gather(point, columns, weight), 0.0)[0]
 
     def points(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
         """(k + d, n + m) states and driven columns at the rows and in the middle of intervals."""

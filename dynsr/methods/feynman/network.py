@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ class Network:
     ``epochs`` how many passes over the rows training took.
     """
 
-    module: torch.nn.Module
+    layers: _Layers
     centre: np.ndarray
     scale: np.ndarray
     offset: float
@@ -34,20 +34,80 @@ class Network:
 
     def predict(self, X: np.ndarray) -> np.ndarray:
         """(n,) values at the n rows of ``X``."""
-        with _one_thread(), torch.no_grad():
-            out = self.module(self._inputs(X))[:, 0]
+        with _one_thread():
+            out = self.layers.values(self._inputs(X))[:, 0]
         return self.offset + self.spread * out.double().cpu().numpy()
 
     def gradient(self, X: np.ndarray) -> np.ndarray:
         """(n, p) derivatives by each of the p variables at the n rows of ``X``."""
-        inputs = self._inputs(X).requires_grad_(True)
+        inputs = self._inputs(X)
         with _one_thread():
-            (slopes,) = torch.autograd.grad(self.module(inputs).sum(), inputs)
+            slopes = self.layers.slopes(inputs, torch.ones_like(self.layers.values(inputs)))
         return slopes.double().cpu().numpy() * self.spread / self.scale
 
     def _inputs(self, X: np.ndarray) -> torch.Tensor:
-        first = next(self.module.parameters())
-        return torch.as_tensor((X - self.centre) / self.scale, dtype=first.dtype).to(first.device)
+        weights = self.layers.weights
+        return torch.as_tensor((X - self.centre) / self.scale, dtype=weights.dtype).to(
+            weights.device
+        )
+
+
+class _Layers:
+    """Linear layers with tanh between them, all weights in one vector.
+
+    Training is thousands of small steps. One vector to descend in and one place a layer for values
+    and slopes spare them the overhead of autograd, to the same last digit.
+
+    Parameters
+    ----------
+    weights : every layer's matrix (units, units below) and bias (units,), from the inputs up.
+    """
+
+    def __init__(self, weights: Sequence[torch.Tensor]) -> None:
+        self.weights = torch.cat([w.flatten() for w in weights])
+        self.weights.grad = self.by_weights = torch.zeros_like(self.weights)
+        sizes = [w.numel() for w in weights]
+        self._parts, self._slopes = (
+            [part.view(w.shape) for part, w in zip(vector.split(sizes), weights, strict=True)]
+            for vector in (self.weights, self.by_weights)
+        )
+        self._values: list[torch.Tensor] = []
+        self._back: list[torch.Tensor] = []
+
+    def values(self, inputs: torch.Tensor) -> torch.Tensor:
+        """(n, 1) at n rows; the next call writes over them."""
+        count = len(inputs)
+        if not self._values or len(self._values[0]) < count:
+            biases = self._parts[1::2]
+            self._values, self._back = (
+                [bias.new_empty(count, len(bias)) for bias in biases] for _ in range(2)
+            )
+        below = inputs
+        for matrix, bias, place in zip(
+            self._parts[::2], self._parts[1::2], self._values, strict=True
+        ):
+            if below is not inputs:
+                torch.tanh_(below)
+            below = torch.addmm(bias, below, matrix.t(), out=place[:count])
+        return below
+
+    def slopes(self, inputs: torch.Tensor, by_value: torch.Tensor) -> torch.Tensor:
+        """(n, p) derivatives by the inputs of what has the derivatives ``by_value`` (n, 1).
+
+        Those by the weights become ``by_weights``, the gradient that optimisers see. The values
+        were formed at the same inputs.
+        """
+        count, slopes = len(inputs), by_value
+        for k in reversed(range(len(self._values))):
+            below = self._values[k - 1][:count] if k else inputs
+            torch.mm(slopes.t(), below, out=self._slopes[2 * k])
+            torch.sum(slopes, 0, out=self._slopes[2 * k + 1])
+            if not k:
+                break
+            place = self._back[k - 1][:count]
+            torch.mm(slopes, self._parts[2 * k], out=place)
+            slopes = torch.ops.aten.tanh_backward.grad_input(place, below, grad_input=place)
+        return torch.mm(slopes, self._parts[0])
 
 
 @contextmanager
@@ -80,32 +140,30 @@ def fit_network(
     centre, scale = standard_coordinates(samples.X)
     offset, spread = float(np.mean(samples.y)), float(np.std(samples.y)) or 1.0
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
-    module = _build(samples.X.shape[1], settings.hidden, generator).to(device, dtype)
+    weights = _draw_weights(samples.X.shape[1], settings.hidden, generator)
+    layers = _Layers([w.to(device, dtype) for w in weights])
     inputs = torch.as_tensor((samples.X - centre) / scale, dtype=dtype).to(device)
     target = torch.as_tensor((samples.y - offset) / spread, dtype=dtype).to(device)[:, None]
     order = torch.randperm(len(samples), generator=generator).to(device)
     held = max(1, int(settings.validation * len(samples)))
-    training = _Training(module, inputs, target, order[held:], order[:held], generator)
+    training = _Training(layers, inputs, target, order[held:], order[:held], generator)
     with _one_thread():
         training.descend(epochs // 2, settings.batch, settings.peak_rate)
         training.polish(epochs - epochs // 2)
-    module.load_state_dict(training.best_weights)
+    layers.weights.copy_(training.best_weights)
     error = spread * training.best_error
-    return Network(module, centre, scale, offset, spread, error, training.epochs)
+    return Network(layers, centre, scale, offset, spread, error, training.epochs)
 
 
-def _build(
+def _draw_weights(
     variables: int, hidden: tuple[int, ...], generator: torch.Generator
-) -> torch.nn.Sequential:
-    layers: list[torch.nn.Module] = []
-    widths = (variables, *hidden, 1)
-    for a, b in itertools.pairwise(widths):
-        layer = torch.nn.Linear(a, b, dtype=torch.float64)
-        with torch.no_grad():
-            torch.nn.init.xavier_uniform_(layer.weight, generator=generator)
-            layer.bias.uniform_(-0.1, 0.1, generator=generator)
-        layers += [layer, torch.nn.Tanh()]
-    return torch.nn.Sequential(*layers[:-1])
+) -> list[torch.Tensor]:
+    drawn = []
+    for below, units in itertools.pairwise((variables, *hidden, 1)):
+        matrix, bias = torch.empty(units, below).double(), torch.empty(units).double()
+        torch.nn.init.xavier_uniform_(matrix, generator=generator)
+        drawn += [matrix, bias.uniform_(-0.1, 0.1, generator=generator)]
+    return drawn
 
 
 class _Training:
@@ -113,46 +171,48 @@ class _Training:
 
     def __init__(
         self,
-        module: torch.nn.Module,
+        layers: _Layers,
         inputs: torch.Tensor,
         target: torch.Tensor,
         rows: torch.Tensor,
         held: torch.Tensor,
         generator: torch.Generator,
     ) -> None:
-        self.module, self.generator = module, generator
+        self.layers, self.generator = layers, generator
         self.inputs, self.target = inputs[rows], target[rows]
         self.held_inputs, self.held_target = inputs[held], target[held]
         self.epochs = 0
         self.best_error = float("inf")
-        self.best_weights = copy.deepcopy(module.state_dict())
+        self.best_weights = layers.weights.clone()
 
     def loss(self, rows: torch.Tensor | slice = slice(None)) -> torch.Tensor:
-        return torch.mean((self.module(self.inputs[rows]) - self.target[rows]) ** 2)
+        """Mean square error on some rows; its slopes become the gradient of the weights."""
+        inputs = self.inputs[rows]
+        miss = self.layers.values(inputs) - self.target[rows]
+        self.layers.slopes(inputs, 2 * miss * (1 / len(miss)))
+        return torch.mean(miss**2)
 
     def check(self) -> float:
         """Error on the rows set aside; the weights are kept when it is the least so far."""
-        with torch.no_grad():
-            miss = self.module(self.held_inputs) - self.held_target
-            error = float(torch.sqrt(torch.mean(miss**2)))
+        miss = self.layers.values(self.held_inputs) - self.held_target
+        error = float(torch.sqrt(torch.mean(miss**2)))
         if error < self.best_error:
             self.best_error = error
-            self.best_weights = copy.deepcopy(self.module.state_dict())
+            self.best_weights = self.layers.weights.clone()
         return error
 
     def descend(self, epochs: int, batch: int, peak_rate: float) -> None:
         """Adam, one cycle of the learning rate."""
         count = len(self.inputs)
         batches = max(1, count // batch)
-        adam = torch.optim.Adam(self.module.parameters(), lr=peak_rate)
+        adam = torch.optim.Adam([self.layers.weights], lr=peak_rate)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             adam, peak_rate, total_steps=max(2, epochs * batches), final_div_factor=1e3
         )
         for _ in range(epochs):
             order = torch.randperm(count, generator=self.generator).to(self.inputs.device)
             for rows in torch.chunk(order, batches):
-                adam.zero_grad()
-                self.loss(rows).backward()
+                self.loss(rows)
                 adam.step()
                 schedule.step()
             self.epochs += 1
@@ -161,7 +221,7 @@ class _Training:
     def polish(self, epochs: int, block: int = 10, patience: int = 5) -> None:
         """L-BFGS in blocks; ends after ``patience`` blocks that did not help the held rows."""
         solver = torch.optim.LBFGS(
-            self.module.parameters(),
+            [self.layers.weights],
             max_iter=block,
             max_eval=block,
             history_size=30,
@@ -170,15 +230,22 @@ class _Training:
             line_search_fn="strong_wolfe",
         )
 
-        def closure() -> torch.Tensor:
-            solver.zero_grad()
-            loss = self.loss()
-            loss.backward()
-            return loss
+        weights = self.layers.weights
+        seen: deque[tuple[torch.Tensor, ...]] = deque(maxlen=block)
+
+        def loss() -> torch.Tensor:
+            # A block begins where a line search of the last one has been.
+            for place, value, slopes in seen:
+                if torch.equal(place, weights):
+                    self.layers.by_weights.copy_(slopes)
+                    return value
+            value = self.loss()
+            seen.appendleft((weights.clone(), value, self.layers.by_weights.clone()))
+            return value
 
         stale = 0
         for _ in range(epochs // block):
-            solver.step(closure)
+            solver.step(loss)
             self.epochs += block
             before = self.best_error
             stale = 0 if self.check() < 0.999 * before else stale + 1
