@@ -21,11 +21,13 @@ from dynsr.fit import (
     CollocationFit,
     CollocationSettings,
     Mesh,
+    free_constants,
     information_criterion,
     simplicity_bits,
     skeleton,
 )
 from dynsr.methods import Demands, MonomialLibrary
+from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.terms import (
     Terms,
     TermSettings,
@@ -176,13 +178,27 @@ class SystemComparison:
 
     def bits(self, fit: CollocationFit) -> float:
         """Bits of misses, terms and constants."""
-        squares = np.maximum(fit.mean_squares, 1e-12)
-        exprs, said = in_coordinates(list(fit.exprs.values()), self.angles)
-        said += sum(unusual_bits(e, self.angles) for e in exprs)
-        said += sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
-        length = information_criterion(squares, self.mesh.rows, exprs, len(fit.constants))
+        leaving = sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
         simple = simplicity_bits(fit.constants, fit.errors)
-        return length + said - cited_bits(exprs) - simple
+        bits = self._written(fit, fit.exprs, len(fit.constants)) - simple
+        owners = np.array([s for s, e in fit.exprs.items() for _ in free_constants(e, "c")[1]])
+        # What a mass matrix ties together is said more shortly by each other.
+        for tie in find_couplings(fit.exprs, fit.constants, fit.covariance):
+            others = owners != tie.state
+            constants = int(others.sum()) + len(tie.constants)
+            simple = simplicity_bits(fit.constants[others], fit.errors[others])
+            simple += simplicity_bits(tie.constants, tie.errors)
+            exprs = {**fit.exprs, tie.state: tie.expr}
+            bits = min(bits, self._written(fit, exprs, constants) - simple + tie.loss)
+        return bits + leaving
+
+    def _written(self, fit: CollocationFit, exprs: Equations, constants: int) -> float:
+        """Bits of the misses, and of equations with so many constants of no certain value."""
+        squares = np.maximum(fit.mean_squares, 1e-12)
+        flat, said = in_coordinates(list(exprs.values()), self.angles)
+        said += sum(unusual_bits(e, self.angles) for e in flat)
+        length = information_criterion(squares, self.mesh.rows, flat, constants)
+        return length + said - cited_bits(flat)
 
     def _leaves(self, state: str, expr: sympy.Expr) -> bool:
         """Whether a state that was positive throughout would fall below 0 from there."""

@@ -38,6 +38,7 @@ from dynsr.selection.comparison import (
     SystemComparison,
     SystemFit,
 )
+from dynsr.selection.couplings import try_couplings
 from dynsr.selection.first_look import look
 from dynsr.selection.stand_ins import try_stand_ins
 from dynsr.selection.subsets import best_subsets
@@ -197,6 +198,7 @@ def compare_systems(
             break
         best = other
     best = try_stand_ins(comparison, best, lambda fit: _climb(comparison, fit, {}))
+    best = try_couplings(comparison, best, lambda fit: _climb(comparison, fit, {}))
     best = _prefer_reproducing(comparison, best)
     same = {s: skeleton(best.exprs[s]) == skeleton(with_floats(exprs[s])) for s in states}
     chosen = {s: exprs[s] if same[s] else best.exprs[s] for s in states}
