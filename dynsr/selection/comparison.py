@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -51,6 +51,8 @@ class ComparisonSettings:
     noisy : systems are compared only where the median noise is above this share of the spread.
         Smaller noise is no larger than errors that a solver at a loose tolerance leaves in its
         states; those have a pattern, and terms would be found for it.
+    loose : noise, as a share of the spread, below which a system is held to its own solution no
+        more strictly in units of the spread.
     alone : formulas of each state that are fitted with the other states read off their curves.
     sums : sums of the terms of each kind that are fitted alone, those expected to take the fewest
         bits.
@@ -87,6 +89,7 @@ class ComparisonSettings:
     terms: TermSettings = TermSettings()
     factors: MonomialLibrary = MonomialLibrary()
     noisy: float = 5e-4
+    loose: float = 1e-2
     alone: int = 40
     sums: int = 15
     softness: float = 100.0
@@ -151,7 +154,7 @@ class SystemComparison:
             return None
         key = tuple(skeleton(e) for e in exprs.values())
         if key not in self._cache:
-            problem = Collocation(exprs, self.mesh, self.settings.fit)
+            problem = Collocation(exprs, self.mesh, self._held)
             found = problem.fit(None if near is None else near.fit)
             if found is None and near is not None:
                 found = problem.fit()
@@ -159,6 +162,18 @@ class SystemComparison:
                 None if found is None else SystemFit(problem, found, self.bits(found))
             )
         return self._cache[key]
+
+    @cached_property
+    def _held(self) -> CollocationSettings:
+        """How strictly a system is held to its own solution.
+
+        Weights of defects count in units of the noise. What a solver at a loose tolerance leaves in
+        its states grows with the time, and where noise is smaller, terms would be found for it.
+        """
+        fit, mesh = self.settings.fit, self.mesh
+        noise = float(np.median(mesh.unit / mesh.spread))
+        most = fit.stiffness[-1] * min(1.0, (noise / self.settings.loose) ** 2)
+        return replace(fit, stiffness=tuple(min(weight, most) for weight in fit.stiffness))
 
     def fit_anew(self, exprs: Equations) -> SystemFit | None:
         """Fit from the constants given and the smoothed states; of two fits the better is kept.
