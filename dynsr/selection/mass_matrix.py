@@ -62,7 +62,7 @@ class Ratio:
     constants: int
     degree: int
 
-    def line(self, constants: np.ndarray) -> tuple[float, float]:
+    def line(self, constants: np.ndarray) -> tuple[np.float64, np.float64]:
         """Give the numbers of the line: beside the wave, and before it.
 
         Parameters
@@ -70,7 +70,7 @@ class Ratio:
         constants : their values.
         """
         sums = _sum_up(self.below, constants, (0, 0))[sympy.S.One, 0]
-        return float(sums[0]), float(sums[self.degree])
+        return sums[0], sums[self.degree]
 
     def divide(self, constants: np.ndarray, factor: tuple[int, int]) -> tuple[_Sums, _Sums]:
         """Divide a multiple of the ratio out: what comes out even, and the rest over the line.
@@ -251,7 +251,8 @@ def find_couplings(
         places = owned[state] + owned[by]
         for factor in FACTORS:
             tie = _Tie(own, other, factor)
-            found = tie.solve(constants[places], covariance[np.ix_(places, places)])
+            with np.errstate(all="ignore"):
+                found = tie.solve(constants[places], covariance[np.ix_(places, places)])
             if found is not None:
                 size, sums, errors, loss = found
                 wave = own.main ** factor[0] * own.other ** factor[1]
