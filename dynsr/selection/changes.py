@@ -84,7 +84,7 @@ def promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Chan
     slopes = np.zeros((len(mesh.states), len(moves.rows), points.shape[1]))
     for i, (row, slope) in enumerate(zip(moves.rows, moves.slopes, strict=True)):
         slopes[row, i] = slope
-    gram = _gram(fit, slopes)
+    gram = gram_of(fit, slopes)
     if gram is None:
         return []
     per_square = shift_bits(1.0) / max(float(np.mean(found.mean_squares)), 1e-12)
@@ -122,8 +122,13 @@ def _rank(
     yield from zip(_expected_squares(gram, values, pairs), pairs, strict=True)
 
 
-def _owners(fit: SystemFit) -> list[str]:
-    """Name the state of every constant, in their order."""
+def owners_of(fit: SystemFit) -> list[str]:
+    """Name the state of every constant, in their order.
+
+    Parameters
+    ----------
+    fit : the system.
+    """
     return [s for s, expr in fit.exprs.items() for _ in free_constants(expr, "c")[1]]
 
 
@@ -144,7 +149,7 @@ def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
     fit : the system.
     state : whose equation it is.
     """
-    owners = _owners(fit)
+    owners = owners_of(fit)
     values, errors = fit.fit.constants, fit.fit.errors
     with np.errstate(over="ignore"):
         ratios = np.abs(values) / np.maximum(errors, 1e-300)
@@ -218,7 +223,7 @@ def _make_moves(comparison: SystemComparison, fit: SystemFit, points: np.ndarray
     names = [*comparison.names, "t"]
     terms = comparison.terms
     values = terms.values(points[:-1])
-    owners = _owners(fit)
+    owners = owners_of(fit)
     moves = _Moves(len(owners), [], [], [])
     for row, (state, expr) in enumerate(fit.exprs.items()):
         if expr.is_Symbol:
@@ -383,8 +388,14 @@ def _add_swaps(
             moves.moves.append(_Move(state, _always(other), cost, whole=(place,)))
 
 
-def _gram(fit: SystemFit, slopes: np.ndarray) -> np.ndarray | None:
-    """Products of the slopes by constants and probes, and of the misses as the last column."""
+def gram_of(fit: SystemFit, slopes: np.ndarray) -> np.ndarray | None:
+    """Products of the slopes by constants and probes, and of the misses as the last column.
+
+    Parameters
+    ----------
+    fit : the system.
+    slopes : (k, Q, n + m) of Q probes, at the rows and in the middle of the intervals.
+    """
     found = fit.fit
     try:
         normal = fit.problem.normal(found.states, found.constants, slopes)

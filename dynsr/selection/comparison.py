@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,11 +21,13 @@ from dynsr.fit import (
     CollocationFit,
     CollocationSettings,
     Mesh,
+    free_constants,
     information_criterion,
     simplicity_bits,
     skeleton,
 )
 from dynsr.methods import Demands, MonomialLibrary
+from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.terms import (
     Terms,
     TermSettings,
@@ -55,6 +57,8 @@ class ComparisonSettings:
     noisy : systems are compared only where the median noise is above this share of the spread.
         Smaller noise is no larger than errors that a solver at a loose tolerance leaves in its
         states; those have a pattern, and terms would be found for it.
+    loose : noise, as a share of the spread, below which a system is held to its own solution no
+        more strictly in units of the spread.
     alone : formulas of each state that are fitted with the other states read off their curves.
     sums : sums of the terms of each kind that are fitted alone, those expected to take the fewest
         bits; twice as many of all kinds together.
@@ -93,6 +97,7 @@ class ComparisonSettings:
     terms: TermSettings = TermSettings()
     factors: MonomialLibrary = MonomialLibrary()
     noisy: float = 5e-4
+    loose: float = 1e-2
     alone: int = 40
     sums: int = 10
     halved: int = 5
@@ -166,7 +171,7 @@ class SystemComparison:
             return None
         key = tuple(skeleton(e) for e in exprs.values())
         if key not in self._cache:
-            problem = Collocation(exprs, self.mesh, self.settings.fit)
+            problem = Collocation(exprs, self.mesh, self._held)
             found = problem.fit(None if near is None else near.fit)
             if found is None and near is not None:
                 found = problem.fit()
@@ -176,6 +181,18 @@ class SystemComparison:
                 None if found is None else SystemFit(problem, found, self.bits(found))
             )
         return self._cache[key]
+
+    @cached_property
+    def _held(self) -> CollocationSettings:
+        """How strictly a system is held to its own solution.
+
+        Weights of defects count in units of the noise. What a solver at a loose tolerance leaves in
+        its states grows with the time, and where noise is smaller, terms would be found for it.
+        """
+        fit, mesh = self.settings.fit, self.mesh
+        noise = float(np.median(mesh.unit / mesh.spread))
+        most = fit.stiffness[-1] * min(1.0, (noise / self.settings.loose) ** 2)
+        return replace(fit, stiffness=tuple(min(weight, most) for weight in fit.stiffness))
 
     def fit_near(self, exprs: Equations, near: SystemFit) -> SystemFit | None:
         """Fit from a system that is almost the same, going back no further than needed.
@@ -193,7 +210,7 @@ class SystemComparison:
         before = self._cache.get(key)
         if before is not None and before.bits < near.bits:
             return before
-        problem = Collocation(exprs, self.mesh, self.settings.fit)
+        problem = Collocation(exprs, self.mesh, self._held)
         found = problem.fit(near.fit, strict=True)
         if found is not None and not self._has_pole(found):
             fit = SystemFit(problem, found, self.bits(found))
@@ -225,15 +242,29 @@ class SystemComparison:
 
     def bits(self, fit: CollocationFit) -> float:
         """Bits of misses, terms and constants."""
-        squares = np.maximum(fit.mean_squares, 1e-12)
-        exprs, said = in_coordinates(list(fit.exprs.values()), self.angles)
-        said += sum(unusual_bits(e, self.angles) for e in exprs)
-        said += sum(self.settings.unseen * self._far_off(e) for e in fit.exprs.values())
-        said += sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
-        named = [as_written(e) for e in exprs]
-        length = information_criterion(squares, self.mesh.rows, named, len(fit.constants))
+        leaving = sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
         simple = simplicity_bits(fit.constants, fit.errors)
-        return length + said - cited_bits(exprs) - simple
+        bits = self._written(fit, fit.exprs, len(fit.constants)) - simple
+        owners = np.array([s for s, e in fit.exprs.items() for _ in free_constants(e, "c")[1]])
+        # What a mass matrix ties together is said more shortly by each other.
+        for tie in find_couplings(fit.exprs, fit.constants, fit.covariance):
+            others = owners != tie.state
+            constants = int(others.sum()) + len(tie.constants)
+            simple = simplicity_bits(fit.constants[others], fit.errors[others])
+            simple += simplicity_bits(tie.constants, tie.errors)
+            exprs = {**fit.exprs, tie.state: tie.expr}
+            bits = min(bits, self._written(fit, exprs, constants) - simple + tie.loss)
+        return bits + leaving
+
+    def _written(self, fit: CollocationFit, exprs: Equations, constants: int) -> float:
+        """Bits of the misses, and of equations with so many constants of no certain value."""
+        squares = np.maximum(fit.mean_squares, 1e-12)
+        flat, said = in_coordinates(list(exprs.values()), self.angles)
+        said += sum(unusual_bits(e, self.angles) for e in flat)
+        said += sum(self.settings.unseen * self._far_off(e) for e in exprs.values())
+        named = [as_written(e) for e in flat]
+        length = information_criterion(squares, self.mesh.rows, named, constants)
+        return length + said - cited_bits(flat)
 
     def _has_pole(self, fit: CollocationFit) -> bool:
         """Whether a fraction line passes through 0 where the columns are."""

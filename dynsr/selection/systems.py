@@ -38,6 +38,7 @@ from dynsr.selection.comparison import (
     SystemComparison,
     SystemFit,
 )
+from dynsr.selection.couplings import try_couplings
 from dynsr.selection.first_look import look
 from dynsr.selection.stand_ins import try_stand_ins
 from dynsr.selection.subsets import Subset, best_subsets
@@ -208,6 +209,7 @@ def compare_systems(
             break
         best = other
     best = try_stand_ins(comparison, best, lambda fit: _climb(comparison, fit, {}))
+    best = try_couplings(comparison, best, lambda fit: _climb(comparison, fit, {}))
     for state in states:
         best = prune(comparison, best, state)
     best = _prefer_reproducing(comparison, best)
