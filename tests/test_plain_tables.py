@@ -30,7 +30,7 @@ def read(path):
     return found.names, found.named, found.notes, [value.tolist() for value in found.values]
 
 
-@settings(deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.data())
 def test_numpy_reads_what_pandas_reads(tmp_path_factory, data) -> None:
     """Names, numbers to the last bit, and refusals are those of the reader of all other tables."""
