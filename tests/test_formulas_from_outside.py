@@ -162,7 +162,7 @@ def test_a_formula_without_a_real_value_is_refused(text):
         parse(text)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(FORMULAS)
 def test_a_formula_means_what_arithmetic_says_or_is_refused(text):
     """What is read has the value that Python's floats give, and stays so when written and read."""
@@ -186,7 +186,7 @@ def test_a_formula_means_what_arithmetic_says_or_is_refused(text):
         np.testing.assert_allclose(again, found, rtol=1e-6)
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(
     st.text(
         alphabet="xy019.e+-*/^() \t\nsincoepqrtabzuI_,[]'\"\\\u00b5\u2212\ud800\0#", max_size=60

@@ -276,7 +276,7 @@ def places(value, path=()):
 
 
 @settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
 def test_whatever_a_record_holds_it_is_a_discovery_or_one_line(data, saved, found):
