@@ -29,8 +29,8 @@ def _lambdified(
 
 @lru_cache
 def _dummies(count: int) -> list[sympy.Dummy]:
-    # The same every time, so that SymPy knows parts that it has seen.
-    return [sympy.Dummy() for _ in range(count)]
+    # The same every time, so that SymPy knows parts that it has seen; it sorts by their names.
+    return [sympy.Dummy(f"Dummy_{place:08}") for place in range(count)]
 
 
 def compile_numpy(
