@@ -306,7 +306,7 @@ def test_a_search_answers_while_it_runs_and_can_be_cancelled(page):
 def test_what_is_downloaded_is_what_was_found(page, tmp_path):
     """Report, code and result of a search are files that hold the true equations."""
     page.drop(rabbits(), "my rabbits.csv")
-    page.post("search", options={"preset": "quick", "seed": "3"})
+    page.post("search", options={"preset": "quick", "functions": [], "seed": "3"})
     found = page.wait(lambda parts: not parts["busy"] and parts["found"])["found"]
     assert [e["level"] for e in found["equations"]] == ["law", "law"]
     status, headers, body = page.ask("discovery.json")
@@ -349,7 +349,7 @@ def test_its_end_in_a_search_leaves_nothing_behind(tmp_path, name, code, line):
     )
     served = Page(str(tmp_path / "w.csv"), "-j", "2", folder=tmp_path)
     served.wait(lambda parts: parts.get("table") and not parts["busy"])
-    served.post("search", options={"preset": "quick"})
+    served.post("search", options={"preset": "quick", "functions": []})
     served.wait(lambda parts: parts.get("progress") and parts["progress"]["running"])
     below = descendants(served.process.pid)
     assert len(below) >= 2
@@ -407,7 +407,7 @@ def test_a_worker_that_dies_is_told_and_replaced(own_page):
     parts = served.wait(lambda parts: parts["said"] and not parts["busy"])
     assert "died, perhaps for want of memory" in parts["said"]
     assert parts["table"]["states"] == ["x"]
-    served.post("search", options={"preset": "quick"})
+    served.post("search", options={"preset": "quick", "functions": []})
     assert served.wait(lambda parts: not parts["busy"] and parts["found"])
 
 
@@ -508,7 +508,7 @@ def test_units_of_the_page_reach_the_search(tmp_path):
     parts: dict = {}
     work = Work(tmp_path, parts.__setitem__, 1)
     work.read(str(tmp_path / "a.csv"), {"t": "time", "x": "state"}, {"t": "h", "x": "mg"})
-    work.search({"preset": "quick", "units": True})
+    work.search({"preset": "quick", "functions": [], "units": True})
     [constant] = parts["found"]["constants"]
     assert (constant["of"], constant["unit"]) == ("x", "1/h")
     assert constant["value"] == pytest.approx(-0.5, rel=1e-6)
@@ -523,7 +523,7 @@ def search_columns(folder, columns, **options):
     parts: dict = {}
     work = Work(folder, parts.__setitem__, 1)
     work.read(str(folder / "a.csv"))
-    work.search({"preset": "quick", **options})
+    work.search({"preset": "quick", "functions": [], **options})
     return parts, work
 
 
@@ -585,7 +585,7 @@ def test_live_reports_name_each_states_best_equation():
     said = []
     run = read_trajectories({"t": np.linspace(0, 3, 40), "x": np.exp(-np.linspace(0, 3, 40))})
     live = Live(["x"], lambda name, content: said.append(content))
-    dynsr.discover(run.trajectories, preset="quick", jobs=1, progress=live)
+    dynsr.discover(run.trajectories, preset="quick", functions=[], jobs=1, progress=live)
     assert said[-1]["best"]["x"]["text"] == "x' = -x"
     assert "<math" in said[-1]["best"]["x"]["mathml"]
     live(Step("", 2, 0))

@@ -219,10 +219,10 @@ def test_bad_values_are_refused():
 def test_ratios_and_beam_find_what_no_single_function_is(formula):
     """Nested power laws, a variable times a sum, and products with a sum come out to rounding."""
     samples = planted(formula, "abcde" if "*e" in formula else "abcd")
-    settings = BruteForce(max_candidates=30_000, ratios=True, device="cpu")
+    settings = BruteForce(max_candidates=20_000, ratios=True, device="cpu")
     result = search_values(samples.X, samples.y, samples.names, settings)
     assert result.stopped == "exact"
-    alone = BruteForce(max_candidates=30_000, beam=0, sums=(), device="cpu")
+    alone = BruteForce(max_candidates=20_000, beam=0, sums=(), device="cpu")
     assert search_values(samples.X, samples.y, samples.names, alone).stopped != "exact"
 
 

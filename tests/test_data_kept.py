@@ -212,7 +212,7 @@ def test_what_discover_is_asked_is_checked(asked, said):
 CELLS = st.floats(-1e300, 1e300, allow_nan=False)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     rows=st.lists(st.tuples(CELLS, CELLS), min_size=12, max_size=30),
     delimiter=st.sampled_from([",", ";", "\t", "|", " "]),
@@ -251,7 +251,7 @@ def read_or_one_line(path):
             assert "\n" not in said
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(content=st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
 def test_any_bytes_are_a_table_or_one_line(content, tmp_path_factory):
     """Whatever a file holds, under whatever suffix, reading it ends in one of the two."""

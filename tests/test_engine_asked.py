@@ -43,6 +43,7 @@ T = np.linspace(0.0, 3.0, 61)
 DECAY = Trajectory(T, 2 * np.exp(-0.5 * T)[:, None], ("x",))
 X = sympy.Symbol("x")
 RHS = LOTKA_VOLTERRA.rhs[-1]
+FEW = {"method": "rational", "preset": "quick", "functions": (), "jobs": 1}
 LINEAR = System.from_strings({"x": "-x/2"}, x0=(2.0,), name="linear")
 
 
@@ -99,11 +100,11 @@ def driven() -> InitialValueProblem:
 @cache
 def found_flow():
     """Give the decay as a discovery that keeps the embedded engine."""
-    return discover(DECAY, jobs=1)
+    return discover(DECAY, **FEW)
 
 
 FUNCTIONS = {
-    "discover": lambda e, _: discover(DECAY, method="rational", engine=e, jobs=1),
+    "discover": lambda e, _: discover(DECAY, engine=e, **FEW),
     "Discovery.simulate": lambda e, _: found_flow().simulate(engine=e),
     "Discovery.score": lambda e, _: found_flow().score(engine=e),
     "DynsrRegressor": lambda e, _: DynsrRegressor("sindy", engine=e).fit(T[:, None], 3 * T),
@@ -159,7 +160,10 @@ def table(folder: Path) -> Path:
 
 
 COMMANDS = {
-    "discover": lambda folder: (table(folder), "--method", "rational", "-j", 1, "--json"),
+    "discover": lambda folder: (
+        *(table(folder), "--method", "rational", "--functions", "none", "--preset", "quick"),
+        *("-j", 1, "--json"),
+    ),
     "simulate": lambda folder: ("pendulum", "--span", "0,1", "--json"),
     "generate": lambda folder: ("pendulum", "--span", "0,1", "-o", folder / "made.csv"),
     "score": lambda folder: (found_flow().save(folder / "found.json"), table(folder), "--json"),
@@ -167,7 +171,7 @@ COMMANDS = {
     "crosscheck": lambda folder: ("--systems", "pendulum", "--sections", "corrected", "--json"),
     "benchmark": lambda folder: (
         *("recovery", "--systems", "pendulum", "--noise", 0),
-        *("--method", "sindy", "-j", 1, "--json", "-q"),
+        *("--method", "sindy", "--preset", "quick", "-j", 1, "--json", "-q"),
     ),
 }
 # Its cells run in processes of their own; one of them is computed here by replicate_here.
@@ -197,7 +201,7 @@ def test_no_command_answers_without_asking(julia, tmp_path, monkeypatch, name):
 def test_noisy_data_are_followed_by_the_engine(julia):
     """Found along the states by NumPy alone, as the record says, then integrated by the engine."""
     noisy = add_noise(DECAY, 0.03, np.random.default_rng(1))
-    found = discover(noisy, engine="julia", jobs=1)
+    found = discover(noisy, preset="quick", functions=(), engine="julia", jobs=1)
     engines = found.settings["engines"]
     assert engines["search"] == "none (NumPy along the states)" and "regress" not in engines
     assert not julia.regressed and len(julia.integrated) == 1
@@ -278,7 +282,9 @@ def measured() -> Trajectory:
 
 def test_measured_inputs_cross_the_seam(julia):
     """Predictions, simulations, scores and the discovery itself ask the engine with its drives."""
-    found = discover(measured(), engine="julia", method="rational", preset="quick", jobs=1)
+    found = discover(
+        measured(), engine="julia", method="rational", functions=(), preset="quick", jobs=1
+    )
     told = "julia (on measured inputs)"
     assert found.settings["engines"]["simulate"] == told
     assert found.settings["confirmed"]["trajectory_rmse"]["x"] < 1e-3
@@ -293,7 +299,9 @@ def test_measured_inputs_cross_the_seam(julia):
 def test_an_engine_that_takes_no_measured_inputs_gives_way_and_that_is_said(julia, monkeypatch):
     """The embedded one integrates; origin and record name it, and nothing is confirmed."""
     monkeypatch.setattr(julia, "takes_drives", False)
-    found = discover(measured(), engine="julia", method="rational", preset="quick", jobs=1)
+    found = discover(
+        measured(), engine="julia", method="rational", functions=(), preset="quick", jobs=1
+    )
     assert found.settings["engines"]["simulate"] == MEASURED == found.simulate().origin["engine"]
     assert "confirmed" not in found.settings and asked(julia) == 0
 

@@ -259,7 +259,7 @@ def test_measured_inputs_are_integrated_where_the_record_says(julia):
     x = predict({"x": dynsr.parse("u - x")}, [1.0], T, {"u": force})
     assert x.origin["engine"] == MEASURED and not julia.integrated
     data = Trajectory(T, x.x, ("x",), force[:, None], ("u",))
-    plain = discover(data, jobs=1)
+    plain = discover(data, method="rational", preset="quick", functions=(), jobs=1)
     assert plain.settings["engines"]["simulate"] == MEASURED == plain.simulate().origin["engine"]
     assert not julia.regressed and not julia.integrated
     found = discover(data, engine="julia", **SINDY)

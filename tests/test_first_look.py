@@ -56,7 +56,7 @@ LAWS = {
 def test_a_final_law_ends_the_search(name):
     """Sums and ratios of exact data are found; no other method runs, as the record says."""
     rhs, start, end, names, law = LAWS[name]
-    found = dynsr.discover(run(rhs, start, end, 300, names), jobs=1)
+    found = dynsr.discover(run(rhs, start, end, 200, names), jobs=1)
     assert found.settings["first_look"] == sorted(names)
     assert found.verdict.level == "law"
     for state, expected in law.items():

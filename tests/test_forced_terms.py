@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from command_line import run
 
 X, Y = sympy.symbols("x y")
+QUICK = {"preset": "quick", "functions": (), "jobs": 1}
 
 
 def prey(noise: float) -> dynsr.Trajectory:
@@ -46,7 +47,7 @@ def coefficient(expr: sympy.Expr, term: sympy.Expr) -> float:
 @pytest.fixture(scope="module")
 def plain() -> dynsr.Discovery:
     """Give the discovery that no term is forced upon."""
-    return dynsr.discover(prey(0.0), jobs=1)
+    return dynsr.discover(prey(0.0), **QUICK)
 
 
 @pytest.mark.parametrize(("noise", "method"), [(0.0, "sindy"), (0.01, "auto")])
@@ -58,11 +59,9 @@ def test_a_term_that_the_data_do_not_ask_for_is_there(
     found = dynsr.discover(
         prey(noise),
         method=method,
-        jobs=1,
-        preset="quick",
-        functions=(),
         targets="x",
         must={"x": "x**2"},
+        **QUICK,
     )
     expr = found.equations["x"]
     assert expr.has(X**2)
@@ -76,7 +75,7 @@ def test_a_term_that_the_data_do_not_ask_for_is_there(
 
 def test_a_term_of_the_law_changes_nothing_else(plain: dynsr.Discovery) -> None:
     """Forced terms that the law has give the equations of a search without them."""
-    found = dynsr.discover(prey(0.0), jobs=1, must=["x: x*y", "y: y"])
+    found = dynsr.discover(prey(0.0), must=["x: x*y", "y: y"], **QUICK)
     assert found.equations == plain.equations
     assert found.verdict is not None
     assert found.verdict.level == "law"
@@ -92,7 +91,7 @@ def logistic() -> dynsr.Trajectory:
 
 def test_a_map_holds_its_term() -> None:
     """The logistic map with a forced constant is itself beside a constant of nearly 0."""
-    found = dynsr.discover(logistic(), discrete=True, jobs=1, preset="quick", must={"x": ["1"]})
+    found = dynsr.discover(logistic(), discrete=True, must={"x": ["1"]}, **QUICK)
     expr = found.equations["x"]
     assert missing_terms(expr, [sympy.S.One]) == []
     assert float(expr.subs(X, 0)) == pytest.approx(0, abs=1e-9)
@@ -137,6 +136,7 @@ def test_the_shell_forces_terms_too(tmp_path: Path) -> None:
     data = tmp_path / "logistic.csv"
     dynsr.data.write_csv(logistic(), data)
     words = ("discover", data, "--json", "--quiet", "--map", "--preset", "quick", "-j", "1")
+    words = (*words, "--functions", "none")
     told = json.loads(run(*words, "--must", "x: 1", "--must", "x: x").stdout)
     assert missing_terms(parse(told["equations"]["x"]), [sympy.S.One, X]) == []
     assert told["settings"]["must"] == ["x: 1", "x: x"]

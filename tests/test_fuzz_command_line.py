@@ -1,4 +1,4 @@
-"""Thousands of broken command lines and files: each ends in an answer or in one line."""
+"""A thousand broken command lines and files: each ends in an answer or in one line."""
 
 import json
 import random
@@ -18,7 +18,7 @@ from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 
-COUNT = 2000
+COUNT = 1000
 COMMAND = typer.main.get_command(app)
 T = np.linspace(0, 3, 40)
 

@@ -151,25 +151,23 @@ x = np.column_stack([np.exp(-0.5 * t), np.exp(-0.5 * t) * (1 + t)])
 quick = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
 methods = [quick, GeneticAlgorithm(population=60, iterations=10)]
 tell = lambda step: print(step.done, step.total, flush=True)
-jobs, out = int(sys.argv[1]), sys.argv[2]
-discover((t, x), method=methods, targets="y", jobs=jobs, out=out, progress=tell)
+discover((t, x), method=methods, targets="y", jobs=1, out=sys.argv[1], progress=tell)
 print("over", flush=True)
 """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("jobs", "ends"), [(1, (1, 3)), (2, (1,))])
-def test_kill_9_at_random_moments_changes_nothing(decay, tmp_path, jobs, ends):
+def test_kill_9_at_random_moments_changes_nothing(decay, tmp_path):
     """Killed again and again, in searches, choice or polishing, the rerun ends in the same result.
 
     A task that is finished is never done again.
     """
     whole = discover(decay, **KILLED)
-    moments = random.Random(jobs)
+    moments = random.Random(1)
     times: dict[str, int] = {}
-    for done in ends:
+    for done in (1, 3):
         child = subprocess.Popen(
-            [sys.executable, "-c", CHILD, str(jobs), str(tmp_path)],
+            [sys.executable, "-c", CHILD, str(tmp_path)],
             stdout=subprocess.PIPE,
             text=True,
         )

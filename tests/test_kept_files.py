@@ -3,9 +3,10 @@
 import copy
 import json
 import os
+import signal
 import stat
-import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from command_line import run
 
 x, y = sympy.symbols("x y")
 QUICK = RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1)
+SMALL = ("--preset", "quick", "--functions", "none", "-j", 1, "-q")
 
 
 def decay(rows=60):
@@ -78,7 +80,7 @@ def test_a_file_of_others_in_a_folder_of_ours_stays(name, tmp_path):
     data = tmp_path / "d.csv"
     t, states = decay()
     write_csv(Trajectory(t, states, ("x",)), data)
-    command = ("discover", data, "--preset", "quick", "-j", 1, "-q", "-o", tmp_path / "out")
+    command = ("discover", data, *SMALL, "-o", tmp_path / "out")
     run(*command)
     (tmp_path / "out" / name).write_text("mine")
     said = run(*command, code=2).stderr
@@ -94,7 +96,7 @@ def test_a_default_folder_that_others_use_is_passed_by(tmp_path, monkeypatch):
     theirs = tmp_path / "d-dynsr" / "thesis.tex"
     theirs.parent.mkdir()
     theirs.write_text("mine")
-    run("discover", "d.csv", "--preset", "quick", "-j", 1, "-q")
+    run("discover", "d.csv", *SMALL)
     assert [p.name for p in theirs.parent.iterdir()] == ["thesis.tex"]
     assert (tmp_path / "d-dynsr-2" / "discovery.json").exists()
 
@@ -128,15 +130,18 @@ def test_a_table_of_ours_is_replaced(tmp_path):
     assert len(read_trajectories(path).trajectories) == 2
 
 
-FULL = """
-import resource, sys
-resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-import signal
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-from dynsr.cli import main
-sys.argv = ["dynsr", *sys.argv[1:]]
-main()
-"""
+@contextmanager
+def full_disk():
+    """Let no file of this process grow beyond 4096 bytes."""
+    resource = pytest.importorskip("resource", reason="limits of POSIX")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    answer = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, answer)
 
 
 @pytest.mark.parametrize("command", ["generate", "report"])
@@ -146,10 +151,8 @@ def test_a_full_disk_leaves_the_old_file_and_names_it(command, saved, tmp_path):
     words = ["generate", "pendulum"] if command == "generate" else ["report", str(saved)]
     run(*words, "-o", target)
     before = target.read_bytes()
-    again = subprocess.run(
-        [sys.executable, "-c", FULL, *words, "-o", str(target)], capture_output=True, text=True
-    )
-    assert again.returncode == 2, again.stderr
+    with full_disk():
+        again = run(*words, "-o", target, code=2)
     assert str(target) in again.stderr and "too large" in again.stderr
     assert target.read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["kept", target.name]

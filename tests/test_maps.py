@@ -150,6 +150,7 @@ def test_the_command_finds_and_iterates_a_map(tmp_path):
     """--map prints x[n+1], --json says "map", and simulate iterates what was saved."""
     dynsr.data.write_csv(logistic(100), tmp_path / "m.csv")
     words = ("discover", tmp_path / "m.csv", "--preset", "quick", "--method", "sindy", "-j", "1")
+    words = (*words, "--functions", "none")
     done = run(*words, "--map", "--json", "--out", tmp_path / "out")
     told = json.loads(done.stdout)
     assert told["kind"] == "map" and told["text"][0].startswith("x[n+1] = ")

@@ -168,7 +168,7 @@ def test_several_methods_by_commas(tmp_path):
     path = tmp_path / "x.csv"
     t = np.linspace(0.0, 3.0, 151)
     path.write_text("t,x\n" + "".join(f"{a},{2 * np.exp(-0.5 * a)}\n" for a in t))
-    words = ("--preset", "quick", "-j", 1, "-q", "--json")
+    words = ("--preset", "quick", "--functions", "none", "-j", 1, "-q", "--json")
     found = json.loads(run("discover", path, "--method", "rational,sindy", *words).stdout)
     assert found["settings"]["methods"] == ["rational", "sindy"]
     result = run("discover", path, "--method", "rational,eureqa", *words, code=2)

@@ -136,7 +136,8 @@ def test_table_of_the_levels():
 @pytest.mark.slow
 def test_the_script_writes_tables_and_pictures(tmp_path, monkeypatch, capsys):
     """The benchmark prints every equation and writes what it found; a bad level is one line."""
-    words = ["--quick", "--levels", "0", "--method", "rational", "--out", str(tmp_path)]
+    words = ["--quick", "--levels", "0", "--method", "rational", "--preset", "quick"]
+    words += ["--out", str(tmp_path)]
     monkeypatch.setitem(SYSTEMS, DECAY.name, DECAY)
     monkeypatch.setattr(sys, "argv", ["noise.py", DECAY.name, *words])
     script = runpy.run_path(str(ROOT / "scripts" / "benches" / "noise.py"))

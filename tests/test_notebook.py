@@ -104,7 +104,7 @@ def test_progress_in_a_notebook_goes_when_it_ends(kernel):
 
 def test_a_discovery_shows_progress_in_a_notebook_by_itself(kernel):
     """Without a word there are lines; False asks for none, a function takes their place."""
-    data, quick = (T, np.exp(-T)), {"preset": "quick", "jobs": 1}
+    data, quick = (T, np.exp(-T)), {"preset": "quick", "functions": (), "jobs": 1}
     dynsr.discover(data, **quick)
     assert any("tasks" in one["text/html"] for one in kernel.shown)
     assert kernel.shown[-1]["text/html"] == ""
@@ -117,7 +117,7 @@ def test_a_discovery_shows_progress_in_a_notebook_by_itself(kernel):
 def test_no_notebook_no_lines(capsys):
     """In a script nothing is shown unless it is asked for, and never where nobody watches."""
     assert not in_notebook()
-    data, quick = (T, np.exp(-T)), {"preset": "quick", "jobs": 1}
+    data, quick = (T, np.exp(-T)), {"preset": "quick", "functions": (), "jobs": 1}
     dynsr.discover(data, **quick)
     dynsr.discover(data, progress=True, **quick)
     assert capsys.readouterr() == ("", "")
@@ -127,7 +127,7 @@ CELL = """
 import numpy as np, dynsr
 t = np.arange(0, 5, 0.02)
 x = np.column_stack([np.sin(t), np.cos(t)])
-found = dynsr.discover((t, x), preset="quick", jobs=2)
+found = dynsr.discover((t, x), preset="quick", functions=(), jobs=2)
 found.plot()
 """
 

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from dynsr.discovery import Discovery
+
 ROOT = Path(__file__).parents[1]
 
 # What signal and os have on Linux and not on Windows; libraries are loaded before it goes.
@@ -38,31 +40,21 @@ def run_without(code: str) -> str:
 
 
 def test_a_discovery_needs_nothing_that_windows_lacks(tmp_path: Path) -> None:
-    """Without alarms, forks and masks of signals: a budget, a folder, a file and a report."""
-    code = f"""
-import dynsr, numpy as np, pathlib
-t = np.linspace(0, 4, 90)
-data = dynsr.Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
-out = pathlib.Path({str(tmp_path)!r}) / "a folder"
-found = dynsr.discover(data, jobs=1, time_budget=600, out=out)
-found.save(out / "discovery.json")
-found.report(out / "report.html")
-print(dynsr.Discovery.load(out / "discovery.json"))
-"""
-    assert run_without(code).strip() == "x' = -0.5*x"
-    assert (tmp_path / "a folder" / "report.html").stat().st_size > 10_000
-
-
-def test_a_command_needs_nothing_that_windows_lacks(tmp_path: Path) -> None:
-    """The program reads a file with Windows' ends of lines and answers in JSON."""
-    path = tmp_path / "decay.csv"
+    """Without alarms, forks and masks of signals the program reads a file with Windows' ends of
+    lines, keeps to a budget, fills a folder, writes a report and answers in JSON.
+    """
+    path, out = tmp_path / "decay.csv", tmp_path / "a folder"
     rows = "\r\n".join(f"{k / 20},{2.0 ** (-k / 20)!r}" for k in range(80))
     path.write_bytes(f"t,x\r\n{rows}\r\n".encode())
     words = ["discover", str(path), "--jobs", "1", "--json", "--quiet"]
+    words += ["--time-budget", "600", "--out", str(out)]
     code = f"""
 import json, sys
 sys.argv = ["dynsr", *{words!r}]
 import runpy
 runpy.run_module("dynsr", run_name="__main__")
 """
-    assert json.loads(run_without(code))["equations"]["x"].startswith("-0.6931")
+    equations = json.loads(run_without(code))["equations"]
+    assert equations["x"].startswith("-0.6931")
+    assert Discovery.load(out / "discovery.json").as_record()["equations"] == equations
+    assert (out / "report.html").stat().st_size > 10_000

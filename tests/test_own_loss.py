@@ -160,6 +160,6 @@ def test_the_shell_takes_a_loss(tmp_path: Path) -> None:
     t = np.linspace(0, 4, 80)
     path = tmp_path / "decay.csv"
     np.savetxt(path, np.column_stack([t, np.exp(-t)]), delimiter=",", header="t,x", comments="")
-    words = ("discover", path, "--jobs", "1", "--json", "--quiet")
+    words = ("discover", path, "--jobs", "1", "--json", "--quiet", "--preset", "quick")
     assert json.loads(run(*words, "--loss", "huber").stdout)["settings"]["loss"] == "huber"
     assert "unknown loss 'foo'" in run(*words, "--loss", "foo", code=2).output

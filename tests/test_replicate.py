@@ -79,7 +79,7 @@ def test_a_killed_replication_is_continued_to_the_same_result(whole, tmp_path, n
     assert child.wait(timeout=30) != 0
     left = len(list(out.glob("cells/*.json")))
     assert left >= 1 and not (out / "report.html").exists(), f"killed after {delay} s"
-    continued = replicate(**CELLS, jobs=2, out=out)
+    continued = replicate(**CELLS, jobs=1, out=out)
     assert timeless(continued.records) == timeless(whole.records), f"killed after {delay} s"
     assert (out / "report.html").exists()
 

@@ -2,21 +2,15 @@ import subprocess
 import sys
 
 
-def test_importing_dynsr_starts_nothing_heavy():
-    """``import dynsr`` loads neither torch nor Julia nor matplotlib nor pandas."""
+def test_nothing_heavy_is_loaded_before_it_is_needed():
+    """``import dynsr`` loads neither torch nor Julia nor matplotlib nor pandas; ``discover``, which
+    every worker loads, needs no plots, no tables, no scipy.stats and no torch.
+    """
     code = (
-        "import dynsr, sys; "
-        "print(sorted({'torch', 'juliacall', 'matplotlib', 'pandas'} & set(sys.modules)))"
+        "import dynsr, sys\n"
+        "heavy = {'torch', 'juliacall', 'matplotlib', 'pandas', 'scipy.stats'}\n"
+        "print(sorted(heavy & set(sys.modules))); dynsr.discover\n"
+        "print(sorted(heavy & set(sys.modules)), 'dynsr.discovery.search' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
-def test_discovering_loads_nothing_that_it_does_not_need():
-    """Each worker loads what ``discover`` loads: no plots, no tables, no scipy.stats, no torch."""
-    code = (
-        "import sys, dynsr; dynsr.discover; "
-        "print(sorted({'torch', 'matplotlib', 'pandas', 'scipy.stats'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.splitlines() == ["[]", "[] True"]

@@ -190,11 +190,11 @@ def test_every_stage_is_part_of_the_best_preset():
 
 def test_the_source_of_a_formula_names_the_stage_that_found_it():
     """Every member of the front says its stage, alone or before a colon."""
-    clean = _samples("sin(a*b) + 0.1*a^3", 150)
-    noisy = clean.y + 0.01 * _rng().normal(size=150)
+    clean = _samples("sin(a*b) + 0.1*a^3", 80)
+    noisy = clean.y + 0.01 * _rng().normal(size=80)
     samples = replace(clean, y=noisy, scheme="central4")
     sums = RationalSearch(costs=(2,), rounds=1)
-    method = DynAIFeynman(epochs=2, agreement=0, candidates=1000, rational=sums)
+    method = DynAIFeynman(epochs=2, agreement=0, candidates=200, rational=sums)
     found = _sources(method.search(samples, _rng()))
     assert found <= {*STAGES, "mean"} and len(found) > 1
 
@@ -220,7 +220,7 @@ def test_values_that_may_be_exact_have_stages_of_their_own(scheme, first):
 
     sums = RationalSearch(costs=(2,), rounds=1)
     exact = ExactStages(sums_of_powers=sums, sums_of_functions=sums)
-    DynAIFeynman(stages=DIRECT_STAGES, candidates=500, rational=sums, exact_values=exact).search(
+    DynAIFeynman(stages=DIRECT_STAGES, candidates=100, rational=sums, exact_values=exact).search(
         samples, _rng(), note
     )
     assert tuple(dict.fromkeys(seen)) == first
@@ -232,7 +232,8 @@ def test_the_best_preset_recovers_equations_of_the_lectures(number):
     (lecture,) = find_lectures([number])
     learn, check = np.random.default_rng(0).spawn(2)
     samples, fresh = lecture.samples(200, learn), lecture.samples(200, check, 0.05)
-    method = DynAIFeynman.preset("best")
+    # As above, a long enumeration ends at the same choice.
+    method = replace(DynAIFeynman.preset("best"), candidates=2000)
     front = method.search(samples, _rng())
     assert _sources(front) <= {*STAGES, "mean"}
     chosen = method.choose(front, samples)

@@ -54,10 +54,15 @@ def test_rows_in_unresolved_jumps_have_no_slope(even):
     assert np.abs(even.x[4:-4, 1][left_out]).max() == np.abs(even.x[4:-4, 1]).max()
 
 
-def test_rows_in_resolved_jumps_keep_their_slope():
+@pytest.fixture(scope="module")
+def own():
+    """Give Radau's own rows, close in the jumps and far apart between them."""
+    return relaxation(tolerance=1e-8)
+
+
+def test_rows_in_resolved_jumps_keep_their_slope(own):
     """Radau's own rows resolve every jump: none is a layer, and the steepest slope is there."""
-    run = relaxation()
-    samples = choose_samples(run, "y")
+    samples = choose_samples(own, "y")
     assert not samples.layers
     assert np.abs(samples.y).max() > 0.9 * np.abs(law(samples)).max()
 
@@ -129,13 +134,12 @@ def test_a_law_across_layers_is_judged_by_an_implicit_integration():
     assert judge({**exact, "y": parse("50*y - 50*x**2*y")}, [run]).level == "not found"
 
 
-def test_a_law_is_judged_on_the_rows_of_its_own_solver():
-    """Radau's own rows are close in the layers and far apart between them; the law is one there
-    too, and with another damping it is none.
+def test_a_law_is_judged_on_the_rows_of_its_own_solver(own):
+    """Rows close in the layers and far apart between them: the law is one there too, and with
+    another damping it is none.
     """
-    run = relaxation(tolerance=1e-8)
     for damping, law in ((50, True), (55, False)):
-        found = judge({"x": parse("y"), "y": parse(f"{damping}*y*(1 - x**2) - x")}, [run])
+        found = judge({"x": parse("y"), "y": parse(f"{damping}*y*(1 - x**2) - x")}, [own])
         assert (found.level == "law") == law, found.reason
 
 

@@ -1,4 +1,4 @@
-"""Six discoveries are killed or interrupted at random moments; scripts/torture does hundreds."""
+"""Four discoveries are killed or interrupted at random moments; scripts/torture does hundreds."""
 
 import importlib.util
 import sys
@@ -21,15 +21,15 @@ SEARCH = (
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc to look at processes")
-def test_six_discoveries_that_are_ended_end_in_the_same_result(tmp_path):
+def test_four_discoveries_that_are_ended_end_in_the_same_result(tmp_path):
     """Whatever ends the command or a worker: same result but for times, and nothing left over."""
     spec = importlib.util.spec_from_file_location("torture", SCRIPT)
     assert spec is not None and spec.loader is not None
     script = sys.modules["torture"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
-    counts = {"parent": 3, "worker": 1, "interrupt": 1, "terminate": 1}
+    counts = {"parent": 1, "worker": 1, "interrupt": 1, "terminate": 1}
     with script.warmed() as warm:
         tally = script.torture(counts, 18, script.Work(tmp_path, SEARCH, 1, warm))
     assert tally.trials == counts
     assert tally.faults == []
-    assert sum(tally.hits.values()) > 3
+    assert sum(tally.hits.values()) > 2

@@ -139,7 +139,7 @@ def test_a_discovery_in_units(swing, tmp_path):
     """Units from the names: coefficients have theirs in the shell, the report and the result."""
     assert bracketed_unit("w [rad/s]") == "rad/s"
     swing.to_csv(tmp_path / "swing.csv", index=False)
-    words = ["--units", "columns", "-j", "1"]
+    words = ["--units", "columns", "--preset", "quick", "-j", "1"]
     done = run("discover", tmp_path / "swing.csv", *words, "-o", tmp_path / "out")
     assert "rad/s^2" in done.stdout
     assert "rad/s^2" in (tmp_path / "out" / "report.html").read_text("utf-8")

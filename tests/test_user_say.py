@@ -75,7 +75,7 @@ SEARCHES = {
     "dynaifeynman": DynAIFeynman.preset(
         "best",
         stages=("simple functions", "rational", "polynomial", "brute force", "domain change"),
-        candidates=1000,
+        candidates=500,
         exact_values=None,
     ),
     "genetic": GeneticAlgorithm.preset("best", iterations=10, population=200),
@@ -312,7 +312,7 @@ def test_a_budget_that_is_not_hit_changes_nothing() -> None:
     """With an hour for a moment's work, equations, fronts and words are those without a budget."""
     t = np.linspace(0, 4, 60)
     decay = dynsr.Trajectory(t, np.exp(-0.7 * t)[:, None], ("x",))
-    asked = {"method": "rational", "preset": "quick", "jobs": 1}
+    asked = {"method": "rational", "functions": (), "preset": "quick", "jobs": 1}
     without = dynsr.discover(decay, **asked)
     within = dynsr.discover(decay, **asked, time_budget=3600)
     assert within.as_record()["equations"] == without.as_record()["equations"]

@@ -233,6 +233,7 @@ def test_programs_get_verdict_and_constants(tmp_path):
     path = tmp_path / "decay.csv"
     np.savetxt(path, np.column_stack([t, np.exp(-0.5 * t)]), "%.9g", ",", header="t,x", comments="")
     words = ["discover", path, "--method", "rational", "--preset", "quick", "-j", 1]
+    words += ["--functions", "none"]
     result = run(*words, "--out", tmp_path / "kept", "--json")
     said = json.loads(result.stdout)
     assert result.exit_code == 0

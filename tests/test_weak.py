@@ -125,6 +125,6 @@ def test_the_shell_takes_the_weak_scheme(tmp_path):
     t = np.linspace(0, 4, 40)
     path = tmp_path / "decay.csv"
     np.savetxt(path, np.column_stack([t, np.exp(-t)]), delimiter=",", header="t,x", comments="")
-    words = ("--scheme", "weak", "--method", "rational", "--preset", "quick", "--jobs", "1")
+    words = ("--scheme", "weak", "--method", "sindy", "--preset", "quick", "--jobs", "1")
     told = json.loads(run("discover", path, *words, "--json", "--quiet").stdout)
     assert told["settings"]["scheme"] == {"x": "weak"}

@@ -33,8 +33,8 @@ import json
 from dynsr.errors import MissingExtra
 from dynsr.methods.feynman.enumeration.brute_force import BruteForce
 
-found = dynsr.discover(data, targets="x", jobs=1, preset="quick")
-small = DynAIFeynman.preset("quick", candidates=500)
+found = dynsr.discover(data, targets="x", jobs=1, preset="quick", functions=())
+small = DynAIFeynman.preset("quick", candidates=100)
 without = dynsr.discover(data, targets="x", jobs=1, method=small)
 rng = np.random.default_rng(0)
 refused = {}

@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from typing import Any
 
 import sympy
@@ -203,10 +204,16 @@ def read_units(units: Mapping[str, str]) -> Units:
     Raises InputError when one cannot be read or has an offset, MissingExtra without pint.
     """
     need("pint", "units", "a check of units")
+    registry = _registry()
+    return Units(tuple((str(name), _read(registry, name, text)) for name, text in units.items()))
+
+
+@cache
+def _registry() -> Any:
     import pint
 
-    registry: Any = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
-    return Units(tuple((str(name), _read(registry, name, text)) for name, text in units.items()))
+    # It reads a long file of definitions.
+    return pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
 
 
 def _read(registry: Any, name: str, text: str) -> Unit:

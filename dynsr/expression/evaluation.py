@@ -20,11 +20,17 @@ Rows = Callable[[Iterable[Any], np.ndarray], None]
 def _lambdified(
     exprs: tuple[sympy.Expr, ...], names: tuple[str, ...], module: str
 ) -> Callable[..., Any]:
-    symbols = [sympy.Symbol(name) for name in names]
-    dummies = [sympy.Dummy() for _ in names]
+    symbols, dummies = map(sympy.Symbol, names), _dummies(len(names))
     known = {sympy.zoo: sympy.nan, **dict(zip(symbols, dummies, strict=True))}
     swapped = [e.xreplace(known) for e in exprs]
-    return sympy.lambdify(dummies, swapped, modules=module, cse=True)
+    # Nobody reads the function's docstring, which is a quarter of the work.
+    return sympy.lambdify(dummies, swapped, modules=module, cse=True, docstring_limit=0)
+
+
+@lru_cache
+def _dummies(count: int) -> list[sympy.Dummy]:
+    # The same every time, so that SymPy knows parts that it has seen; it sorts by their names.
+    return [sympy.Dummy(f"Dummy_{place:08}") for place in range(count)]
 
 
 def compile_numpy(
