@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from dynsr.data import Trajectory
 from dynsr.expression import parse
-from dynsr.fit import Collocation, Measurements, Mesh
+from dynsr.fit import Collocation, CollocationSettings, Measurements, Mesh
 
 
 def mesh_of(runs, deviation, states, start=None, inputs=None):
@@ -307,6 +307,26 @@ def test_a_fit_goes_on_from_one_near_it():
     own = Collocation({"x": parse("-0.5*x + 0.01")}, mesh)
     near = fit({"x": "-0.5*x"}, mesh)
     np.testing.assert_allclose(own.fit(near).constants, own.fit().constants, rtol=1e-3, atol=1e-4)
+
+
+def test_a_fit_that_did_not_close_misses_by_what_is_open():
+    """States that do not follow the system count as missed, although they stay on the data."""
+    rng = np.random.default_rng(13)
+    t = np.linspace(0, 4, 60)
+    x = (2 * np.exp(-0.7 * t) + 0.05 * rng.normal(size=60))[:, None]
+    mesh = mesh_of([(t, x)], 0.05, ("x",))
+    system = {"x": parse("-0.1*x")}
+    begun = Collocation(system, mesh, CollocationSettings(steps=0)).fit()
+    assert begun.mean_squares[0] > 2 * Collocation(system, mesh).fit().mean_squares[0]
+
+
+def test_constants_that_nothing_tells_have_no_error():
+    """Of a product of two constants each alone may be anything: their errors are infinite."""
+    rng = np.random.default_rng(14)
+    t = np.linspace(0, 4, 60)
+    x = (2 * np.exp(-0.7 * t) + 0.05 * rng.normal(size=60))[:, None]
+    found = fit({"x": "-0.5*x + 0.000000001*tanh(0.00000001*x)"}, mesh_of([(t, x)], 0.05, ("x",)))
+    assert np.count_nonzero(np.isinf(found.errors)) == 2
 
 
 def test_measurements_tell_what_is_measured():

@@ -201,6 +201,67 @@ def test_a_line_below_which_nothing_changes_goes():
     assert set(coefficients(pruned)) == {parse("S*J"), parse("J")}
 
 
+def test_an_exponent_near_a_half_becomes_one():
+    """Torricelli's root is found from a power that is free, and terms nobody needs go first."""
+    t = np.linspace(0, 9, 80)
+    level = (2 - 0.19 * t) ** 2
+    noisy = level + 0.01 * np.random.default_rng(4).normal(size=80)
+    comparison = SystemComparison(
+        Measurements.of([Trajectory(t, noisy[:, None], ("h",))], {}, 2000).mesh(("h",)), SETTINGS
+    )
+    fit = comparison.fit({"h": parse("-0.3*h^0.7 + 0.01")})
+    pruned = prune(comparison, fit, "h").exprs["h"]
+    (power,) = coefficients(pruned)
+    assert power == sympy.sqrt(sympy.Symbol("h"))
+    assert coefficients(pruned)[power] == pytest.approx(-0.38, rel=0.02)
+
+
+def test_a_pole_among_the_data_is_no_law():
+    """What is divided by 0 where the states are is no system, whatever it does at the rows."""
+    as_given = replace(SETTINGS, fit=replace(SETTINGS.fit, steps=0))
+    mesh = measured("damped pendulum").mesh(("q", "v"))
+    apart = {"q": parse("v"), "v": parse("-0.2*v*q^2/(q^2 + 0.0001) - 4.0*sin(q)")}
+    through = {"q": parse("v"), "v": parse("-0.2*v*q^2/(q^2 - 0.0001) - 4.0*sin(q)")}
+    assert SystemComparison(mesh, as_given).fit(apart) is not None
+    assert SystemComparison(mesh, as_given).fit(through) is None
+
+
+def test_a_saturation_that_nobody_sees_costs_more():
+    """S J / (S + 50) where S never passes 1 is S J in disguise, and costs bits beside its constant.
+
+    Half saturation at 0.8 is seen.
+    """
+    rows = measured("SIR").mesh(("S", "J"))
+    as_given = replace(SETTINGS, fit=replace(SETTINGS.fit, steps=0))
+    blind = replace(as_given, unseen=0.0)
+    law = {"S": parse("-0.4*S*J"), "J": parse("20.0*S*J/(S + 50.0) - 0.1*J")}
+    seen = {**law, "J": parse("0.7*S*J/(S + 0.8) - 0.1*J")}
+    for system, more in ((law, 4.0), (seen, 0.0)):
+        fit = SystemComparison(rows, as_given).fit(system)
+        without = SystemComparison(rows, blind).bits(fit.fit)
+        assert fit.bits - without == pytest.approx(more)
+
+
+def test_what_leaves_one_state_enters_another():
+    """Monod's term is found in the equation of the food because that of the cells has it."""
+    t = np.linspace(0, 12, 90)
+    slope = lambda _, z: [  # noqa: E731
+        0.4 * (3.5 - z[0]) - 1.7 * z[0] * z[1] / (0.6 + z[0]),
+        0.9 * z[0] * z[1] / (0.6 + z[0]) - 0.4 * z[1],
+    ]
+    x = solve_ivp(slope, (0, 12), (3.0, 0.1), t_eval=t, rtol=1e-9, atol=1e-9).y.T
+    x = x * (1 + 0.01 * np.random.default_rng(6).normal(size=x.shape))
+    data = Measurements.of([Trajectory(t, x, ("food", "cells"))], {}, 2000)
+    explored = {s: explore(s, data, SETTINGS) for s in ("food", "cells")}
+    best = compare_systems({s: e[0] for s, e in explored.items()}, explored, data, SETTINGS).exprs
+    food, cells = sympy.symbols("food cells")
+    for expr in best.values():
+        assert any(
+            term.free_symbols == {food, cells} and sympy.fraction(term)[1].free_symbols == {food}
+            for term in sympy.Add.make_args(expr)
+        )
+
+
 def test_bits_are_those_of_the_information_criterion():
     """A term that nothing needs costs its bits: the longer system takes more, and misses no more.
 
