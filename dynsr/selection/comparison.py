@@ -216,7 +216,8 @@ class SystemComparison:
             fit = SystemFit(problem, found, self.bits(found))
             if before is None or fit.bits < before.bits:
                 self._cache[key] = before = fit
-        if before is None or before.bits >= near.bits:
+        # What misses by far does not come close from another start either.
+        if before is None or near.bits <= before.bits < near.bits + self.settings.behind:
             self._cache.pop(key, None)
             again = self.fit(exprs, near)
             if before is not None and (again is None or before.bits <= again.bits):

@@ -44,11 +44,11 @@ from dynsr.selection.stand_ins import try_stand_ins
 from dynsr.selection.subsets import Subset, best_subsets
 from dynsr.selection.terms import (
     Joint,
-    by_inside,
     citing_bits,
     move_inside,
     saturating,
     shape_bits,
+    slopes_inside,
     term_bodies,
     unusual_bits,
 )
@@ -405,8 +405,9 @@ class _Alone:
         curved = [e for e in exprs if len(e.atoms(sympy.Float)) == 1]
         slopes = np.full(len(exprs), -1)
         slopes[[exprs.index(e) for e in curved]] = len(exprs) + np.arange(len(curved))
-        columns = [*exprs, *map(by_inside, curved)]
-        normal = self._normal(compile_columns(columns, self.comparison.names)(*self._points))
+        names, points = self.comparison.names, self._points
+        moved = slopes_inside(curved, names, points)
+        normal = self._normal(np.concatenate([compile_columns(exprs, names)(*points), moved]))
         if normal is None:
             return []
         rows, angles = self._rows, self.comparison.angles

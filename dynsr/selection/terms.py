@@ -21,6 +21,8 @@ from dynsr.expression import Program, bits_in_force, compile_columns, plausibili
 from dynsr.fit import skeleton, structure_bits
 
 _NO_POLYNOMIAL = 99
+# Step of the logarithm of a constant, for its slope by central differences.
+_NUDGE = 1e-4
 # Share of its way that a phase makes in one direction.
 _ONE_WAY = 0.9
 # Bits of saying that a variable is an angle.
@@ -407,23 +409,24 @@ class Terms:
     def shifts(self, points: np.ndarray) -> np.ndarray:
         """Slopes of the terms by the logarithm of the one constant inside them, (rows, n)."""
         curved = [e for e, inside in zip(self.exprs, self.inside, strict=True) if inside == 1]
-        if not curved:
-            return np.zeros((0, points.shape[1]))
-        program = compile_columns([by_inside(term) for term in curved], self.names)
-        return np.asarray(program(*points))
+        return slopes_inside(curved, self.names, points)
 
 
-@lru_cache(maxsize=4096)
-def by_inside(term: sympy.Expr) -> sympy.Expr:
-    """Give the slope of a term by the logarithm of the one constant inside it.
+def slopes_inside(
+    exprs: Sequence[sympy.Expr], names: Sequence[str], points: np.ndarray
+) -> np.ndarray:
+    """Slopes (p, n) of terms by the logarithm of the one constant inside each.
 
     Parameters
     ----------
-    term : the term.
+    exprs : the p terms.
+    names, points : the variables and their values (len(names), n).
     """
-    (inside,) = term.atoms(sympy.Float)
-    constant = sympy.Dummy()
-    return inside * term.xreplace({inside: constant}).diff(constant).xreplace({constant: inside})
+    if not exprs:
+        return np.zeros((0, points.shape[1]))
+    up, down = ([move_inside(e, way) for e in exprs] for way in (_NUDGE, -_NUDGE))
+    both = compile_columns([*up, *down], names)(*points)
+    return np.asarray((both[: len(exprs)] - both[len(exprs) :]) / (2 * _NUDGE))
 
 
 def move_inside(term: sympy.Expr, shift: float) -> sympy.Expr:
