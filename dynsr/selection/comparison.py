@@ -99,7 +99,7 @@ class ComparisonSettings:
     noisy: float = 5e-4
     loose: float = 1e-2
     alone: int = 40
-    sums: int = 10
+    sums: int = 15
     halved: int = 5
     softness: float = 100.0
     pruned: int = 12

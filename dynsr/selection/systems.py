@@ -227,21 +227,22 @@ def _search(
     """Rank each state's formulas alone, put the best together and climb."""
     # What is one bare column, such as q' = v, is known well enough.
     alone = {s: _Alone.of(s, data, settings) for s, pool in pools.items() if not pool[0].is_Symbol}
-    leaders = {s: alone[s].lead(pool) if s in alone else [] for s, pool in pools.items()}
+    given = {s: [_Leader(pool[0], 0.0)] for s, pool in pools.items()}
+    first = given | {s: own.lead(pools[s]) or given[s] for s, own in alone.items()}
     # What leaves one state enters another: terms of the one are cheap in the other.
-    leaders |= {
-        s: own.lead_citing(leaders[s], [e for o in leaders if o != s for e in leaders[o][:_CITED]])
+    leaders = first | {
+        s: own.lead_citing(first[s], [e for o in first if o != s for e in first[o][:_CITED]])
         for s, own in alone.items()
     }
-    leaders = {s: own or [_Leader(pools[s][0], 0.0)] for s, own in leaders.items()}
     together = comparison or SystemComparison(data.mesh(tuple(pools)), settings)
-    best = _compose(together, leaders)
-    if best is None:
-        return None, together
-    # Alone, terms make up for the errors of the curves that the others are read off.
-    for state in pools:
-        best = prune(together, best, state)
-    return _climb(together, best, leaders), together
+    fits = [fit for own in (first, leaders) if (fit := _compose(together, own)) is not None]
+    ends = []
+    for pruned in {id(fit): fit for fit in fits}.values():
+        # Alone, terms make up for the errors of the curves that the others are read off.
+        for state in pools:
+            pruned = prune(together, pruned, state)
+        ends.append(_climb(together, pruned, leaders))
+    return min(ends, key=lambda f: f.bits, default=None), together
 
 
 def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
