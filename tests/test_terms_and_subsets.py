@@ -16,18 +16,10 @@ from dynsr.fit import Measurements, structure_bits
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings
 from dynsr.selection.comparison import SystemComparison
+from dynsr.selection.costs import cited_bits, in_coordinates, shape_bits, unusual_bits
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.systems import explore
-from dynsr.selection.terms import (
-    Terms,
-    TermSettings,
-    cited_bits,
-    find_turning,
-    in_coordinates,
-    shape_bits,
-    slopes_inside,
-    unusual_bits,
-)
+from dynsr.selection.terms import Terms, TermSettings, find_turning, slopes_inside
 
 X, Y = sympy.symbols("x y")
 RNG = np.random.default_rng(0)

@@ -204,7 +204,8 @@ class CollocationFit:
     def _open(self) -> np.ndarray:
         """(P,) whether a constant has a share in a direction that the data say nothing of."""
         scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        scaled = self.information / np.outer(scale, scale)
+        with np.errstate(all="ignore"):
+            scaled = self.information / np.outer(scale, scale)
         if not np.all(np.isfinite(scaled)):
             return np.ones(len(scale), dtype=bool)
         values, directions = np.linalg.eigh(scaled)

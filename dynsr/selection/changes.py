@@ -24,7 +24,8 @@ from dynsr.fit import (
     without_flat_line,
 )
 from dynsr.selection.comparison import SystemComparison, SystemFit
-from dynsr.selection.terms import Terms, citing_bits, shape_bits, term_bodies, unusual_bits
+from dynsr.selection.costs import citing_bits, shape_bits, term_bodies, unusual_bits
+from dynsr.selection.terms import Terms
 
 # A new constant starts here, relative to the size of what it multiplies, and is fitted.
 _SMALL = sympy.Float(1e-6)
@@ -276,62 +277,47 @@ def _always(expr: sympy.Expr) -> Callable[[sympy.Expr], sympy.Expr]:
     return lambda _: expr
 
 
-def _add_saturations(
-    moves: _Moves,
-    row: int,
-    state: str,
-    expr: sympy.Expr,
-    names: Sequence[str],
-    points: np.ndarray,
-) -> None:
-    """Divide one term of a sum by 1 + c v or 1 + c v^2."""
+def _in_parts(
+    expr: sympy.Expr, names: Sequence[str], points: np.ndarray
+) -> Iterator[tuple[sympy.Expr, sympy.Expr, np.ndarray, sympy.Symbol, np.ndarray]]:
+    """Give every term, the others, its values; and beside each every column with its values."""
     terms = sympy.Add.make_args(expr)
     values = compile_columns(list(terms), names)(*points)
-    for term, own in zip(terms, values, strict=True):
-        if not term.free_symbols:
-            continue
+    for i, (term, own) in enumerate(zip(terms, values, strict=True)):
+        rest = sympy.Add(*terms[:i], *terms[i + 1 :])
         for name, column in zip(names[:-1], points[:-1], strict=True):
-            for power in (1, 2):
-                if power == 1 and column.min() <= 0:
-                    continue
-                size = float(np.median(np.abs(column))) ** power or 1.0
-                start = sympy.Float(float(f"{0.1 / size:.3g}"))
-                below = 1 + start * sympy.Symbol(name) ** power
-                other = sympy.Add(*[t for t in terms if t is not term], term / below)
-                place = moves.probe(row, -own * column**power)
-                cost = shape_bits(other) - shape_bits(expr)
-                moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
+            yield term, rest, own, sympy.Symbol(name), column
+
+
+def _add_saturations(
+    moves: _Moves, row: int, state: str, expr: sympy.Expr, names: Sequence[str], points: np.ndarray
+) -> None:
+    """Divide one term of a sum by 1 + c v or 1 + c v^2."""
+    for term, rest, own, symbol, column in _in_parts(expr, names, points):
+        for power in (1, 2) if term.free_symbols else ():
+            if power == 1 and column.min() <= 0:
+                continue
+            size = float(np.median(np.abs(column))) ** power or 1.0
+            start = sympy.Float(float(f"{0.1 / size:.3g}"))
+            other = rest + term / (1 + start * symbol**power)
+            place = moves.probe(row, -own * column**power)
+            moves.moves.append(_Move(state, _always(other), _costs(other, expr), free=(place,)))
 
 
 def _add_powers(
-    moves: _Moves,
-    row: int,
-    state: str,
-    expr: sympy.Expr,
-    names: Sequence[str],
-    points: np.ndarray,
+    moves: _Moves, row: int, state: str, expr: sympy.Expr, names: Sequence[str], points: np.ndarray
 ) -> None:
     """Set the exponent of a positive column in one term of a sum free."""
-    terms = sympy.Add.make_args(expr)
-    values = compile_columns(list(terms), names)(*points)
-    for term, own in zip(terms, values, strict=True):
-        free = {power.base for power in term.atoms(sympy.Pow) if power.exp.is_Float}
-        for name, column in zip(names[:-1], points[:-1], strict=True):
-            symbol = sympy.Symbol(name)
-            if column.min() <= 0 or symbol in free:
-                continue
-            other = sympy.Add(*[t for t in terms if t is not term], term * symbol**_SMALL)
+    for term, rest, own, symbol, column in _in_parts(expr, names, points):
+        free = any(p.base == symbol and p.exp.is_Float for p in term.atoms(sympy.Pow))
+        if column.min() > 0 and not free:
+            other = rest + term * symbol**_SMALL
             place = moves.probe(row, own * np.log(column))
             moves.moves.append(_Move(state, _always(other), _costs(other, expr), free=(place,)))
 
 
 def _add_below(
-    moves: _Moves,
-    row: int,
-    state: str,
-    expr: sympy.Expr,
-    names: Sequence[str],
-    points: np.ndarray,
+    moves: _Moves, row: int, state: str, expr: sympy.Expr, names: Sequence[str], points: np.ndarray
 ) -> None:
     """Put one more positive column below a fraction line: x / (k + x) to x / (k + x + c y)."""
     terms = sympy.Add.make_args(expr)

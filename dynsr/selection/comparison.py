@@ -27,17 +27,15 @@ from dynsr.fit import (
     skeleton,
 )
 from dynsr.methods import Demands, MonomialLibrary
-from dynsr.selection.mass_matrix import find_couplings
-from dynsr.selection.terms import (
-    Terms,
-    TermSettings,
+from dynsr.selection.costs import (
     as_written,
     cited_bits,
-    find_turning,
     in_coordinates,
     saturating,
     unusual_bits,
 )
+from dynsr.selection.mass_matrix import find_couplings
+from dynsr.selection.terms import Terms, TermSettings, find_turning
 
 Equations = dict[str, sympy.Expr]
 # Points at which the line below a fraction is looked at, so that even a narrow pole shows.

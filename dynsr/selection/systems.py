@@ -12,24 +12,20 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 import sympy
-from scipy.linalg import LinAlgError
 
-from dynsr.expression import compile_columns, evaluate
+from dynsr.expression import evaluate
 from dynsr.fit import (
-    Collocation,
-    Linearised,
     Measurements,
     constant_bits,
     r_squared,
     skeleton,
-    structure_bits,
     with_floats,
 )
+from dynsr.selection.alone import Alone, Leader
 from dynsr.selection.changes import promising_changes, prune
 from dynsr.selection.comparison import (
     COMPARISON,
@@ -41,24 +37,13 @@ from dynsr.selection.comparison import (
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.first_look import look
 from dynsr.selection.stand_ins import try_stand_ins
-from dynsr.selection.subsets import Subset, best_subsets
-from dynsr.selection.terms import (
-    Joint,
-    citing_bits,
-    move_inside,
-    saturating,
-    shape_bits,
-    slopes_inside,
-    term_bodies,
-    unusual_bits,
-)
 
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0
 # More terms may make up for a function that is none of theirs.
 _PLAIN = 4
-# Of the leaders of other equations, terms and plain terms that are offered to one together.
-_CITED, _OFFERED, _PLAINEST = 3, 12, 40
+# Leaders of each other equation whose terms are offered to one.
+_CITED = 3
 # Correlation of a column's slopes with another column from which on that is its speed.
 _SPEED = 0.99
 
@@ -226,8 +211,8 @@ def _search(
 ) -> tuple[SystemFit | None, SystemComparison]:
     """Rank each state's formulas alone, put the best together and climb."""
     # What is one bare column, such as q' = v, is known well enough.
-    alone = {s: _Alone.of(s, data, settings) for s, pool in pools.items() if not pool[0].is_Symbol}
-    given = {s: [_Leader(pool[0], 0.0)] for s, pool in pools.items()}
+    alone = {s: Alone.of(s, data, settings) for s, pool in pools.items() if not pool[0].is_Symbol}
+    given = {s: [Leader(pool[0], 0.0)] for s, pool in pools.items()}
     first = given | {s: own.lead(pools[s]) or given[s] for s, own in alone.items()}
     # What leaves one state enters another: terms of the one are cheap in the other.
     leaders = first | {
@@ -270,7 +255,7 @@ def explore(
     settings : the numbers that decide.
     ratios : whether ratios that follow the smoothed slopes are tried too.
     """
-    alone = _Alone.of(state, data, settings)
+    alone = Alone.of(state, data, settings)
     found = alone.rank(alone.sums_of_terms())
     best = alone.best()
     if not ratios or (best and _is_plain(best.exprs[state]) and leaves_noise(best, settings)):
@@ -316,7 +301,7 @@ def other_in_halves(
     # The likeliest few show whether there is another.
     few = replace(settings, sums=settings.halved)
     for which in (0, 1):
-        alone = _Alone.of(state, data.half(which), few)
+        alone = Alone.of(state, data.half(which), few)
         mine = alone.comparison.fit({**alone.beside, state: own})
         alone.rank(alone.sums_of_terms())
         best = alone.best()
@@ -330,234 +315,8 @@ def other_in_halves(
     return None
 
 
-@dataclass(frozen=True)
-class _Leader:
-    """A formula of one state, and the bits that it takes alone more than the best."""
-
-    expr: sympy.Expr
-    behind: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Alone:
-    """One state fitted by itself, the others read off their smoothed curves."""
-
-    state: str
-    beside: Equations
-    comparison: SystemComparison
-
-    @classmethod
-    def of(cls, state: str, data: Measurements, settings: ComparisonSettings) -> _Alone:
-        beside = data.beside(state)
-        return cls(state, beside, SystemComparison(data.mesh((*beside, state)), settings))
-
-    def rank(self, pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
-        """Give the formulas that can be fitted, fewest bits first."""
-        force = self.comparison.settings.demands.force
-        for expr in pool:
-            self.comparison.fit({**self.beside, self.state: force(self.state, expr)})
-        for fit in self._ranked()[: self.comparison.settings.pruned]:
-            prune(self.comparison, fit, self.state)
-        return [f.exprs[self.state] for f in self._ranked()]
-
-    def lead(self, pool: Iterable[sympy.Expr]) -> list[_Leader]:
-        """Give those of the formulas that come close to the best."""
-        self.rank(pool)
-        return self._leaders({})
-
-    def lead_citing(self, own: list[_Leader], others: Sequence[_Leader]) -> list[_Leader]:
-        """Give the formulas that come close, those too that hold terms of other equations.
-
-        Parameters
-        ----------
-        own, others : what leads here, and in the equations of the other states.
-        """
-        bodies: dict[sympy.Expr, sympy.Expr] = {}
-        for one in others:
-            for term in sympy.Add.make_args(one.expr):
-                for body in _ways_to_write(term.as_coeff_Mul()[1]):
-                    if not body.is_Symbol and body.free_symbols and citing_bits(body) > 0:
-                        bodies.setdefault(skeleton(body), body)
-        new = list(bodies.values())
-        if not own or not new:
-            return own
-        self.rank(self._sums_citing(new[:_OFFERED]))
-        return self._leaders({shape: citing_bits(body) for shape, body in bodies.items()})
-
-    def _leaders(self, saved: Mapping[sympy.Expr, float]) -> list[_Leader]:
-        """Give the best, bits that terms save elsewhere taken off."""
-        settings = self.comparison.settings
-        found = []
-        for fit in self.comparison.fits():
-            expr = fit.exprs[self.state]
-            less = sum(saved.get(body, 0.0) for body in term_bodies(expr)) if saved else 0.0
-            found.append((fit.bits - less, expr))
-        found.sort(key=lambda pair: pair[0])
-        close = [_Leader(e, bits - found[0][0]) for bits, e in found[: settings.together]]
-        return [one for one in close if one.behind <= settings.behind]
-
-    def _sums_citing(self, bodies: Sequence[sympy.Expr]) -> list[sympy.Expr]:
-        """Give the sums of cheap terms and of those of other equations that are expected best."""
-        settings, terms = self.comparison.settings, self.comparison.terms
-        allow = settings.demands.limits(self.state).allow
-        plain = [e for e, free in zip(terms.exprs, terms.inside, strict=True) if not free]
-        plain = [e for e in plain[:_PLAINEST] if allow(e)]
-        exprs = [*(b for b in bodies if allow(b)), *(e for e in plain if e not in bodies)]
-        curved = [e for e in exprs if len(e.atoms(sympy.Float)) == 1]
-        slopes = np.full(len(exprs), -1)
-        slopes[[exprs.index(e) for e in curved]] = len(exprs) + np.arange(len(curved))
-        names, points = self.comparison.names, self._points
-        moved = slopes_inside(curved, names, points)
-        normal = self._normal(np.concatenate([compile_columns(exprs, names)(*points), moved]))
-        if normal is None:
-            return []
-        rows, angles = self._rows, self.comparison.angles
-        costs = np.array(
-            [
-                shape_bits(sympy.Float(0.5) * e)
-                + unusual_bits(e, angles)
-                - (citing_bits(e) if e in bodies else 0.0)
-                + constant_bits(rows) * (1 + len(e.atoms(sympy.Float)))
-                for e in exprs
-            ]
-        )
-        subsets = best_subsets(
-            normal.information, -normal.pull, normal.squares, costs, rows, slopes=slopes
-        )
-        told = [s for s in subsets if any(exprs[i] in bodies for i in s.places)]
-        return [_sum_of(exprs, s) for s in told[: settings.sums]]
-
-    def sums_around(self, angle: str) -> list[sympy.Expr]:
-        """Give sums of what hangs from a joint that a linear fit expects most of.
-
-        Below the line stands 1 + c sin^2 or 1 + c cos of the angle, with c near one of a few.
-
-        Parameters
-        ----------
-        angle : of the joint.
-        """
-        joint = Joint.of(angle, self.comparison.names)
-        allow = self.comparison.settings.demands.limits(self.state).allow
-        exprs = [e for e in joint.above if allow(e)]
-        bits = np.array([structure_bits(0.5 * e) for e in exprs])
-        values = compile_columns(exprs, self.comparison.names)(*self._points)
-        rows, found = self._rows, []
-        for below in joint.below:
-            line = 1 + below
-            normal = None
-            if allow(1 / line):
-                normal = self._normal(values / evaluate(line, self._named))
-            if normal is not None:
-                subsets = best_subsets(
-                    normal.information,
-                    -normal.pull,
-                    normal.squares,
-                    bits + constant_bits(rows),
-                    rows,
-                )
-                found += [(s.bits, _add(exprs, s.places, s.coefficients) / line) for s in subsets]
-        found.sort(key=lambda pair: (pair[0], str(pair[1])))
-        return [expr for _, expr in found[: self.comparison.settings.sums]]
-
-    @cached_property
-    def _points(self) -> np.ndarray:
-        """Values of all columns but the time at the rows and between them."""
-        return self._still.points(self.comparison.mesh.start, np.zeros(0))[:-1]
-
-    @property
-    def _named(self) -> dict[str, np.ndarray]:
-        return dict(zip(self.comparison.names, self._points, strict=True))
-
-    @cached_property
-    def _still(self) -> Collocation:
-        exprs = {**self.beside, self.state: sympy.S.Zero}
-        return Collocation(exprs, self.comparison.mesh, self.comparison.settings.fit)
-
-    @property
-    def _rows(self) -> float:
-        return float(np.max(self.comparison.mesh.rows))
-
-    def _normal(self, values: np.ndarray) -> Linearised | None:
-        """Give the normal equations of terms with these values; None where they do not tell."""
-        mesh = self.comparison.mesh
-        slopes = np.zeros((len(mesh.states), len(values), values.shape[1]))
-        slopes[-1] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
-        softness = self.comparison.settings.softness
-        try:
-            return self._still.normal(mesh.start, np.zeros(0), slopes, softness)
-        except LinAlgError:
-            return None
-
-    def best(self) -> SystemFit | None:
-        """Give the fit of fewest bits."""
-        return next(iter(self._ranked()), None)
-
-    def _ranked(self) -> list[SystemFit]:
-        return sorted(self.comparison.fits(), key=lambda f: f.bits)
-
-    def sums_of_terms(self) -> list[sympy.Expr]:
-        """Give the sums that a linear fit expects most of, the best first."""
-        settings, terms = self.comparison.settings, self.comparison.terms
-        points, slopes = self._points, terms.slopes
-        normal = self._normal(np.concatenate([terms.values(points), terms.shifts(points)]))
-        if normal is None:
-            return [sympy.S.Zero]
-        rows = self._rows
-        costs = terms.bits + constant_bits(rows) * (1 + terms.inside)
-        limits = settings.demands.limits(self.state)
-        costs[[not limits.allow(term) for term in terms.exprs]] = np.inf
-        found: dict[tuple[int, ...], Subset] = {}
-        first: dict[tuple[int, ...], None] = {}
-        # A beam through few terms reaches sums that one through all of them passes by.
-        for tier in (*terms.tiers, terms.divisible_by(self.state)):
-            curved = slopes[tier] >= 0
-            columns = np.concatenate([tier, slopes[tier][curved]])
-            own = np.where(curved, len(tier) + np.cumsum(curved) - 1, -1)
-            gram, pull = normal.information[np.ix_(columns, columns)], -normal.pull[columns]
-            subsets = best_subsets(gram, pull, normal.squares, costs[tier], rows, slopes=own)
-            for rank, subset in enumerate(subsets):
-                places = tuple(int(tier[i]) for i in subset.places)
-                found.setdefault(places, replace(subset, places=places))
-                if rank < settings.sums:
-                    first.setdefault(places)
-        # Beside the best of every tier those that are best of all.
-        ranked = sorted(found, key=lambda places: (found[places].bits, places))
-        first |= dict.fromkeys(ranked[: 2 * settings.sums])
-        sums = [_sum_of(terms.exprs, found[places]) for places in first]
-        others = [sympy.Symbol(n) for n in self.comparison.names if n != self.state]
-        return [sympy.S.Zero, *others, *sums]
-
-
-def _ways_to_write(body: sympy.Expr) -> list[sympy.Expr]:
-    """Give a term, and what it is beside a plain one: y/(x + k) and x y/(x + k).
-
-    >>> x, y = sympy.symbols("x y")
-    >>> _ways_to_write(y / (x + 1.5))
-    [y/(x + 1.5), x*y/(x + 1.5)]
-    """
-    power = next(filter(None, (saturating(1 / f) for f in sympy.Mul.make_args(body))), None)
-    if power is None:
-        return [body]
-    above = sympy.fraction(body)[0]
-    held = (above / power).as_numer_denom()[1].free_symbols != power.free_symbols
-    return [body, body / power if held else body * power]
-
-
-def _sum_of(terms: Sequence[sympy.Expr], subset: Subset) -> sympy.Expr:
-    """Give a sum of terms, the constants inside them moved as the linear fit expects."""
-    exprs = [
-        move_inside(terms[place], shift) if shift else terms[place]
-        for place, shift in zip(subset.places, subset.shifts.tolist(), strict=True)
-    ]
-    return _add(exprs, range(len(exprs)), subset.coefficients)
-
-
-def _add(exprs: Sequence[sympy.Expr], places: Sequence[int], values: np.ndarray) -> sympy.Expr:
-    return sympy.Add(*[sympy.Float(c) * exprs[i] for c, i in zip(values, places, strict=True)])
-
-
 def _compose(
-    comparison: SystemComparison, leaders: Mapping[str, Sequence[_Leader]]
+    comparison: SystemComparison, leaders: Mapping[str, Sequence[Leader]]
 ) -> SystemFit | None:
     """Fit the system of each state's best formulas, or of the next where that cannot be fitted."""
     for place in range(max(map(len, leaders.values()))):
@@ -569,7 +328,7 @@ def _compose(
 
 
 def _climb(
-    comparison: SystemComparison, fit: SystemFit, leaders: Mapping[str, Sequence[_Leader]]
+    comparison: SystemComparison, fit: SystemFit, leaders: Mapping[str, Sequence[Leader]]
 ) -> SystemFit:
     """Take the best change until none takes fewer bits."""
     for number in range(comparison.settings.rounds):

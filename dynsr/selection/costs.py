@@ -1,0 +1,257 @@
+"""Costs: the bits of formulas as those who know such laws would write them.
+
+To the length of a formula come bits of what is unusual in it; what saturates is one function, what
+terms or equations share is written once, and what hangs from an angle is written in its sine and
+cosine.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
+
+import sympy
+
+from dynsr.expression import plausibility_bits
+from dynsr.fit import skeleton, structure_bits
+
+# Bits of saying that a variable is an angle.
+_ANGLE = 8.0
+# Bits of a power that is half of a whole one: of a root, and of any other.
+_ROOT_BITS, _HALF_BITS = 2.0, 4.0
+# Bits of an exponent to be fitted; at no half the prior of formulas counts them.
+_FREE_BITS = 3.0
+# Bits of a saturation in the ratio of two columns.
+_SHARED_BITS = 3.0
+# Bits that a function costs beside its length: laws are mostly made of powers and their ratios.
+FUNCTION_BITS = {
+    sympy.log: 3.0,
+    sympy.exp: 3.0,
+    sympy.sin: 3.0,
+    sympy.cos: 3.0,
+    sympy.tanh: 5.0,
+    sympy.Abs: 5.0,
+}
+
+
+def unusual_bits(expr: sympy.Expr, angles: Collection[str]) -> float:
+    """Give the bits that the functions of a formula cost beside its length.
+
+    Parameters
+    ----------
+    expr : the formula.
+    angles : columns that may be angles.
+
+    >>> x = sympy.Symbol("x")
+    >>> unusual_bits(x / (1 + x), ()), unusual_bits(sympy.log(x), ())
+    (0.0, 3.0)
+    """
+    functions = sum(FUNCTION_BITS.get(f.func, 3.0) for f in expr.atoms(sympy.Function))
+    powers = expr.atoms(sympy.Pow)
+    halves = [p.exp for p in powers if p.exp.is_Rational and p.exp.q == 2]
+    functions += sum(_ROOT_BITS if p == sympy.S.Half else _HALF_BITS for p in halves)
+    functions += _SHARED_BITS * sum(is_shared(p.base) for p in powers)
+    # What is still to be fitted is no half, wherever it begins.
+    functions += _FREE_BITS * sum(p.exp.is_Float and float(2 * p.exp).is_integer() for p in powers)
+    return functions + plausibility_bits(expr, angles)
+
+
+class saturation(sympy.Function):  # noqa: N801
+    """What v^n / (v^n + k) and 1 / (v^n + k) are to who writes them often: one function."""
+
+
+def shape_bits(expr: sympy.Expr) -> float:
+    """Give the bits of the length of a formula as those who know such laws would write it.
+
+    v / (k + v) is to rates what sin(v) is to angles: one function of a variable and a constant,
+    and not a ratio of sums that somebody had to find. What all terms have in common is written
+    once, as in x (a - b x - c y).
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x = sympy.Symbol("x")
+    >>> shape_bits(0.5 * x / (x + 1.5)) < structure_bits(0.5 * x / (x + 1.5)) - 5
+    True
+    >>> shape_bits(0.5 * x) == structure_bits(0.5 * x)
+    True
+    """
+    return structure_bits(as_written(expr))
+
+
+def as_written(expr: sympy.Expr) -> sympy.Expr:
+    """Write a formula in saturations, with a common factor before a bracket where that is shorter.
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> as_written(1.5 * x - 0.5 * x**2 - 2.5 * x * y / (y + 1.5))
+    x*(-0.5*x - 2.5*saturation(y, 1.5) + 1.5)
+    """
+    named = in_saturations(expr)
+    terms = sympy.Add.make_args(named)
+    shared: set[sympy.Expr] = set.intersection(*(divisors(term) for term in terms))
+    if len(terms) == 1 or not shared:
+        return named
+    outside = sympy.Mul(*shared)
+    bracket = sympy.Mul(outside, sympy.Add(*[term / outside for term in terms]), evaluate=False)
+    return min(named, bracket, key=structure_bits)
+
+
+def divisors(term: sympy.Expr) -> set[sympy.Expr]:
+    """Give the symbols and functions that a term may be divided by.
+
+    Parameters
+    ----------
+    term : the term.
+    """
+    parts = (factor.as_base_exp() for factor in sympy.Mul.make_args(term))
+    return {
+        base for base, power in parts if power.is_positive and power >= 1 and not base.is_Number
+    }
+
+
+def in_saturations(expr: sympy.Expr) -> sympy.Expr:
+    """Write a formula with :class:`saturation` for what saturates, and for what inhibits.
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> in_saturations(2.5 * x**2 * y / (x**2 + 1.5))
+    2.5*y*saturation(x**2, 1.5)
+    """
+    if not any(p.exp is sympy.S.NegativeOne and p.base.is_Add for p in expr.atoms(sympy.Pow)):
+        return expr
+    return sympy.Add(*[_name_saturations(term) for term in sympy.Add.make_args(expr)])
+
+
+def _name_saturations(term: sympy.Expr) -> sympy.Expr:
+    for factor in sympy.Mul.make_args(term):
+        below = 1 / factor
+        # x y / (x + k y) is a saturation too, in the ratio of two columns.
+        if is_shared(below):
+            pair = sorted(below.free_symbols, key=lambda symbol: str(symbol.name))
+            rest = term / factor / sympy.Mul(*pair)
+            if not rest.as_numer_denom()[1].free_symbols & set(pair):
+                k = next((a for a in factor.atoms(sympy.Float)), sympy.S.One)
+                term = rest * saturation(pair[0], k * pair[1])
+            continue
+        power = saturating(below)
+        if power is None:
+            continue
+        rest = term / factor
+        constant = next(a for a in below.args if a.is_Number)
+        above = rest / power
+        # Only a power that stands above the line is cancelled by it.
+        cancelled = above.as_numer_denom()[1].free_symbols != power.free_symbols
+        cancelled = cancelled and power.free_symbols <= rest.free_symbols
+        term = (above if cancelled else rest) * saturation(power, constant)
+    return term
+
+
+def is_shared(below: sympy.Expr) -> bool:
+    """Whether a line is a sum of two columns, as in x y / (x + k y).
+
+    Parameters
+    ----------
+    below : what stands below a fraction line.
+    """
+    bodies = [a.as_coeff_Mul()[1] for a in below.args] if below.is_Add else []
+    return len(bodies) == 2 and all(body.is_Symbol for body in bodies)
+
+
+def saturating(below: sympy.Expr) -> sympy.Expr | None:
+    """Give v^n of a line k + c v^n; None for another.
+
+    Parameters
+    ----------
+    below : what stands below a fraction line.
+    """
+    if not (below.is_Add and len(below.args) == 2 and any(a.is_Number for a in below.args)):
+        return None
+    power = next(a for a in below.args if not a.is_Number).as_coeff_Mul()[1]
+    base, exponent = power.as_base_exp()
+    return power if base.is_Symbol and exponent.is_Number and exponent > 0 else None
+
+
+def cited_bits(exprs: Iterable[sympy.Expr]) -> float:
+    """Give the bits that equations save by the terms that they have in common.
+
+    What leaves one species enters another: x' = a x - b x y and y' = c x y - d y. A term that was
+    written out in one equation costs another no more than a variable of its own does.
+
+    Parameters
+    ----------
+    exprs : the equations.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> cited_bits([2.0 * x - 1.5 * x * y, 0.5 * x * y - y]) > cited_bits([2.0 * x, -y])
+    True
+    """
+    times = Counter(body for expr in exprs for body in term_bodies(expr))
+    return sum((n - 1) * citing_bits(body) for body, n in times.items() if n > 1)
+
+
+def citing_bits(body: sympy.Expr) -> float:
+    """Give the bits that a term saves where another equation has it.
+
+    Parameters
+    ----------
+    body : the term without its coefficient.
+    """
+    factor = sympy.Float(0.5)
+    return shape_bits(factor * body) - shape_bits(factor * sympy.Symbol("term"))
+
+
+def term_bodies(expr: sympy.Expr) -> set[sympy.Expr]:
+    """Give the terms of a sum without their coefficients, one of each shape.
+
+    Parameters
+    ----------
+    expr : the sum.
+    """
+    above, below = sympy.fraction(expr)
+    bodies = [skeleton(t.as_coeff_Mul()[1]) for t in sympy.Add.make_args(above)]
+    bodies += [skeleton(below)] if below.is_Add else []
+    return {b for b in bodies if b.free_symbols and not b.is_Symbol}
+
+
+def in_coordinates(
+    exprs: Sequence[sympy.Expr], angles: Iterable[str]
+) -> tuple[list[sympy.Expr], float]:
+    """Write equations in the sine and cosine of what is an angle; gives the bits of saying so too.
+
+    A variable that stands in all equations inside sines and cosines only is an angle. Once that is
+    said, these are two coordinates like others, which saves bits where they are used often.
+
+    Parameters
+    ----------
+    exprs : the equations.
+    angles : columns that may be angles.
+
+    >>> w, v = sympy.symbols("w v")
+    >>> joint = [(v * sympy.sin(w) - sympy.sin(w) * sympy.cos(w)) / (1.5 + sympy.sin(w) ** 2)]
+    >>> in_coordinates(joint, ["w"])[0][0].free_symbols == {v, *sympy.symbols("sin_w cos_w")}
+    True
+    >>> in_coordinates([w * e for e in joint], ["w"])[1]
+    0.0
+    """
+    found, said = list(exprs), 0.0
+    for name in angles:
+        angle = sympy.Symbol(name)
+        waves = {f(angle): sympy.Symbol(f"{f}_{name}") for f in (sympy.sin, sympy.cos)}
+        flat = [expr.xreplace(waves) for expr in found]
+        if flat != found and not any(angle in expr.free_symbols for expr in flat):
+            saved = sum(map(_written, found)) - sum(map(_written, flat))
+            if saved > _ANGLE:
+                found, said = flat, said + _ANGLE
+    return found, said
+
+
+def _written(expr: sympy.Expr) -> float:
+    return shape_bits(expr) + unusual_bits(expr, ())
