@@ -17,6 +17,8 @@ from dynsr.fit import skeleton
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison, SystemFit
 
+# Share of the slopes' spread by which a stand-in may be off before anything is fitted.
+_LIKE = 0.5
 # Values of a constant inside, in units of the median size of its variable, that are tried first.
 _SHARES = (0.3, 1.0, 3.0)
 # Powers of cooperation beside 2, and exponents from which a fit reaches any other.
@@ -48,8 +50,10 @@ def stand_ins(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> Iterator[s
             shape = skeleton(changed)
             if shape != own and missed < best.get(shape, (np.inf,))[0]:
                 best[shape] = missed, changed
-    for _, changed in best.values():
-        yield changed
+    spread = float(np.linalg.norm(values - np.mean(values)))
+    for missed, changed in best.values():
+        if missed <= _LIKE * spread:
+            yield changed
 
 
 def _places(expr: sympy.Expr) -> Iterator[tuple[list[sympy.Expr], sympy.Expr, sympy.Symbol]]:
@@ -141,8 +145,10 @@ def try_stand_ins(
         for state, expr in before.exprs.items():
             for other in stand_ins(expr, comparison.mesh.columns):
                 fit = comparison.fit_anew({**before.exprs, state: other})
-                found += [] if fit is None else [prune(comparison, fit, state)]
-        close = [fit for fit in found if fit.bits <= before.bits + settings.behind]
+                found += [] if fit is None else [(state, fit)]
+        # What is far off does not come close by the terms that it could do without.
+        most = before.bits + settings.behind
+        close = [prune(comparison, fit, state) for state, fit in found if fit.bits <= most]
         # What another function made superfluous, or asks for, shows from there.
         for fit in sorted(close, key=lambda f: f.bits)[: settings.stand_ins]:
             best = min(best, climb(fit), key=lambda f: f.bits)
