@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from dynsr.data import Trajectory
 from dynsr.data.system import CART_POLE
 from dynsr.engines import simulate
-from dynsr.expression import compile_columns, evaluate, parse
+from dynsr.expression import compile_columns, counting, evaluate, parse
 from dynsr.fit import Measurements, structure_bits
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings
@@ -265,6 +265,21 @@ def test_a_saturation_costs_what_a_function_does():
     for term in (X / (X + 1.5), X**2 / (X**2 + 1.5), 1 / (X**4 + 1.5)):
         assert shape_bits(half * X**2) < shape_bits(half * term) < shape_bits(half * X**2) + 8
         assert shape_bits(half * Y * term) < structure_bits(half * Y * term)
+
+
+def test_a_pole_is_no_saturation():
+    """1.5 - x below a line costs all its symbols, 1.5 + x those of one function."""
+    half = sympy.Float(0.5)
+    assert shape_bits(half * X / (1.5 - X)) == structure_bits(half * X / (1.5 - X))
+    assert shape_bits(half * X / (1.5 + X)) < structure_bits(half * X / (1.5 + X))
+
+
+def test_a_bracket_saves_no_bits_of_the_users_own():
+    """A square that costs 100 bits costs them too where a common factor hides it."""
+    growth = 1.5 * X - 0.5 * X**2
+    plain = shape_bits(growth)
+    with counting({"**": 100.0}):
+        assert shape_bits(growth) == pytest.approx(plain + 100)
 
 
 def test_what_all_terms_share_is_written_once():

@@ -16,7 +16,7 @@ from .export import (
     with_signs,
 )
 from .operators import FUNCTIONS, OPERATORS
-from .own_bits import bits_in_force, counting, read_own_bits
+from .own_bits import added_bits, bits_in_force, counting, read_own_bits
 from .parsing import check_name, parse
 from .plausibility import Prior, plausibility_bits
 from .program import Program, compile_columns
@@ -35,6 +35,7 @@ __all__ = [
     "Rows",
     "Units",
     "Vocabulary",
+    "added_bits",
     "arguments_of",
     "as_float_tree",
     "bare_term",

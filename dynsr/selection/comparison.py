@@ -33,6 +33,7 @@ from dynsr.selection.costs import (
     in_coordinates,
     saturating,
     unusual_bits,
+    unwritten_bits,
 )
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.terms import Terms, TermSettings, find_turning
@@ -261,6 +262,7 @@ class SystemComparison:
         flat, said = in_coordinates(list(exprs.values()), self.angles)
         said += sum(unusual_bits(e, self.angles) for e in flat)
         said += sum(self.settings.unseen * self._far_off(e) for e in exprs.values())
+        said += sum(map(unwritten_bits, flat))
         named = [as_written(e) for e in flat]
         length = information_criterion(squares, self.mesh.rows, named, constants)
         return length + said - cited_bits(flat)

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Sequence
 
 import sympy
 
-from dynsr.expression import plausibility_bits
+from dynsr.expression import added_bits, bits_in_force, plausibility_bits
 from dynsr.fit import skeleton, structure_bits
 
 # Bits of saying that a variable is an angle.
@@ -77,7 +77,19 @@ def shape_bits(expr: sympy.Expr) -> float:
     >>> shape_bits(0.5 * x) == structure_bits(0.5 * x)
     True
     """
-    return structure_bits(as_written(expr))
+    return structure_bits(as_written(expr)) + unwritten_bits(expr)
+
+
+def unwritten_bits(expr: sympy.Expr) -> float:
+    """Give the user's own bits of operations that :func:`as_written` says in other words.
+
+    They are bits of the formula that is given, however shortly it may be written.
+
+    Parameters
+    ----------
+    expr : the formula.
+    """
+    return added_bits(expr) - added_bits(as_written(expr)) if bits_in_force() else 0.0
 
 
 def as_written(expr: sympy.Expr) -> sympy.Expr:
@@ -174,7 +186,11 @@ def saturating(below: sympy.Expr) -> sympy.Expr | None:
     """
     if not (below.is_Add and len(below.args) == 2 and any(a.is_Number for a in below.args)):
         return None
-    power = next(a for a in below.args if not a.is_Number).as_coeff_Mul()[1]
+    constant = next(a for a in below.args if a.is_Number)
+    coefficient, power = next(a for a in below.args if not a.is_Number).as_coeff_Mul()
+    if constant * coefficient <= 0:
+        # That has a pole, and is no saturation.
+        return None
     base, exponent = power.as_base_exp()
     return power if base.is_Symbol and exponent.is_Number and exponent > 0 else None
 
