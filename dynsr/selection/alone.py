@@ -17,8 +17,22 @@ from scipy.linalg import LinAlgError
 from dynsr.expression import compile_columns, evaluate
 from dynsr.fit import Collocation, Linearised, Measurements, constant_bits, skeleton, structure_bits
 from dynsr.selection.changes import prune
-from dynsr.selection.comparison import ComparisonSettings, Equations, SystemComparison, SystemFit
-from dynsr.selection.costs import citing_bits, saturating, shape_bits, term_bodies, unusual_bits
+from dynsr.selection.comparison import (
+    ComparisonSettings,
+    Equations,
+    SystemComparison,
+    SystemFit,
+    apart_by,
+    leaves_noise,
+)
+from dynsr.selection.costs import (
+    citing_bits,
+    is_plain,
+    saturating,
+    shape_bits,
+    term_bodies,
+    unusual_bits,
+)
 from dynsr.selection.subsets import Subset, best_subsets
 from dynsr.selection.terms import Joint, move_inside, slopes_inside
 
@@ -199,11 +213,40 @@ class Alone:
     def _ranked(self) -> list[SystemFit]:
         return sorted(self.comparison.fits(), key=lambda f: f.bits)
 
-    def sums_of_terms(self) -> list[sympy.Expr]:
-        """Give the sums that a linear fit expects most of, the best first."""
+    def rank_sums(self) -> list[sympy.Expr]:
+        """Give sums of terms, fewest bits first: of powers alone where these leave no doubt."""
+        found = self.rank(self.sums_of_terms(powers=True))
+        return found if self._is_clear() else self.rank(self.sums_of_terms())
+
+    def _is_clear(self) -> bool:
+        """Whether a short polynomial leaves only noise and leads all others by far."""
+        ranked = self._ranked()
+        if not ranked:
+            return False
+        best, *others = ranked
+        settings, expr = self.comparison.settings, best.exprs[self.state]
+        if not (is_plain(expr) and leaves_noise(best, settings)):
+            return False
+        columns = self.comparison.mesh.columns
+        own = evaluate(expr, columns)
+        near = (f for f in others if f.bits <= best.bits + settings.clear)
+        return all(apart_by(own, f.exprs[self.state], columns) <= settings.different for f in near)
+
+    def sums_of_terms(self, *, powers: bool = False) -> list[sympy.Expr]:
+        """Give the sums that a linear fit expects most of, the best first.
+
+        Parameters
+        ----------
+        powers : whether products of whole powers alone are terms.
+        """
         settings, terms = self.comparison.settings, self.comparison.terms
-        points, slopes = self._points, terms.slopes
-        normal = self._normal(np.concatenate([terms.values(points), terms.shifts(points)]))
+        points = self._points
+        tiers = terms.powers if powers else (*terms.tiers, terms.divisible_by(self.state))
+        used = np.unique(np.concatenate(tiers))
+        slopes = np.full(len(used), -1) if powers else terms.slopes
+        values = terms.values(points)[used]
+        shifts = np.zeros((0, points.shape[1])) if powers else terms.shifts(points)
+        normal = self._normal(np.concatenate([values, shifts]))
         if normal is None:
             return [sympy.S.Zero]
         rows = self._rows
@@ -213,17 +256,18 @@ class Alone:
         found: dict[tuple[int, ...], Subset] = {}
         first: dict[tuple[int, ...], None] = {}
         # A beam through few terms reaches sums that one through all of them passes by.
-        for tier in (*terms.tiers, terms.divisible_by(self.state)):
-            curved = slopes[tier] >= 0
-            columns = np.concatenate([tier, slopes[tier][curved]])
+        for tier in tiers:
+            places = np.searchsorted(used, tier)
+            curved = slopes[places] >= 0
+            columns = np.concatenate([places, slopes[places][curved]])
             own = np.where(curved, len(tier) + np.cumsum(curved) - 1, -1)
             gram, pull = normal.information[np.ix_(columns, columns)], -normal.pull[columns]
             subsets = best_subsets(gram, pull, normal.squares, costs[tier], rows, slopes=own)
             for rank, subset in enumerate(subsets):
-                places = tuple(int(tier[i]) for i in subset.places)
-                found.setdefault(places, replace(subset, places=places))
+                chosen = tuple(int(tier[i]) for i in subset.places)
+                found.setdefault(chosen, replace(subset, places=chosen))
                 if rank < settings.sums:
-                    first.setdefault(places)
+                    first.setdefault(chosen)
         # Beside the best of every tier those that are best of all.
         ranked = sorted(found, key=lambda places: (found[places].bits, places))
         first |= dict.fromkeys(ranked[: 2 * settings.sums])

@@ -8,7 +8,7 @@ the bits of :func:`dynsr.fit.information_criterion` and those of its unusual fun
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -70,6 +70,8 @@ class ComparisonSettings:
     gain : bits that this must save for it to go on.
     together : the best of them that enter whole systems.
     behind : bits that they may take more than the best of them.
+    clear : bits by which a polynomial of few terms that leaves nothing but noise must lead all
+        other functions for no other terms to be tried beside it.
     near : the same, once a system leaves nothing but noise.
     unseen : bits of a saturation of which the columns see less than a fifth.
     leaving : bits of an equation by which a state that is positive throughout would fall below 0.
@@ -107,6 +109,7 @@ class ComparisonSettings:
     gain: float = 1.0
     together: int = 20
     behind: float = 40.0
+    clear: float = 100.0
     near: float = 12.0
     unseen: float = 4.0
     leaving: float = 6.0
@@ -327,3 +330,35 @@ class SystemComparison:
     def fits(self) -> Iterator[SystemFit]:
         """Give all systems that were fitted."""
         return (fit for fit in self._cache.values() if fit is not None)
+
+
+def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
+    """Whether the misses of every state are those of its noise.
+
+    The mean square of n normal misses in units of their noise is 1, give or take sqrt(2 / n).
+
+    Parameters
+    ----------
+    fit : the system.
+    settings : the numbers that decide.
+    """
+    rows = fit.problem.mesh.rows
+    most = 1 + settings.excess + 3 * np.sqrt(2 / np.maximum(rows, 1.0))
+    return bool(np.all((fit.fit.mean_squares <= most) | (rows == 0)))
+
+
+def apart_by(own: np.ndarray, other: sympy.Expr, columns: Mapping[str, np.ndarray]) -> float:
+    """Rms difference of an equation from slopes (n,), as a share of their spread; NaN for none.
+
+    Parameters
+    ----------
+    own, other : the slopes and the equation.
+    columns : name -> (n,) values of what it holds.
+    """
+    with np.errstate(all="ignore"):
+        values = evaluate(other, columns)
+        fine = np.isfinite(values) & np.isfinite(own)
+        if 2 * np.count_nonzero(fine) < len(fine):
+            return np.nan
+        gap = float(np.sqrt(np.mean((values[fine] - own[fine]) ** 2)))
+    return gap / max(float(np.std(own[fine])), 1e-300)

@@ -23,6 +23,8 @@ _ROOT_BITS, _HALF_BITS = 2.0, 4.0
 _FREE_BITS = 3.0
 # Bits of a saturation in the ratio of two columns.
 _SHARED_BITS = 3.0
+# More terms may make up for a function that is none of theirs.
+_PLAIN = 4
 # Bits that a function costs beside its length: laws are mostly made of powers and their ratios.
 FUNCTION_BITS = {
     sympy.log: 3.0,
@@ -271,3 +273,24 @@ def in_coordinates(
 
 def _written(expr: sympy.Expr) -> float:
     return shape_bits(expr) + unusual_bits(expr, ())
+
+
+def bare_terms(expr: sympy.Expr) -> set[sympy.Expr]:
+    """Give the shapes of the terms of a sum, without their coefficients.
+
+    Parameters
+    ----------
+    expr : the sum.
+    """
+    return {skeleton(t.as_coeff_Mul()[1]) for t in sympy.Add.make_args(sympy.expand(expr))}
+
+
+def is_plain(expr: sympy.Expr) -> bool:
+    """Whether a formula is a polynomial of few terms.
+
+    Parameters
+    ----------
+    expr : the formula.
+    """
+    few = len(sympy.Add.make_args(expr)) <= _PLAIN
+    return few and bool(expr.is_polynomial(*expr.free_symbols))

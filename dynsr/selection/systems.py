@@ -33,15 +33,16 @@ from dynsr.selection.comparison import (
     Equations,
     SystemComparison,
     SystemFit,
+    apart_by,
+    leaves_noise,
 )
+from dynsr.selection.costs import bare_terms, is_plain
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.first_look import look
 from dynsr.selection.stand_ins import try_stand_ins
 
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0
-# More terms may make up for a function that is none of theirs.
-_PLAIN = 4
 # Leaders of each other equation whose terms are offered to one.
 _CITED = 3
 # Correlation of a column's slopes with another column from which on that is its speed.
@@ -101,11 +102,11 @@ class SystemChoice:
             mine = self.fit.exprs[state]
             own, aside = evaluate(mine, columns), evaluate(mine, beside)
             near = found[state] = []
-            terms = _bare_terms(mine)
+            terms = bare_terms(mine)
             # What has one term more than the law, and a small one, is no other law.
-            for expr, more in [o for o in others[:60] if not terms <= _bare_terms(o[0])]:
-                apart = _apart(own, expr, columns)
-                if apart > share or _apart(aside, expr, beside) > _ASIDE * share:
+            for expr, more in [o for o in others[:60] if not terms <= bare_terms(o[0])]:
+                apart = apart_by(own, expr, columns)
+                if apart > share or apart_by(aside, expr, beside) > _ASIDE * share:
                     near.append((expr, more))
             del near[3:]
         return found
@@ -115,36 +116,6 @@ def _shuffle(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Give the values of every column in an order of its own, always the same."""
     rng = np.random.default_rng(0)
     return {name: rng.permutation(values) for name, values in columns.items()}
-
-
-def _apart(own: np.ndarray, other: sympy.Expr, columns: Mapping[str, np.ndarray]) -> float:
-    """Rms difference of an equation from slopes (n,), as a share of their spread; NaN for none."""
-    with np.errstate(all="ignore"):
-        values = evaluate(other, columns)
-        fine = np.isfinite(values) & np.isfinite(own)
-        if 2 * np.count_nonzero(fine) < len(fine):
-            return np.nan
-        gap = float(np.sqrt(np.mean((values[fine] - own[fine]) ** 2)))
-    return gap / max(float(np.std(own[fine])), 1e-300)
-
-
-def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
-    """Whether the misses of every state are those of its noise.
-
-    The mean square of n normal misses in units of their noise is 1, give or take sqrt(2 / n).
-
-    Parameters
-    ----------
-    fit : the system.
-    settings : the numbers that decide.
-    """
-    rows = fit.problem.mesh.rows
-    most = 1 + settings.excess + 3 * np.sqrt(2 / np.maximum(rows, 1.0))
-    return bool(np.all((fit.fit.mean_squares <= most) | (rows == 0)))
-
-
-def _bare_terms(expr: sympy.Expr) -> set[sympy.Expr]:
-    return {skeleton(t.as_coeff_Mul()[1]) for t in sympy.Add.make_args(sympy.expand(expr))}
 
 
 def compare_systems(
@@ -256,9 +227,9 @@ def explore(
     ratios : whether ratios that follow the smoothed slopes are tried too.
     """
     alone = Alone.of(state, data, settings)
-    found = alone.rank(alone.sums_of_terms())
+    found = alone.rank_sums()
     best = alone.best()
-    if not ratios or (best and _is_plain(best.exprs[state]) and leaves_noise(best, settings)):
+    if not ratios or (best and is_plain(best.exprs[state]) and leaves_noise(best, settings)):
         return found
     seen = look(data.samples(state), settings.demands.limits(state))
     angles = [a for a in alone.comparison.angles if _turns(a, data)]
@@ -274,12 +245,6 @@ def _turns(name: str, data: Measurements) -> bool:
     with np.errstate(all="ignore"):
         alike = np.abs(np.corrcoef(samples.X.T, samples.y)[-1, :-1])
     return bool(np.nanmax(alike) > _SPEED)
-
-
-def _is_plain(expr: sympy.Expr) -> bool:
-    """Whether a formula is a polynomial of few terms."""
-    few = len(sympy.Add.make_args(expr)) <= _PLAIN
-    return few and bool(expr.is_polynomial(*expr.free_symbols))
 
 
 def other_in_halves(
@@ -303,13 +268,13 @@ def other_in_halves(
     for which in (0, 1):
         alone = Alone.of(state, data.half(which), few)
         mine = alone.comparison.fit({**alone.beside, state: own})
-        alone.rank(alone.sums_of_terms())
+        alone.rank_sums()
         best = alone.best()
         if mine is None or best is None:
             continue
         other = best.exprs[state]
         columns = alone.comparison.mesh.columns
-        apart = _apart(evaluate(mine.exprs[state], columns), other, columns)
+        apart = apart_by(evaluate(mine.exprs[state], columns), other, columns)
         if best.bits < mine.bits and apart > settings.different:
             return other
     return None

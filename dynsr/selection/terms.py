@@ -138,16 +138,27 @@ class Terms:
     @cached_property
     def tiers(self) -> tuple[np.ndarray, ...]:
         """Places of the quadratic, polynomial, rational and all terms, each once."""
-        symbols = [sympy.Symbol(name) for name in self.names]
-        degree = [
-            sympy.total_degree(e) if e.is_polynomial(*symbols) else _NO_POLYNOMIAL
-            for e in self.exprs
-        ]
+        symbols, degrees = [sympy.Symbol(name) for name in self.names], self._degrees
         rational = np.array([e.is_rational_function(*symbols) for e in self.exprs], dtype=bool)
-        degrees = np.array(degree)
         kinds = (degrees <= 2, degrees < _NO_POLYNOMIAL, rational, np.ones_like(rational))
         found = {int(kind.sum()): np.flatnonzero(kind) for kind in kinds if kind.any()}
         return tuple(found.values())
+
+    @cached_property
+    def _degrees(self) -> np.ndarray:
+        symbols = [sympy.Symbol(name) for name in self.names]
+        return np.array(
+            [
+                sympy.total_degree(e) if e.is_polynomial(*symbols) else _NO_POLYNOMIAL
+                for e in self.exprs
+            ]
+        )
+
+    @property
+    def powers(self) -> tuple[np.ndarray, ...]:
+        """Places of the quadratic and of all polynomial terms."""
+        own = (self._degrees <= 2, self._degrees < _NO_POLYNOMIAL)
+        return tuple(np.flatnonzero(kind) for kind in own)
 
     def divisible_by(self, name: str) -> np.ndarray:
         """Places of the terms that hold a variable as a factor: rates of each one of a kind."""
