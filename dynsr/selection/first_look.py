@@ -35,7 +35,6 @@ from dynsr.selection.terms import (
     Terms,
     TermSettings,
     find_angles,
-    find_turning,
     products,
 )
 
@@ -168,7 +167,7 @@ class _Search:
     @classmethod
     def of(cls, samples: Samples, limits: Limits, settings: LookSettings) -> _Search:
         names = samples.names
-        angles = find_turning(names, samples.X.T)
+        angles = find_angles(names, samples.X.T)
         terms = Terms.grow(names, samples.X.T, settings.terms, angles, limits.terms)
         under = _factors(names, angles, settings.below)
         return cls._make(terms.exprs, terms.bits, under, samples, limits, settings)
