@@ -55,9 +55,9 @@ class CollocationSettings:
 
 
 COLLOCATION = CollocationSettings()
-# Simple numbers are judged by differences of some units in a sum of squares of thousands.
 # Share of the largest eigenvalue of the scaled information below which a direction is rounding.
 _SILENT = 1e-12
+# Simple numbers are judged by differences of some units in a sum of squares of thousands.
 _CLOSELY = replace(COLLOCATION, steps=40, gain=1e-8)
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
 _TURN, _PARTS, _NODES = 20.0, 4, 2000
@@ -184,16 +184,23 @@ class CollocationFit:
     information: np.ndarray
 
     @cached_property
+    @np.errstate(all="ignore")
+    def _scaled(self) -> tuple[np.ndarray, np.ndarray]:
+        """(P, P) information in units (P, P) that make its diagonal 1, and these."""
+        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        units = np.outer(scale, scale)
+        return self.information / units, units
+
+    @cached_property
     def covariance(self) -> np.ndarray:
         """(P, P) of the constants at the noise that was given; inf where that does not tell."""
-        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        scaled, units = self._scaled
+        if not np.all(np.isfinite(scaled)):
+            return np.full_like(self.information, np.inf)
         with np.errstate(all="ignore"):
-            scaled = self.information / np.outer(scale, scale)
-            if not np.all(np.isfinite(scaled)):
-                return np.full_like(self.information, np.inf)
-            return np.asarray(np.linalg.pinv(scaled, rcond=1e-13) / np.outer(scale, scale))
+            return np.asarray(np.linalg.pinv(scaled, rcond=1e-13) / units)
 
-    @property
+    @cached_property
     def errors(self) -> np.ndarray:
         """(P,) standard errors of the constants at the noise that was given; inf if unknown."""
         variances = np.diag(self.covariance)
@@ -203,11 +210,9 @@ class CollocationFit:
     @property
     def _open(self) -> np.ndarray:
         """(P,) whether a constant has a share in a direction that the data say nothing of."""
-        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        with np.errstate(all="ignore"):
-            scaled = self.information / np.outer(scale, scale)
+        scaled, _ = self._scaled
         if not np.all(np.isfinite(scaled)):
-            return np.ones(len(scale), dtype=bool)
+            return np.ones(len(scaled), dtype=bool)
         values, directions = np.linalg.eigh(scaled)
         silent = values < _SILENT * values.max(initial=0.0)
         return np.asarray(np.sum(directions[:, silent] ** 2, axis=1) > 1e-6)

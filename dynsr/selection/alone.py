@@ -283,9 +283,10 @@ def _ways_to_write(body: sympy.Expr) -> list[sympy.Expr]:
     >>> _ways_to_write(y / (x + 1.5))
     [y/(x + 1.5), x*y/(x + 1.5)]
     """
-    power = next(filter(None, (saturating(1 / f) for f in sympy.Mul.make_args(body))), None)
-    if power is None:
+    line = next(filter(None, (saturating(1 / f) for f in sympy.Mul.make_args(body))), None)
+    if line is None:
         return [body]
+    power = line[0]
     above = sympy.fraction(body)[0]
     held = (above / power).as_numer_denom()[1].free_symbols != power.free_symbols
     return [body, body / power if held else body * power]

@@ -17,13 +17,12 @@ from scipy.linalg import LinAlgError
 from dynsr.expression import compile_columns
 from dynsr.fit import (
     constant_bits,
-    free_constants,
     neighbours,
     shift_bits,
     skeleton,
     without_flat_line,
 )
-from dynsr.selection.comparison import SystemComparison, SystemFit
+from dynsr.selection.comparison import SystemComparison, SystemFit, owners_of
 from dynsr.selection.costs import citing_bits, shape_bits, term_bodies, unusual_bits
 from dynsr.selection.terms import Terms
 
@@ -123,16 +122,6 @@ def _rank(
     yield from zip(_expected_squares(gram, values, pairs), pairs, strict=True)
 
 
-def owners_of(fit: SystemFit) -> list[str]:
-    """Name the state of every constant, in their order.
-
-    Parameters
-    ----------
-    fit : the system.
-    """
-    return [s for s, expr in fit.exprs.items() for _ in free_constants(expr, "c")[1]]
-
-
 def _without(expr: sympy.Expr, value: float) -> sympy.Expr | None:
     """Give an equation with a constant at 0; None where it lacks that constant or its value."""
     lost = expr.xreplace({sympy.Float(float(value)): sympy.S.Zero})
@@ -150,7 +139,7 @@ def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
     fit : the system.
     state : whose equation it is.
     """
-    owners = owners_of(fit)
+    owners = owners_of(fit.exprs)
     values, errors = fit.fit.constants, fit.fit.errors
     with np.errstate(over="ignore"):
         ratios = np.abs(values) / np.maximum(errors, 1e-300)
@@ -175,17 +164,22 @@ def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit
     state : whose equation loses terms.
     """
     while True:
-        for shorter in (
-            _without_line(comparison, fit, state),
-            _round_powers(fit.exprs[state]),
-            drop_least(fit, state),
-        ):
+        for shorter in _shorter(comparison, fit, state):
             less = shorter and comparison.fit_near({**fit.exprs, state: shorter}, fit)
             if less is not None and less.bits < fit.bits:
                 fit = less
                 break
         else:
             return fit
+
+
+def _shorter(
+    comparison: SystemComparison, fit: SystemFit, state: str
+) -> Iterator[sympy.Expr | None]:
+    """Give shorter equations, each made when the one before it has been turned down."""
+    yield _without_line(comparison, fit, state)
+    yield _round_powers(fit.exprs[state])
+    yield drop_least(fit, state)
 
 
 def _round_powers(expr: sympy.Expr) -> sympy.Expr | None:
@@ -224,7 +218,7 @@ def _make_moves(comparison: SystemComparison, fit: SystemFit, points: np.ndarray
     names = [*comparison.names, "t"]
     terms = comparison.terms
     values = terms.values(points[:-1])
-    owners = owners_of(fit)
+    owners = owners_of(fit.exprs)
     moves = _Moves(len(owners), [], [], [])
     for row, (state, expr) in enumerate(fit.exprs.items()):
         if expr.is_Symbol:
@@ -293,6 +287,7 @@ def _add_saturations(
     moves: _Moves, row: int, state: str, expr: sympy.Expr, names: Sequence[str], points: np.ndarray
 ) -> None:
     """Divide one term of a sum by 1 + c v or 1 + c v^2."""
+    before = _costs(expr)
     for term, rest, own, symbol, column in _in_parts(expr, names, points):
         for power in (1, 2) if term.free_symbols else ():
             if power == 1 and column.min() <= 0:
@@ -301,26 +296,29 @@ def _add_saturations(
             start = sympy.Float(float(f"{0.1 / size:.3g}"))
             other = rest + term / (1 + start * symbol**power)
             place = moves.probe(row, -own * column**power)
-            moves.moves.append(_Move(state, _always(other), _costs(other, expr), free=(place,)))
+            cost = _costs(other) - before
+            moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
 
 
 def _add_powers(
     moves: _Moves, row: int, state: str, expr: sympy.Expr, names: Sequence[str], points: np.ndarray
 ) -> None:
     """Set the exponent of a positive column in one term of a sum free."""
+    before = _costs(expr)
     for term, rest, own, symbol, column in _in_parts(expr, names, points):
         free = any(p.base == symbol and p.exp.is_Float for p in term.atoms(sympy.Pow))
         if column.min() > 0 and not free:
             other = rest + term * symbol**_SMALL
             place = moves.probe(row, own * np.log(column))
-            moves.moves.append(_Move(state, _always(other), _costs(other, expr), free=(place,)))
+            cost = _costs(other) - before
+            moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
 
 
 def _add_below(
     moves: _Moves, row: int, state: str, expr: sympy.Expr, names: Sequence[str], points: np.ndarray
 ) -> None:
     """Put one more positive column below a fraction line: x / (k + x) to x / (k + x + c y)."""
-    terms = sympy.Add.make_args(expr)
+    before, terms = _costs(expr), sympy.Add.make_args(expr)
     for term in terms:
         for line in sympy.Mul.make_args(term):
             below = 1 / line
@@ -335,12 +333,13 @@ def _add_below(
                 more = term * below / (below + sympy.Float(float(f"{start:.3g}")) * symbol)
                 other = sympy.Add(*[t for t in terms if t is not term], more)
                 place = moves.probe(row, -own * column)
-                moves.moves.append(_Move(state, _always(other), _costs(other, expr), free=(place,)))
+                cost = _costs(other) - before
+                moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
 
 
-def _costs(other: sympy.Expr, expr: sympy.Expr) -> float:
-    """Bits that a formula takes more than another by its shape and its unusual powers."""
-    return shape_bits(other) - shape_bits(expr) + unusual_bits(other, ()) - unusual_bits(expr, ())
+def _costs(expr: sympy.Expr) -> float:
+    """Bits of a formula's shape and of its unusual powers."""
+    return shape_bits(expr) + unusual_bits(expr, ())
 
 
 def _add_swaps(

@@ -177,12 +177,14 @@ class SystemComparison:
             found = problem.fit(None if near is None else near.fit)
             if found is None and near is not None:
                 found = problem.fit()
-            if found is not None and self._has_pole(found):
-                found = None
-            self._cache[key] = (
-                None if found is None else SystemFit(problem, found, self.bits(found))
-            )
+            self._cache[key] = self._count(problem, found)
         return self._cache[key]
+
+    def _count(self, problem: Collocation, found: CollocationFit | None) -> SystemFit | None:
+        """Give a fit with its bits; None for none, and for one that is no system."""
+        if found is None or self._has_pole(found):
+            return None
+        return SystemFit(problem, found, self.bits(found))
 
     @cached_property
     def _held(self) -> CollocationSettings:
@@ -213,11 +215,9 @@ class SystemComparison:
         if before is not None and before.bits < near.bits:
             return before
         problem = Collocation(exprs, self.mesh, self._held)
-        found = problem.fit(near.fit, strict=True)
-        if found is not None and not self._has_pole(found):
-            fit = SystemFit(problem, found, self.bits(found))
-            if before is None or fit.bits < before.bits:
-                self._cache[key] = before = fit
+        fit = self._count(problem, problem.fit(near.fit, strict=True))
+        if fit is not None and (before is None or fit.bits < before.bits):
+            self._cache[key] = before = fit
         # What misses by far does not come close from another start either.
         if before is None or near.bits <= before.bits < near.bits + self.settings.behind:
             self._cache.pop(key, None)
@@ -248,10 +248,9 @@ class SystemComparison:
         leaving = sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
         simple = simplicity_bits(fit.constants, fit.errors)
         bits = self._written(fit, fit.exprs, len(fit.constants)) - simple
-        owners = np.array([s for s, e in fit.exprs.items() for _ in free_constants(e, "c")[1]])
         # What a mass matrix ties together is said more shortly by each other.
         for tie in find_couplings(fit.exprs, fit.constants, fit.covariance):
-            others = owners != tie.state
+            others = np.array(owners_of(fit.exprs)) != tie.state
             constants = int(others.sum()) + len(tie.constants)
             simple = simplicity_bits(fit.constants[others], fit.errors[others])
             simple += simplicity_bits(tie.constants, tie.errors)
@@ -288,13 +287,9 @@ class SystemComparison:
     def _far_off(self, expr: sympy.Expr) -> int:
         """Count the saturations that the columns do not come near to."""
         columns, found = self.mesh.columns, 0
-        for line in _lines(expr):
-            power = saturating(line)
-            if power is not None:
-                top = float(np.max(np.abs(evaluate(power, columns))))
-                (constant,) = [abs(float(a)) for a in line.args if a.is_Number]
-                (factor,) = [abs(float(a.as_coeff_Mul()[0])) for a in line.args if not a.is_Number]
-                found += constant > _NEAR * factor * top
+        for power, constant, factor in filter(None, map(saturating, _lines(expr))):
+            top = float(np.max(np.abs(evaluate(power, columns))))
+            found += abs(float(constant)) > _NEAR * abs(float(factor)) * top
         return found
 
     def _leaves(self, state: str, expr: sympy.Expr) -> bool:
@@ -330,6 +325,16 @@ class SystemComparison:
     def fits(self) -> Iterator[SystemFit]:
         """Give all systems that were fitted."""
         return (fit for fit in self._cache.values() if fit is not None)
+
+
+def owners_of(exprs: Mapping[str, sympy.Expr]) -> list[str]:
+    """Name the state of every constant of a system, in their order.
+
+    Parameters
+    ----------
+    exprs : state -> equation.
+    """
+    return [s for s, expr in exprs.items() for _ in free_constants(expr, "c")[1]]
 
 
 def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:

@@ -155,11 +155,11 @@ def _name_saturations(term: sympy.Expr) -> sympy.Expr:
                 k = next((a for a in factor.atoms(sympy.Float)), sympy.S.One)
                 term = rest * saturation(pair[0], k * pair[1])
             continue
-        power = saturating(below)
-        if power is None:
+        line = saturating(below)
+        if line is None:
             continue
+        power, constant, _ = line
         rest = term / factor
-        constant = next(a for a in below.args if a.is_Number)
         above = rest / power
         # Only a power that stands above the line is cancelled by it.
         cancelled = above.as_numer_denom()[1].free_symbols != power.free_symbols
@@ -179,8 +179,8 @@ def is_shared(below: sympy.Expr) -> bool:
     return len(bodies) == 2 and all(body.is_Symbol for body in bodies)
 
 
-def saturating(below: sympy.Expr) -> sympy.Expr | None:
-    """Give v^n of a line k + c v^n; None for another.
+def saturating(below: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr, sympy.Expr] | None:
+    """Give v^n, k and c of a line k + c v^n; None for another.
 
     Parameters
     ----------
@@ -194,7 +194,8 @@ def saturating(below: sympy.Expr) -> sympy.Expr | None:
         # That has a pole, and is no saturation.
         return None
     base, exponent = power.as_base_exp()
-    return power if base.is_Symbol and exponent.is_Number and exponent > 0 else None
+    plain = base.is_Symbol and exponent.is_Number and exponent > 0
+    return (power, constant, coefficient) if plain else None
 
 
 def cited_bits(exprs: Iterable[sympy.Expr]) -> float:

@@ -14,8 +14,8 @@ import sympy
 
 from dynsr.expression import compile_columns
 from dynsr.fit import constant_bits, structure_bits
-from dynsr.selection.changes import gram_of, owners_of, prune
-from dynsr.selection.comparison import SystemComparison, SystemFit
+from dynsr.selection.changes import gram_of, prune
+from dynsr.selection.comparison import SystemComparison, SystemFit, owners_of
 from dynsr.selection.mass_matrix import FACTORS, Ratio, read_ratio, slope_of
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import Joint
@@ -80,7 +80,7 @@ def _say(
         return
     rows, each = float(mesh.rows.sum()), constant_bits(float(mesh.rows.max()))
     costs = each + np.array([structure_bits(sympy.Float(0.5) * e) for e in terms])
-    others = [i for i, owner in enumerate(owners_of(fit)) if owner != state]
+    others = [i for i, owner in enumerate(owners_of(fit.exprs)) if owner != state]
     gone = len(found.constants)
     first = gone + 1 + len(waves)
     # The equation as it was is taken out, and the misses are left to what takes its place.
