@@ -408,3 +408,38 @@ def test_few_rows_an_oscillation_bend_no_constant():
     bare = mesh_of([(t, x)], [0.01, 0.01], ("x", "y"))
     rough = coefficients(Collocation(equations, bare).fit().exprs["y"])
     assert abs(rough["y"] - 1.5) > 0.015
+
+
+def test_a_step_takes_a_constant_inside_not_far():
+    """Growth without end has no half-saturation: one step makes it no more than four times as large.
+
+    What stands before the ratio goes as far as the line of least squares says.
+    """
+    t = np.linspace(0, 8, 90)
+    mesh = mesh_of([(t, np.exp(0.4 * t)[:, None])], 0.02, ("x",))
+    begun = Collocation({"x": parse("0.5*x/(2.5 + x)")}, mesh, CollocationSettings((10.0,), 1))
+    factor, inside = begun.fit().constants
+    assert begun.inside.tolist() == [2.5]
+    assert inside == pytest.approx(4 * 2.5)
+    assert factor > 4 * 0.5
+
+
+def test_small_defects_of_one_sign_add_up():
+    """States that leave their solution by a little at every row have missed it by a lot.
+
+    A line at rest is offered 400 rows of a slope of 1 with noise of 1: each row is off by 0.01.
+    """
+    t = np.linspace(0, 4, 401)
+    mesh = mesh_of([(t, t[:, None].copy())], 1.0, ("x",))
+    begun = Collocation({"x": parse("0.0*x")}, mesh, CollocationSettings(steps=0)).fit()
+    expected = np.mean(np.concatenate([np.cumsum(np.full(10, 0.01)) ** 2] * 40)) * 400 / 401
+    assert begun.mean_squares[0] == pytest.approx(expected, rel=0.01)
+
+
+def test_what_nothing_tells_has_no_covariance():
+    """Of a product of two constants each alone may be anything, and so is known beside no other."""
+    rng = np.random.default_rng(14)
+    t = np.linspace(0, 4, 60)
+    x = (2 * np.exp(-0.7 * t) + 0.05 * rng.normal(size=60))[:, None]
+    found = fit({"x": "-0.5*x + 0.000000001*tanh(0.00000001*x)"}, mesh_of([(t, x)], 0.05, ("x",)))
+    assert np.count_nonzero(np.isinf(found.covariance)) == 8

@@ -59,6 +59,10 @@ COLLOCATION = CollocationSettings()
 _SILENT = 1e-12
 # Simple numbers are judged by differences of some units in a sum of squares of thousands.
 _CLOSELY = replace(COLLOCATION, steps=40, gain=1e-8)
+# Intervals after which a solution begins anew where it is asked how far states are off it.
+_APART = 10
+# How far one step may take a constant in a function, as a multiple of it, and an exponent.
+_FACTOR, _EXPONENT = 3.0, 1.0
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
 _TURN, _PARTS, _NODES = 20.0, 4, 2000
 # Share of its spread in which the defects of a state that is not measured are counted.
@@ -198,14 +202,16 @@ class CollocationFit:
         if not np.all(np.isfinite(scaled)):
             return np.full_like(self.information, np.inf)
         with np.errstate(all="ignore"):
-            return np.asarray(np.linalg.pinv(scaled, rcond=1e-13) / units)
+            found = np.asarray(np.linalg.pinv(scaled, rcond=1e-13) / units)
+        # The inverse gives no variance at all to what nothing tells of.
+        unknown = self._open | ~(np.diag(found) > 0)
+        found[unknown] = found[:, unknown] = np.inf
+        return found
 
     @cached_property
     def errors(self) -> np.ndarray:
         """(P,) standard errors of the constants at the noise that was given; inf if unknown."""
-        variances = np.diag(self.covariance)
-        known = (variances > 0) & ~self._open
-        return np.where(known, np.sqrt(np.maximum(variances, 0)), np.inf)
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def _open(self) -> np.ndarray:
@@ -311,6 +317,30 @@ class Collocation:
         shapes, values = self._template
         given = dict(zip(values, numbers, strict=True))
         return {state: expr.xreplace(given) for state, expr in shapes.items()}
+
+    @cached_property
+    def _bent(self) -> tuple[np.ndarray, np.ndarray]:
+        """(P,) whether a constant is no factor of a term, and whether it stands in an exponent."""
+        shapes, values = self._template
+        inside, exponents = set(values), set()
+        for expr in shapes.values():
+            for term in sympy.Add.make_args(expr):
+                inside -= set(sympy.Mul.make_args(term))
+            for power in expr.atoms(sympy.Pow):
+                exponents |= power.exp.free_symbols
+        both = [[value in own for value in values] for own in (inside, exponents)]
+        return np.array(both[0], dtype=bool), np.array(both[1], dtype=bool)
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Values of the constants that are no factors of terms, in the order of all."""
+        return self.constants[self._bent[0]]
+
+    def _reach(self, constants: np.ndarray) -> np.ndarray:
+        """(P,) how far a step may take the constants; inf for factors of terms."""
+        inside, exponents = self._bent
+        reach = np.where(inside, _FACTOR * np.abs(constants), np.inf)
+        return np.where(exponents, _EXPONENT, reach)
 
     def _steps(self, constants: np.ndarray) -> np.ndarray:
         """(k + P,) steps of the numerical derivatives by states and constants."""
@@ -426,7 +456,7 @@ class Collocation:
         misses = (states - x) * weights
         squares = np.sum(misses**2, axis=1) + self._unresolved(states, constants)
         # Where the steps came to rest early, the states do not follow the system yet.
-        squares += np.sum(self._defects(states, constants) ** 2, axis=1)
+        squares += np.sum(_add_up(self._defects(states, constants)) ** 2, axis=1)
         squares /= np.maximum(self.mesh.rows, 1.0)
         exprs = self.put([sympy.Float(c) for c in constants.tolist()])
         return CollocationFit(exprs, constants, states.T, misses.T, squares, information)
@@ -465,10 +495,10 @@ class Collocation:
                 point = self._linearise(states, constants)
             if not all(np.all(np.isfinite(a)) for a in (point.by_left, point.by_constant)):
                 break
-            gathered = self._gather(point, states, stiffness)
+            gathered, reach = self._gather(point, states, stiffness), self._reach(constants)
             while damping < 1e6:
                 try:
-                    step = self._step(gathered, damping)
+                    step = self._step(gathered, damping, reach)
                 except (LinAlgError, ValueError):
                     damping = max(damping * 100, 1e-4)
                     continue
@@ -482,7 +512,9 @@ class Collocation:
                 break
         return states, constants
 
-    def _step(self, gathered: _Gathered, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    def _step(
+        self, gathered: _Gathered, damping: float, reach: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         found, factor, white = self._eliminate(gathered, damping)
         pull, centre = found.pull, found.information
         count = centre.shape[0]
@@ -492,6 +524,8 @@ class Collocation:
             with np.errstate(over="ignore", invalid="ignore"):
                 scaled = centre / np.outer(scale, scale) + damping * np.eye(count)
                 shift = -np.linalg.solve(scaled, pull / scale) / scale
+            # A linear step says nothing of what is far away.
+            shift = np.clip(shift, -reach, reach)
         moved, _ = lapack.dtbtrs(factor, -(white @ np.append(1.0, shift)), uplo="U")
         if not np.all(np.isfinite(moved)):
             raise LinAlgError
@@ -575,6 +609,18 @@ class Collocation:
         slopes = self.slope(*states.T, *self.mesh.driven[:, :n], *values)
         both = np.concatenate([states.T, self._middle(states.T, slopes)], axis=1)
         return np.concatenate([both, self.mesh.driven])
+
+
+def _add_up(defects: np.ndarray) -> np.ndarray:
+    """(k, m) by how much states are off a solution that left them up to some intervals before.
+
+    Small defects of one sign lead far away.
+    """
+    found = np.empty_like(defects)
+    for first in range(0, defects.shape[1], _APART):
+        part = slice(first, first + _APART)
+        found[:, part] = np.cumsum(defects[:, part], axis=1)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
