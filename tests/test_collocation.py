@@ -411,7 +411,7 @@ def test_few_rows_an_oscillation_bend_no_constant():
 
 
 def test_a_step_takes_a_constant_inside_not_far():
-    """Growth without end has no half-saturation: one step makes it no more than four times as large.
+    """Growth without end has no half-saturation: one step makes it at most four times as large.
 
     What stands before the ratio goes as far as the line of least squares says.
     """

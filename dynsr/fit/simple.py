@@ -69,8 +69,8 @@ def simple_value(value: float, error: float, settings: FitSettings = FIT) -> sym
     return (best if value > 0 else -best) if near and believed else None
 
 
-def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> float:
-    """Bits by which constants are likelier for lying on whole, half or short decimal numbers.
+def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """(P,) bits by which constants are likelier for lying on whole, half or short decimal numbers.
 
     The logarithm of Bayes' factor of the prior of use against that of measured constants alone,
     constant by constant; one that lies on none saves nothing.
@@ -81,7 +81,7 @@ def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> float:
 
     >>> on, off = np.array([1.0005, -9.81]), np.array([1.0237, -9.8137])
     >>> errors = np.array([0.001, 0.003])
-    >>> simplicity_bits(on, errors) > simplicity_bits(off, errors)
+    >>> bool(simplicity_bits(on, errors).sum() > simplicity_bits(off, errors).sum())
     True
     """
     size = np.maximum(np.abs(values), 1e-300)
@@ -101,7 +101,7 @@ def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> float:
         # Where the error spans several of them, one lies near whatever the value is.
         found += kind.use * np.where(finest > gap / 2, 1.0, density)
         most += kind.use
-    return float(np.sum(np.maximum(np.log2(found / most), 0.0)))
+    return np.asarray(np.maximum(np.log2(found / most), 0.0))
 
 
 def reach(number: sympy.Expr, settings: FitSettings = FIT) -> float:

@@ -7,7 +7,7 @@ terms of other equations are fitted to one state and put in the order of their b
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,7 +34,7 @@ from dynsr.selection.costs import (
     unusual_bits,
 )
 from dynsr.selection.subsets import Subset, best_subsets
-from dynsr.selection.terms import Joint, move_inside, slopes_inside
+from dynsr.selection.terms import Joint, Terms, move_inside, slopes_inside
 
 # Terms of other equations, and plain ones, that are offered to one together.
 _OFFERED, _PLAINEST = 12, 40
@@ -42,10 +42,15 @@ _OFFERED, _PLAINEST = 12, 40
 
 @dataclass(frozen=True)
 class Leader:
-    """A formula of one state, and the bits that it takes alone more than the best."""
+    """A formula of one state, the bits that it takes alone more than the best, and its constants.
+
+    These have values (P,) and a covariance (P, P), in the order in which they appear.
+    """
 
     expr: sympy.Expr
     behind: float
+    constants: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +114,13 @@ class Alone:
         for fit in self.comparison.fits():
             expr = fit.exprs[self.state]
             less = sum(saved.get(body, 0.0) for body in term_bodies(expr)) if saved else 0.0
-            found.append((fit.bits - less, expr))
+            found.append((fit.bits - less, fit))
         found.sort(key=lambda pair: pair[0])
-        close = [Leader(e, bits - found[0][0]) for bits, e in found[: settings.together]]
-        return [one for one in close if one.behind <= settings.behind]
+        return [
+            Leader(f.exprs[self.state], bits - found[0][0], f.fit.constants, f.fit.covariance)
+            for bits, f in found[: settings.together]
+            if bits - found[0][0] <= settings.behind
+        ]
 
     def _sums_citing(self, bodies: Sequence[sympy.Expr]) -> list[sympy.Expr]:
         """Give the sums of cheap terms and of those of other equations that are expected best."""
@@ -240,40 +248,75 @@ class Alone:
         powers : whether products of whole powers alone are terms.
         """
         settings, terms = self.comparison.settings, self.comparison.terms
-        points = self._points
         tiers = terms.powers if powers else (*terms.tiers, terms.divisible_by(self.state))
         used = np.unique(np.concatenate(tiers))
-        slopes = np.full(len(used), -1) if powers else terms.slopes
-        values = terms.values(points)[used]
-        shifts = np.zeros((0, points.shape[1])) if powers else terms.shifts(points)
-        normal = self._normal(np.concatenate([values, shifts]))
+        curved = not powers
+        normal = self._normal(columns_of(terms, used, self._points, curved=curved))
         if normal is None:
             return [sympy.S.Zero]
-        rows = self._rows
-        costs = terms.bits + constant_bits(rows) * (1 + terms.inside)
+        costs = terms.bits + constant_bits(self._rows) * (1 + terms.inside)
         limits = settings.demands.limits(self.state)
         costs[[not limits.allow(term) for term in terms.exprs]] = np.inf
-        found: dict[tuple[int, ...], Subset] = {}
-        first: dict[tuple[int, ...], None] = {}
-        # A beam through few terms reaches sums that one through all of them passes by.
-        for tier in tiers:
-            places = np.searchsorted(used, tier)
-            curved = slopes[places] >= 0
-            columns = np.concatenate([places, slopes[places][curved]])
-            own = np.where(curved, len(tier) + np.cumsum(curved) - 1, -1)
-            gram, pull = normal.information[np.ix_(columns, columns)], -normal.pull[columns]
-            subsets = best_subsets(gram, pull, normal.squares, costs[tier], rows, slopes=own)
-            for rank, subset in enumerate(subsets):
-                chosen = tuple(int(tier[i]) for i in subset.places)
-                found.setdefault(chosen, replace(subset, places=chosen))
-                if rank < settings.sums:
-                    first.setdefault(chosen)
-        # Beside the best of every tier those that are best of all.
-        ranked = sorted(found, key=lambda places: (found[places].bits, places))
-        first |= dict.fromkeys(ranked[: 2 * settings.sums])
-        sums = [_sum_of(terms.exprs, found[places]) for places in first]
+        sums = expected_sums(normal, terms, tiers, costs, self._rows, settings.sums, curved=curved)
         others = [sympy.Symbol(n) for n in self.comparison.names if n != self.state]
         return [sympy.S.Zero, *others, *sums]
+
+
+def columns_of(terms: Terms, used: np.ndarray, points: np.ndarray, *, curved: bool) -> np.ndarray:
+    """Values of some terms at points (names, n), and the slopes of those that are curved.
+
+    Parameters
+    ----------
+    terms, used : all terms, and the places of these among them.
+    points : values of the columns.
+    curved : whether their slopes by the constants inside come after them.
+    """
+    values = terms.values(points)[used]
+    return np.concatenate([values, terms.shifts(points)]) if curved else values
+
+
+def expected_sums(
+    normal: Linearised,
+    terms: Terms,
+    tiers: Sequence[np.ndarray],
+    costs: np.ndarray,
+    rows: float,
+    count: int,
+    *,
+    curved: bool,
+) -> list[sympy.Expr]:
+    """Give the sums of terms that a linear fit expects most of, the best first.
+
+    Parameters
+    ----------
+    normal : the normal equations of :func:`columns_of`.
+    terms, tiers : all terms, and the places of those that are looked through together.
+    costs : (p,) bits of each term with its constants.
+    rows : m of the bits m / 2 log2(squares / m).
+    count : sums of each tier that are given, and half of those that are best of all.
+    curved : whether the slopes by the constants inside are there.
+    """
+    used = np.unique(np.concatenate(tiers))
+    slopes = terms.slopes if curved else np.full(len(used), -1)
+    found: dict[tuple[int, ...], Subset] = {}
+    first: dict[tuple[int, ...], None] = {}
+    # A beam through few terms reaches sums that one through all of them passes by.
+    for tier in tiers:
+        places = np.searchsorted(used, tier)
+        bent = slopes[places] >= 0
+        columns = np.concatenate([places, slopes[places][bent]])
+        own = np.where(bent, len(tier) + np.cumsum(bent) - 1, -1)
+        gram, pull = normal.information[np.ix_(columns, columns)], -normal.pull[columns]
+        subsets = best_subsets(gram, pull, normal.squares, costs[tier], rows, slopes=own)
+        for rank, subset in enumerate(subsets):
+            chosen = tuple(int(tier[i]) for i in subset.places)
+            found.setdefault(chosen, replace(subset, places=chosen))
+            if rank < count:
+                first.setdefault(chosen)
+    # Beside the best of every tier those that are best of all.
+    ranked = sorted(found, key=lambda places: (found[places].bits, places))
+    first |= dict.fromkeys(ranked[: 2 * count])
+    return [_sum_of(terms.exprs, found[places]) for places in first]
 
 
 def _ways_to_write(body: sympy.Expr) -> list[sympy.Expr]:

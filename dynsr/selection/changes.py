@@ -28,6 +28,10 @@ from dynsr.selection.terms import Terms
 
 # A new constant starts here, relative to the size of what it multiplies, and is fitted.
 _SMALL = sympy.Float(1e-6)
+# Share of the slopes' spread by which a term with a shorter line may be off before it is fitted.
+_LIKE = 0.3
+# Standard errors from 1 at which a factor may be none, and their share of it at most.
+_LIKE_ONE, _KNOWN = 2.0, 0.3
 # Below this share of its size a direction is only rounding away from the others.
 _NOTHING = 1e-9
 
@@ -178,7 +182,9 @@ def _shorter(
 ) -> Iterator[sympy.Expr | None]:
     """Give shorter equations, each made when the one before it has been turned down."""
     yield _without_line(comparison, fit, state)
+    yield _with_shorter_line(comparison, fit, state)
     yield _round_powers(fit.exprs[state])
+    yield _without_one(fit, state)
     yield drop_least(fit, state)
 
 
@@ -192,6 +198,42 @@ def _round_powers(expr: sympy.Expr) -> sympy.Expr | None:
     free = [p for p in expr.atoms(sympy.Pow) if p.exp.is_Float]
     nearest = {p: p.base ** sympy.Rational(round(2 * float(p.exp)), 2) for p in free}
     return expr.xreplace(nearest) if free else None
+
+
+def _with_shorter_line(
+    comparison: SystemComparison, fit: SystemFit, state: str
+) -> sympy.Expr | None:
+    """Give an equation with one part alone below a line, the likest; None where none is like."""
+    terms = sympy.Add.make_args(fit.exprs[state])
+    others = []
+    for i, term in enumerate(terms):
+        lines = [1 / factor for factor in sympy.Mul.make_args(term)]
+        for below in (line for line in lines if line.is_Add and line.free_symbols):
+            changed = (term * below / part for part in below.args)
+            others += [sympy.Add(*terms[:i], other, *terms[i + 1 :]) for other in changed]
+    if not others:
+        return None
+    points = fit.problem.points(fit.fit.states, fit.fit.constants)
+    values = compile_columns([fit.exprs[state], *others], [*comparison.names, "t"])(*points)
+    with np.errstate(all="ignore"):
+        apart = np.nan_to_num(np.std(values[1:] - values[0], axis=1), nan=np.inf)
+    place = int(np.argmin(apart))
+    return others[place] if apart[place] <= _LIKE * np.std(values[0]) else None
+
+
+def _without_one(fit: SystemFit, state: str) -> sympy.Expr | None:
+    """Give an equation without a factor inside a term that may be 1, the likest; None for none."""
+    expr, owners = fit.exprs[state], owners_of(fit.exprs)
+    bodies = [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]
+    inside = {float(number) for body in bodies for number in body.atoms(sympy.Float)}
+    values, errors = np.abs(fit.fit.constants), fit.fit.errors
+    with np.errstate(all="ignore"):
+        apart = np.where(errors < _KNOWN * values, np.abs(values - 1) / errors, np.inf)
+    for index in np.argsort(apart, kind="stable"):
+        value = float(fit.fit.constants[index])
+        if apart[index] <= _LIKE_ONE and owners[index] == state and value in inside:
+            return expr.xreplace({sympy.Float(value): sympy.Integer(round(value))})
+    return None
 
 
 def _without_line(comparison: SystemComparison, fit: SystemFit, state: str) -> sympy.Expr | None:

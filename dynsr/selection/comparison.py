@@ -36,11 +36,14 @@ from dynsr.selection.costs import (
     unwritten_bits,
 )
 from dynsr.selection.mass_matrix import find_couplings
+from dynsr.selection.rates import shared_bits
 from dynsr.selection.terms import Terms, TermSettings, find_turning
 
 Equations = dict[str, sympy.Expr]
 # Points at which the line below a fraction is looked at, so that even a narrow pole shows.
 _ACROSS = 201
+# Starts of one shape at most, and the share by which a constant inside a function sets two apart.
+_STARTS, _APART = 2, 0.5
 # Half-saturation, as a multiple of the largest value, from which on nothing is seen of it.
 _NEAR = 4.0
 
@@ -67,6 +70,8 @@ class ComparisonSettings:
     pruned : of these, how many lose the terms that do not pay.
     again : how often terms are looked for along the best system found.
     stand_ins : systems with another function in the place of one from which the search climbs on.
+    ends : where the search ended, the best first, from which other functions are tried until
+        nothing but noise is left.
     gain : bits that this must save for it to go on.
     together : the best of them that enter whole systems.
     behind : bits that they may take more than the best of them.
@@ -78,6 +83,7 @@ class ComparisonSettings:
     doubtful : noise, as a share of the spread, above which slopes tell other methods nothing more.
     different : rms difference of two equations, as a share of the slopes' spread, from which on
         they are different functions.
+    apart : the same for one that the law must be told apart from: as few as 1 % off is another law.
     pieces : pieces of a run that are integrated where the whole cannot be.
     reproduces : least mean R2 of an integration from the fitted start over the whole run.
     evaluations : of the right-hand sides for each row that this integration takes at most.
@@ -106,6 +112,7 @@ class ComparisonSettings:
     pruned: int = 12
     again: int = 2
     stand_ins: int = 3
+    ends: int = 3
     gain: float = 1.0
     together: int = 20
     behind: float = 40.0
@@ -115,6 +122,7 @@ class ComparisonSettings:
     leaving: float = 6.0
     doubtful: float = 0.02
     different: float = 0.02
+    apart: float = 0.01
     pieces: int = 10
     reproduces: float = 0.9
     evaluations: int = 50
@@ -166,19 +174,38 @@ class SystemComparison:
     mesh: Mesh
     settings: ComparisonSettings = COMPARISON
     _cache: dict[tuple[sympy.Expr, ...], SystemFit | None] = field(default_factory=dict)
+    _starts: dict[tuple[sympy.Expr, ...], list[np.ndarray]] = field(default_factory=dict)
 
     def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
         """Fit every constant and start; None where the system cannot be fitted."""
         if not self.settings.demands.keep_all(exprs):
             return None
         key = tuple(skeleton(e) for e in exprs.values())
-        if key not in self._cache:
+        before = self._cache.get(key)
+        if key not in self._cache or self._may_do_better(key, exprs, before):
             problem = Collocation(exprs, self.mesh, self._held)
+            self._starts.setdefault(key, []).append(problem.inside)
             found = problem.fit(None if near is None else near.fit)
             if found is None and near is not None:
                 found = problem.fit()
-            self._cache[key] = self._count(problem, found)
+            fit = self._count(problem, found)
+            if before is None or (fit is not None and fit.bits < before.bits):
+                self._cache[key] = fit
         return self._cache[key]
+
+    def _may_do_better(
+        self, key: tuple[sympy.Expr, ...], exprs: Equations, before: SystemFit | None
+    ) -> bool:
+        """Whether a fit that ended far off is to be tried from other constants inside functions."""
+        tried = self._starts.get(key, [])
+        if not tried or not len(tried[0]) or len(tried) == _STARTS:
+            return False
+        if before is not None:
+            best = min(f.bits for f in self.fits())
+            if before.bits <= best + self.settings.near:
+                return False
+        inside = Collocation(exprs, self.mesh, self._held).inside
+        return all(np.any(np.abs(inside - own) > _APART * np.abs(own)) for own in tried)
 
     def _count(self, problem: Collocation, found: CollocationFit | None) -> SystemFit | None:
         """Give a fit with its bits; None for none, and for one that is no system."""
@@ -247,15 +274,17 @@ class SystemComparison:
         """Bits of misses, terms and constants."""
         leaving = sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
         simple = simplicity_bits(fit.constants, fit.errors)
-        bits = self._written(fit, fit.exprs, len(fit.constants)) - simple
+        shared, once = shared_bits(fit.exprs, fit.constants, fit.covariance)
+        saved = float(np.sum(np.maximum(simple, shared))) + once
+        bits = self._written(fit, fit.exprs, len(fit.constants)) - saved
         # What a mass matrix ties together is said more shortly by each other.
         for tie in find_couplings(fit.exprs, fit.constants, fit.covariance):
             others = np.array(owners_of(fit.exprs)) != tie.state
             constants = int(others.sum()) + len(tie.constants)
-            simple = simplicity_bits(fit.constants[others], fit.errors[others])
-            simple += simplicity_bits(tie.constants, tie.errors)
+            saved = float(np.sum(simple[others]))
+            saved += float(np.sum(simplicity_bits(tie.constants, tie.errors)))
             exprs = {**fit.exprs, tie.state: tie.expr}
-            bits = min(bits, self._written(fit, exprs, constants) - simple + tie.loss)
+            bits = min(bits, self._written(fit, exprs, constants) - saved + tie.loss)
         return bits + leaving
 
     def _written(self, fit: CollocationFit, exprs: Equations, constants: int) -> float:

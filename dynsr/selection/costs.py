@@ -23,6 +23,8 @@ _ROOT_BITS, _HALF_BITS = 2.0, 4.0
 _FREE_BITS = 3.0
 # Bits of a saturation in the ratio of two columns.
 _SHARED_BITS = 3.0
+# Share of a whole number within which a constant may be that.
+_NEARLY = 0.05
 # More terms may make up for a function that is none of theirs.
 _PLAIN = 4
 # Bits that a function costs beside its length: laws are mostly made of powers and their ratios.
@@ -284,6 +286,26 @@ def bare_terms(expr: sympy.Expr) -> set[sympy.Expr]:
     expr : the sum.
     """
     return {skeleton(t.as_coeff_Mul()[1]) for t in sympy.Add.make_args(sympy.expand(expr))}
+
+
+def rounded(expr: sympy.Expr) -> sympy.Expr:
+    """Give a formula with whole numbers for the constants inside its terms that are close to one.
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x = sympy.Symbol("x")
+    >>> rounded(2.0 * x**0.98 - sympy.tanh(1.02 * x))
+    2.0*x - tanh(x)
+    """
+    found = []
+    for term in sympy.Add.make_args(expr):
+        coefficient, body = term.as_coeff_Mul()
+        whole = {c: sympy.Integer(round(c)) for c in body.atoms(sympy.Float)}
+        near = {c: n for c, n in whole.items() if n and abs(c - n) <= _NEARLY * abs(n)}
+        found.append(coefficient * body.xreplace(near))
+    return sympy.Add(*found)
 
 
 def is_plain(expr: sympy.Expr) -> bool:

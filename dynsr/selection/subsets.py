@@ -7,9 +7,12 @@ column, its slope by that constant, which says what another value of the constan
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from dynsr.fit import Linearised
 
 # Square of what is left of a unit column from which on it is rounding.
 _NOTHING = 1e-7
@@ -166,3 +169,26 @@ class _Layer:
             both = mine * rest + moved * pull
         fine = (slopes >= 0) & (own > _NOTHING) & (whole > _NOTHING * own)
         return np.where(fine & (np.abs(shift) <= _FARTHEST), both, alone)
+
+
+def without(normal: Linearised, loose: Sequence[int], first: int) -> Linearised:
+    """Give the normal equations of the columns from ``first`` on, others set free beside them.
+
+    Parameters
+    ----------
+    normal : of all columns.
+    loose : places of those that are free.
+    first : place of the first that is left.
+    """
+    if not loose:
+        return Linearised(normal.information[first:, first:], normal.pull[first:], normal.squares)
+    scale = np.sqrt(np.maximum(np.diag(normal.information)[loose], 1e-300))
+    scaled = normal.information[np.ix_(loose, loose)] / np.outer(scale, scale)
+    sides = np.column_stack([normal.information[loose][:, first:], normal.pull[loose]])
+    solved = np.linalg.solve(scaled + 1e-9 * np.eye(len(loose)), sides / scale[:, None])
+    moved = sides.T @ (solved / scale[:, None])
+    return Linearised(
+        normal.information[first:, first:] - moved[:-1, :-1],
+        normal.pull[first:] - moved[:-1, -1],
+        float(normal.squares - moved[-1, -1]),
+    )

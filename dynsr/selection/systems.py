@@ -9,6 +9,7 @@ equation, for as long as that takes fewer bits.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 import sympy
+from scipy.linalg import block_diag
 
 from dynsr.expression import evaluate
 from dynsr.fit import (
@@ -36,15 +38,22 @@ from dynsr.selection.comparison import (
     apart_by,
     leaves_noise,
 )
-from dynsr.selection.costs import bare_terms, is_plain
+from dynsr.selection.costs import bare_terms, cited_bits, is_plain, rounded
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.first_look import look
+from dynsr.selection.rates import shared_bits
+from dynsr.selection.replacements import try_replacements
 from dynsr.selection.stand_ins import try_stand_ins
 
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0
 # Leaders of each other equation whose terms are offered to one.
 _CITED = 3
+# Leaders of each state that others are put beside by their rates, and systems fitted and climbed
+# from.
+_HUBS, _COMPOSED, _CLIMBED = 8, 6, 1
+# Equations in which a system may differ that speaks against each of them.
+_AT_ONCE = 2
 # Correlation of a column's slopes with another column from which on that is its speed.
 _SPEED = 0.99
 
@@ -81,7 +90,7 @@ class SystemChoice:
         )
 
     def different(
-        self, share: float = COMPARISON.different
+        self, share: float = COMPARISON.apart
     ) -> dict[str, list[tuple[sympy.Expr, float]]]:
         """State -> (formula, bits more) of those that are other functions of the columns.
 
@@ -103,8 +112,9 @@ class SystemChoice:
             own, aside = evaluate(mine, columns), evaluate(mine, beside)
             near = found[state] = []
             terms = bare_terms(mine)
-            # What has one term more than the law, and a small one, is no other law.
-            for expr, more in [o for o in others[:60] if not terms <= bare_terms(o[0])]:
+            # What has one term more than the law, and a small one, is no other law, and neither is
+            # one with a constant that the law has as 1.
+            for expr, more in [o for o in others[:60] if not terms <= bare_terms(rounded(o[0]))]:
                 apart = apart_by(own, expr, columns)
                 if apart > share or apart_by(aside, expr, beside) > _ASIDE * share:
                     near.append((expr, more))
@@ -146,9 +156,10 @@ def compare_systems(
         for s in states
     }
     pools = {s: pool[: settings.alone] for s, pool in pools.items()}
-    best, comparison = _search(pools, data, settings)
-    if best is None:
+    ends, comparison = _search(pools, data, settings)
+    if not ends:
         return SystemChoice(dict(exprs))
+    best = ends[0]
     # A system that follows the data is the best smoother: terms are looked for along it again.
     for number in range(settings.again):
         if (number or data.noise_share < settings.doubtful) and leaves_noise(best, settings):
@@ -160,12 +171,27 @@ def compare_systems(
             else [best.exprs[s], *explore(s, follower, settings, ratios=False)]
             for s in states
         }
-        other, _ = _search(found, follower, settings, comparison)
-        if other is None or other.bits >= best.bits - settings.gain:
+        others, _ = _search(found, follower, settings, comparison)
+        if not others or others[0].bits >= best.bits - settings.gain:
             break
-        best = other
-    best = try_stand_ins(comparison, best, lambda fit: _climb(comparison, fit, {}))
-    best = try_couplings(comparison, best, lambda fit: _climb(comparison, fit, {}))
+        best = others[0]
+
+    def climb(fit: SystemFit) -> SystemFit:
+        return _climb(comparison, fit, {})
+
+    def refine(fit: SystemFit) -> SystemFit:
+        for attempt in (try_replacements, try_stand_ins, try_couplings):
+            fit = attempt(comparison, fit, climb)
+        return fit
+
+    begun = best
+    best = refine(best)
+    # Where that leaves more than noise, another end of the search may lead further.
+    for end in ends[: settings.ends]:
+        if leaves_noise(best, settings):
+            break
+        if end is not begun and end.bits < best.bits + settings.behind:
+            best = min(best, refine(end), key=lambda f: f.bits)
     for state in states:
         best = prune(comparison, best, state)
     best = _prefer_reproducing(comparison, best)
@@ -179,8 +205,8 @@ def _search(
     data: Measurements,
     settings: ComparisonSettings,
     comparison: SystemComparison | None = None,
-) -> tuple[SystemFit | None, SystemComparison]:
-    """Rank each state's formulas alone, put the best together and climb."""
+) -> tuple[list[SystemFit], SystemComparison]:
+    """Rank each state's formulas alone, put the best together and climb; where that ended."""
     # What is one bare column, such as q' = v, is known well enough.
     alone = {s: Alone.of(s, data, settings) for s, pool in pools.items() if not pool[0].is_Symbol}
     given = {s: [Leader(pool[0], 0.0)] for s, pool in pools.items()}
@@ -192,13 +218,19 @@ def _search(
     }
     together = comparison or SystemComparison(data.mesh(tuple(pools)), settings)
     fits = [fit for own in (first, leaders) if (fit := _compose(together, own)) is not None]
-    ends = []
-    for pruned in {id(fit): fit for fit in fits}.values():
+
+    def finish(fit: SystemFit) -> SystemFit:
         # Alone, terms make up for the errors of the curves that the others are read off.
         for state in pools:
-            pruned = prune(together, pruned, state)
-        ends.append(_climb(together, pruned, leaders))
-    return min(ends, key=lambda f: f.bits, default=None), together
+            fit = prune(together, fit, state)
+        return _climb(together, fit, leaders)
+
+    ends = [finish(fit) for fit in {id(fit): fit for fit in fits}.values()]
+    least = min((fit.bits for fit in ends), default=math.inf)
+    close = (fit for fit in _compose_by_rates(together, leaders) if fit not in ends)
+    ends += [finish(fit) for fit in close if fit.bits < least + settings.near]
+    different = {id(fit): fit for fit in ends}.values()
+    return sorted(different, key=lambda fit: fit.bits), together
 
 
 def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
@@ -290,6 +322,41 @@ def _compose(
         if found is not None:
             return found
     return None
+
+
+def _compose_by_rates(
+    comparison: SystemComparison, leaders: Mapping[str, Sequence[Leader]]
+) -> list[SystemFit]:
+    """Fit systems whose equations have their rates in common, the best of them.
+
+    Alone, a rate that leaves one species and enters another may be behind in either.
+    """
+    found: dict[tuple[sympy.Expr, ...], tuple[float, Equations]] = {}
+    for state, pool in leaders.items():
+        for hub in pool[:_HUBS]:
+            score, exprs = hub.behind, {}
+            for other, theirs in leaders.items():
+                if other == state:
+                    exprs[other] = hub.expr
+                    continue
+                behind = [one.behind - _in_common(hub, one) for one in theirs]
+                place = int(np.argmin(behind))
+                score += behind[place]
+                exprs[other] = theirs[place].expr
+            key = tuple(skeleton(e) for e in exprs.values())
+            if score < found.get(key, (np.inf, {}))[0]:
+                found[key] = score, exprs
+    ranked = sorted(found.values(), key=lambda pair: pair[0])[:_COMPOSED]
+    fits = [fit for _, exprs in ranked if (fit := comparison.fit(exprs)) is not None]
+    return sorted(fits, key=lambda fit: fit.bits)[:_CLIMBED]
+
+
+def _in_common(one: Leader, other: Leader) -> float:
+    """Bits that two equations save by what they have in common."""
+    exprs = {"one": one.expr, "other": other.expr}
+    both = block_diag(one.covariance, other.covariance)
+    saved, once = shared_bits(exprs, np.concatenate([one.constants, other.constants]), both)
+    return float(saved.sum()) + once + cited_bits(exprs.values())
 
 
 def _climb(
@@ -391,8 +458,11 @@ def _closest(
     found: dict[str, list[tuple[sympy.Expr, float]]] = {s: [] for s in shapes}
     for fit in comparison.fits():
         changed = [s for s, e in fit.exprs.items() if skeleton(e) != shapes[s]]
-        if len(changed) == 1:
-            found[changed[0]].append((fit.exprs[changed[0]], _bits_above(fit, best)))
+        # A rate that two equations share comes or goes in both.
+        if 1 <= len(changed) <= _AT_ONCE:
+            above = _bits_above(fit, best)
+            for state in changed:
+                found[state].append((fit.exprs[state], above))
     return {s: tuple(sorted(o, key=lambda p: (p[1], str(p[0])))) for s, o in found.items()}
 
 

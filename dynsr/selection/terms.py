@@ -77,7 +77,7 @@ class TermSettings:
 
     degree: int = 3
     inside: tuple[float, ...] = (0.3, 1.0, 3.0)
-    powers: tuple[float, ...] = (-1.5, -0.5, 0.7, 1.5)
+    powers: tuple[float, ...] = (-1.5, -0.5, 0.35, 0.7, 1.5)
     most: int = 600
 
 

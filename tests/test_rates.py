@@ -1,0 +1,187 @@
+"""Rates that several equations share, and equations found anew along the states of a system."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+from dynsr.data import Trajectory
+from dynsr.expression import parse
+from dynsr.fit import Linearised, Measurements, skeleton, with_floats
+from dynsr.methods.demands import read_demands
+from dynsr.selection import ComparisonSettings, compare_systems, explore
+from dynsr.selection.alone import Leader
+from dynsr.selection.changes import prune
+from dynsr.selection.comparison import SystemComparison
+from dynsr.selection.costs import rounded
+from dynsr.selection.rates import shared_bits
+from dynsr.selection.replacements import replacements, try_replacements
+from dynsr.selection.subsets import without
+from dynsr.selection.systems import _compose_by_rates as compose_by_rates
+
+SETTINGS = ComparisonSettings()
+# A ligand, its receptor and their complex, bound at 0.7 and let go at 0.4 per unit.
+BINDING = {"a": "-0.7*a*b + 0.4*c", "b": "-0.7*a*b + 0.4*c", "c": "0.7*a*b - 0.4*c"}
+# A repressor's loop: the message is made where its own protein is, and both decay.
+LOOP = {"m": "1.3*p^2/(1.2 + p^2) - 0.6*m", "p": "0.9*m - 0.5*p"}
+
+
+@lru_cache
+def measured(system, start, end, rows, share, seed=0):
+    """Measurements of a system, each column off by a share of its spread."""
+    equations = dict(system)
+    slope = sympy.lambdify(sympy.symbols(list(equations)), [parse(e) for e in equations.values()])
+    t = np.linspace(0, end, rows)
+    x = solve_ivp(lambda _, z: slope(*z), (0, end), start, t_eval=t, rtol=1e-9, atol=1e-9).y.T
+    noisy = x + share * x.std(axis=0) * np.random.default_rng(seed).normal(size=x.shape)
+    return Measurements.of([Trajectory(t, noisy, tuple(equations))], {}, 2000)
+
+
+def bound(rows=120):
+    """Measurements of the binding at 1 %."""
+    return measured(tuple(BINDING.items()), (2.1, 1.2, 0.2), 6.0, rows, 0.01)
+
+
+def looped():
+    """Measurements of the loop at 1 %."""
+    return measured(tuple(LOOP.items()), (1.1, 0.6), 14.0, 100, 0.01)
+
+
+def floats(equations):
+    """Give {state: formula with free constants}."""
+    return {state: with_floats(parse(text)) for state, text in equations.items()}
+
+
+def of(equations, errors):
+    """Bits that equations share, their constants as they stand there, with relative errors."""
+    exprs = floats(equations)
+    values = np.array(
+        [float(n) for e in exprs.values() for t in e.args for n in t.atoms(sympy.Float)]
+    )
+    return shared_bits(exprs, values, np.diag((errors * values) ** 2))
+
+
+def test_one_rate_has_one_constant():
+    """What leaves x as it enters y has no second constant: 0.5 p |c| / s of its density at 0."""
+    equal, _ = of({"x": "-0.5*x*y", "y": "0.5*x*y"}, 0.01)
+    error = 0.01 * np.sqrt(2)
+    assert equal == pytest.approx([0.0, np.log2(0.5 + 1 / (np.sqrt(2 * np.pi) * error))])
+    apart, _ = of({"x": "-0.5*x*y", "y": "0.6*x*y"}, 0.01)
+    assert apart.sum() == 0
+    unknown, _ = of({"x": "-0.5*x*y", "y": "0.5*x*y"}, np.inf)
+    assert unknown.sum() == 0
+
+
+def test_constants_inside_a_rate_are_shared_too():
+    """Of Monod's rate in two equations both constants of the second are known from the first."""
+    bits, _ = of({"s": "-1.5*s*x/(s + 0.5)", "x": "1.5*s*x/(s + 0.5) - 0.25*x"}, 0.01)
+    assert np.count_nonzero(bits) == 2
+
+
+def test_a_reversible_rate_is_written_once():
+    """Two terms that two equations share are one rate; one term alone is but cited."""
+    _, one = of({"x": "-0.5*x*y", "y": "0.5*x*y - 0.3*y"}, 0.01)
+    _, two = of({"x": "-0.5*x*y + 0.3*y", "y": "0.5*x*y - 0.3*y"}, 0.01)
+    _, mixed = of({"x": "-0.5*x*y + 0.3*y", "y": "0.5*x*y + 0.3*y"}, 0.01)
+    assert one == mixed == 0
+    assert two > 8
+
+
+def test_systems_are_put_together_by_their_rates():
+    """Of leaders that are level alone those go together which share a rate."""
+    comparison = SystemComparison(bound().mesh(("a", "b", "c")), SETTINGS)
+    leaders = {}
+    for state, other in (("a", "1.0 - 0.4*a^2"), ("b", "0.5 - 0.6*b"), ("c", "1.0 - 0.7*c")):
+        forms = [with_floats(parse(other)), *floats({state: BINDING[state]}).values()]
+        values = [np.array([float(n) for n in e.atoms(sympy.Float)]) for e in forms]
+        leaders[state] = [
+            Leader(e, float(i), v, np.diag((0.02 * v) ** 2))
+            for i, (e, v) in enumerate(zip(forms, values, strict=True))
+        ]
+    (best,) = compose_by_rates(comparison, leaders)
+    assert {s: skeleton(e) for s, e in best.exprs.items()} == {
+        s: skeleton(e) for s, e in floats(BINDING).items()
+    }
+
+
+@pytest.mark.slow
+def test_a_conserved_sum_hides_no_rate():
+    """Bound and free ligand tell each other; still every equation is the rate of mass action."""
+    data = bound()
+    pools = {s: explore(s, data, SETTINGS) for s in BINDING}
+    first = {s: pool[0] for s, pool in pools.items()}
+    best = compare_systems(first, pools, data, SETTINGS).exprs
+    for state, text in BINDING.items():
+        assert {t.as_coeff_Mul()[1] for t in best[state].args} == {
+            t.as_coeff_Mul()[1] for t in parse(text).args
+        }
+
+
+def test_an_equation_is_found_anew_along_the_system():
+    """From a straight line in the place of Hill's function the loop is found in one step."""
+    comparison = SystemComparison(looped().mesh(("m", "p")), SETTINGS)
+    wrong = comparison.fit(floats({"m": "0.4*p - 0.3*m + 0.1", "p": LOOP["p"]}))
+    best = try_replacements(comparison, wrong, lambda fit: fit)
+    assert skeleton(best.exprs["m"]) == skeleton(floats(LOOP)["m"])
+    assert best.bits < wrong.bits - 50
+
+
+def test_what_the_user_forbids_is_not_found_anew():
+    """No sum for the message holds a term or a function that its equation may not hold."""
+    demands = read_demands(("m", "p"), ("m", "p"), functions=[], constraints=["m: p = 0"])
+    forbidding = replace(SETTINGS, demands=demands)
+    comparison = SystemComparison(looped().mesh(("m", "p")), forbidding)
+    fit = comparison.fit(floats({"m": "0.4 - 0.3*m", "p": LOOP["p"]}))
+    found = replacements(comparison, fit, "m")
+    assert found
+    assert not any(e.has(sympy.Function) for e in found)
+    assert all(e.as_coefficients_dict().get(sympy.Symbol("p")) is None for e in found)
+
+
+def test_columns_set_free_are_those_of_least_squares():
+    """What is left of the normal equations is that of the columns with the others projected out."""
+    rng = np.random.default_rng(2)
+    free, kept, target = rng.normal(size=(50, 2)), rng.normal(size=(50, 3)), rng.normal(size=50)
+    both = np.column_stack([free, kept])
+    found = without(Linearised(both.T @ both, both.T @ target, target @ target), [0, 1], 2)
+    off = np.eye(50) - free @ np.linalg.pinv(free)
+    np.testing.assert_allclose(found.information, kept.T @ off @ kept, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(found.pull, kept.T @ off @ target, rtol=1e-6, atol=1e-6)
+    assert found.squares == pytest.approx(target @ off @ target)
+
+
+def test_a_fit_that_ended_far_off_is_tried_from_elsewhere():
+    """A half-saturation begun far off ends beside the best one; begun near, it is found."""
+    comparison = SystemComparison(looped().mesh(("m", "p")), SETTINGS)
+    comparison.fit(floats(LOOP))
+    few = SystemComparison(comparison.mesh, replace(SETTINGS, fit=replace(SETTINGS.fit, steps=1)))
+    few.fit(floats({"m": "0.3*p - 0.1*m", "p": LOOP["p"]}))
+    far = few.fit(floats({**LOOP, "m": "1.3*p^2/(30.0 + p^2) - 0.6*m"}))
+    near = few.fit(floats(LOOP))
+    assert near.bits < far.bits - 50
+    assert few.fit(floats({**LOOP, "m": "1.3*p^2/(60.0 + p^2) - 0.6*m"})).bits == near.bits
+
+
+def test_a_line_is_cut_to_the_part_that_counts():
+    """A ratio of two columns of which one is next to nothing is the other column."""
+    comparison = SystemComparison(looped().mesh(("m", "p")), SETTINGS)
+    fit = comparison.fit(floats({**LOOP, "p": "900.0*m*p/(0.003*m + 1000.0*p) - 0.5*p"}))
+    assert skeleton(prune(comparison, fit, "p").exprs["p"]) == skeleton(floats(LOOP)["p"])
+
+
+def test_a_factor_that_may_be_one_goes():
+    """What two columns share out evenly is xy / (x + y), without a constant before the y."""
+    equations = {"x": "0.8*x - 0.6*x*y/(x + y)", "y": "0.7*x*y/(x + y) - 0.5*y"}
+    data = measured(tuple(equations.items()), (1.0, 2.0), 6.0, 90, 0.005)
+    comparison = SystemComparison(data.mesh(("x", "y")), SETTINGS)
+    begun = {**floats(equations), "x": parse("0.8*x - 0.6*x*y/(x + 1.1*y)")}
+    assert prune(comparison, comparison.fit(begun), "x").exprs["x"].has(1 / parse("x + y"))
+
+
+def test_a_constant_of_one_makes_no_other_law():
+    """An exponent of 0.99 or a scale of 1.02 is none; one of 0.9 is."""
+    assert rounded(parse("0.4*r^0.99")) == parse("0.4*r")
+    assert rounded(parse("0.4*r^0.9")) == parse("0.4*r^0.9")
