@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -63,10 +63,14 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
     return Candidate(expr, missed, complexity(expr), source)
 
 
-@lru_cache(maxsize=4096)
-def _text(expr: sympy.Expr) -> str:
-    """Order ties; kept, because fronts grow by many small additions and printing is slow."""
-    return str(expr)
+class _Tie:
+    """Orders what is equal otherwise by its text, which is slow to print."""
+
+    def __init__(self, expr: sympy.Expr) -> None:
+        self.expr = expr
+
+    def __lt__(self, other: _Tie) -> bool:
+        return self.expr is not other.expr and str(self.expr) < str(other.expr)
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ class ParetoFront:
         leaders: dict[str, Candidate] = {}
         ordered = sorted(
             (c for c in candidates if math.isfinite(c.loss) and math.isfinite(c.complexity)),
-            key=lambda c: (c.complexity, c.loss, _text(c.expr)),
+            key=lambda c: (c.complexity, c.loss, _Tie(c.expr)),
         )
         for candidate in ordered:
             if not kept or candidate.loss < kept[-1].loss:
