@@ -13,7 +13,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import complexity, evaluate, shown, to_latex_formula
+from dynsr.expression import ByText, complexity, evaluate, shown, to_latex_formula
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,16 +63,6 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
     return Candidate(expr, missed, complexity(expr), source)
 
 
-class _Tie:
-    """Orders what is equal otherwise by its text, which is slow to print."""
-
-    def __init__(self, expr: sympy.Expr) -> None:
-        self.expr = expr
-
-    def __lt__(self, other: _Tie) -> bool:
-        return self.expr is not other.expr and str(self.expr) < str(other.expr)
-
-
 @dataclass(frozen=True)
 class ParetoFront:
     """Candidates of which none is both simpler and better than another, simplest first.
@@ -96,7 +86,7 @@ class ParetoFront:
         leaders: dict[str, Candidate] = {}
         ordered = sorted(
             (c for c in candidates if math.isfinite(c.loss) and math.isfinite(c.complexity)),
-            key=lambda c: (c.complexity, c.loss, _Tie(c.expr)),
+            key=lambda c: (c.complexity, c.loss, ByText(c.expr)),
         )
         for candidate in ordered:
             if not kept or candidate.loss < kept[-1].loss:
