@@ -13,6 +13,7 @@ from dynsr.expression.evaluation import evaluate
 from dynsr.expression.parsing import parse
 from dynsr.fit.description import choose
 from dynsr.methods.feynman.enumeration.brute_force import BruteForce, search_values
+from dynsr.methods.feynman.enumeration.finishing import Pool
 from dynsr.methods.feynman.stages.base import Context
 from dynsr.methods.feynman.stages.brute_force import Enumeration
 
@@ -164,12 +165,12 @@ def test_interruption_returns_what_was_found():
     """Ctrl-C in the middle gives the candidates so far."""
     samples = planted("cos(x)*sin(y) + x*exp(-y*y)/(x+log(1+y))", "xy")
 
-    def interrupt(progress):
-        if progress.done > 100:
+    def interrupt(running):
+        if running.formed > 100:
             raise KeyboardInterrupt
 
     settings = BruteForce(max_candidates=50_000, device="cpu")
-    result = search_values(samples.X, samples.y, samples.names, settings, report=interrupt)
+    result = search_values(samples.X, samples.y, samples.names, settings, interrupt)
     assert result.stopped == "interrupted"
     assert result.candidates
     assert result.formed < 50_000
@@ -183,6 +184,22 @@ def test_stage_gives_candidates_scored_on_its_samples():
     for candidate in found:
         error = evaluate(candidate.expr, samples.columns) - samples.y
         assert candidate.loss == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6, abs=1e-13)
+
+
+def test_a_stage_writes_formulas_out_at_its_end_alone(monkeypatch):
+    """What the reports of a stage do not show is not written out for them."""
+    written = []
+    candidates = Pool.candidates
+    monkeypatch.setattr(
+        Pool, "candidates", lambda pool, name: written.append(name) or candidates(pool, name)
+    )
+    told = []
+    samples = planted("3.7*sin(x*y) - 1.2", "xy")
+    Enumeration(SMALL).run(samples, Context(np.random.default_rng(0), report=told.append))
+    assert len(told) > 1 and told[-1].done > told[0].done > 0
+    assert len(written) == 1
+    SMALL.search(samples, np.random.default_rng(0), told.append)
+    assert len(told[-1].front) > 0
 
 
 @pytest.mark.parametrize(

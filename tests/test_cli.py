@@ -276,7 +276,6 @@ def test_exit_codes_in_a_real_shell(tmp_path):
     assert bad.returncode == 2 and out == "" and errors.count("\n") == 1
 
 
-@pytest.mark.slow
 def test_replicate_and_report(tmp_path, monkeypatch):
     """A replication ends in records, tables, the figure and a page; the page can be made anew."""
     import dynsr.paper
@@ -326,7 +325,6 @@ def test_folders_that_are_not_ours(tmp_path):
     assert "cannot write" in refuse(*words, tmp_path / "letter.txt" / "below")
 
 
-@pytest.mark.slow
 def test_audit():
     """The audit gives 33 rows with what other tools read, of which 31 agree."""
     rows = json.loads(run("audit", "--json").stdout)

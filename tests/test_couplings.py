@@ -135,6 +135,7 @@ def noisy():
     return Measurements.of([data], dict(system.inputs), 2000).mesh(system.states)
 
 
+@pytest.mark.slow
 def test_a_look_alike_gives_way_to_what_belongs(noisy):
     """From a fraction that follows the noisy states as well, the true one is found.
 

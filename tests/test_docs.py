@@ -111,7 +111,13 @@ def test_the_gallery_is_whole():
         assert "discover(" in text and (name.endswith(".ipynb") or f"({picture.name})" in text)
 
 
-@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "notebook",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem == "noisy"))
+        for path in NOTEBOOKS
+    ],
+)
 def test_a_notebook_gives_what_it_holds(notebook, monkeypatch):
     """Each cell ends well, prints what is kept but for last digits, and shows what it ends in."""
     # Workers change no result and take long to start.

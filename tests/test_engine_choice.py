@@ -144,6 +144,7 @@ def test_a_discovery_in_the_shell_regresses_on_the_engine(julia, table, tmp_path
     assert len(julia.integrated) == count + 2
 
 
+@pytest.mark.slow
 def test_the_name_travels_to_worker_processes(tmp_path):
     """Two workers find one Julia by the name, that of the process that started them."""
     log = tmp_path / "calls"

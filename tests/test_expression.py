@@ -92,6 +92,18 @@ def test_names_that_cannot_stand_in_a_formula_are_refused(name: str):
         check_name(name)
 
 
+def test_an_expression_that_is_taken_is_not_printed():
+    """Printing takes longer than the check; what is refused is shown."""
+
+    class Unprintable(sympy.Function):
+        def _sympystr(self, printer):
+            raise AssertionError
+
+    assert parse(Unprintable(x), ["x"]) == Unprintable(x)
+    with pytest.raises(InputError, match=r"unknown name 'x' in '2\*x'; the variables are: y"):
+        parse(2 * x, ["y"])
+
+
 def test_every_operator_means_the_same_in_numpy_and_sympy():
     """The table's numpy and SymPy columns agree at random points."""
     points = np.random.default_rng(0).uniform(0.1, 0.9, size=(2, 20))

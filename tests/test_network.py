@@ -1,5 +1,6 @@
+import sys
+
 import numpy as np
-import pytest
 
 from dynsr.data.samples import Samples
 from dynsr.methods.feynman.network import fit_network
@@ -12,7 +13,6 @@ def _samples(count: int) -> Samples:
     return Samples(X, y, ("a", "b"), "a", "given", np.arange(float(count)))
 
 
-@pytest.mark.slow
 def test_the_network_and_its_gradient_follow_a_smooth_function():
     """On fresh points the values are within 2 % of the spread, the derivatives within 10 %."""
     network = fit_network(_samples(600), np.random.default_rng(0), epochs=200)
@@ -24,6 +24,12 @@ def test_the_network_and_its_gradient_follow_a_smooth_function():
     slopes = np.column_stack([14 * np.cos(2 * X[:, 0]) * X[:, 1], 7 * np.sin(2 * X[:, 0])]) / 100.0
     off = np.sqrt(np.mean((network.gradient(X) - slopes) ** 2, axis=0))
     assert np.all(off < 0.1 * np.sqrt(np.mean(slopes**2, axis=0)))
+
+
+def test_training_loads_no_compiler(monkeypatch):
+    """What torch.compile needs takes as long to load as torch itself, and is not used."""
+    monkeypatch.setitem(sys.modules, "torch._dynamo", None)
+    assert fit_network(_samples(80), np.random.default_rng(5), epochs=20).epochs == 20
 
 
 def test_training_repeats_itself():

@@ -40,6 +40,25 @@ def test_merging_is_the_front_of_all(a: list[tuple[int, int]], b: list[tuple[int
     assert merged == [(c.loss, c.complexity) for c in ParetoFront(_candidates(a + b))]
 
 
+@given(st.permutations(["b", "a", "c", "a"]))
+def test_of_equals_the_first_by_text_is_kept(names: list[str]):
+    """Which of several equal formulas is kept does not depend on the order they came in."""
+    equal = [Candidate(sympy.Symbol(name), 1.0, 1.0) for name in names]
+    assert [str(c.expr) for c in ParetoFront(equal)] == ["a"]
+    assert [str(c.expr) for c in ParetoFront(equal).leaders] == ["a"]
+
+
+def test_only_ties_are_printed():
+    """Printing is slow: formulas of which one is better are not printed to order them."""
+
+    class Unprintable(sympy.Symbol):
+        def _sympystr(self, printer):
+            raise AssertionError
+
+    found = [Candidate(Unprintable("x"), 1.0, bits) for bits in (2.0, 1.0, 3.0)]
+    assert len(ParetoFront(found).add(*found)) == 1
+
+
 def test_infinite_losses_stay_off_the_front():
     """A formula that has no value somewhere on the samples is not a candidate."""
     samples = Samples(np.array([[0.0], [1.0]]), np.ones(2), ("x",), "x", "given", np.arange(2.0))

@@ -114,6 +114,7 @@ def test_a_record_of_other_settings_is_computed_again(copied):
     assert again.records[0].settings["pause"] == 0.01
 
 
+@pytest.mark.slow
 def test_a_failed_cell_is_a_record_and_is_tried_again(tmp_path):
     """A method that raises, finds nothing or kills its process fails alone, and says why."""
     methods = ["guess", "broken-raises", "broken-finds-nothing", "broken-dies"]

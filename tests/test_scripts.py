@@ -1,6 +1,7 @@
 import importlib.util
 import os
 import runpy
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -43,7 +44,6 @@ def test_each_script_is_small_and_says_what_it_makes(name):
     assert text.splitlines()[1].startswith(('"""Table', '"""Figure'))
 
 
-@pytest.mark.slow
 def test_the_appendix_of_the_ga_is_made_and_continued(tmp_path, run):
     """--quick gives three tables of two runs each; the next call takes them from the records."""
     code, shown, said = run("appendix_ga", "--quick", "--out", tmp_path)
@@ -76,6 +76,49 @@ def test_pages_hold_what_their_blocks_print(tmp_path):
         assert done.returncode == 0
         shown = "```python\nprint(x + 1)\n```\n\n```text\n3\n```\n\nC\n"
         assert page.read_text() == f"A\n\n```python\nx = 2\n```\n\nB\n\n{shown}"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the scripts are of a POSIX shell")
+@pytest.mark.parametrize(
+    ("arguments", "slow", "last"),
+    [
+        ((), False, "Tests marked slow did not run; scripts/test --all runs them too."),
+        (("--all",), True, "1 failed in 2.00s"),
+        (("-n", "0", "tests/test_scripts.py"), True, "1 failed in 2.00s"),
+    ],
+)
+def test_slow_tests_are_left_out_by_one_call_alone(tmp_path, arguments, slow, last):
+    """Without arguments the slow ones do not run, and its end says so; a failure stays one."""
+    log, python = tmp_path / "log", tmp_path / "bin" / "python"
+    python.parent.mkdir()
+    python.write_text(f"#!/bin/sh\nprintf '%s\\n' \"$@\" > {log}\necho 1 failed in 2.00s\nexit 1\n")
+    python.chmod(0o755)
+    environment = {**os.environ, "VIRTUAL_ENV": str(tmp_path), "DYNSR_USE_ACTIVE_ENV": "1"}
+    command = [ROOT / "scripts" / "test", *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (1, last)
+    words = log.read_text().splitlines()
+    assert words[:2] == ["-m", "pytest"] and "--all" not in words
+    assert ("not slow" in words) is not slow
+    if arguments[1:]:
+        assert words[2:] == list(arguments)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the scripts are of a POSIX shell")
+def test_continuous_integration_checks_and_runs_every_test(tmp_path):
+    """.ci/run calls the checks, then all tests; no job of the forge leaves the slow ones out."""
+    for name in (".ci/run", "scripts/check", "scripts/test", "bin/chromium"):
+        script = tmp_path / name
+        script.parent.mkdir(exist_ok=True)
+        script.write_text(f'#!/bin/sh\necho "{name} $*"\n')
+        script.chmod(0o755)
+    shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci" / "run")
+    path = os.pathsep.join([str(tmp_path / "bin"), os.environ["PATH"]])
+    done = subprocess.run(
+        [tmp_path / ".ci" / "run"], env={**os.environ, "PATH": path}, capture_output=True, text=True
+    )
+    assert done.stdout.splitlines() == ["scripts/check ", "scripts/test --all"]
+    assert "slow" not in (ROOT / ".github" / "workflows" / "ci.yml").read_text()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="the scripts are of a POSIX shell")

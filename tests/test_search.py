@@ -68,7 +68,6 @@ def test_the_paper_preset_is_at_least_as_good_as_the_paper():
     assert trajectory_loss(LOTKA_VOLTERRA, chosen.expr) <= 0.19
 
 
-@pytest.mark.slow
 def test_a_law_beyond_the_direct_stages_is_found_through_the_network():
     """A scaling symmetry that the trained network shows leads on; without it the law is missed."""
     samples = _samples("1/(1 + (a/b)^2)", 300)

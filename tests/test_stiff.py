@@ -91,7 +91,7 @@ def test_nothing_explains_jumps_by_being_small_elsewhere(even):
     assert not explains_all(score_candidate(sympy.S.Zero, samples), samples)
 
 
-@pytest.mark.parametrize("rows", ["even", "adaptive"])
+@pytest.mark.parametrize("rows", ["even", pytest.param("adaptive", marks=pytest.mark.slow)])
 def test_a_stiff_law_is_found_exactly(rows):
     """Both equations of Van der Pol at mu = 50, from even rows and from the solver's own."""
     # Even rows as far apart as above, over one jump; the solver needs 561 of its own for it.

@@ -57,6 +57,7 @@ def run(script):
     return told.getvalue().splitlines()
 
 
+@pytest.mark.slow
 def test_a_script_for_pysindy_changes_one_import():
     """The very same lines run with both, and each finds the three systems in its own writing."""
     pytest.importorskip("pysindy")

@@ -38,6 +38,7 @@ def check_what_is_said(found):
         assert found.explanation[state].startswith(f"{line}: {own.level}; ")
 
 
+@pytest.mark.slow
 def test_hare_and_lynx_follow_lotka_and_volterra():
     """21 yearly counts give the form, and constants inside the published intervals."""
     found = dynsr.discover(RECORDS / "hare-lynx.csv", **FEW)

@@ -48,6 +48,7 @@ class Dying(AbstractMethod):
         return QUICK.search(samples, rng)
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_started_again_and_named_if_it_always_dies(tmp_path):
     """One that dies once is not spoken of; one that always does is named, and others answer."""
     marks = [tmp_path / name for name in ("once", "always")]
@@ -138,6 +139,7 @@ def _session(leader):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc to look at processes")
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
 def test_a_command_that_is_ended_leaves_no_worker_and_no_shared_memory(end, long_search, tmp_path):
@@ -164,6 +166,7 @@ def _wait(condition, seconds=60.0):
     return bool(condition())
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_one_of_two_commands_on_a_folder_leaves_the_other(table, tmp_path):
     """Two discoveries write the same records; the end of one is not that of the other."""
     words = ("discover", table, "--preset", "quick", "--method", "rational", "--targets", "x")
@@ -228,6 +231,7 @@ for last in ([], ["--json"]):
 """
 
 
+@pytest.mark.slow
 def test_names_are_printed_whatever_the_terminal_knows(tmp_path):
     """With an encoding that has no Greek letters, they are escaped; JSON stays JSON."""
     write_csv(Trajectory(T, X[:, :1], ("μ",)), tmp_path / "d.csv")

@@ -22,7 +22,7 @@ from .plausibility import Prior, plausibility_bits
 from .program import Program, compile_columns
 from .ratios import ratio_forms
 from .vocabulary import NAMED_FUNCTIONS, Vocabulary
-from .writing import as_float_tree, round_constants, to_text
+from .writing import ByText, as_float_tree, round_constants, to_text
 
 __all__ = [
     "FUNCTIONS",
@@ -30,6 +30,7 @@ __all__ = [
     "NAMED_FUNCTIONS",
     "OPERATORS",
     "REAL_RESOLUTION",
+    "ByText",
     "Prior",
     "Program",
     "Rows",

@@ -98,7 +98,7 @@ def parse(
     """
     allowed = None if names is None else frozenset(names)
     if isinstance(text, sympy.Expr):
-        _check_symbols({str(s) for s in text.free_symbols}, allowed, str(text))
+        _check_symbols({str(s) for s in text.free_symbols}, allowed, text)
         return text
     source = str(text).strip()
     shown = source if len(source) <= 60 else source[:57] + "..."
@@ -122,13 +122,17 @@ def parse(
         raise reader.unreadable from None
 
 
-def _check_symbols(found: set[str], allowed: frozenset[str] | None, shown: str) -> None:
+def _check_symbols(
+    found: set[str], allowed: frozenset[str] | None, shown: str | sympy.Expr
+) -> None:
     if allowed is None:
         return
     unknown = sorted(found - allowed)
     if unknown:
         known = ", ".join(sorted(allowed)) or "none"
-        raise InputError(f"unknown name {unknown[0]!r} in {shown!r}; the variables are: {known}")
+        raise InputError(
+            f"unknown name {unknown[0]!r} in {str(shown)!r}; the variables are: {known}"
+        )
 
 
 # A part of an expression, and its value where no variable stands in it.

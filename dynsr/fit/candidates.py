@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import complexity, evaluate, shown, to_latex_formula
+from dynsr.expression import ByText, complexity, evaluate, shown, to_latex_formula
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,12 +63,6 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
     return Candidate(expr, missed, complexity(expr), source)
 
 
-@lru_cache(maxsize=4096)
-def _text(expr: sympy.Expr) -> str:
-    """Order ties; kept, because fronts grow by many small additions and printing is slow."""
-    return str(expr)
-
-
 @dataclass(frozen=True)
 class ParetoFront:
     """Candidates of which none is both simpler and better than another, simplest first.
@@ -92,7 +86,7 @@ class ParetoFront:
         leaders: dict[str, Candidate] = {}
         ordered = sorted(
             (c for c in candidates if math.isfinite(c.loss) and math.isfinite(c.complexity)),
-            key=lambda c: (c.complexity, c.loss, _text(c.expr)),
+            key=lambda c: (c.complexity, c.loss, ByText(c.expr)),
         )
         for candidate in ordered:
             if not kept or candidate.loss < kept[-1].loss:

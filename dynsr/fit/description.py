@@ -23,7 +23,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import complexity
+from dynsr.expression import ByText, complexity
 from dynsr.fit.candidates import Candidate
 from dynsr.fit.constants import free_constants
 from dynsr.fit.noise import Noise, noise_of, residuals
@@ -168,4 +168,4 @@ def choose(
     if not pool:
         raise ValueError("there is no candidate to choose from")
     measured = noise or noise_of(pool, samples)
-    return min(pool, key=lambda c: (description_length(c, samples, measured), str(c.expr)))
+    return min(pool, key=lambda c: (description_length(c, samples, measured), ByText(c.expr)))

@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 
 from dynsr.data import Samples
 from dynsr.errors import InputError
+from dynsr.expression import ByText
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import Template, as_floats
 from dynsr.fit.description import description_length
@@ -128,7 +129,7 @@ def judge_by_loss(
     judged = replace(samples, loss=loss)
     scored = [score_candidate(c.expr, judged, c.source) for c in found]
     noise = noise_of(scored, judged)
-    ranked = sorted(scored, key=lambda c: (description_length(c, judged, noise), str(c.expr)))
+    ranked = sorted(scored, key=lambda c: (description_length(c, judged, noise), ByText(c.expr)))
     fitted = [_fit(c, judged) for c in ranked[:_FITTED]]
     return list({c.expr: c for c in [*scored, *fitted]}.values()), judged
 

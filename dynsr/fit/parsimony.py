@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import complexity, evaluate
+from dynsr.expression import ByText, complexity, evaluate
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import refit
 from dynsr.fit.description import description_length
@@ -49,7 +49,7 @@ def limits(expr: sympy.Expr) -> list[sympy.Expr]:
     ['x', 'x + 2', '2*exp(y)']
     """
     found = {e for e in _shorter(expr) if e != expr and not e.has(sympy.zoo, sympy.nan, sympy.oo)}
-    return sorted(found, key=lambda e: (complexity(e), str(e)))
+    return sorted(found, key=lambda e: (complexity(e), ByText(e)))
 
 
 def _shorter(node: sympy.Expr) -> Iterator[sympy.Expr]:
@@ -126,7 +126,7 @@ def collapse(
         return candidate
     shorter = [c for c in others if c.complexity < candidate.complexity]
     fitting = [c for c in shorter if np.all(_misses(c, samples) <= bound)]
-    best = min([candidate, *fitting], key=lambda c: (c.complexity, str(c.expr)))
+    best = min([candidate, *fitting], key=lambda c: (c.complexity, ByText(c.expr)))
     most = description_length(candidate, samples, noise)
     if description_length(best, samples, noise) > most:
         best = candidate

@@ -18,7 +18,13 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import LARGEST_IN_FRACTION, complexity, number_bits, round_constants
+from dynsr.expression import (
+    LARGEST_IN_FRACTION,
+    ByText,
+    complexity,
+    number_bits,
+    round_constants,
+)
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import Template, as_floats, refit, skeleton
 from dynsr.fit.description import data_bits, description_length, shift_bits
@@ -209,7 +215,7 @@ def snap(
     ends = [
         _Snapper(Template.of(form, samples), noise, settings).snap() for form in normal_forms(expr)
     ]
-    return min(ends, key=lambda end: (end[0], str(end[1])))[1]
+    return min(ends, key=lambda end: (end[0], ByText(end[1])))[1]
 
 
 def normal_forms(expr: sympy.Expr) -> list[sympy.Expr]:
@@ -308,9 +314,9 @@ def snap_best(candidates: Iterable[Candidate], samples: Samples, top: int = 8) -
         return []
     noise = noise_of(pool, samples)
 
-    def rounded_length(candidate: Candidate) -> tuple[float, str]:
+    def rounded_length(candidate: Candidate) -> tuple[float, ByText]:
         rounded = Candidate(round_constants(candidate.expr, 4), 0.0, 0.0)
-        return description_length(rounded, samples, noise), str(candidate.expr)
+        return description_length(rounded, samples, noise), ByText(candidate.expr)
 
     fitted = [
         score_candidate(refit(c.expr, samples, noise.floor), samples, c.source)
@@ -319,4 +325,4 @@ def snap_best(candidates: Iterable[Candidate], samples: Samples, top: int = 8) -
     noise = noise_of([*pool, *fitted], samples)
     snapped = {tidy(snap(c.expr, samples, noise)): c.source for c in fitted}
     found = [score_candidate(expr, samples, source) for expr, source in snapped.items()]
-    return sorted(found, key=lambda c: (description_length(c, samples, noise), str(c.expr)))
+    return sorted(found, key=lambda c: (description_length(c, samples, noise), ByText(c.expr)))

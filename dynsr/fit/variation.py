@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import Vocabulary, complexity
+from dynsr.expression import ByText, Vocabulary, complexity
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import refit
 from dynsr.fit.description import description_length
@@ -38,7 +38,7 @@ def neighbours(expr: sympy.Expr, vocabulary: Vocabulary | None = None) -> list[s
     found = {n for n in _swap(expr, False) if n != expr}
     if vocabulary is not None:
         found = {n for n in found if vocabulary.allows(n)}
-    return sorted(found, key=lambda n: (complexity(n), str(n)))
+    return sorted(found, key=lambda n: (complexity(n), ByText(n)))
 
 
 def _swap(node: sympy.Expr, inside: bool) -> Iterator[sympy.Expr]:
@@ -98,7 +98,7 @@ def loosen(expr: sympy.Expr) -> sympy.Expr:
     above = [_loose_term(t) for t in sympy.Add.make_args(sympy.expand(top))]
     if bottom == 1:
         return sympy.Add(*above)
-    terms = sorted(sympy.Add.make_args(bottom), key=lambda t: (len(t.free_symbols) > 0, str(t)))
+    terms = sorted(sympy.Add.make_args(bottom), key=lambda t: (len(t.free_symbols) > 0, ByText(t)))
     below, last = [_loose_term(t) for t in terms[:-1]], terms[-1]
     factor, rest = last.as_coeff_Mul()
     if factor.is_Float:

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from inspect import unwrap
 
 import numpy as np
 import torch
@@ -110,6 +111,19 @@ class _Layers:
         return torch.mm(slopes, self._parts[0])
 
 
+class _Adam(torch.optim.Adam):
+    """Adam that does not load torch's compiler, which takes as long as torch itself."""
+
+    add_param_group = unwrap(torch.optim.Adam.add_param_group)
+    step = torch.no_grad()(unwrap(torch.optim.Adam.step))
+
+
+class _LBFGS(torch.optim.LBFGS):
+    """L-BFGS that does not load torch's compiler."""
+
+    add_param_group = unwrap(torch.optim.LBFGS.add_param_group)
+
+
 @contextmanager
 def _one_thread() -> Iterator[None]:
     """Sums of one thread do not depend on how many cores the machine has."""
@@ -205,7 +219,7 @@ class _Training:
         """Adam, one cycle of the learning rate."""
         count = len(self.inputs)
         batches = max(1, count // batch)
-        adam = torch.optim.Adam([self.layers.weights], lr=peak_rate)
+        adam = _Adam([self.layers.weights], lr=peak_rate)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             adam, peak_rate, total_steps=max(2, epochs * batches), final_div_factor=1e3
         )
@@ -220,7 +234,7 @@ class _Training:
 
     def polish(self, epochs: int, block: int = 10, patience: int = 5) -> None:
         """L-BFGS in blocks; ends after ``patience`` blocks that did not help the held rows."""
-        solver = torch.optim.LBFGS(
+        solver: torch.optim.LBFGS = _LBFGS(
             [self.layers.weights],
             max_iter=block,
             max_eval=block,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,10 +80,10 @@ class RunningSearch:
         y: np.ndarray,
         names: tuple[str, ...],
         settings: BruteForce,
-        report: Report,
+        watch: Watch,
     ) -> None:
         """Take finite (n, p) and (n,) values."""
-        self.X, self.y, self.settings, self.report = X, y, settings, report
+        self.X, self.y, self.settings, self.watch = X, y, settings, watch
         self.started = time.monotonic()
         self.letters, self.nested = make_letters(settings.operators, settings.nested)
         leaves = [sympy.Symbol(name) for name in names] + [parse(c) for c in settings.constants]
@@ -158,8 +158,7 @@ class RunningSearch:
                 self._notice_stability()
             if size == settings.max_size or self.enumerator.stopped == "candidates":
                 self._try_beam()
-            if self.report is not silent:
-                self.report(Progress(settings.name, self.enumerator.formed, None, self._front()))
+            self.watch(self)
         if not self._ended():
             self.stopped = "size"
 
@@ -281,8 +280,22 @@ class RunningSearch:
             if self._must_stop():
                 return
 
-    def _front(self) -> ParetoFront:
+    @property
+    def formed(self) -> int:
+        """Functions evaluated so far, repetitions included."""
+        return self.enumerator.formed
+
+    @property
+    def front(self) -> ParetoFront:
+        """What was found so far, written out at every call."""
         return ParetoFront(self.pool.candidates(self.settings.name))
+
+
+Watch = Callable[[RunningSearch], None]
+
+
+def unwatched(running: RunningSearch) -> None:
+    """Look at nothing."""
 
 
 def _spaced(rows: int, count: int) -> np.ndarray:
@@ -396,20 +409,25 @@ class BruteForce(AbstractMethod):
         self, samples: Samples, rng: np.random.Generator, report: Report = silent
     ) -> ParetoFront:
         """Search; ``rng`` is not used, since nothing here is left to chance."""
-        return ParetoFront(search_samples(samples, self, report).candidates)
+
+        def tell(running: RunningSearch) -> None:
+            report(Progress(self.name, running.formed, None, running.front))
+
+        watch = unwatched if report is silent else tell
+        return ParetoFront(search_samples(samples, self, watch).candidates)
 
 
-def search_samples(samples: Samples, settings: BruteForce, report: Report) -> BruteForceResult:
+def search_samples(samples: Samples, settings: BruteForce, watch: Watch) -> BruteForceResult:
     """Search on samples and on the columns that the settings' terms add to them.
 
     Parameters
     ----------
     samples : the rows.
     settings : those of the enumeration.
-    report : is called as the search goes on.
+    watch : is called with the running search after every size.
     """
     wider = extend_samples(samples, settings.terms)
-    result = search_values(wider.samples.X, samples.y, wider.samples.names, settings, report=report)
+    result = search_values(wider.samples.X, samples.y, wider.samples.names, settings, watch)
     return replace(result, candidates=tuple(wider.bring_back(result.candidates)))
 
 
@@ -418,7 +436,7 @@ def search_values(
     y: np.ndarray,
     names: Sequence[str],
     settings: BruteForce | None = None,
-    report: Report = silent,
+    watch: Watch = unwatched,
 ) -> BruteForceResult:
     """Search for y = f(X), (n, p) -> (n,), and say how much was looked at.
 
@@ -438,4 +456,4 @@ def search_values(
         )
     if not (np.isfinite(X).all() and np.isfinite(y).all()):
         raise InputError("X or y holds a value that is not finite; drop those rows")
-    return RunningSearch(X, y, tuple(names), settings or BruteForce(), report).run()
+    return RunningSearch(X, y, tuple(names), settings or BruteForce(), watch).run()

@@ -6,8 +6,11 @@ from dataclasses import dataclass, field, replace
 
 from dynsr.data import Samples
 from dynsr.fit import Candidate
-from dynsr.methods.base import Progress
-from dynsr.methods.feynman.enumeration.brute_force import BruteForce, search_samples
+from dynsr.methods.feynman.enumeration.brute_force import (
+    BruteForce,
+    RunningSearch,
+    search_samples,
+)
 from dynsr.methods.feynman.stages.base import AbstractStage, Context
 
 
@@ -33,8 +36,8 @@ class Enumeration(AbstractStage):
             return []
         settings = replace(self.settings, seconds=seconds)
 
-        def tell(progress: Progress) -> None:
-            context.tell(self.name, progress.done, progress.total)
+        def tell(running: RunningSearch) -> None:
+            context.tell(self.name, running.formed, None)
 
         result = search_samples(samples, settings, tell)
         context.interrupted |= result.stopped == "interrupted"
