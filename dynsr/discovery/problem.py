@@ -156,10 +156,11 @@ class Problem:
         if own is not None and runs is not self.runs:
             # Own slopes fit the whole trajectories; the searches see all of them.
             runs = self.runs
-        # Differences of the highest order tell most of exact rows that are far apart.
-        scheme = "central8" if plain and self._noisy_measurements is not None else self.scheme
+        settings = self.settings.slopes
+        if plain and self._noisy_measurements is not None:
+            settings = replace(settings, clean=np.inf)
         found = self.form.samples(
-            list(runs), state, scheme=scheme, slopes=own, settings=self.settings.slopes
+            list(runs), state, scheme=self.scheme, slopes=own, settings=settings
         )
         rows = self.settings.rows
         if len(found) > rows:
