@@ -27,7 +27,7 @@ from dynsr.discovery.tasks import (
     Found,
 )
 from dynsr.discovery.verdict import Verdict, VerdictSettings, judge
-from dynsr.expression import compile_numpy
+from dynsr.expression import compile_numpy, has_pole
 from dynsr.fit import (
     Candidate,
     FitSettings,
@@ -330,6 +330,24 @@ class Problem:
         values = np.concatenate([run.columns for run in self.runs]).T
         times = np.concatenate([run.t for run in self.runs])
         return {**dict(zip(self.runs[0].names, values, strict=True)), "t": times}
+
+    def without_poles(self, pools: Mapping[str, list[Candidate]]) -> dict[str, list[Candidate]]:
+        """Leave out what divides by 0 along the runs, where that leaves anything.
+
+        Parameters
+        ----------
+        pools : state -> formulas.
+        """
+        if self.form.discrete:
+            return dict(pools)
+        runs = [dict(zip(r.names, r.columns.T, strict=True)) | {"t": r.t} for r in self.runs]
+
+        def is_fine(candidate: Candidate) -> bool:
+            known = set(runs[0])
+            used = {str(symbol) for symbol in candidate.expr.free_symbols}
+            return not used <= known or not any(has_pole(candidate.expr, run) for run in runs)
+
+        return {state: list(filter(is_fine, pool)) or pool for state, pool in pools.items()}
 
     def _likely(
         self, picks: Mapping[str, Pick], pools: Mapping[str, Sequence[Candidate]]

@@ -459,6 +459,7 @@ class _Steps:
                 searched = [*begun, *explored, *looked, *self._search(watch, methods, rest)]
                 failures = check_found(searched, states)
                 pools = pool_formulas(searched, samples, problem.demands, problem.known)
+                pools = problem.without_poles(pools)
                 choices = self._choose(watch, pools, samples, held_back, failures, final)
                 picks = {c.pick.state: c.pick for c in choices}
                 notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
