@@ -19,6 +19,7 @@ from dynsr.data import (
 from dynsr.discovery.asking import (
     Shares,
 )
+from dynsr.discovery.conservation import conserve
 from dynsr.discovery.map_verdict import judge_map
 from dynsr.discovery.maps import measure_step_errors
 from dynsr.discovery.orders import Form, explain_velocity
@@ -421,6 +422,25 @@ class Problem:
             return None
         self.confirmed.append(found)
         return found.exprs
+
+    def conserve(self, exprs: Mapping[str, sympy.Expr]) -> Mapping[str, sympy.Expr]:
+        """Write exact equations so that what rests along the runs rests from other starts too.
+
+        Parameters
+        ----------
+        exprs : state -> equation, of all states.
+        """
+        if self.demands.asked or self.known or self.form.known:
+            return exprs
+        written = conserve(exprs, self.runs)
+        if written == exprs or not self.confirmed:
+            return written
+        before = list(self.confirmed)
+        self.confirmed.clear()
+        again = self._confirmed(written)
+        if again is None:
+            self.confirmed.extend(before)
+        return exprs if again is None else again
 
     def is_allowed(self, state: str, expr: sympy.Expr) -> bool:
         """Whether an equation keeps to all that the user asks."""

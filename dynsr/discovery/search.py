@@ -533,6 +533,9 @@ class _Steps:
         if len(final) < len(looked):
             confirmed = problem.confirm(looked)
             final |= {s: replace(best[s], expr=expr) for s, expr in confirmed.items()}
+        if final and len(final) == len(looked):
+            written = problem.conserve({s: c.expr for s, c in final.items()})
+            final = {s: replace(c, expr=written[s]) for s, c in final.items()}
         if final:
             record["first_look"] = sorted(final)
             watch.skip([*tasks_of(tuple(final), self.methods), *plan_tasks(final, {}, self.first)])
