@@ -174,3 +174,14 @@ def test_many_trajectories_of_any_length():
         choose_samples([first, Trajectory(first.t, first.x, ("a", "b"))], "x")
     with pytest.raises(InputError, match="unknown scheme"):
         choose_samples(first, "x", scheme="forwards")
+
+
+def test_rows_far_apart_take_differences_of_still_higher_order():
+    """Eight rows a swing, a third of them lost: slopes err by 1e-4, and know by how much."""
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.choice(np.linspace(0, 60, 240), 160, replace=False))
+    samples = choose_samples(Trajectory(t, np.sin(t)[:, None], ("x",)), "x")
+    assert int(samples.scheme.removeprefix("central")) > 8
+    errors = np.abs(samples.y - np.cos(samples.t))
+    assert np.median(errors) < 1e-4
+    assert np.mean(errors <= samples.slope_sd) > 0.9

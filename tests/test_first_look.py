@@ -135,3 +135,38 @@ def test_rows_where_differences_fail_do_not_bend_the_others():
     samples = join_samples([choose_samples(one, "x") for one in runs])
     seen = look(samples)
     assert seen.final and str(seen.candidates[0].expr) == "-x**3 + x"
+
+
+INSIDE = {
+    "a saturation of order two, half of few rows lost": (
+        lambda x, y: (
+            1.5 * x - 0.3 * x**2 - 1.8 * x**2 * y / (x**2 + 1.6),
+            0.7 * x**2 * y / (x**2 + 1.6) - 0.3 * y,
+        ),
+        (1.1, 1.3),
+        24.0,
+        ("x", "y"),
+    ),
+    "a power of a difference": (
+        lambda h, g: (-0.7 * (h - g) ** 1.25, 0.4 * (h - g) ** 1.25 - 0.2 * g),
+        (5.0, 0.5),
+        9.0,
+        ("h", "g"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", INSIDE)
+def test_a_constant_inside_a_function_is_found_from_few_exact_rows(name):
+    """Laws with a constant inside are final, and true at other states than those of the run."""
+    rhs, start, end, names = INSIDE[name]
+    whole = run(rhs, start, end, 120, names, rtol=1e-11)
+    kept = np.sort(np.random.default_rng(1).choice(120, 60, replace=False))
+    data = dynsr.Trajectory(whole.t[kept], whole.x[kept], names)
+    others = {n: 1.2 * whole.x[::-1, i] + 0.1 * (1 - i) for i, n in enumerate(names)}
+    true = rhs(*others.values())
+    for place, state in enumerate(names):
+        seen = look(choose_samples([data], state))
+        assert seen.final
+        found = evaluate(seen.candidates[0].expr, others)
+        assert np.max(np.abs(found - true[place])) < 1e-4 * np.std(true[place])

@@ -283,3 +283,16 @@ def test_a_root_in_noise_is_a_law_only_far_ahead_of_others():
     near = judge(tank, [noisy], rivals={"h": [(other, 20.0)]}).states["h"].reason
     assert "may stand for others, such as 0.3 - 0.1*h" in near
     assert judge(tank, [exact], rivals={"h": [(other, 20.0)]}).level == "law"
+
+
+def test_what_divides_by_zero_between_the_rows_is_no_law():
+    """A line that passes through 0 between two rows is doubted, however closely rows are met."""
+    t = np.linspace(0, 4, 41)
+    decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
+    x = sympy.Symbol("x")
+    pole = (decay.x[7, 0] + decay.x[8, 0]) / 2
+    spoiled = -0.5 * x * (1 + 1e-12 / (x - pole))
+    assert judge({"x": -0.5 * x}, [decay]).level == "law"
+    judged = judge({"x": spoiled}, [decay])
+    assert judged.level != "law"
+    assert not judge({"x": -0.5 * x * (1 + 1e-12 / (x + 0.01))}, [decay]).reason.count("divides")

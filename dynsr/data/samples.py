@@ -73,7 +73,8 @@ class Samples:
 
 
 # The difference schemes; the number of a central one is its order in the step.
-CENTRAL = ("central2", "central4", "central6", "central8")
+CENTRAL_ORDERS = (2, 4, 6, 8, 10, 12, 14)
+CENTRAL = tuple(f"central{order}" for order in CENTRAL_ORDERS)
 SCHEMES = ("forward", "backward", *CENTRAL)
 
 
@@ -105,7 +106,7 @@ def difference(t: np.ndarray, x: np.ndarray, scheme: str) -> tuple[slice, np.nda
     """
     if scheme not in SCHEMES:
         raise InputError(f"unknown scheme {scheme!r}; the schemes are: {', '.join(SCHEMES)}")
-    order = int(scheme[-1]) if scheme in CENTRAL else 1
+    order = int(scheme.removeprefix("central")) if scheme in CENTRAL else 1
     if len(t) < order + 1:
         raise InputError(
             f"{len(t)} rows are too few for {scheme} differences; give at least {order + 1}"

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -14,6 +15,8 @@ from scipy.interpolate import CubicSpline, make_smoothing_spline
 
 from dynsr.data.noise_model import interpolation_residuals, measurement_noise, robust_scale
 from dynsr.data.samples import (
+    CENTRAL,
+    CENTRAL_ORDERS,
     SCHEMES,
     Samples,
     central_weights,
@@ -33,6 +36,8 @@ from dynsr.errors import InputError, need
 
 # The smoothers that have no settings.
 SMOOTHERS = ("gp", "spline", "total-variation", "weak")
+# Order up to which all central differences are looked at; higher ones while the errors fall.
+_USUAL_ORDER = 6
 _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
 
 
@@ -151,7 +156,7 @@ def smooth_column(t: np.ndarray, x: np.ndarray, scheme: str) -> Smooth:
     ----------
     t : (n,) times in seconds, strictly increasing.
     x : (n,) values of one state.
-    scheme : "forward", "backward", "central2" to "central8", "savgol(WINDOW,DEGREE)", "gp" (a
+    scheme : "forward", "backward", "central2" to "central14", "savgol(WINDOW,DEGREE)", "gp" (a
         Gaussian process), "spline", "total-variation" or "weak" (the slope that has the weak
         form's means over windows, and its integral; no row is differentiated).
 
@@ -290,7 +295,9 @@ def _choose_anew(
     if sigma / step <= settings.clean * size or len(t) < 2 * settings.windows[0]:
         return central
     best = _choose_smoother(t, x, sigma, settings)
-    return best if len(t) > settings.processed else _compare_process(t, x, best, settings)
+    if len(t) <= settings.processed:
+        best = _compare_process(t, x, best, settings)
+    return central if central.noise < best.noise else best
 
 
 def _compare_process(t: np.ndarray, x: np.ndarray, best: Choice, settings: SlopeSettings) -> Choice:
@@ -359,18 +366,21 @@ def find_layers(
 def _choose_central(
     t: np.ndarray, x: np.ndarray, sigma: float, size: float, settings: SlopeSettings
 ) -> Choice:
-    orders = [order for order in (2, 4, 6, 8) if len(t) > order + 1]
+    orders = [order for order in CENTRAL_ORDERS if len(t) > order + 1]
     if len(orders) < 2:
         if not orders:
             raise InputError(f"{len(t)} rows are too few for slopes; give at least 4 a trajectory")
         return Choice("central2", sigma / float(np.median(np.diff(t))))
-    slopes = [smooth_column(t, x, f"central{order}").slope for order in orders]
     best = Choice("central2", np.inf)
-    for order, low, high in zip(orders, slopes, slopes[1:], strict=False):
-        random = sigma * float(np.median(np.linalg.norm(central_weights(t, order), axis=1)))
-        error = float(np.quantile(np.abs(high - low[1:-1]), settings.quantile)) + random
-        if error < best.noise and best.noise > settings.finest * size:
+    for order, higher in pairwise(orders):
+        gaps, random = _gaps(t, x, order, higher, sigma)
+        error = float(np.quantile(gaps, settings.quantile)) + float(np.median(random))
+        if error < best.noise:
             best = Choice(f"central{order}", error)
+        elif order >= _USUAL_ORDER:
+            break
+        if best.noise <= settings.finest * size:
+            break
     return best
 
 
@@ -522,10 +532,40 @@ def _combine(
     choice = choices[target] if own is None else Choice("given", _spread(own[start:stop] - slope))
     y = slope if own is None else own[start:stop]
     t = trajectory.t[start:stop]
-    sd = mine.slope_sd if own is None else None
+    sd = mine.slope_sd
+    if choice.scheme in CENTRAL:
+        sd = _errors(trajectory, target, choice.scheme)
     if sd is not None:
         sd = sd[start - mine.rows.start : stop - mine.rows.start]
     return Samples(columns, y, trajectory.names, target, choice.scheme, t, choice.noise, sd)
+
+
+def _errors(trajectory: Trajectory, state: str, scheme: str) -> np.ndarray | None:
+    """Errors of the slopes of a central difference: what the next order changes, and noise."""
+    t, place = trajectory.t, CENTRAL.index(scheme) + 1
+    if place == len(CENTRAL) or len(t) <= CENTRAL_ORDERS[place]:
+        return None
+    column = trajectory.index(state)
+    x, sigma = trajectory.x[:, column], float(measurement_noise(trajectory)[column])
+    gaps, random = _gaps(t, x, CENTRAL_ORDERS[place - 1], CENTRAL_ORDERS[place], sigma)
+    # By chance two orders agree at a row, but not at its neighbours too.
+    gaps = np.lib.stride_tricks.sliding_window_view(np.pad(gaps, 2, mode="edge"), 3)
+    return np.asarray(gaps.max(axis=1) + random)
+
+
+def _gaps(
+    t: np.ndarray, x: np.ndarray, order: int, higher: int, sigma: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a higher order changes in slopes (n - higher,), and their error by noise (n - order,).
+
+    Noise that two orders do not differ by is none: rows far apart look noisy.
+    """
+    low, high = (smooth_column(t, x, f"central{which}").slope for which in (order, higher))
+    lower, upper = central_weights(t, order), central_weights(t, higher)
+    gaps = np.abs(high - low[1:-1])
+    upper[:, 1:-1] -= lower[1:-1]
+    shown = float(robust_scale(gaps / np.linalg.norm(upper, axis=1)))
+    return gaps, min(sigma, shown) * np.linalg.norm(lower, axis=1)
 
 
 def _without_layers(samples: Samples, trajectory: Trajectory, settings: SlopeSettings) -> Samples:

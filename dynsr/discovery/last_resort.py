@@ -27,6 +27,7 @@ from dynsr.discovery.verdict import (
     likely_cause,
     summarise,
 )
+from dynsr.expression import has_pole
 from dynsr.fit import Match, fit_along, score_candidate, untouched_match
 from dynsr.selection import Follower, Trail, find_followers
 
@@ -36,6 +37,8 @@ _MOST = 4
 _FITTED = 2
 # Digits that constants are written with, and the share of the misses that this may add.
 _DIGITS, _ROUNDING = (3, 4, 6), 0.02
+# Share of a column's range beyond its ends where a pole is close.
+_BESIDE = 0.1
 SOURCE = "sums that follow"
 
 
@@ -92,11 +95,23 @@ def _best(problem: Problem, found: Discovery, trail: Trail) -> Follower | None:
     likely = sorted(pool, key=lambda f: -f.r2)[:_FITTED]
     pool += [_follow(trail, e) for e in _fit(problem, likely)]
     pool = [f for f in pool if all(problem.is_allowed(s, e) for s, e in f.exprs.items())]
+    # What comes close to a pole follows one run by chance, and no other.
+    pool = [f for f in pool if not _comes_close(problem, f)] or pool
     if not pool:
         return None
     most = max(f.r2 for f in pool)
     near = [f for f in pool if f.r2 >= most - trail.settings.tie]
     return min(near, key=lambda f: (f.terms, -f.r2))
+
+
+def _comes_close(problem: Problem, follower: Follower) -> bool:
+    runs = [dict(zip(run.names, run.columns.T, strict=True)) | {"t": run.t} for run in problem.runs]
+    return any(
+        has_pole(expr, run, _BESIDE)
+        for expr in follower.exprs.values()
+        for run in runs
+        if {str(symbol) for symbol in expr.free_symbols} <= set(run)
+    )
 
 
 def _accurate(found: Discovery, given: Mapping[str, sympy.Expr]) -> Iterator[dict[str, sympy.Expr]]:

@@ -19,6 +19,7 @@ from dynsr.data import (
 from dynsr.discovery.asking import (
     Shares,
 )
+from dynsr.discovery.conservation import conserve
 from dynsr.discovery.map_verdict import judge_map
 from dynsr.discovery.maps import measure_step_errors
 from dynsr.discovery.orders import Form, explain_velocity
@@ -27,7 +28,7 @@ from dynsr.discovery.tasks import (
     Found,
 )
 from dynsr.discovery.verdict import Verdict, VerdictSettings, judge
-from dynsr.expression import compile_numpy
+from dynsr.expression import compile_numpy, has_pole
 from dynsr.fit import (
     Candidate,
     FitSettings,
@@ -156,10 +157,11 @@ class Problem:
         if own is not None and runs is not self.runs:
             # Own slopes fit the whole trajectories; the searches see all of them.
             runs = self.runs
-        # Differences of the highest order tell most of exact rows that are far apart.
-        scheme = "central8" if plain and self._noisy_measurements is not None else self.scheme
+        settings = self.settings.slopes
+        if plain and self._noisy_measurements is not None:
+            settings = replace(settings, clean=np.inf)
         found = self.form.samples(
-            list(runs), state, scheme=scheme, slopes=own, settings=self.settings.slopes
+            list(runs), state, scheme=self.scheme, slopes=own, settings=settings
         )
         rows = self.settings.rows
         if len(found) > rows:
@@ -330,6 +332,24 @@ class Problem:
         times = np.concatenate([run.t for run in self.runs])
         return {**dict(zip(self.runs[0].names, values, strict=True)), "t": times}
 
+    def without_poles(self, pools: Mapping[str, list[Candidate]]) -> dict[str, list[Candidate]]:
+        """Leave out what divides by 0 along the runs, where that leaves anything.
+
+        Parameters
+        ----------
+        pools : state -> formulas.
+        """
+        if self.form.discrete:
+            return dict(pools)
+        runs = [dict(zip(r.names, r.columns.T, strict=True)) | {"t": r.t} for r in self.runs]
+
+        def is_fine(candidate: Candidate) -> bool:
+            known = set(runs[0])
+            used = {str(symbol) for symbol in candidate.expr.free_symbols}
+            return not used <= known or not any(has_pole(candidate.expr, run) for run in runs)
+
+        return {state: list(filter(is_fine, pool)) or pool for state, pool in pools.items()}
+
     def _likely(
         self, picks: Mapping[str, Pick], pools: Mapping[str, Sequence[Candidate]]
     ) -> dict[str, list[sympy.Expr]]:
@@ -402,6 +422,25 @@ class Problem:
             return None
         self.confirmed.append(found)
         return found.exprs
+
+    def conserve(self, exprs: Mapping[str, sympy.Expr]) -> Mapping[str, sympy.Expr]:
+        """Write exact equations so that what rests along the runs rests from other starts too.
+
+        Parameters
+        ----------
+        exprs : state -> equation, of all states.
+        """
+        if self.demands.asked or self.known or self.form.known:
+            return exprs
+        written = conserve(exprs, self.runs)
+        if written == exprs or not self.confirmed:
+            return written
+        before = list(self.confirmed)
+        self.confirmed.clear()
+        again = self._confirmed(written)
+        if again is None:
+            self.confirmed.extend(before)
+        return exprs if again is None else again
 
     def is_allowed(self, state: str, expr: sympy.Expr) -> bool:
         """Whether an equation keeps to all that the user asks."""

@@ -459,6 +459,7 @@ class _Steps:
                 searched = [*begun, *explored, *looked, *self._search(watch, methods, rest)]
                 failures = check_found(searched, states)
                 pools = pool_formulas(searched, samples, problem.demands, problem.known)
+                pools = problem.without_poles(pools)
                 choices = self._choose(watch, pools, samples, held_back, failures, final)
                 picks = {c.pick.state: c.pick for c in choices}
                 notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
@@ -532,6 +533,9 @@ class _Steps:
         if len(final) < len(looked):
             confirmed = problem.confirm(looked)
             final |= {s: replace(best[s], expr=expr) for s, expr in confirmed.items()}
+        if final and len(final) == len(looked):
+            written = problem.conserve({s: c.expr for s, c in final.items()})
+            final = {s: replace(c, expr=written[s]) for s, c in final.items()}
         if final:
             record["first_look"] = sorted(final)
             watch.skip([*tasks_of(tuple(final), self.methods), *plan_tasks(final, {}, self.first)])

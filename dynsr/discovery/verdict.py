@@ -28,7 +28,7 @@ from dynsr.discovery.following import (
 from dynsr.discovery.layers import cross_layers
 from dynsr.discovery.rivals import compare_rivals
 from dynsr.errors import InputError, one_line
-from dynsr.expression import shown
+from dynsr.expression import has_pole, shown
 from dynsr.fit import STABLE, Flow, ParetoFront, Shooting, noise_and_spread, tidy
 
 LAW, APPROXIMATION, NOT_FOUND = LEVELS = ("law", "approximation", "not found")
@@ -559,6 +559,8 @@ class _Bench:
     ) -> list[str]:
         """Give what keeps an equation that follows the data from being a law."""
         settings, doubts = self.settings, []
+        if self._divides_by_zero(state):
+            doubts.append("it divides by 0 between the data")
         chi = found.chi_square
         rows = sum(z.shape[0] * z.shape[2] for z in followed.misses) * self.course.thinned
         if self.clean[place]:
@@ -594,6 +596,13 @@ class _Bench:
         if rows < settings.fewest * max(1, len(found.terms)):
             doubts.append(f"{rows:.0f} rows are too few to be sure")
         return doubts
+
+    def _divides_by_zero(self, state: str) -> bool:
+        """Whether a line of the equation passes through 0 along a run, as no solution can."""
+        expr = self.equations[state]
+        used = {str(symbol) for symbol in expr.free_symbols}
+        runs = [dict(zip(r.names, r.columns.T, strict=True)) | {"t": r.t} for r in self.course.runs]
+        return any(used <= set(run) and has_pole(expr, run) for run in runs)
 
     def _praise(self, place: int, noise: float, followed: Followed, evidence: _Evidence) -> str:
         exact = "exactly" if self.clean[place] else f"within their noise of {_percent(noise)}"

@@ -19,6 +19,7 @@ from .operators import FUNCTIONS, OPERATORS
 from .own_bits import added_bits, bits_in_force, counting, read_own_bits
 from .parsing import check_name, parse
 from .plausibility import Prior, plausibility_bits
+from .poles import has_pole, lines_below
 from .program import Program, compile_columns
 from .ratios import ratio_forms
 from .vocabulary import NAMED_FUNCTIONS, Vocabulary
@@ -50,6 +51,8 @@ __all__ = [
     "complexity",
     "counting",
     "evaluate",
+    "has_pole",
+    "lines_below",
     "number_bits",
     "parse",
     "plausibility_bits",

@@ -32,7 +32,6 @@ from .linear import (
 )
 from .losses import LOSSES, Loss, LossFunction, judge_by_loss, read_loss
 from .noise import (
-    FINEST_SLOPES,
     Noise,
     independent_rows,
     is_noisy,
@@ -61,7 +60,6 @@ from .snapping import one_a_shape, score_snapped, snap_best, tidy
 from .variation import improve, loosen, neighbours, with_floats
 
 __all__ = [
-    "FINEST_SLOPES",
     "LOSSES",
     "STABLE",
     "Candidate",

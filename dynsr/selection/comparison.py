@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import sympy
 
-from dynsr.expression import evaluate
+from dynsr.expression import evaluate, has_pole, lines_below
 from dynsr.fit import (
     Collocation,
     CollocationFit,
@@ -40,8 +40,6 @@ from dynsr.selection.rates import shared_bits
 from dynsr.selection.terms import Terms, TermSettings, find_turning
 
 Equations = dict[str, sympy.Expr]
-# Points at which the line below a fraction is looked at, so that even a narrow pole shows.
-_ACROSS = 201
 # Starts of one shape at most, and the share by which a constant inside a function sets two apart.
 _STARTS, _APART = 2, 0.5
 # Half-saturation, as a multiple of the largest value, from which on nothing is seen of it.
@@ -138,13 +136,6 @@ class ComparisonSettings:
 
 
 COMPARISON: ComparisonSettings = ComparisonSettings()
-
-
-def _lines(expr: sympy.Expr) -> Iterator[sympy.Expr]:
-    """Give what stands below the fraction lines of a formula, beside bare columns."""
-    for power in expr.atoms(sympy.Pow):
-        if power.base.is_Add and power.exp.is_negative and power.free_symbols:
-            yield power.base
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,23 +291,12 @@ class SystemComparison:
 
     def _has_pole(self, fit: CollocationFit) -> bool:
         """Whether a fraction line passes through 0 where the columns are."""
-        columns = self.mesh.columns
-        for line in {line for expr in fit.exprs.values() for line in _lines(expr)}:
-            names = [str(symbol) for symbol in line.free_symbols]
-            with np.errstate(all="ignore"):
-                if len(names) == 1:
-                    ends = columns[names[0]].min(), columns[names[0]].max()
-                    values = evaluate(line, {names[0]: np.linspace(*ends, _ACROSS)})
-                else:
-                    values = evaluate(line, columns)
-            if not np.min(values) * np.max(values) > 0:
-                return True
-        return False
+        return any(has_pole(expr, self.mesh.columns) for expr in fit.exprs.values())
 
     def _far_off(self, expr: sympy.Expr) -> int:
         """Count the saturations that the columns do not come near to."""
         columns, found = self.mesh.columns, 0
-        for power, constant, factor in filter(None, map(saturating, _lines(expr))):
+        for power, constant, factor in filter(None, map(saturating, lines_below(expr))):
             top = float(np.max(np.abs(evaluate(power, columns))))
             found += abs(float(constant)) > _NEAR * abs(float(factor)) * top
         return found

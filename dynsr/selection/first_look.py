@@ -18,7 +18,6 @@ import sympy
 from dynsr.data import Samples
 from dynsr.expression import compile_columns, evaluate
 from dynsr.fit import (
-    FINEST_SLOPES,
     Candidate,
     constant_bits,
     eliminate,
@@ -29,6 +28,8 @@ from dynsr.fit import (
     structure_bits,
 )
 from dynsr.methods import Limits
+from dynsr.selection.costs import shape_bits, unusual_bits
+from dynsr.selection.profiles import sums_beside
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import (
     Joint,
@@ -41,6 +42,17 @@ from dynsr.selection.terms import (
 SOURCE = "the first look"
 # Of more columns none is surely left out by chance; steps that are looked at; rounds of a fit.
 _MOST_ELIMINATED, _LAST, _ROUNDS = 100, 4, 3
+# Share of its size by which a column leaves its middle where functions must be the same.
+_ASIDE = 0.5
+# Share that different writings of one function differ by there at most.
+_SAME = 1e-6
+# Of those that leave nothing, how many are written in simple numbers.
+_WRITTEN = 6
+# Shares of their size that exact slopes err by, whatever they say of themselves: those of states
+# of a strict solver, and of a loose one.
+_STRICT, _LOOSE = 1e-8, 1e-6
+# The same share for single rows, that rest where others move.
+_ROW = 0.1
 # Times the median miss beyond which a row may be one where differences fail.
 _FAR = 10.0
 
@@ -110,12 +122,18 @@ def look(samples: Samples, limits: Limits | None = None, settings: LookSettings 
     with np.errstate(all="ignore"):
         allowed = limits or Limits()
         search = _Search.of(samples, allowed, settings)
-        seen = search.conclude([one for kind in search.kinds() for one in search.choose(kind)])
+        found = [one for kind in search.kinds() for one in search.choose(kind)]
+        seen = search.conclude(found)
         for angle in find_angles(samples.names, samples.X.T):
             if not seen.final:
                 swings = _Search.around(angle, samples, allowed, settings)
                 again = swings.conclude(list(swings.choose(np.arange(len(swings.exprs)))))
                 seen = again if again.final else seen
+        # What is written in simple numbers is the law, whatever else comes near.
+        if not (seen.final and _is_simple(seen.candidates[0].expr)):
+            beside = list(search.choose_beside(allowed))
+            again = search.conclude([*found, *beside]) if beside else seen
+            seen = again if again.final or not seen.final else seen
         return seen
 
 
@@ -162,6 +180,7 @@ class _Search:
     costs: np.ndarray
     error: float
     size: float
+    trust: np.ndarray
     fitted: dict[frozenset[int], _Choice | None] = field(default_factory=dict)
 
     @classmethod
@@ -198,7 +217,8 @@ class _Search:
         under = [e for e in below if limits.allow(1 / (1 + e))]
         values = compile_columns([*over, *under], samples.names)(*samples.X.T)
         values[len(over) :] *= -samples.y
-        size = slope_size(samples)
+        size, sd = slope_size(samples), samples.slope_sd
+        error = max(float(samples.noise or 0.0), _STRICT * size)
         line = structure_bits(1 / (1 + sympy.Symbol("x"))) - structure_bits(sympy.Symbol("x"))
         costs = [*bits[allowed], *(structure_bits(0.5 * e) + line for e in under)]
         return cls(
@@ -208,8 +228,9 @@ class _Search:
             len(over),
             values,
             np.array(costs) + constant_bits(len(samples)),
-            max(float(samples.noise or 0.0), FINEST_SLOPES * size),
+            error,
             size,
+            error / np.maximum(error if sd is None else sd, error) * np.ones(len(samples)),
         )
 
     def kinds(self) -> Iterator[np.ndarray]:
@@ -232,7 +253,7 @@ class _Search:
         kind = kind[np.all(np.isfinite(values), axis=1) & np.any(values != 0, axis=1)]
         if not len(kind):
             return
-        columns, y = self.values[kind], self.samples.y
+        columns, y = self.values[kind] * self.trust, self.samples.y * self.trust
         unit = np.linalg.norm(columns, axis=1)
         columns = columns / unit[:, None]
         # Between distant rows slopes are rougher than their misses: these alone say which is best.
@@ -254,9 +275,42 @@ class _Search:
             if one is not None:
                 yield one
 
+    def choose_beside(self, limits: Limits) -> Iterator[_Choice]:
+        """Give sums with a function that has a constant inside.
+
+        Parameters
+        ----------
+        limits : what the user allows.
+        """
+        own, unit = self.samples, self.error
+        if unit > self.settings.exact * self.size:
+            return
+        errors = np.full(len(own), unit) if own.slope_sd is None else own.slope_sd
+        found: list[sympy.Expr] = []
+        for share in (_STRICT, _LOOSE):
+            least = np.maximum(errors, _ROW * share * self.size)
+            found = found or sums_beside(own, least, self.settings.within, self.settings.most)
+        first = 0
+        for expr in found:
+            terms = sympy.Add.make_args(expr)
+            if not all(limits.allow(term) for term in terms):
+                continue
+            misses = np.abs(own.y - evaluate(expr, own.columns)) * self.trust
+            inside = len({a for term in terms for a in term.as_coeff_Mul()[1].atoms(sympy.Float)})
+            bits = sum(shape_bits(term) + unusual_bits(term, ()) for term in terms)
+            first -= len(terms) + inside
+            yield _Choice(
+                frozenset(range(first, first + len(terms) + inside)),
+                ((1.0, expr),),
+                (),
+                bits + (len(terms) + inside) * constant_bits(len(own)),
+                float(np.median(misses)) / self.size,
+                float(np.quantile(misses, 1 - self.settings.wild)) / self.size,
+            )
+
     def _eliminate(self, columns: np.ndarray) -> list[tuple[int, ...]]:
         """Take the terms out that are not missed, from all of them; none where all miss."""
-        y = self.samples.y
+        y = self.samples.y * self.trust
         found: list[tuple[int, ...]] = []
         if len(columns) > min(len(y) // 3, _MOST_ELIMINATED):
             return found
@@ -282,14 +336,15 @@ class _Search:
             return None
         y = self.samples.y
         signed = np.where(y == 0, 0.0, -self.values[below] / np.where(y == 0, 1.0, y))
-        fit = fit_ratio(self.values[over], signed, y, rounds=_ROUNDS)
-        misses, wild = np.abs(fit.residual), 1 - self.settings.wild
+        weights = self.trust**2
+        fit = fit_ratio(self.values[over], signed, y, weights=weights, rounds=_ROUNDS)
+        misses, wild = np.abs(fit.residual) * self.trust, 1 - self.settings.wild
         if np.max(misses) > _FAR * np.median(misses):
             # Rows where differences fail would pull what all others say exactly.
-            kept = (misses <= np.quantile(misses, wild)).astype(float)
+            kept = weights * (misses <= np.quantile(misses, wild))
             again = fit_ratio(self.values[over], signed, y, weights=kept, rounds=_ROUNDS)
-            if np.median(np.abs(again.residual)) < np.median(misses):
-                fit, misses = again, np.abs(again.residual)
+            if np.median(np.abs(again.residual) * self.trust) < np.median(misses):
+                fit, misses = again, np.abs(again.residual) * self.trust
         bottom = 1 + fit.denominator @ signed
         if np.min(np.abs(bottom)) < 1e-6 * np.max(np.abs(bottom)):
             return None
@@ -302,6 +357,12 @@ class _Search:
             float(np.quantile(misses, wild)) / self.size,
         )
 
+    def _simplest(self, choice: _Choice, most: float) -> sympy.Expr | None:
+        """Write a choice in simple numbers; None where that misses by more than allowed."""
+        simple = simplest_form(choice.expr, self.samples.columns)
+        misses = np.abs(self.samples.y - evaluate(simple, self.samples.columns)) * self.trust
+        return simple if np.median(misses) <= most else None
+
     def _stands_out(self, best: _Choice, found: Sequence[_Choice]) -> bool:
         """Whether every other function of the states misses far more.
 
@@ -313,41 +374,53 @@ class _Search:
 
     def _same(self, one: _Choice, other: _Choice) -> bool:
         """Whether two are one function, beside the trajectory too."""
-        shifts = enumerate(self.samples.names)
+        X = self.samples.X
+        middle, reach = X.mean(axis=0), np.maximum(np.ptp(X, axis=0), 1e-300) / 2
+        # Along a short arc all that follow it are alike.
+        wider = middle + np.maximum(2.0, _ASIDE * np.abs(middle) / reach) * (X - middle)
         beside = {
-            name: 1.1 * np.roll(self.samples.X[:, i], i * len(self.samples) // 5)
-            for i, name in shifts
+            name: np.roll(wider[:, i], i * len(X) // 5) for i, name in enumerate(self.samples.names)
         }
         a, b = evaluate(one.expr, beside), evaluate(other.expr, beside)
         finite = np.isfinite(a) & np.isfinite(b)
         gap, size = np.abs(a - b)[finite], np.abs(a)[finite]
-        return bool(finite.any() and np.median(gap) <= 1e-4 * np.median(size))
+        return bool(finite.any() and np.median(gap) <= _SAME * np.median(size))
 
     def conclude(self, choices: Sequence[_Choice]) -> Look:
         """Take the shortest that leaves nothing, and say whether it can be chance."""
         if not choices:
             return Look()
         found = list(dict.fromkeys(choices))
-        settings, error = self.settings, self.error / self.size
-        sure = error <= settings.exact
-        good = [c for c in found if sure and max(c.miss, 0.1 * c.wild) <= settings.within * error]
+        settings = self.settings
+        good: list[_Choice] = []
+        for error in (self.error / self.size, max(self.error / self.size, _LOOSE)):
+            most = settings.within * error if error <= settings.exact else 0.0
+            good = good or [c for c in found if max(c.miss, 0.1 * c.wild) <= most]
         # What rough slopes miss is the same for all that is near the law.
         bound = settings.alike * min(c.miss for c in found)
         near = good or [c for c in found if c.miss <= bound]
         ranked = sorted(near, key=lambda c: (c.cost, c.order))
         ranked += sorted(set(found) - set(near), key=lambda c: (c.miss, c.order))
-        best = ranked[0]
         exprs: list[sympy.Expr] = []
         final = False
         if good:
-            simple = simplest_form(best.expr, self.samples.columns)
-            misses = np.abs(self.samples.y - evaluate(simple, self.samples.columns))
-            if np.median(misses) <= settings.within * self.error:
+            # What cannot be chance leads: a longer formula whose constants are all simple numbers.
+            most = settings.within * max(self.error, max(c.miss for c in good) * self.size)
+            written = [(c, self._simplest(c, most)) for c in ranked[: min(len(good), _WRITTEN)]]
+            sure = [(c, e) for c, e in written if e is not None and _is_simple(e)]
+            best, simple = (sure or written)[0]
+            if simple is not None:
                 exprs.append(simple)
-            final = self._stands_out(best, found) or bool(exprs and not simple.has(sympy.Float))
+            ranked.sort(key=lambda c: c is not best)
+            final = bool(sure) or self._stands_out(best, found)
         exprs += [c.expr for c in ranked[: settings.kept]]
         named = dict.fromkeys(exprs)
         return Look(tuple(score_candidate(e, self.samples, SOURCE) for e in named), final)
+
+
+def _is_simple(expr: sympy.Expr) -> bool:
+    """Whether all constants of a formula are simple numbers."""
+    return not expr.has(sympy.Float)
 
 
 def _factors(names: Sequence[str], angles: Sequence[str], degree: int) -> list[sympy.Expr]:
