@@ -273,9 +273,13 @@ def _of_noise(
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Slopes of the target: the samples of every run, and all of them as one orbit."""
+    """Slopes of the target: the samples of every run, and all of them as one orbit.
+
+    ``columns`` are the target's values at all rows of these runs, those without a slope too.
+    """
 
     samples: tuple[Samples, ...]
+    columns: tuple[np.ndarray, ...]
     orbit: Orbit
     t: np.ndarray
     noise: float
@@ -290,15 +294,17 @@ def _samples(run: Trajectory, target: str) -> Samples | None:
 
 
 def _motion(runs: Sequence[Trajectory], target: str) -> _Motion | None:
-    samples = [found for run in runs if (found := _samples(run, target)) is not None]
-    if not samples:
+    pairs = [(run, found) for run in runs if (found := _samples(run, target)) is not None]
+    if not pairs:
         return None
+    samples = tuple(found for _, found in pairs)
+    columns = tuple(_column(run, target) for run, _ in pairs)
     orbit = join_orbits(
         [Orbit(s.X, s.y, np.full(len(s), i), np.arange(len(s))) for i, s in enumerate(samples)]
     )
     variance = float(np.var(orbit.values)) or 1.0
     noise = float(np.mean([(s.noise or 0.0) ** 2 for s in samples])) / variance
-    return _Motion(tuple(samples), orbit, np.concatenate([s.t for s in samples]), noise)
+    return _Motion(samples, columns, orbit, np.concatenate([s.t for s in samples]), noise)
 
 
 def _unevenness(run: Trajectory, target: str) -> float:
@@ -360,7 +366,8 @@ def _lacks(motion: _Motion, pairs: Pairs, noise: float, settings: DiagnosisSetti
     opened = _is_open(pairs, noise, settings)
     if len(motion.samples[0].names) > 1:
         return opened
-    back = [s for s in motion.samples if _turns_back(s.X[:, 0], settings)]
+    both = zip(motion.samples, motion.columns, strict=True)
+    back = [own for own, column in both if _turns_back(column, settings)]
     if len(motion.samples) == 1:
         return bool(back) and (opened or _is_smooth(back[0]))
     return opened or any(map(_is_smooth, back))

@@ -352,7 +352,9 @@ def _compose_by_rates(
 
 
 def _in_common(one: Leader, other: Leader) -> float:
-    """Bits that two equations save by what they have in common."""
+    """Bits that two equations save by what they have in common; 0 where one was not fitted."""
+    if not (len(one.constants) and len(other.constants)):
+        return 0.0
     exprs = {"one": one.expr, "other": other.expr}
     both = block_diag(one.covariance, other.covariance)
     saved, once = shared_bits(exprs, np.concatenate([one.constants, other.constants]), both)
