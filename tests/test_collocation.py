@@ -321,12 +321,13 @@ def test_a_fit_that_did_not_close_misses_by_what_is_open():
 
 
 def test_constants_that_nothing_tells_have_no_error():
-    """Of a product of two constants each alone may be anything: their errors are infinite."""
+    """Of a product of two constants each alone may be anything, and is known beside no other."""
     rng = np.random.default_rng(14)
     t = np.linspace(0, 4, 60)
     x = (2 * np.exp(-0.7 * t) + 0.05 * rng.normal(size=60))[:, None]
     found = fit({"x": "-0.5*x + 0.000000001*tanh(0.00000001*x)"}, mesh_of([(t, x)], 0.05, ("x",)))
     assert np.count_nonzero(np.isinf(found.errors)) == 2
+    assert np.count_nonzero(np.isinf(found.covariance)) == 8
 
 
 def test_measurements_tell_what_is_measured():
@@ -434,12 +435,3 @@ def test_small_defects_of_one_sign_add_up():
     begun = Collocation({"x": parse("0.0*x")}, mesh, CollocationSettings(steps=0)).fit()
     expected = np.mean(np.concatenate([np.cumsum(np.full(10, 0.01)) ** 2] * 40)) * 400 / 401
     assert begun.mean_squares[0] == pytest.approx(expected, rel=0.01)
-
-
-def test_what_nothing_tells_has_no_covariance():
-    """Of a product of two constants each alone may be anything, and so is known beside no other."""
-    rng = np.random.default_rng(14)
-    t = np.linspace(0, 4, 60)
-    x = (2 * np.exp(-0.7 * t) + 0.05 * rng.normal(size=60))[:, None]
-    found = fit({"x": "-0.5*x + 0.000000001*tanh(0.00000001*x)"}, mesh_of([(t, x)], 0.05, ("x",)))
-    assert np.count_nonzero(np.isinf(found.covariance)) == 8

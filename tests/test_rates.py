@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data import Trajectory
 from dynsr.expression import parse
-from dynsr.fit import Linearised, Measurements, skeleton, with_floats
+from dynsr.fit import Measurements, skeleton, with_floats
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings, compare_systems, explore
 from dynsr.selection.alone import Leader
@@ -19,7 +19,7 @@ from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.costs import rounded
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.replacements import replacements, try_replacements
-from dynsr.selection.subsets import without
+from dynsr.selection.subsets import taken_whole, without
 from dynsr.selection.systems import _compose_by_rates as compose_by_rates
 
 SETTINGS = ComparisonSettings()
@@ -144,13 +144,19 @@ def test_what_the_user_forbids_is_not_found_anew():
 def test_columns_set_free_are_those_of_least_squares():
     """What is left of the normal equations is that of the columns with the others projected out."""
     rng = np.random.default_rng(2)
-    free, kept, target = rng.normal(size=(50, 2)), rng.normal(size=(50, 3)), rng.normal(size=50)
+    free, kept = rng.normal(size=(50, 2)), rng.normal(size=(50, 3))
     both = np.column_stack([free, kept])
-    found = without(Linearised(both.T @ both, both.T @ target, target @ target), [0, 1], 2)
     off = np.eye(50) - free @ np.linalg.pinv(free)
-    np.testing.assert_allclose(found.information, kept.T @ off @ kept, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(found.pull, kept.T @ off @ target, rtol=1e-6, atol=1e-6)
-    assert found.squares == pytest.approx(target @ off @ target)
+    found = without(both.T @ both, [0, 1], 2)
+    np.testing.assert_allclose(found, kept.T @ off @ kept, rtol=1e-6, atol=1e-6)
+
+
+def test_what_is_taken_whole_is_added_to_the_misses():
+    """The products are those of the columns once one of them is added to the last."""
+    columns = np.random.default_rng(2).normal(size=(50, 4))
+    found = taken_whole(columns.T @ columns, 1)
+    columns[:, -1] += columns[:, 1]
+    np.testing.assert_allclose(found, columns.T @ columns)
 
 
 def test_a_fit_that_ended_far_off_is_tried_from_elsewhere():

@@ -181,6 +181,11 @@ class Trajectory:
         """(n, k + m) states, then inputs."""
         return np.column_stack([self.x, self.inputs])
 
+    @property
+    def by_name(self) -> dict[str, np.ndarray]:
+        """Name -> (n,) values of every column, and the times as t."""
+        return {**dict(zip(self.names, self.columns.T, strict=True)), "t": self.t}
+
     def index(self, state: str) -> int:
         """Position of a state; raises InputError that lists the states when there is none."""
         if state not in self.states:

@@ -105,13 +105,8 @@ def _best(problem: Problem, found: Discovery, trail: Trail) -> Follower | None:
 
 
 def _comes_close(problem: Problem, follower: Follower) -> bool:
-    runs = [dict(zip(run.names, run.columns.T, strict=True)) | {"t": run.t} for run in problem.runs]
-    return any(
-        has_pole(expr, run, _BESIDE)
-        for expr in follower.exprs.values()
-        for run in runs
-        if {str(symbol) for symbol in expr.free_symbols} <= set(run)
-    )
+    runs = [run.by_name for run in problem.runs]
+    return any(has_pole(expr, run, _BESIDE) for expr in follower.exprs.values() for run in runs)
 
 
 def _accurate(found: Discovery, given: Mapping[str, sympy.Expr]) -> Iterator[dict[str, sympy.Expr]]:

@@ -31,7 +31,7 @@ from dynsr.discovery.verdict import (
     Verdict,
     VerdictSettings,
 )
-from dynsr.expression import compile_numpy, evaluate, plausibility_bits, shown
+from dynsr.expression import ByText, compile_numpy, evaluate, plausibility_bits, shown
 from dynsr.fit import ParetoFront, constant_bits, structure_bits, tidy
 
 # Share of a state's size below which a miss is the rounding of numbers alone.
@@ -365,7 +365,7 @@ def _compare(
         apart = float(np.sqrt(np.mean((values - step.samples.y + step.misses) ** 2)))
         if math.isfinite(apart) and apart > max(settings.differs * step.spread, 2 * step.finest):
             found.append((length(candidate.expr, step.samples.y - values) - own, candidate.expr))
-    found.sort(key=lambda pair: (pair[0], str(pair[1])))
+    found.sort(key=lambda pair: (pair[0], ByText(pair[1])))
     return tuple(
         Rival(shown(tidy(expr), 4), float(f"{bits:.6g}")) for bits, expr in found[: settings.rivals]
     )

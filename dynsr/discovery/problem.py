@@ -341,12 +341,10 @@ class Problem:
         """
         if self.form.discrete:
             return dict(pools)
-        runs = [dict(zip(r.names, r.columns.T, strict=True)) | {"t": r.t} for r in self.runs]
+        runs = [run.by_name for run in self.runs]
 
         def is_fine(candidate: Candidate) -> bool:
-            known = set(runs[0])
-            used = {str(symbol) for symbol in candidate.expr.free_symbols}
-            return not used <= known or not any(has_pole(candidate.expr, run) for run in runs)
+            return not any(has_pole(candidate.expr, run) for run in runs)
 
         return {state: list(filter(is_fine, pool)) or pool for state, pool in pools.items()}
 

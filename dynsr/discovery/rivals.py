@@ -16,7 +16,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.discovery.following import Course, Followed, Place
-from dynsr.expression import evaluate
+from dynsr.expression import ByText, evaluate
 from dynsr.fit import (
     Candidate,
     constant_bits,
@@ -127,7 +127,7 @@ def _closest(
             apart = float(np.sqrt(np.mean((evaluate(expr, columns) - slopes) ** 2))) / size
         if math.isfinite(apart) and apart > different:
             found.append((apart, expr))
-    found.sort(key=lambda pair: (pair[0], str(pair[1])))
+    found.sort(key=lambda pair: (pair[0], ByText(pair[1])))
     return [expr for _, expr in found[:most]]
 
 

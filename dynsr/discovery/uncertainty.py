@@ -21,7 +21,7 @@ import sympy
 from dynsr.data import Trajectory, weak_form
 from dynsr.discovery.result import Discovery, Inclusion
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy, counting, shown
+from dynsr.expression import ByText, compile_numpy, counting, shown
 from dynsr.fit import (
     Noise,
     ParetoFront,
@@ -185,7 +185,7 @@ def _summarise(exprs: Sequence[sympy.Expr], draws: np.ndarray, level: float) -> 
         middle = float(np.median(kept)) if len(kept) else 0.0
         share = len(kept) / len(column)
         terms.append(Term(expr, share, middle, (float(low), float(high))))
-    return sorted(terms, key=lambda term: (-term.probability, str(term.expr)))
+    return sorted(terms, key=lambda term: (-term.probability, ByText(term.expr)))
 
 
 def intervals(terms: Mapping[str, Sequence[Term]]) -> list[tuple[str, str, float, float, float]]:

@@ -600,9 +600,7 @@ class _Bench:
     def _divides_by_zero(self, state: str) -> bool:
         """Whether a line of the equation passes through 0 along a run, as no solution can."""
         expr = self.equations[state]
-        used = {str(symbol) for symbol in expr.free_symbols}
-        runs = [dict(zip(r.names, r.columns.T, strict=True)) | {"t": r.t} for r in self.course.runs]
-        return any(used <= set(run) and has_pole(expr, run) for run in runs)
+        return any(has_pole(expr, run.by_name) for run in self.course.runs)
 
     def _praise(self, place: int, noise: float, followed: Followed, evidence: _Evidence) -> str:
         exact = "exactly" if self.clean[place] else f"within their noise of {_percent(noise)}"

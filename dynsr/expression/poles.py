@@ -32,6 +32,8 @@ def lines_below(expr: sympy.Expr) -> Iterator[sympy.Expr]:
 def has_pole(expr: sympy.Expr, columns: Mapping[str, np.ndarray], beside: float = 0.0) -> bool:
     """Whether a fraction line passes through 0 where the columns of one run are, or between.
 
+    Lines that hold anything but columns tell nothing.
+
     Parameters
     ----------
     expr : the formula.
@@ -48,6 +50,8 @@ def has_pole(expr: sympy.Expr, columns: Mapping[str, np.ndarray], beside: float 
     """
     for line in dict.fromkeys(lines_below(expr)):
         names = [str(symbol) for symbol in line.free_symbols]
+        if not set(names) <= set(columns):
+            continue
         with np.errstate(all="ignore"):
             if len(names) == 1:
                 low, high = columns[names[0]].min(), columns[names[0]].max()

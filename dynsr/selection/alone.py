@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 from scipy.linalg import LinAlgError
 
-from dynsr.expression import compile_columns, evaluate
+from dynsr.expression import ByText, compile_columns, evaluate
 from dynsr.fit import Collocation, Linearised, Measurements, constant_bits, skeleton, structure_bits
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import (
@@ -182,7 +182,7 @@ class Alone:
                     rows,
                 )
                 found += [(s.bits, _add(exprs, s.places, s.coefficients) / line) for s in subsets]
-        found.sort(key=lambda pair: (pair[0], str(pair[1])))
+        found.sort(key=lambda pair: (pair[0], ByText(pair[1])))
         return [expr for _, expr in found[: self.comparison.settings.sums]]
 
     @cached_property
@@ -249,9 +249,8 @@ class Alone:
         """
         settings, terms = self.comparison.settings, self.comparison.terms
         tiers = terms.powers if powers else (*terms.tiers, terms.divisible_by(self.state))
-        used = np.unique(np.concatenate(tiers))
         curved = not powers
-        normal = self._normal(columns_of(terms, used, self._points, curved=curved))
+        normal = self._normal(columns_of(terms, tiers, self._points, curved=curved))
         if normal is None:
             return [sympy.S.Zero]
         costs = terms.bits + constant_bits(self._rows) * (1 + terms.inside)
@@ -262,16 +261,23 @@ class Alone:
         return [sympy.S.Zero, *others, *sums]
 
 
-def columns_of(terms: Terms, used: np.ndarray, points: np.ndarray, *, curved: bool) -> np.ndarray:
-    """Values of some terms at points (names, n), and the slopes of those that are curved.
+def _places_of(tiers: Sequence[np.ndarray]) -> np.ndarray:
+    """Give the places of the terms of all tiers, each once."""
+    return np.unique(np.concatenate(tiers))
+
+
+def columns_of(
+    terms: Terms, tiers: Sequence[np.ndarray], points: np.ndarray, *, curved: bool
+) -> np.ndarray:
+    """Values of the terms of some tiers at points, and the slopes of those that are curved.
 
     Parameters
     ----------
-    terms, used : all terms, and the places of these among them.
-    points : values of the columns.
+    terms, tiers : all terms, and the places of those that are looked through together.
+    points : (names, n) values of the columns.
     curved : whether their slopes by the constants inside come after them.
     """
-    values = terms.values(points)[used]
+    values = terms.values(points)[_places_of(tiers)]
     return np.concatenate([values, terms.shifts(points)]) if curved else values
 
 
@@ -296,7 +302,7 @@ def expected_sums(
     count : sums of each tier that are given, and half of those that are best of all.
     curved : whether the slopes by the constants inside are there.
     """
-    used = np.unique(np.concatenate(tiers))
+    used = _places_of(tiers)
     slopes = terms.slopes if curved else np.full(len(used), -1)
     found: dict[tuple[int, ...], Subset] = {}
     first: dict[tuple[int, ...], None] = {}

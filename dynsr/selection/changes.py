@@ -7,7 +7,7 @@ of them, at the fitted states, give the misses after any change without a fit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -175,6 +175,29 @@ def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit
                 break
         else:
             return fit
+
+
+def climb_while_better(
+    make: Callable[[SystemFit], Iterable[SystemFit]],
+    best: SystemFit,
+    climb: Callable[[SystemFit], SystemFit],
+    often: int,
+) -> SystemFit:
+    """Climb from the best of what is made of a system, for as long as that takes fewer bits.
+
+    Parameters
+    ----------
+    make : gives other systems for one.
+    best : the system that is begun with.
+    climb : takes changes from a system for as long as they take fewer bits.
+    often : times at most.
+    """
+    for _ in range(often):
+        first = min(make(best), key=lambda f: f.bits, default=best)
+        if first.bits >= best.bits:
+            break
+        best = climb(first)
+    return best
 
 
 def _shorter(
@@ -415,17 +438,20 @@ def _add_swaps(
             moves.moves.append(_Move(state, _always(other), cost, whole=(place,)))
 
 
-def gram_of(fit: SystemFit, slopes: np.ndarray) -> np.ndarray | None:
+def gram_of(
+    fit: SystemFit, slopes: np.ndarray, stiffness: float | None = None
+) -> np.ndarray | None:
     """Products of the slopes by constants and probes, and of the misses as the last column.
 
     Parameters
     ----------
     fit : the system.
     slopes : (k, Q, n + m) of Q probes, at the rows and in the middle of the intervals.
+    stiffness : weight of the defects; by default that of the fit.
     """
     found = fit.fit
     try:
-        normal = fit.problem.normal(found.states, found.constants, slopes)
+        normal = fit.problem.normal(found.states, found.constants, slopes, stiffness)
     except (LinAlgError, ValueError):
         return None
     pull = normal.pull[:, None]

@@ -173,8 +173,8 @@ class SystemComparison:
             return None
         key = tuple(skeleton(e) for e in exprs.values())
         before = self._cache.get(key)
-        if key not in self._cache or self._may_do_better(key, exprs, before):
-            problem = Collocation(exprs, self.mesh, self._held)
+        problem = Collocation(exprs, self.mesh, self._held)
+        if key not in self._cache or self._may_do_better(key, problem, before):
             self._starts.setdefault(key, []).append(problem.inside)
             found = problem.fit(None if near is None else near.fit)
             if found is None and near is not None:
@@ -185,7 +185,7 @@ class SystemComparison:
         return self._cache[key]
 
     def _may_do_better(
-        self, key: tuple[sympy.Expr, ...], exprs: Equations, before: SystemFit | None
+        self, key: tuple[sympy.Expr, ...], problem: Collocation, before: SystemFit | None
     ) -> bool:
         """Whether a fit that ended far off is to be tried from other constants inside functions."""
         tried = self._starts.get(key, [])
@@ -195,8 +195,7 @@ class SystemComparison:
             best = min(f.bits for f in self.fits())
             if before.bits <= best + self.settings.near:
                 return False
-        inside = Collocation(exprs, self.mesh, self._held).inside
-        return all(np.any(np.abs(inside - own) > _APART * np.abs(own)) for own in tried)
+        return all(np.any(np.abs(problem.inside - own) > _APART * np.abs(own)) for own in tried)
 
     def _count(self, problem: Collocation, found: CollocationFit | None) -> SystemFit | None:
         """Give a fit with its bits; None for none, and for one that is no system."""

@@ -7,23 +7,21 @@ short, and is found as short sums are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import sympy
 
-from dynsr.expression import compile_columns
+from dynsr.expression import ByText, compile_columns
 from dynsr.fit import constant_bits, structure_bits
-from dynsr.selection.changes import gram_of, prune
+from dynsr.selection.changes import climb_while_better, gram_of, prune
 from dynsr.selection.comparison import SystemComparison, SystemFit, owners_of
 from dynsr.selection.mass_matrix import FACTORS, Ratio, read_ratio, slope_of
-from dynsr.selection.subsets import best_subsets
+from dynsr.selection.subsets import best_subsets, solve_scaled, taken_whole, without
 from dynsr.selection.terms import Joint
 
 # Terms beside the other acceleration at most, sums of them that are written out, and fitted.
 _MOST, _KEPT, _TRIED = 3, 6, 3
-# Below this share of its size a direction is only rounding away from the others.
-_NOTHING = 1e-9
 
 
 def try_couplings(
@@ -39,16 +37,14 @@ def try_couplings(
     best : the system.
     climb : takes changes from a system for as long as they take fewer bits.
     """
-    for _ in range(comparison.settings.again):
-        found = []
+
+    def coupled(best: SystemFit) -> Iterator[SystemFit]:
         for state, expr in _couple(comparison, best):
             fit = comparison.fit({**best.exprs, state: expr}, best)
-            found += [] if fit is None else [prune(comparison, fit, state)]
-        first = min(found, key=lambda f: f.bits, default=best)
-        if first.bits >= best.bits:
-            break
-        best = climb(first)
-    return best
+            if fit is not None:
+                yield prune(comparison, fit, state)
+
+    return climb_while_better(coupled, best, climb, comparison.settings.again)
 
 
 def _couple(comparison: SystemComparison, fit: SystemFit) -> Iterator[tuple[str, sympy.Expr]]:
@@ -58,7 +54,7 @@ def _couple(comparison: SystemComparison, fit: SystemFit) -> Iterator[tuple[str,
         for state, expr in fit.exprs.items():
             if ratio is not None and state != by and not expr.is_Symbol:
                 said = list(_say(comparison, fit, state, by, ratio))
-                said.sort(key=lambda pair: (pair[0], str(pair[1])))
+                said.sort(key=lambda pair: (pair[0], ByText(pair[1])))
                 yield from ((state, other) for _, other in said[:_TRIED])
 
 
@@ -83,26 +79,17 @@ def _say(
     others = [i for i, owner in enumerate(owners_of(fit.exprs)) if owner != state]
     gone = len(found.constants)
     first = gone + 1 + len(waves)
-    # The equation as it was is taken out, and the misses are left to what takes its place.
-    gram[-1] += gram[gone]
-    gram[:, -1] += gram[:, gone]
+    gram = taken_whole(gram, gone)
     for place, (wave, factor) in enumerate(zip(waves, FACTORS, strict=True), gone + 1):
         loose = [*others, place]
-        rest = gram[first:, first:] - gram[first:, loose] @ _solve(gram, loose, gram[loose, first:])
+        rest = without(gram, loose, first)
         written = structure_bits(sympy.Float(0.5) * wave * slope_of(by)) + each
         for subset in best_subsets(
             rest[:-1, :-1], -rest[:-1, -1], rest[-1, -1], costs, rows, most=_MOST, keep=_KEPT
         ):
             free = [place, *(first + i for i in subset.places), *others]
-            size, *sizes = -_solve(gram, free, gram[free, -1:])[: 1 + len(subset.places), 0]
+            size, *sizes = -solve_scaled(gram, free, gram[free, -1:])[: 1 + len(subset.places), 0]
             bodies = [terms[i] for i in subset.places]
             beside = [sympy.Float(c) * e for c, e in zip(sizes, bodies, strict=True)]
             expr = ratio.put_in(fit.exprs[by], float(size), factor, sympy.Add(*beside))
             yield subset.bits + written, expr
-
-
-def _solve(gram: np.ndarray, loose: Sequence[int], sides: np.ndarray) -> np.ndarray:
-    """(l, s): what the normal equations of some of the directions give for right sides (l, s)."""
-    scale = np.sqrt(np.maximum(np.diag(gram)[loose], 1e-300))
-    scaled = gram[np.ix_(loose, loose)] / np.outer(scale, scale) + _NOTHING * np.eye(len(loose))
-    return np.asarray(np.linalg.solve(scaled, sides / scale[:, None]) / scale[:, None])

@@ -10,7 +10,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples, Trajectory
-from dynsr.expression import evaluate, shown
+from dynsr.expression import ByText, evaluate, shown
 from dynsr.fit import (
     Candidate,
     FitSettings,
@@ -292,7 +292,7 @@ def _distinct(pool: Iterable[Candidate]) -> list[Candidate]:
 def _rank(pool: list[Candidate], samples: Samples, noise: Noise) -> list[Candidate]:
     bits = {c.expr: description_length(c, samples, noise) for c in pool}
     finite = [c for c in pool if np.isfinite(bits[c.expr])]
-    return sorted(finite or pool, key=lambda c: (bits[c.expr], str(c.expr)))
+    return sorted(finite or pool, key=lambda c: (bits[c.expr], ByText(c.expr)))
 
 
 def trivial_candidates(samples: Samples) -> list[Candidate]:

@@ -17,7 +17,7 @@ import sympy
 from scipy.optimize import minimize_scalar
 
 from dynsr.data import Samples
-from dynsr.expression import compile_columns
+from dynsr.expression import ByText, compile_columns
 from dynsr.fit import eliminate
 from dynsr.selection.terms import products
 
@@ -164,12 +164,12 @@ def sums_beside(
         if not beside.can_tell(1):
             break
         found = [
-            (len(sympy.Add.make_args(expr)), str(expr), expr)
+            (len(sympy.Add.make_args(expr)), ByText(expr))
             for profile, tried in beside.likeliest(profiles)
             for expr in _settle(beside, profile, tried, within, most)
         ]
         if found:
-            return [expr for *_, expr in sorted(found, key=lambda one: one[:2])]
+            return [text.expr for _, text in sorted(found)]
     return []
 
 

@@ -8,19 +8,18 @@ up for no errors of theirs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import sympy
-from scipy.linalg import LinAlgError
 
 from dynsr.expression import compile_columns
 from dynsr.fit import Linearised, constant_bits, skeleton
 from dynsr.selection.alone import columns_of, expected_sums
-from dynsr.selection.changes import prune
+from dynsr.selection.changes import climb_while_better, gram_of, prune
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise, owners_of
 from dynsr.selection.costs import citing_bits, is_plain, term_bodies
-from dynsr.selection.subsets import without
+from dynsr.selection.subsets import taken_whole, without
 
 # Sums of every kind that are looked at, and that are fitted.
 _COUNT, _TRIED = 2, 8
@@ -39,8 +38,9 @@ def try_replacements(
     best : the system.
     climb : takes changes from a system for as long as they take fewer bits.
     """
-    for _ in range(comparison.settings.again):
-        found, settled = [], leaves_noise(best, comparison.settings)
+
+    def replaced(best: SystemFit) -> Iterator[SystemFit]:
+        settled = leaves_noise(best, comparison.settings)
         for state, own in best.exprs.items():
             plain = is_plain(own) and sympy.total_degree(own) <= _DEGREE
             if own.is_Symbol or (settled and plain):
@@ -49,12 +49,10 @@ def try_replacements(
                 fit = comparison.fit({**best.exprs, state: expr}, best)
                 if fit is not None and fit.bits < best.bits + comparison.settings.near:
                     fit = prune(comparison, fit, state)
-                found += [] if fit is None else [fit]
-        first = min(found, key=lambda f: f.bits, default=best)
-        if first.bits >= best.bits:
-            break
-        best = climb(first)
-    return best
+                if fit is not None:
+                    yield fit
+
+    return climb_while_better(replaced, best, climb, comparison.settings.again)
 
 
 def replacements(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
@@ -68,7 +66,7 @@ def replacements(comparison: SystemComparison, fit: SystemFit, state: str) -> li
     """
     terms = comparison.terms
     tiers = (*terms.tiers, terms.divisible_by(state))
-    normal = _normal(comparison, fit, state, np.unique(np.concatenate(tiers)))
+    normal = _normal(comparison, fit, state, tiers)
     if normal is None:
         return []
     rows = comparison.mesh.rows
@@ -84,7 +82,7 @@ def replacements(comparison: SystemComparison, fit: SystemFit, state: str) -> li
 
 
 def _normal(
-    comparison: SystemComparison, fit: SystemFit, state: str, used: np.ndarray
+    comparison: SystemComparison, fit: SystemFit, state: str, tiers: Sequence[np.ndarray]
 ) -> Linearised | None:
     """Give the normal equations of terms in the place of one equation, the others' constants free.
 
@@ -93,21 +91,19 @@ def _normal(
     mesh, found = comparison.mesh, fit.fit
     points = fit.problem.points(found.states, found.constants)
     own = compile_columns([fit.exprs[state]], [*comparison.names, "t"])(*points)
-    columns = columns_of(comparison.terms, used, points[:-1], curved=True)
+    columns = columns_of(comparison.terms, tiers, points[:-1], curved=True)
     slopes = np.zeros((len(mesh.states), 1 + len(columns), points.shape[1]))
     values = np.concatenate([-own, columns])
     slopes[mesh.states.index(state)] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
     # The states of a system that misses them are not quite those of another.
     settings = comparison.settings
     weight = None if leaves_noise(fit, settings) else settings.softness
-    try:
-        normal = fit.problem.normal(found.states, found.constants, slopes, weight)
-    except (LinAlgError, ValueError):
+    gram = gram_of(fit, slopes, weight)
+    if gram is None:
         return None
     owners = owners_of(fit.exprs)
     gone = len(owners)
-    # The equation as it was is taken out, and the misses are left to what takes its place.
-    squares = normal.squares + 2 * normal.pull[gone] + normal.information[gone, gone]
-    pull = normal.pull + normal.information[gone]
     others = [place for place, owner in enumerate(owners) if owner != state]
-    return without(Linearised(normal.information, pull, squares), others, gone + 1)
+    # The equation as it was is taken out, and the misses are left to what takes its place.
+    rest = without(taken_whole(gram, gone), others, gone + 1)
+    return Linearised(rest[:-1, :-1], rest[:-1, -1], float(rest[-1, -1]))

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynsr.fit import Linearised
-
 # Square of what is left of a unit column from which on it is rounding.
 _NOTHING = 1e-7
+# Below this share of its size a free direction is only rounding away from the others.
+_SINGULAR = 1e-9
 # Logarithm of a constant inside by which a linear fit may move it.
 _FARTHEST = 1.0
 
@@ -171,24 +171,41 @@ class _Layer:
         return np.where(fine & (np.abs(shift) <= _FARTHEST), both, alone)
 
 
-def without(normal: Linearised, loose: Sequence[int], first: int) -> Linearised:
-    """Give the normal equations of the columns from ``first`` on, others set free beside them.
+def solve_scaled(gram: np.ndarray, loose: Sequence[int], sides: np.ndarray) -> np.ndarray:
+    """(l, s): what the normal equations of some directions give for right sides (l, s).
 
     Parameters
     ----------
-    normal : of all columns.
+    gram : (P, P) products of all directions.
+    loose : places of the l that are free.
+    sides : (l, s) right sides.
+    """
+    scale = np.sqrt(np.maximum(np.diag(gram)[loose], 1e-300))
+    scaled = gram[np.ix_(loose, loose)] / np.outer(scale, scale) + _SINGULAR * np.eye(len(loose))
+    return np.asarray(np.linalg.solve(scaled, sides / scale[:, None]) / scale[:, None])
+
+
+def without(gram: np.ndarray, loose: Sequence[int], first: int) -> np.ndarray:
+    """Give the products of the directions from ``first`` on, others set free beside them.
+
+    Parameters
+    ----------
+    gram : (P, P) products of all directions.
     loose : places of those that are free.
     first : place of the first that is left.
     """
-    if not loose:
-        return Linearised(normal.information[first:, first:], normal.pull[first:], normal.squares)
-    scale = np.sqrt(np.maximum(np.diag(normal.information)[loose], 1e-300))
-    scaled = normal.information[np.ix_(loose, loose)] / np.outer(scale, scale)
-    sides = np.column_stack([normal.information[loose][:, first:], normal.pull[loose]])
-    solved = np.linalg.solve(scaled + 1e-9 * np.eye(len(loose)), sides / scale[:, None])
-    moved = sides.T @ (solved / scale[:, None])
-    return Linearised(
-        normal.information[first:, first:] - moved[:-1, :-1],
-        normal.pull[first:] - moved[:-1, -1],
-        float(normal.squares - moved[-1, -1]),
-    )
+    moved = solve_scaled(gram, loose, gram[loose, first:])
+    return np.asarray(gram[first:, first:] - gram[first:, loose] @ moved)
+
+
+def taken_whole(gram: np.ndarray, place: int) -> np.ndarray:
+    """Give the products with one direction taken as it is: the last, the misses, are those then.
+
+    Parameters
+    ----------
+    gram : (P, P) products of all directions, the misses the last.
+    place : of the direction.
+    """
+    step = np.eye(len(gram))
+    step[-1, place] = 1.0
+    return np.asarray(step @ gram @ step.T)

@@ -19,7 +19,7 @@ import numpy as np
 import sympy
 from scipy.linalg import block_diag
 
-from dynsr.expression import evaluate
+from dynsr.expression import ByText, evaluate
 from dynsr.fit import (
     Measurements,
     constant_bits,
@@ -225,12 +225,11 @@ def _search(
             fit = prune(together, fit, state)
         return _climb(together, fit, leaders)
 
-    ends = [finish(fit) for fit in {id(fit): fit for fit in fits}.values()]
+    ends = [finish(fit) for fit in dict.fromkeys(fits)]
     least = min((fit.bits for fit in ends), default=math.inf)
     close = (fit for fit in _compose_by_rates(together, leaders) if fit not in ends)
     ends += [finish(fit) for fit in close if fit.bits < least + settings.near]
-    different = {id(fit): fit for fit in ends}.values()
-    return sorted(different, key=lambda fit: fit.bits), together
+    return sorted(dict.fromkeys(ends), key=lambda fit: fit.bits), together
 
 
 def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
@@ -465,7 +464,7 @@ def _closest(
             above = _bits_above(fit, best)
             for state in changed:
                 found[state].append((fit.exprs[state], above))
-    return {s: tuple(sorted(o, key=lambda p: (p[1], str(p[0])))) for s, o in found.items()}
+    return {s: tuple(sorted(o, key=lambda p: (p[1], ByText(p[0])))) for s, o in found.items()}
 
 
 def _bits_above(other: SystemFit, best: SystemFit) -> float:
