@@ -17,15 +17,13 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
+from command_line import run
+from served_page import Page, PageHere, rabbits
 
 import dynsr
 from dynsr.app.work import FILES, Live, Work, read_options
 from dynsr.data.reading import read_trajectories
 from dynsr.jobs import Step
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
-from served_page import Page, PageHere, rabbits
 
 pytest.importorskip("tornado", reason="the extra app is not installed")
 # One worker runs them all, so that one page is served.

@@ -4,16 +4,13 @@ Where there is no Chromium these tests are skipped; with DYNSR_REQUIRE_CHROMIUM=
 """
 
 import json
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
 import dynsr
 
 pytest.importorskip("tornado", reason="the extra app is not installed")
-sys.path.insert(0, str(Path(__file__).parent))
 from browser import Browser, require_chromium
 from served_page import Page, rabbits
 

@@ -1,11 +1,10 @@
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from fake_methods import make
 
 from dynsr.data.system import CART_POLE, DUFFING, LOTKA_VOLTERRA, PENDULUM, System
 from dynsr.errors import InputError
@@ -14,9 +13,6 @@ from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.paper.protocol import paper_method
 from dynsr.paper.replication import Cell, Plan, cell_method, cell_samples, compute_cell, replicate
 from dynsr.paper.stages import describe_stages
-
-sys.path.insert(0, str(Path(__file__).parent))
-from fake_methods import make
 
 
 def test_every_cell_has_its_own_chance():

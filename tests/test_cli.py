@@ -14,14 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from command_line import run
 from typer.testing import CliRunner
 
 from dynsr.cli.app import app
 from dynsr.cli.group import CommandGroup
 from dynsr.data.reading import read_trajectories
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 COMMAND = typer.main.get_command(app)
 NAMES = sorted(COMMAND.commands)

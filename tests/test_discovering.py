@@ -10,13 +10,11 @@ import numpy as np
 import pandas
 import pytest
 import sympy
+from command_line import run
 
 from dynsr.cli.results import flatten
 from dynsr.data.system import LOTKA_VOLTERRA
 from dynsr.paper.protocol import paper_method
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 T = np.linspace(0.0, 3.0, 151)
 

@@ -6,7 +6,6 @@ What takes an engine is looked up, not listed: a new function or command without
 import importlib
 import inspect
 import json
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 import sympy
 import typer
+from command_line import run
 
 import dynsr
 import dynsr.benchmarks
@@ -31,9 +31,6 @@ from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.engines.simulation import add_noise, simulate, simulate_driven
 from dynsr.engines.testing import RecordingEngine
 from dynsr.errors import EngineError, EngineUnavailable, InputError
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 ROOMS = [
     *("data", "engines", "fit", "methods", "selection", "discovery", "report", "paper"),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 
 import dynsr
 from dynsr.data.trajectory import Trajectory
@@ -22,9 +23,6 @@ from dynsr.engines.testing import RecordingEngine
 from dynsr.errors import EngineUnavailable, InputError
 from dynsr.methods.genetic import GeneticAlgorithm
 from dynsr.methods.sindy import SINDy
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 T = np.linspace(0.0, 3.0, 61)
 FAKE = Path(__file__).parent / "fake_julia"

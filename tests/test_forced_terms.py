@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 from scipy.integrate import solve_ivp
 
 import dynsr
@@ -16,9 +16,6 @@ from dynsr.errors import InputError
 from dynsr.expression import parse
 from dynsr.fit import missing_terms
 from dynsr.methods import read_demands
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 X, Y = sympy.symbols("x y")
 QUICK = {"preset": "quick", "functions": (), "jobs": 1}

@@ -5,13 +5,12 @@ import json
 import os
 import signal
 import stat
-import sys
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -26,9 +25,6 @@ from dynsr.expression.export import to_julia, to_python
 from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.methods.rational import RationalSearch
 from dynsr.report.discovery import render_discovery
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 x, y = sympy.symbols("x y")
 QUICK = RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1)

@@ -1,22 +1,18 @@
 """Maps x[n+1] = f(x[n]) are found from row to row, iterated, scored and written out."""
 
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 
 import dynsr
 from dynsr.data import Trajectory
 from dynsr.discovery.maps import iterate, measure_step_errors, pair_rows, score_map
 from dynsr.errors import EngineError, InputError
 from dynsr.methods import RationalSearch
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 FEW = RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1)
 

@@ -4,10 +4,10 @@ import json
 import subprocess
 import sys
 from inspect import signature
-from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 
 import dynsr
 from dynsr.data.samples import Samples
@@ -24,9 +24,6 @@ from dynsr.methods.registry import (
     make_method,
 )
 from dynsr.paper.protocol import paper_method
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 EVERY = pytest.mark.parametrize("name", METHODS)
 

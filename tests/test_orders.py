@@ -1,20 +1,16 @@
 """Equations of second order are found from the position alone; the time may be a variable."""
 
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 
 import dynsr
 from dynsr.data import Trajectory, add_velocities, choose_second_samples
 from dynsr.discovery.orders import Form, form_of, read_form, write_lines
 from dynsr.errors import InputError
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 T = np.linspace(0, 10, 500)
 FEW = T[::2]

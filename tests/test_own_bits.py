@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 
 import dynsr
 from dynsr.errors import InputError
 from dynsr.expression import complexity, counting, parse, read_own_bits
 from dynsr.fit import structure_bits
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 X = sympy.Symbol("x")
 BITS = {"sin": 1000.0, "/": 100.0, "*": 10.0, "+": 1.0, "**": 0.1, "sqrt": 0.01}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy.optimize import linprog
 
 import dynsr
@@ -16,9 +16,6 @@ from dynsr.errors import InputError
 from dynsr.expression import parse
 from dynsr.fit import Candidate, judge_by_loss, read_loss
 from dynsr.methods.rational import RationalSearch
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 SUMS = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
 

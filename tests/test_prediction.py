@@ -1,10 +1,9 @@
-import sys
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
@@ -16,9 +15,6 @@ from dynsr.engines.base import InitialValueProblem
 from dynsr.engines.simulation import simulate
 from dynsr.errors import EngineError, InputError
 from dynsr.expression.parsing import parse
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 T = np.linspace(0.0, 10.0, 101)
 SINE = np.sin(T)

@@ -1,18 +1,14 @@
 import re
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
+from fake_records import PRINTED, record
 
 from dynsr.paper.page import render_replication, write_results
 from dynsr.paper.results import all_tables
 from dynsr.report.page import Picture, render_page
 from dynsr.report.tables import Formula, Table
-
-sys.path.insert(0, str(Path(__file__).parent))
-from fake_records import PRINTED, record
 
 SETTINGS = {
     "seed": 5,

@@ -3,11 +3,10 @@
 Where there is no Chromium these tests are skipped; with DYNSR_REQUIRE_CHROMIUM=1 they fail.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from browser import Browser, require_chromium
+from fake_records import PRINTED, record
 
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.result import Discovery
@@ -15,10 +14,6 @@ from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.paper.page import render_replication
 from dynsr.report.discovery import render_discovery
-
-sys.path.insert(0, str(Path(__file__).parent))
-from browser import Browser, require_chromium
-from fake_records import PRINTED, record
 
 # One worker runs them all, so that one browser is started.
 pytestmark = pytest.mark.xdist_group("browser")

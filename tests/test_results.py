@@ -1,12 +1,11 @@
 import csv
 import io
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from fake_records import PRINTED, record
 from scipy.integrate import solve_ivp
 
 from dynsr.data.system import LORENZ, LOTKA_VOLTERRA, PENDULUM
@@ -22,9 +21,6 @@ from dynsr.paper.results import (
     table_1,
     table_2,
 )
-
-sys.path.insert(0, str(Path(__file__).parent))
-from fake_records import PRINTED, record
 
 
 @pytest.fixture(scope="module")

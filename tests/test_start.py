@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 from scipy.integrate import solve_ivp
 
 import dynsr
 from dynsr.errors import InputError
 from dynsr.fit import ParetoFront
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 X, Y = sympy.symbols("x y")
 

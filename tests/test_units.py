@@ -1,11 +1,9 @@
 """Units of columns: which formulas make sense in them, and what coefficients are in."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import run
 from scipy.integrate import solve_ivp
 
 import dynsr
@@ -16,9 +14,6 @@ from dynsr.expression.dimensions import read_units
 from dynsr.expression.parsing import parse
 from dynsr.methods import RationalSearch
 from dynsr.methods.demands import read_demands
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 pytest.importorskip("pint")
 GIVEN = {"x": "m", "v": "m/s", "t": "s", "th": "rad", "w": "rad/s", "c": "mg/L", "n": "count"}

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 from scipy.integrate import solve_ivp
 
 import dynsr
@@ -29,9 +28,6 @@ from dynsr.methods import (
     SINDy,
     read_demands,
 )
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 X, Y = sympy.symbols("x y")
 

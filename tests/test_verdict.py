@@ -1,11 +1,10 @@
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.following import open_constants
@@ -20,9 +19,6 @@ from dynsr.expression.export import shown
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.methods.rational import RationalSearch
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 QUICK = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
 PREY = {"x": parse("1.3*x - 0.9*x*y"), "y": parse("0.8*x*y - 1.6*y")}

@@ -1,18 +1,14 @@
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy.integrate import solve_ivp
 
 import dynsr
 from dynsr.data import Trajectory, choose_samples, weak_form
 from dynsr.errors import InputError
 from dynsr.methods import RationalSearch
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 FEW = RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 
 from dynsr.data.reading import write_csv
 from dynsr.data.trajectory import Trajectory
@@ -22,9 +23,6 @@ from dynsr.fit.candidates import ParetoFront, score_candidate
 from dynsr.jobs.pool import spread
 from dynsr.methods.base import AbstractMethod
 from dynsr.methods.rational import RationalSearch
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 QUICK = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
 T = np.linspace(0, 6, 61)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy
+from command_line import run
 from sklearn.metrics import r2_score
 
 from dynsr.benchmarks.zoo.catalogue import ZOO, find_animals
@@ -33,9 +34,6 @@ from dynsr.errors import InputError
 from dynsr.expression import parse
 from dynsr.fit import r_squared
 from dynsr.methods import RationalSearch
-
-sys.path.insert(0, str(Path(__file__).parent))
-from command_line import run
 
 ROOT = Path(__file__).parents[1]
 DECAY = ZooSystem("decay", "test", "none", {"x": "-0.7*x"}, ((2.0,), (5.0,)), 3.0, "tuning")
