@@ -1,16 +1,14 @@
 """Rates that several equations share, and equations found anew along the states of a system."""
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import pytest
 import sympy
-from scipy.integrate import solve_ivp
+from measured_systems import floats, measured
 
-from dynsr.data import Trajectory
 from dynsr.expression import parse
-from dynsr.fit import Measurements, skeleton, with_floats
+from dynsr.fit import skeleton, with_floats
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings, compare_systems, explore
 from dynsr.selection.alone import Leader
@@ -29,17 +27,6 @@ BINDING = {"a": "-0.7*a*b + 0.4*c", "b": "-0.7*a*b + 0.4*c", "c": "0.7*a*b - 0.4
 LOOP = {"m": "1.3*p^2/(1.2 + p^2) - 0.6*m", "p": "0.9*m - 0.5*p"}
 
 
-@lru_cache
-def measured(system, start, end, rows, share, seed=0):
-    """Measurements of a system, each column off by a share of its spread."""
-    equations = dict(system)
-    slope = sympy.lambdify(sympy.symbols(list(equations)), [parse(e) for e in equations.values()])
-    t = np.linspace(0, end, rows)
-    x = solve_ivp(lambda _, z: slope(*z), (0, end), start, t_eval=t, rtol=1e-9, atol=1e-9).y.T
-    noisy = x + share * x.std(axis=0) * np.random.default_rng(seed).normal(size=x.shape)
-    return Measurements.of([Trajectory(t, noisy, tuple(equations))], {}, 2000)
-
-
 def bound(rows=120):
     """Measurements of the binding at 1 %."""
     return measured(tuple(BINDING.items()), (2.1, 1.2, 0.2), 6.0, rows, 0.01)
@@ -48,11 +35,6 @@ def bound(rows=120):
 def looped():
     """Measurements of the loop at 1 %."""
     return measured(tuple(LOOP.items()), (1.1, 0.6), 14.0, 100, 0.01)
-
-
-def floats(equations):
-    """Give {state: formula with free constants}."""
-    return {state: with_floats(parse(text)) for state, text in equations.items()}
 
 
 def of(equations, errors):

@@ -38,6 +38,7 @@ from dynsr.selection.costs import (
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.terms import Terms, TermSettings, find_turning
+from dynsr.selection.wide import WideTerms
 
 Equations = dict[str, sympy.Expr]
 # Starts of one shape at most, and the share by which a constant inside a function sets two apart.
@@ -316,19 +317,26 @@ class SystemComparison:
         """Columns that a formula may use: states, then driven ones; not the time."""
         return (*self.mesh.states, *self.mesh.driven_names[:-1])
 
+    @property
+    def _begun(self) -> np.ndarray:
+        """(names, n) values of the columns where the smoothed states are."""
+        return np.concatenate([self.mesh.start.T, self.mesh.driven[:-1, : len(self.mesh.t)]])
+
     @cached_property
     def terms(self) -> Terms:
         """What sums may be made of, where the smoothed states are."""
-        n = len(self.mesh.t)
-        points = np.concatenate([self.mesh.start.T, self.mesh.driven[:-1, :n]])
         own = self.settings.demands.offered
-        return Terms.grow(self.names, points, self.settings.terms, self.angles, own)
+        return Terms.grow(self.names, self._begun, self.settings.terms, self.angles, own)
+
+    @cached_property
+    def wide(self) -> WideTerms:
+        """What else they may be made of, where a system tells what is like its equations."""
+        return WideTerms.of(self.names, self._begun, self.angles)
 
     @cached_property
     def angles(self) -> tuple[str, ...]:
         """Columns that may be angles: those that take both signs, or turn on and on."""
-        rows = [*self.mesh.start.T, *self.mesh.driven[:-1, : len(self.mesh.t)]]
-        return find_turning(self.names, rows)
+        return find_turning(self.names, self._begun)
 
     def fits(self) -> Iterator[SystemFit]:
         """Give all systems that were fitted."""

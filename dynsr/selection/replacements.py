@@ -9,20 +9,28 @@ up for no errors of theirs.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import sympy
 
-from dynsr.expression import compile_columns
+from dynsr.expression import ByText, compile_columns
 from dynsr.fit import Linearised, constant_bits, skeleton
 from dynsr.selection.alone import columns_of, expected_sums
 from dynsr.selection.changes import climb_while_better, gram_of, prune
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise, owners_of
-from dynsr.selection.costs import citing_bits, is_plain, term_bodies
+from dynsr.selection.costs import citing_bits, is_plain, shape_bits, term_bodies, unusual_bits
+from dynsr.selection.likeness import Likeness
 from dynsr.selection.subsets import taken_whole, without
 
 # Sums of every kind that are looked at, and that are fitted.
 _COUNT, _TRIED = 2, 8
+# Of sums with wide terms, and with terms of other equations, those that are fitted.
+_WIDE, _CITED = 8, 4
+# Systems close to the best one from which the other equations are found anew.
+_NEAR = 2
+# Rows along which an equation is compared with sums.
+_ROWS = 300
 # Degree of a short polynomial that is good enough where it leaves only noise.
 _DEGREE = 2
 
@@ -42,17 +50,37 @@ def try_replacements(
     def replaced(best: SystemFit) -> Iterator[SystemFit]:
         settled = leaves_noise(best, comparison.settings)
         for state, own in best.exprs.items():
-            plain = is_plain(own) and sympy.total_degree(own) <= _DEGREE
-            if own.is_Symbol or (settled and plain):
+            if own.is_Symbol:
                 continue
-            for expr in replacements(comparison, best, state)[:_TRIED]:
-                fit = comparison.fit({**best.exprs, state: expr}, best)
-                if fit is not None and fit.bits < best.bits + comparison.settings.near:
-                    fit = prune(comparison, fit, state)
-                if fit is not None:
-                    yield fit
+            plain = is_plain(own) and sympy.total_degree(own) <= _DEGREE
+            anew = [] if settled and plain else replacements(comparison, best, state)[:_TRIED]
+            fits = [comparison.fit({**best.exprs, state: expr}, best) for expr in anew]
+            # Functions begun from other constants may have ended elsewhere.
+            known = Replaceable.of(comparison, best, state)
+            found = [*known.wide(), *known.cited()]
+            fits += [comparison.fit_anew({**best.exprs, state: expr}) for expr in found]
+            for fit in (f for f in fits if f is not None):
+                close = fit.bits < best.bits + comparison.settings.behind
+                yield prune(comparison, fit, state) if close else fit
 
-    return climb_while_better(replaced, best, climb, comparison.settings.again)
+    def cited(best: SystemFit, known: SystemFit) -> Iterator[SystemFit]:
+        """What one equation pays for a term, another may save that has it too."""
+        new = [s for s, e in best.exprs.items() if skeleton(e) != skeleton(known.exprs[s])]
+        for state in (s for s, e in best.exprs.items() if s not in new and not e.is_Symbol):
+            for expr in Replaceable.of(comparison, best, state).cited():
+                fit = comparison.fit_anew({**best.exprs, state: expr})
+                if fit is not None:
+                    yield prune(comparison, fit, state)
+
+    def both(best: SystemFit) -> Iterator[SystemFit]:
+        found = sorted(replaced(best), key=lambda f: f.bits)
+        yield from found
+        near = [f for f in found if best.bits < f.bits < best.bits + comparison.settings.near]
+        if found and found[0].bits >= best.bits:
+            for fit in list(dict.fromkeys(near))[:_NEAR]:
+                yield from cited(fit, best)
+
+    return climb_while_better(both, best, climb, comparison.settings.again)
 
 
 def replacements(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
@@ -81,6 +109,90 @@ def replacements(comparison: SystemComparison, fit: SystemFit, state: str) -> li
     return expected_sums(normal, terms, tiers, costs, float(rows.sum()), _COUNT, curved=True)
 
 
+@dataclass(frozen=True, eq=False)
+class Replaceable:
+    """One equation of a system by its ``values`` along the states, and sums ``like`` it.
+
+    Only sums are given that are shorter than the equation, of ``own`` bits, or not longer by more
+    than the system's misses could save: of ``most`` bits.
+    """
+
+    comparison: SystemComparison
+    fit: SystemFit
+    state: str
+    values: np.ndarray
+    like: Likeness
+    own: float
+    most: float
+
+    @classmethod
+    def of(cls, comparison: SystemComparison, fit: SystemFit, state: str) -> Replaceable:
+        """Take one equation.
+
+        Parameters
+        ----------
+        comparison : fits the systems.
+        fit : the system.
+        state : whose equation it is.
+        """
+        own, mesh, names = fit.exprs[state], comparison.mesh, comparison.names
+        each = constant_bits(float(mesh.rows.max()))
+        few = np.unique(np.linspace(0, len(mesh.t) - 1, min(len(mesh.t), _ROWS)).astype(int))
+        *points, times = fit.problem.points(fit.fit.states, fit.fit.constants)[:, few]
+        values = compile_columns([own], [*names, "t"])(*points, times)[0]
+        bits = shape_bits(own) + unusual_bits(own, comparison.angles)
+        bits += each * len(own.atoms(sympy.Float))
+        most = bits + comparison.settings.near
+        if not leaves_noise(fit, comparison.settings):
+            most += float(mesh.rows @ np.log2(np.maximum(fit.fit.mean_squares, 1.0))) / 2
+        allow = comparison.settings.demands.limits(state).allow
+        like = Likeness(comparison.terms, comparison.wide, np.array(points), each, allow)
+        return cls(comparison, fit, state, values, like, bits, most)
+
+    def wide(self) -> list[sympy.Expr]:
+        """Give sums with a wide term, those that are expected to do best."""
+        return self._expected(self.like.wide_sums(self.values, self.most))[:_WIDE]
+
+    def cited(self) -> list[sympy.Expr]:
+        """Give sums with a term of another equation, or with its line below a fraction."""
+        others = [expr for s, expr in self.fit.exprs.items() if s != self.state]
+        written = [body for expr in others for body in _bodies(expr)]
+        return self._expected(self.like.cited_sums(self.values, self.most, written))[:_CITED]
+
+    def _expected(self, likely: Sequence[tuple[sympy.Expr, float]]) -> list[sympy.Expr]:
+        """Fit sums to what is known, and put those first that the data are expected to like best.
+
+        They come with the bits of their terms and constants.
+        """
+        fit, comparison, own = self.fit, self.comparison, self.fit.exprs[self.state]
+        points = fit.problem.points(fit.fit.states, fit.fit.constants)
+        shapes = {skeleton(expr): (expr, bits) for expr, bits in reversed(likely)}
+        shapes.pop(skeleton(own), None)
+        fitted = [(self.like.fitted(expr, self.values), bits) for expr, bits in shapes.values()]
+        bodies = list(dict.fromkeys(body for expr, _ in fitted for body in _bodies(expr)))
+        if not bodies:
+            return []
+        columns = compile_columns([own, *bodies], [*comparison.names, "t"])(*points)
+        gram = _gram_in_place(comparison, fit, self.state, columns)
+        if gram is None:
+            return []
+        rows, ranked = float(comparison.mesh.rows.sum()), []
+        places_of = {body: place for place, body in enumerate(bodies, 1)}
+        for expr, bits in [(own, self.own), *fitted]:
+            places = [0] if expr is own else [places_of[body] for body in _bodies(expr)]
+            left = float(without(gram, places, len(columns))[0, 0])
+            if np.all(np.isfinite(columns[places])) and left > 0:
+                ranked.append((bits + rows / 2 * np.log2(left / rows), ByText(expr)))
+        # What is expected to be far behind the equation itself is not worth a fit.
+        most = ranked[0][0] + comparison.settings.behind if ranked else np.inf
+        return [text.expr for bits, text in sorted(ranked) if bits < most and text.expr is not own]
+
+
+def _bodies(expr: sympy.Expr) -> list[sympy.Expr]:
+    """Give the terms of a sum without their coefficients."""
+    return [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]
+
+
 def _normal(
     comparison: SystemComparison, fit: SystemFit, state: str, tiers: Sequence[np.ndarray]
 ) -> Linearised | None:
@@ -88,10 +200,21 @@ def _normal(
 
     None where the system does not tell.
     """
+    points = fit.problem.points(fit.fit.states, fit.fit.constants)
+    columns = columns_of(comparison.terms, tiers, points[:-1], curved=True)
+    gram = _gram_in_place(comparison, fit, state, columns)
+    if gram is None:
+        return None
+    return Linearised(gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1]))
+
+
+def _gram_in_place(
+    comparison: SystemComparison, fit: SystemFit, state: str, columns: np.ndarray
+) -> np.ndarray | None:
+    """Give the products of columns in the place of one equation, and of the misses as the last."""
     mesh, found = comparison.mesh, fit.fit
     points = fit.problem.points(found.states, found.constants)
     own = compile_columns([fit.exprs[state]], [*comparison.names, "t"])(*points)
-    columns = columns_of(comparison.terms, tiers, points[:-1], curved=True)
     slopes = np.zeros((len(mesh.states), 1 + len(columns), points.shape[1]))
     values = np.concatenate([-own, columns])
     slopes[mesh.states.index(state)] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
@@ -105,5 +228,4 @@ def _normal(
     gone = len(owners)
     others = [place for place, owner in enumerate(owners) if owner != state]
     # The equation as it was is taken out, and the misses are left to what takes its place.
-    rest = without(taken_whole(gram, gone), others, gone + 1)
-    return Linearised(rest[:-1, :-1], rest[:-1, -1], float(rest[-1, -1]))
+    return without(taken_whole(gram, gone), others, gone + 1)

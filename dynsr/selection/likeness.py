@@ -1,0 +1,210 @@
+"""Likeness: sums of a wide term and plain ones that are like a function, along known states."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import sympy
+from scipy import optimize
+
+from dynsr.expression import compile_columns, lines_below
+from dynsr.fit import free_constants, skeleton
+from dynsr.selection.costs import citing_bits, shape_bits
+from dynsr.selection.subsets import best_subsets
+from dynsr.selection.terms import Terms
+from dynsr.selection.wide import WideTerms
+
+# Plain terms that may stand beside a wide one, and wide ones without a constant inside.
+_PLAIN, _FIXED = 40, 40
+# Wide terms of each kind that are looked at closely, terms beside one at most, sums of each number
+# of terms that go on to more, numbers of terms that are given, and sums of all.
+_LIKEST, _BESIDE, _BEAM, _EACH, _GIVEN = 8, 3, 8, 3, 48
+# Evaluations for each constant at most where constants are fitted; misses, in units of the largest
+# value, that count as no larger.
+_TRIES, _WILD = 12, 1e3
+# Subsets that are asked for: all that there are.
+_ALL = 10_000
+# Misses, as a share of the spread, below which sums are alike.
+_ALIKE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class _Offered:
+    """A term that sums are built on, its values and slopes (c, n) by what moves, and its bits."""
+
+    expr: sympy.Expr
+    block: np.ndarray
+    bits: float
+
+
+@dataclass(frozen=True, eq=False)
+class Likeness:
+    """Sums of terms are looked for that are like functions of the columns.
+
+    Parameters
+    ----------
+    terms, wide : plain terms, and wide ones.
+    points : (names, n) values of the columns.
+    each : bits of a constant.
+    allow : whether a term may be used.
+    """
+
+    terms: Terms
+    wide: WideTerms
+    points: np.ndarray
+    each: float
+    allow: Callable[[sympy.Expr], bool]
+
+    def wide_sums(self, target: np.ndarray, most: float) -> list[tuple[sympy.Expr, float]]:
+        """Give sums with a wide term that are like a function, the likest first, with their bits.
+
+        Parameters
+        ----------
+        target : (n,) values of the function.
+        most : bits of a sum at most.
+        """
+        columns, said, (exprs, _, beside) = self._columns, self._said, self._plain
+        lines = [i for i, e in enumerate(exprs) if e.is_number or e.is_Symbol]
+        straight = [beside[:0], beside[lines]]
+        likest = self.wide.likest(columns, target, straight, said < most, _LIKEST)
+        offered = [_Offered(self.wide.write(i), columns[i], float(said[i])) for i in likest]
+        return self._around(offered, target, most)
+
+    def cited_sums(
+        self, target: np.ndarray, most: float, written: Sequence[sympy.Expr]
+    ) -> list[tuple[sympy.Expr, float]]:
+        """Give sums with a term that another equation has, or with its line below the fraction.
+
+        Parameters
+        ----------
+        target : (n,) values of the function.
+        most : bits of a sum at most.
+        written : the terms of the other equations.
+        """
+        cited = self._cited(written)
+        rows = compile_columns(list(cited), self.terms.names)(*self.points)
+        offered = [
+            _Offered(expr, row[None], bits)
+            for (expr, bits), row in zip(cited.items(), rows, strict=True)
+            if np.all(np.isfinite(row))
+        ]
+        return self._around(offered, target, most)
+
+    def fitted(self, expr: sympy.Expr, target: np.ndarray) -> sympy.Expr:
+        """Give a sum the constants, those inside too, that make it most like a function.
+
+        Parameters
+        ----------
+        expr : the sum.
+        target : (n,) values of the function.
+        """
+        shape, values = free_constants(expr, "constant ")
+        program = compile_columns([shape], [*self.terms.names, *map(str, values)])
+        far = _WILD * float(np.max(np.abs(target)))
+
+        def missed(constants: np.ndarray) -> np.ndarray:
+            with np.errstate(all="ignore"):
+                off = program(*self.points, *constants)[0] - target
+            return np.clip(np.nan_to_num(off, nan=far, posinf=far, neginf=-far), -far, far)
+
+        begun = np.array(list(values.values()))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = optimize.leastsq(missed, begun, maxfev=_TRIES * (1 + len(begun)))[0]
+        given = zip(values, map(sympy.Float, np.atleast_1d(found).tolist()), strict=True)
+        return shape.xreplace(dict(given))
+
+    @cached_property
+    def _columns(self) -> np.ndarray:
+        return self.wide.values(self.points)
+
+    @cached_property
+    def _said(self) -> np.ndarray:
+        """(p,) bits of the wide terms and their constants."""
+        wide = self.wide
+        return np.asarray(self.terms.bits[0] + wide.costs + self.each * (1 + wide.inside))
+
+    @cached_property
+    def _plain(self) -> tuple[list[sympy.Expr], np.ndarray, np.ndarray]:
+        """Terms without a constant inside, their bits (p,) and values (p, n)."""
+        terms, wide = self.terms, self.wide
+        plain = [i for i in np.flatnonzero(terms.inside == 0) if self.allow(terms.exprs[i])]
+        fixed = [i for i in np.flatnonzero(wide.inside == 0).tolist() if self.allow(wide.write(i))]
+        fixed = sorted(fixed, key=lambda i: self._said[i])[:_FIXED]
+        exprs = [*(terms.exprs[i] for i in plain[:_PLAIN]), *map(wide.write, fixed)]
+        costs = np.concatenate([terms.bits[plain[:_PLAIN]] + self.each, self._said[fixed]])
+        values = compile_columns(exprs, terms.names)(*self.points)
+        usable = np.all(np.isfinite(values), axis=1)
+        values[~usable] = 0.0
+        return exprs, np.where(usable, costs, np.inf), values
+
+    def _around(
+        self, offered: Sequence[_Offered], target: np.ndarray, most: float
+    ) -> list[tuple[sympy.Expr, float]]:
+        """Give sums of each of some terms and of what does best beside it, the likest first."""
+        exprs, costs, beside = self._plain
+        found = []
+        for number, one in enumerate(offered):
+            if self.allow(one.expr):
+                for bits, places in _beside(one, beside, costs, target):
+                    cost = one.bits + float(costs[list(places)].sum())
+                    if cost < most:
+                        found.append((bits + one.bits, number, places, cost))
+        return [
+            (_sum(offered[number], [exprs[i] for i in places], beside[list(places)], target), cost)
+            for _, number, places, cost in sorted(found)[:_GIVEN]
+        ]
+
+    def _cited(self, written: Sequence[sympy.Expr]) -> dict[sympy.Expr, float]:
+        """Give terms that are written already, and others over their lines, with their bits."""
+        names = set(map(sympy.Symbol, self.terms.names))
+        term = sympy.Float(0.5) * sympy.Symbol("term")
+        found: dict[sympy.Expr, tuple[sympy.Expr, float]] = {}
+        for own in (t for t in written if t.free_symbols and t.free_symbols <= names):
+            if citing_bits(own) > 0:
+                found.setdefault(skeleton(own), (own, shape_bits(term) + self.each))
+            for line in lines_below(own):
+                for above in (sympy.S.One, *sorted(names, key=str)):
+                    bits = shape_bits(term / above) + self.each
+                    found.setdefault(skeleton(above / line), (above / line, bits))
+        return dict(found.values())
+
+
+def _beside(
+    one: _Offered, beside: np.ndarray, costs: np.ndarray, target: np.ndarray
+) -> list[tuple[float, tuple[int, ...]]]:
+    """Give the terms that do best beside one whose constants inside are free, with their bits."""
+    own = np.linalg.qr(one.block.T)[0]
+    own = own[:, np.linalg.norm(one.block @ own, axis=0) > 0]
+    rest, goal = beside - (beside @ own) @ own.T, target - own @ (own.T @ target)
+    rows, left = float(len(target)), float(goal @ goal)
+    least = rows * (_ALIKE * float(np.std(target))) ** 2
+    subsets = best_subsets(
+        rest @ rest.T,
+        rest @ goal,
+        left,
+        costs,
+        rows,
+        beam=_BEAM,
+        most=_BESIDE,
+        keep=_ALL,
+        least=least,
+    )
+    found: dict[int, tuple[float, tuple[int, ...]]] = {}
+    found[0] = (rows / 2 * float(np.log2(max(left, least) / rows)), ())
+    for subset in subsets:
+        found.setdefault(len(subset.places), (subset.bits, subset.places))
+    return sorted(found.values())[:_EACH]
+
+
+def _sum(
+    one: _Offered, others: Sequence[sympy.Expr], beside: np.ndarray, target: np.ndarray
+) -> sympy.Expr:
+    """Give terms the coefficients that make their sum like a function."""
+    values = np.linalg.lstsq(np.concatenate([one.block[:1], beside]).T, target, rcond=None)[0]
+    pairs = zip(values, [one.expr, *others], strict=True)
+    return sympy.Add(*[sympy.Float(c) * e for c, e in pairs])

@@ -1,0 +1,451 @@
+"""Wide terms: products of functions, and functions of two columns, for one equation of a system.
+
+They are too many to be looked through wherever sums of terms are. A system that follows the data
+says what its equations are worth along its states; sums that are worth the same there are soon
+found among thousands of terms, and only the likeliest of them are fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import combinations, combinations_with_replacement
+from typing import Any
+
+import numpy as np
+import sympy
+
+from dynsr.expression import bits_in_force
+from dynsr.selection.costs import shape_bits, unusual_bits
+
+# What a function may stand beside: columns, two of them, functions of other columns, other
+# saturations with a column, or nothing.
+_COLUMNS, _PAIRS, _FUNCTIONS = "columns", "pairs", "functions"
+_SATURATIONS, _NOTHING = "saturations", "nothing"
+# Constants inside, as multiples of the usual size or of the spread of a column.
+_SIZES, _SPREADS = (0.3, 1.0, 3.0), (0.15, 0.5, 1.0)
+# Where the middle of a step may lie, in spreads from the mean; directions that two columns step in.
+_MIDDLES, _TURNS = (-1.0, 0.0, 1.0), (22.5, 45.0, 67.5, 112.5, 135.0, 157.5)
+# What spans less, in radians, shows little of a wave.
+_BEND = 0.7
+# Share of its usual size above which a column stays apart from 0.
+_APART = 0.1
+# Values that are too large to be squared and summed.
+_LARGEST = 1e100
+# What the logarithm of an exponential may reach.
+_STEEP = 30.0
+# Constants of a term that are moved, the step of their logarithms, and how far they may.
+_BENT, _NUDGE, _FARTHEST = 3, 1e-5, 1.0
+# What of its own is left of a column, as a share of it, from which on it tells anything.
+_TOLD = 1e-4
+
+# A function written once: of NumPy or SymPy, of columns and of constants.
+Written = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A function of one or two columns, given by their places, with constants inside."""
+
+    make: Written
+    columns: tuple[int, ...]
+    constants: tuple[float, ...] = ()
+    beside: tuple[str, ...] = (_COLUMNS,)
+
+
+@dataclass(frozen=True, eq=False)
+class WideTerms:
+    """Terms made of factors; a term is written out only where it is asked for.
+
+    Parameters
+    ----------
+    names : the columns.
+    parts : the P factors, 1 and the columns the first of them.
+    bits : (P,) what each costs in a term.
+    places : (p, 3) the factors of each term.
+    """
+
+    names: tuple[str, ...]
+    parts: tuple[_Part, ...]
+    bits: np.ndarray
+    places: np.ndarray
+
+    @classmethod
+    def of(cls, names: Sequence[str], points: np.ndarray, angles: Sequence[str]) -> WideTerms:
+        """Make the terms of columns that take these values.
+
+        Parameters
+        ----------
+        names, points : the columns and their values (len(names), n).
+        angles : columns that may be angles.
+
+        >>> points = np.array([np.linspace(0.5, 3.0, 50), np.linspace(-1.0, 1.0, 50)])
+        >>> wide = WideTerms.of(["x", "v"], points, ["v"])
+        >>> any(str(wide.write(i)) == "sin(v)*cos(x)" for i in range(len(wide.places)))
+        True
+        """
+        parts = [_Part(lambda m: 1, ()), *(_Part(_itself, (i,)) for i in range(len(names)))]
+        plain = len(parts)
+        for place, values in enumerate(points):
+            parts += _of_one(place, values)
+        for pair in combinations(range(len(names)), 2):
+            parts += _of_two(pair, points[list(pair)])
+        parts = [replace(part, constants=tuple(map(_short, part.constants))) for part in parts]
+        turning = [name in angles for name in names]
+        counted = bits_in_force()
+        bits = [
+            _bits_of(p.make, tuple(turning[i] for i in p.columns), len(p.constants), counted)
+            for p in parts
+        ]
+        places = np.array(list(_terms(parts, plain)), dtype=int).reshape(-1, 3)
+        return cls(tuple(names), tuple(parts), np.array(bits) - bits[0], places)
+
+    def write(self, place: int) -> sympy.Expr:
+        """Give a term."""
+        found = sympy.S.One
+        for part in (self.parts[i] for i in self.places[place]):
+            symbols = (sympy.Symbol(self.names[i]) for i in part.columns)
+            found *= part.make(sympy, *symbols, *map(sympy.Float, part.constants))
+        return found
+
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """(p, 1 + _BENT, n) values at points (len(names), n), and slopes by constants inside.
+
+        These are by the logarithms; 0 where there are fewer constants.
+        """
+        parts = np.ones((len(self.parts), points.shape[1]))
+        slopes = np.zeros((len(self.parts), _BENT, points.shape[1]))
+        with np.errstate(all="ignore"):
+            for place, part in enumerate(self.parts):
+                columns, constants = [points[i] for i in part.columns], part.constants
+                parts[place] = part.make(np, *columns, *constants)
+                for i, constant in enumerate(constants):
+                    moved = (*constants[:i], constant * (1 + _NUDGE), *constants[i + 1 :])
+                    slopes[place, i] = (part.make(np, *columns, *moved) - parts[place]) / _NUDGE
+            one, other, third = (parts[self.places[:, i]] for i in range(3))
+            first, second = (slopes[self.places[:, i]] for i in range(2))
+            values = np.empty((len(self.places), 1 + _BENT, points.shape[1]))
+            values[:, 0] = one * other * third
+            values[:, 1:] = first * (other * third)[:, None]
+            # What stands beside another function has one constant at most, and so has that one.
+            values[:, -1] += second[:, 0] * one * third
+        return values
+
+    @property
+    def costs(self) -> np.ndarray:
+        """(p,) bits of the functions in each term, its constants not counted."""
+        return np.asarray(self.bits[self.places].sum(axis=1))
+
+    @property
+    def inside(self) -> np.ndarray:
+        """(p,) constants inside each term."""
+        own = np.array([len(part.constants) for part in self.parts])
+        return np.asarray(own[self.places].sum(axis=1))
+
+    @cached_property
+    def _shapes(self) -> np.ndarray:
+        """(p,) the same number for terms that differ in their constants alone."""
+        kinds: dict[tuple[Written, tuple[int, ...]], int] = {}
+        own = np.array([kinds.setdefault((p.make, p.columns), len(kinds)) for p in self.parts])
+        return np.unique(own[self.places], axis=0, return_inverse=True)[1].reshape(-1)
+
+    def likest(
+        self,
+        columns: np.ndarray,
+        target: np.ndarray,
+        beside: Sequence[np.ndarray],
+        which: np.ndarray,
+        count: int,
+    ) -> list[int]:
+        """Give the terms most like a function once the constants inside have moved.
+
+        Parameters
+        ----------
+        columns : (p, 1 + _BENT, n) of :meth:`values`.
+        target : (n,) the function.
+        beside : what may stand beside a term, (c, n) each; for each so many are given.
+        which : (p,) whether a term is looked at.
+        count : terms for each and for each number of constants inside, one of every shape.
+        """
+        tame = np.all(np.abs(columns) < _LARGEST, axis=(1, 2))
+        chosen = np.flatnonzero(tame & which)
+        block, inside = columns[chosen], self.inside[chosen]
+        found: dict[int, None] = {}
+        for others in beside:
+            basis = np.linalg.qr(others.T)[0]
+            rest = block - (block @ basis) @ basis.T
+            goal = target - basis @ (basis.T @ target)
+            order = np.argsort(-_gains(rest, goal, block), kind="stable")
+            # What bends more says more: each is held against those that bend as much.
+            for bends in np.unique(inside):
+                own = chosen[order[inside[order] == bends]]
+                first = np.unique(self._shapes[own], return_index=True)[1]
+                found |= dict.fromkeys(own[np.sort(first)[:count]].tolist())
+        return list(found)
+
+
+def _gains(rest: np.ndarray, goal: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """(p,) squares that terms explain, their constants inside free where they move little.
+
+    ``rest`` are the columns (p, c, n) with others taken out of ``whole``, ``goal`` (n,) is what is
+    left of the function.
+    """
+    sizes = np.linalg.norm(rest, axis=2)
+    told = sizes > _TOLD * np.linalg.norm(whole, axis=2)
+    unit = np.where(told, 1 / np.maximum(sizes, 1e-300), 0.0)
+    columns = rest * unit[:, :, None]
+    pull = columns @ goal
+    gram = columns @ np.swapaxes(columns, 1, 2) + 1e-6 * np.eye(rest.shape[1])
+    solved = np.linalg.solve(gram, pull[..., None])[..., 0]
+    with np.errstate(all="ignore"):
+        values = solved * unit
+        near = np.all(np.abs(np.nan_to_num(values[:, 1:] / values[:, :1])) <= _FARTHEST, axis=1)
+    bent = np.einsum("pc,pc->p", pull, solved)
+    return np.where(near & told[:, 0], bent, np.where(told[:, 0], pull[:, 0] ** 2, 0.0))
+
+
+@lru_cache(maxsize=1024)
+def _bits_of(
+    make: Written, turning: tuple[bool, ...], inside: int, counted: tuple[tuple[str, float], ...]
+) -> float:
+    """Bits of a constant times a function; ``counted`` are the user's own."""
+    del counted
+    names = [f"v{i}" for i in range(len(turning))]
+    expr = make(sympy, *map(sympy.Symbol, names), *[sympy.Float(0.7)] * inside)
+    angles = [name for name, turns in zip(names, turning, strict=True) if turns]
+    whole = sympy.sympify(expr)
+    return shape_bits(sympy.Float(0.5) * whole) + unusual_bits(whole, angles)
+
+
+def _terms(parts: Sequence[_Part], plain: int) -> Iterator[tuple[int, int, int]]:
+    """Give the factors of every term: functions alone, beside a column, and beside each other."""
+    for place in range(plain, len(parts)):
+        for beside in range(plain if _COLUMNS in parts[place].beside else 1):
+            yield place, beside, 0
+        if _PAIRS in parts[place].beside:
+            pairs = combinations_with_replacement(range(1, plain), 2)
+            yield from ((place, *pair) for pair in pairs)
+    for kind, more in ((_FUNCTIONS, range(1)), (_SATURATIONS, range(1, plain))):
+        own = [i for i, part in enumerate(parts) if kind in part.beside]
+        for first, second in combinations(own, 2):
+            if parts[first].columns != parts[second].columns:
+                yield from ((first, second, beside) for beside in more)
+
+
+def _itself(_: Any, v: Any) -> Any:
+    return v
+
+
+def _sine(m: Any, v: Any) -> Any:
+    return m.sin(v)
+
+
+def _cosine(m: Any, v: Any) -> Any:
+    return m.cos(v)
+
+
+def _double_sine(m: Any, v: Any) -> Any:
+    return m.sin(v) * m.cos(v)
+
+
+def _squared_sine(m: Any, v: Any) -> Any:
+    return m.sin(v) ** 2
+
+
+def _fourth(_: Any, v: Any) -> Any:
+    return v**4
+
+
+def _size(_: Any, v: Any) -> Any:
+    return abs(v)
+
+
+def _falling(m: Any, v: Any, c: Any) -> Any:
+    return m.exp(-c * v)
+
+
+def _rising(m: Any, v: Any, c: Any) -> Any:
+    return m.exp(c * v)
+
+
+def _bounded(m: Any, v: Any, c: Any) -> Any:
+    return m.tanh(c * v)
+
+
+def _thermal(m: Any, v: Any, c: Any) -> Any:
+    return m.exp(-c / v)
+
+
+def _root(m: Any, v: Any) -> Any:
+    return m.sqrt(v)
+
+
+def _logarithm(m: Any, v: Any) -> Any:
+    return m.log(v)
+
+
+def _reciprocal(_: Any, v: Any) -> Any:
+    return 1 / v
+
+
+def _reciprocal_square(_: Any, v: Any) -> Any:
+    return 1 / v**2
+
+
+def _reciprocal_cube(_: Any, v: Any) -> Any:
+    return 1 / v**3
+
+
+def _inhibits(_: Any, v: Any, k: Any) -> Any:
+    return 1 / (k + v)
+
+
+def _saturates(_: Any, v: Any, k: Any) -> Any:
+    return v / (k + v)
+
+
+def _inhibits_itself(_: Any, v: Any, k: Any, c: Any) -> Any:
+    return 1 / (k + v + c * v**2)
+
+
+def _step(m: Any, v: Any, c: Any, a: Any) -> Any:
+    """The logistic function."""
+    return 1 / (1 + m.exp(c - a * v))
+
+
+def _falling_step(m: Any, v: Any, c: Any, a: Any) -> Any:
+    return 1 / (1 + m.exp(c + a * v))
+
+
+def _hill(power: int) -> tuple[Written, Written]:
+    """Hill's function of one power: what activates, and what represses."""
+
+    def activates(_: Any, v: Any, k: Any) -> Any:
+        return v**power / (k + v**power)
+
+    def represses(_: Any, v: Any, k: Any) -> Any:
+        return 1 / (k + v**power)
+
+    return activates, represses
+
+
+_HILL = {power: _hill(power) for power in (2, 3, 4)}
+
+
+def _sine_apart(m: Any, v: Any, w: Any) -> Any:
+    return m.sin(v - w)
+
+
+def _cosine_apart(m: Any, v: Any, w: Any) -> Any:
+    return m.cos(v - w)
+
+
+def _sine_together(m: Any, v: Any, w: Any) -> Any:
+    return m.sin(v + w)
+
+
+def _cosine_together(m: Any, v: Any, w: Any) -> Any:
+    return m.cos(v + w)
+
+
+def _length(m: Any, v: Any, w: Any) -> Any:
+    return m.sqrt(v**2 + w**2)
+
+
+def _distance(_: Any, v: Any, w: Any) -> Any:
+    return abs(v - w)
+
+
+def _root_apart(m: Any, v: Any, w: Any) -> Any:
+    return m.sqrt(v - w)
+
+
+def _inhibit_together(_: Any, v: Any, w: Any, k: Any, c: Any) -> Any:
+    return 1 / (k + v + c * w)
+
+
+def _step_together(m: Any, v: Any, w: Any, c: Any, a: Any, b: Any) -> Any:
+    return 1 / (1 + m.exp(c - a * v - b * w))
+
+
+def _step_apart(m: Any, v: Any, w: Any, c: Any, a: Any, b: Any) -> Any:
+    return 1 / (1 + m.exp(c - a * v + b * w))
+
+
+def _of_one(place: int, values: np.ndarray) -> Iterator[_Part]:
+    """Give the functions of one column."""
+    own, both = (place,), (_COLUMNS, _FUNCTIONS)
+    size, middle = float(np.median(np.abs(values))), float(np.mean(values))
+    spread, largest = float(np.std(values)), float(np.max(np.abs(values)))
+    if not (size > 0 and spread > 0):
+        return
+    positive = bool(np.min(values) > 0)
+    if np.ptp(values) > _BEND:
+        yield from (_Part(wave, own, (), both) for wave in (_sine, _cosine))
+        yield from (_Part(wave, own) for wave in (_double_sine, _squared_sine))
+    yield from (_Part(make, own) for make in (_fourth, _size))
+    for share in _SIZES:
+        scale = share * size
+        if largest < _STEEP * scale:
+            yield _Part(_falling, own, (1 / scale,), both)
+            yield _Part(_rising, own, (1 / scale,))
+        yield _Part(_bounded, own, (1 / scale,), both)
+        for power, shapes in _HILL.items():
+            if positive or power % 2 == 0:
+                beside = both if power == 2 else (_COLUMNS,)
+                yield from (_Part(make, own, (scale**power,), beside) for make in shapes)
+        if positive:
+            yield _Part(_inhibits, own, (scale,), both)
+            yield _Part(_saturates, own, (scale,), (*both, _SATURATIONS))
+            yield _Part(_thermal, own, (scale,))
+            for other in _SIZES:
+                constants = (scale, 1 / (other * size))
+                yield _Part(_inhibits_itself, own, constants, (_COLUMNS, _PAIRS))
+    if positive:
+        yield _Part(_root, own, (), both)
+        yield _Part(_logarithm, own)
+    if np.min(values) > _APART * size:
+        yield _Part(_reciprocal, own, (), both)
+        yield from (_Part(make, own) for make in (_reciprocal_square, _reciprocal_cube))
+    for share in _SPREADS:
+        for at in _MIDDLES:
+            slope, shift = 1 / (share * spread), (middle + at * spread) / (share * spread)
+            yield _Part(_step, own, (shift, slope))
+            yield _Part(_falling_step, own, (-shift, slope))
+
+
+def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
+    """Give the functions of two columns."""
+    first, second = rows
+    spreads, sizes = np.std(rows, axis=1), np.median(np.abs(rows), axis=1)
+    if not np.min(spreads) > 0:
+        return
+    if np.min(np.ptp(rows, axis=1)) > _BEND:
+        waves = (_sine_apart, _cosine_apart, _sine_together, _cosine_together)
+        yield from (_Part(wave, pair) for wave in waves)
+    yield from (_Part(make, pair) for make in (_length, _distance))
+    for order, apart in ((pair, first - second), (pair[::-1], second - first)):
+        if np.min(apart) > 0:
+            yield _Part(_root_apart, order)
+    if np.min(rows) > 0:
+        for one in _SIZES:
+            for other in _SIZES:
+                scales = (float(other * sizes[0]), float(one * sizes[0] / sizes[1]))
+                yield _Part(_inhibit_together, pair, scales, (_COLUMNS, _PAIRS))
+    for turn in np.deg2rad(_TURNS):
+        ways = np.array([np.cos(turn), np.sin(turn)]) / spreads
+        for share in _SPREADS:
+            for at in _MIDDLES:
+                shift = float(ways @ np.mean(rows, axis=1) + at) / share
+                slopes = (float(ways[0]) / share, float(ways[1]) / share)
+                # Of c - a v - b w both slopes are positive, whichever way the step goes.
+                if slopes[0] > 0:
+                    yield _Part(_step_together, pair, (shift, *slopes), (_NOTHING,))
+                else:
+                    slopes = (-slopes[0], slopes[1])
+                    yield _Part(_step_apart, pair, (-shift, *slopes), (_NOTHING,))
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")

@@ -1,0 +1,27 @@
+"""Systems measured in noise, as the tests of whole systems need them."""
+
+from functools import lru_cache
+
+import numpy as np
+import sympy
+from scipy.integrate import solve_ivp
+
+from dynsr.data import Trajectory
+from dynsr.expression import parse
+from dynsr.fit import Measurements, with_floats
+
+
+@lru_cache
+def measured(system, start, end, rows, share, seed=0):
+    """Measurements of a system, each column off by a share of its spread."""
+    equations = dict(system)
+    slope = sympy.lambdify(sympy.symbols(list(equations)), [parse(e) for e in equations.values()])
+    t = np.linspace(0, end, rows)
+    x = solve_ivp(lambda _, z: slope(*z), (0, end), start, t_eval=t, rtol=1e-9, atol=1e-9).y.T
+    noisy = x + share * x.std(axis=0) * np.random.default_rng(seed).normal(size=x.shape)
+    return Measurements.of([Trajectory(t, noisy, tuple(equations))], {}, 2000)
+
+
+def floats(equations):
+    """Give {state: formula with free constants}."""
+    return {state: with_floats(parse(text)) for state, text in equations.items()}
