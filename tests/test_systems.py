@@ -12,9 +12,10 @@ from scipy.integrate import solve_ivp
 from dynsr.data import Trajectory
 from dynsr.discovery import discover
 from dynsr.expression import parse
-from dynsr.fit import Measurements, skeleton
+from dynsr.fit import Collocation, Measurements, skeleton
 from dynsr.methods.demands import read_demands
 from dynsr.selection import (
+    Compared,
     ComparisonSettings,
     SystemChoice,
     compare_systems,
@@ -170,6 +171,27 @@ def test_an_equation_that_nothing_beats_comes_back_as_given():
     """Snapped numbers of the true system stay, though a fit would move them."""
     exprs = {s: parse(e) for s, e in TRUTHS["Lotka-Volterra"].items()}
     assert compare_systems(exprs, {}, measured("Lotka-Volterra"), SETTINGS).exprs == exprs
+
+
+def test_a_second_comparison_knows_what_the_first_one_learnt(monkeypatch):
+    """The same system is found again, with a tenth of the fits at most."""
+    fits = []
+    fit = Collocation.fit
+
+    def counted(problem, *args, **options):
+        fits.append(problem)
+        return fit(problem, *args, **options)
+
+    monkeypatch.setattr(Collocation, "fit", counted)
+    first = {s: pool[0] for s, pool in pools("SIR").items()}
+    known, choices, counts = Compared(), [], []
+    for _ in range(2):
+        fits.clear()
+        choices.append(compare_systems(first, pools("SIR"), measured("SIR"), SETTINGS, known))
+        counts.append(len(fits))
+    assert choices[0].exprs == choices[1].exprs
+    assert counts[0] > 20
+    assert counts[1] <= counts[0] / 10
 
 
 def test_a_wrong_neighbour_climbs_to_the_truth():

@@ -56,6 +56,7 @@ from dynsr.methods import (
     Demands,
 )
 from dynsr.selection import (
+    Compared,
     FollowerSettings,
     Pick,
     SelectionSettings,
@@ -487,7 +488,7 @@ class Problem:
         given = self.form.known
         exprs = {s: given[s] if s in given else pools[s][0] for s in names}
         comparison = self.settings.selection.comparison
-        choice = compare_systems(exprs, pools, self.measurements, comparison)
+        choice = compare_systems(exprs, pools, self.measurements, comparison, self._compared)
         if self.measurements.noise_share > comparison.doubtful or choice.explains(comparison):
             return choice
         return None
@@ -498,7 +499,13 @@ class Problem:
         """Let whole systems compete on the states where noise makes slopes unsure."""
         if self.measurements is None:
             return SystemChoice(dict(picked))
-        return compare_systems(picked, pools, self.measurements, self.settings.selection.comparison)
+        comparison = self.settings.selection.comparison
+        return compare_systems(picked, pools, self.measurements, comparison, self._compared)
+
+    @cached_property
+    def _compared(self) -> Compared:
+        """What was learnt when systems were compared before."""
+        return Compared()
 
 
 def pool_formulas(

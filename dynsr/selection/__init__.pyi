@@ -11,9 +11,10 @@ from .pick import (
     rank_by_length,
     trivial_candidates,
 )
-from .systems import SystemChoice, compare_systems, explore, other_in_halves
+from .systems import Compared, SystemChoice, compare_systems, explore, other_in_halves
 
 __all__ = [
+    "Compared",
     "ComparisonSettings",
     "Follower",
     "FollowerSettings",

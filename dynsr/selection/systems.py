@@ -128,11 +128,25 @@ def _shuffle(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: rng.permutation(values) for name, values in columns.items()}
 
 
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """What one comparison of some data learnt for the next: its fits, and where they led.
+
+    ``alone`` holds the comparison of each state by itself, ``together`` that of all, and
+    ``refined`` the system that the ends of a search came to.
+    """
+
+    alone: dict[str, Alone] = field(default_factory=dict)
+    together: dict[tuple[str, ...], SystemComparison] = field(default_factory=dict)
+    refined: dict[tuple[SystemFit, ...], SystemFit] = field(default_factory=dict)
+
+
 def compare_systems(
     exprs: Mapping[str, sympy.Expr],
     alternatives: Mapping[str, Iterable[sympy.Expr]],
     data: Measurements,
     settings: ComparisonSettings = COMPARISON,
+    known: Compared | None = None,
 ) -> SystemChoice:
     """Give the equations whose terms the states support best, climbing from ``exprs``.
 
@@ -142,6 +156,7 @@ def compare_systems(
     alternatives : state -> other formulas that were found for it, the likeliest first.
     data : the measured states, their noise and smoothed curves.
     settings : the numbers that decide.
+    known : what an earlier comparison of the same data by the same settings learnt.
 
     An equation that nothing beats comes back as it was given, and so does one that is one bare
     column, such as q' = v. All come back so where the data cannot be followed, and where their
@@ -156,9 +171,25 @@ def compare_systems(
         for s in states
     }
     pools = {s: pool[: settings.alone] for s, pool in pools.items()}
-    ends, comparison = _search(pools, data, settings)
+    known = Compared() if known is None else known
+    comparison = known.together.get(states) or SystemComparison(data.mesh(states), settings)
+    known.together[states] = comparison
+    ends = _search(pools, data, comparison, known.alone)
     if not ends:
         return SystemChoice(dict(exprs))
+    ends = ends[: settings.ends]
+    best = known.refined.get(tuple(ends)) or _refine(ends, data, comparison)
+    known.refined[tuple(ends)] = best
+    same = {s: skeleton(best.exprs[s]) == skeleton(with_floats(exprs[s])) for s in states}
+    chosen = {s: exprs[s] if same[s] else best.exprs[s] for s in states}
+    return SystemChoice(chosen, best, _closest(comparison, best))
+
+
+def _refine(
+    ends: Sequence[SystemFit], data: Measurements, comparison: SystemComparison
+) -> SystemFit:
+    """Look for terms along the ends of a search, and for other functions in their equations."""
+    settings, states = comparison.settings, tuple(ends[0].exprs)
     best = ends[0]
     # A system that follows the data is the best smoother: terms are looked for along it again.
     for number in range(settings.again):
@@ -171,7 +202,7 @@ def compare_systems(
             else [best.exprs[s], *explore(s, follower, settings, ratios=False)]
             for s in states
         }
-        others, _ = _search(found, follower, settings, comparison)
+        others = _search(found, follower, comparison, {})
         if not others or others[0].bits >= best.bits - settings.gain:
             break
         best = others[0]
@@ -187,28 +218,31 @@ def compare_systems(
     begun = best
     best = refine(best)
     # Where that leaves more than noise, another end of the search may lead further.
-    for end in ends[: settings.ends]:
+    for end in ends:
         if leaves_noise(best, settings):
             break
         if end is not begun and end.bits < best.bits + settings.behind:
             best = min(best, refine(end), key=lambda f: f.bits)
     for state in states:
         best = prune(comparison, best, state)
-    best = _prefer_reproducing(comparison, best)
-    same = {s: skeleton(best.exprs[s]) == skeleton(with_floats(exprs[s])) for s in states}
-    chosen = {s: exprs[s] if same[s] else best.exprs[s] for s in states}
-    return SystemChoice(chosen, best, _closest(comparison, best))
+    return _prefer_reproducing(comparison, best)
 
 
 def _search(
     pools: Mapping[str, Sequence[sympy.Expr]],
     data: Measurements,
-    settings: ComparisonSettings,
-    comparison: SystemComparison | None = None,
-) -> tuple[list[SystemFit], SystemComparison]:
-    """Rank each state's formulas alone, put the best together and climb; where that ended."""
+    together: SystemComparison,
+    known: dict[str, Alone],
+) -> list[SystemFit]:
+    """Rank each state's formulas alone, put the best together and climb; where that ended.
+
+    ``known`` are the states that were looked at alone before, and those that are now.
+    """
+    settings = together.settings
     # What is one bare column, such as q' = v, is known well enough.
-    alone = {s: Alone.of(s, data, settings) for s, pool in pools.items() if not pool[0].is_Symbol}
+    own = [state for state, pool in pools.items() if not pool[0].is_Symbol]
+    known |= {s: Alone.of(s, data, settings) for s in own if s not in known}
+    alone = {s: known[s] for s in own}
     given = {s: [Leader(pool[0], 0.0)] for s, pool in pools.items()}
     first = given | {s: own.lead(pools[s]) or given[s] for s, own in alone.items()}
     # What leaves one state enters another: terms of the one are cheap in the other.
@@ -216,7 +250,6 @@ def _search(
         s: own.lead_citing(first[s], [e for o in first if o != s for e in first[o][:_CITED]])
         for s, own in alone.items()
     }
-    together = comparison or SystemComparison(data.mesh(tuple(pools)), settings)
     fits = [fit for own in (first, leaders) if (fit := _compose(together, own)) is not None]
 
     def finish(fit: SystemFit) -> SystemFit:
@@ -229,7 +262,7 @@ def _search(
     least = min((fit.bits for fit in ends), default=math.inf)
     close = (fit for fit in _compose_by_rates(together, leaders) if fit not in ends)
     ends += [finish(fit) for fit in close if fit.bits < least + settings.near]
-    return sorted(dict.fromkeys(ends), key=lambda fit: fit.bits), together
+    return sorted(dict.fromkeys(ends), key=lambda fit: fit.bits)
 
 
 def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
