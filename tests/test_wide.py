@@ -118,6 +118,13 @@ def test_no_sum_is_longer_than_asked_for():
     assert like().wide_sums(target, 0.0) == []
 
 
+def test_no_sum_is_like_a_constant():
+    """What is the same everywhere has no likeness, and neither has what is no number."""
+    for value in (0.0, 2.5, np.nan):
+        assert like().wide_sums(np.full(200, value), np.inf) == []
+        assert like().cited_sums(np.full(200, value), np.inf, [parse("y/(0.5 + x)")]) == []
+
+
 def test_lines_of_other_equations_are_cited():
     """What is used up at the same catalyst stands over the line of the other equation."""
     target = evaluate(parse("-1.2*x/(0.5 + x + 0.8*y)"), COLUMNS)

@@ -148,6 +148,8 @@ class Likeness:
         """Give sums of each of some terms and of what does best beside it, the likest first."""
         exprs, costs, beside = self._plain
         found = []
+        if not np.ptp(target) > 0:
+            return []
         for number, one in enumerate(offered):
             if self.allow(one.expr):
                 for bits, places in _beside(one, beside, costs, target):
