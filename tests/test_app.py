@@ -175,6 +175,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_a_hostile_table_gives_one_line(page, kind):
     """Whatever the file holds, the page shows columns or the one line that the shell shows."""
@@ -301,6 +302,7 @@ def test_a_search_answers_while_it_runs_and_can_be_cancelled(page):
     assert page.drop(TABLE)["table"]["states"] == ["x", "y"]
 
 
+@pytest.mark.slow
 def test_what_is_downloaded_is_what_was_found(page, tmp_path):
     """Report, code and result of a search are files that hold the true equations."""
     page.drop(rabbits(), "my rabbits.csv")
@@ -393,6 +395,7 @@ def own_page(page):
     served.end()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL is a signal of POSIX")
 def test_a_worker_that_dies_is_told_and_replaced(own_page):
     """Where the process behind the page is killed, the page says so and works on with the data."""
@@ -409,6 +412,7 @@ def test_a_worker_that_dies_is_told_and_replaced(own_page):
     assert served.wait(lambda parts: not parts["busy"] and parts["found"])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL is a signal of POSIX")
 def test_a_worker_that_does_not_start_is_tried_again_only_when_asked(own_page):
     """A worker that dies at its start is told of, and started once more for the next file."""

@@ -102,6 +102,7 @@ def test_a_conserved_sum_hides_no_rate():
         }
 
 
+@pytest.mark.slow
 def test_an_equation_is_found_anew_along_the_system():
     """From a straight line in the place of Hill's function the loop is found in one step."""
     comparison = SystemComparison(looped().mesh(("m", "p")), SETTINGS)

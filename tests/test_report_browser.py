@@ -16,7 +16,7 @@ from dynsr.paper.page import render_replication
 from dynsr.report.discovery import render_discovery
 
 # One worker runs them all, so that one browser is started.
-pytestmark = pytest.mark.xdist_group("browser")
+pytestmark = [pytest.mark.xdist_group("browser"), pytest.mark.slow]
 
 PHONE, DESK, PAPER = 390, 1200, 680
 LONG = "-x + " + " + ".join(f"{k}.12345e-9*x**{k}*y*sin(x*y)" for k in range(1, 9))

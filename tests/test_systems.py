@@ -88,6 +88,7 @@ def coefficients(expr):
     return {t: float(c) for t, c in sympy.expand(expr).as_coefficients_dict().items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
 def test_systems_are_found_in_multiplicative_noise(name):
     """At 5 % of each value every equation has the true terms, and constants within 3 %."""

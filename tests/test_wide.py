@@ -149,6 +149,7 @@ def drifting():
     return SystemComparison(data.mesh(("x", "y")), SETTINGS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", ["x", "y"])
 def test_a_product_of_waves_is_found_from_a_line(state):
     """Beside the other equation one is found anew as a product of a sine and a cosine."""

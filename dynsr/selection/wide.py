@@ -214,7 +214,7 @@ def _bits_of(
     names = [f"v{i}" for i in range(len(turning))]
     expr = make(sympy, *map(sympy.Symbol, names), *[sympy.Float(0.7)] * inside)
     angles = [name for name, turns in zip(names, turning, strict=True) if turns]
-    whole = sympy.sympify(expr)
+    whole = sympy.S.One * expr
     return shape_bits(sympy.Float(0.5) * whole) + unusual_bits(whole, angles)
 
 
