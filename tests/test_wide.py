@@ -13,7 +13,7 @@ from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.likeness import Likeness
-from dynsr.selection.replacements import Replaceable, try_replacements
+from dynsr.selection.replacements import Along, Replaceable, try_replacements
 from dynsr.selection.terms import Terms, TermSettings
 from dynsr.selection.wide import WideTerms
 
@@ -23,6 +23,7 @@ RNG = np.random.default_rng(4)
 COLUMNS = {"x": RNG.uniform(0.4, 3.1, 200), "y": RNG.uniform(3.2, 5.0, 200)}
 POINTS = np.array(list(COLUMNS.values()))
 WIDE = WideTerms.of(tuple(COLUMNS), POINTS, ())
+VALUES = WIDE.values(POINTS)
 # What drifts with the flow in one of many cells side by side.
 CELL = {"x": "-0.8*sin(x)*cos(y)", "y": "0.8*cos(x)*sin(y)"}
 # Equations that it might begin from.
@@ -107,21 +108,21 @@ def test_roots_of_what_may_be_negative_are_left_out():
 )
 def test_a_sum_is_found_by_what_it_is_worth(text):
     """Among thousands of terms the sum that has the values of a function comes up."""
-    found = like().wide_sums(evaluate(parse(text), COLUMNS), np.inf)
+    found = like().wide_sums(VALUES, evaluate(parse(text), COLUMNS), np.inf)
     assert skeleton(parse(text)) in {skeleton(expr) for expr, _ in found}
 
 
 def test_no_sum_is_longer_than_asked_for():
     """With room for few bits only short sums come, and with none there are none."""
     target = evaluate(parse("0.9*sin(x)*cos(y) - 0.4*x"), COLUMNS)
-    assert all(bits < 30 for _, bits in like().wide_sums(target, 30.0))
-    assert like().wide_sums(target, 0.0) == []
+    assert all(bits < 30 for _, bits in like().wide_sums(VALUES, target, 30.0))
+    assert like().wide_sums(VALUES, target, 0.0) == []
 
 
 def test_no_sum_is_like_a_constant():
     """What is the same everywhere has no likeness, and neither has what is no number."""
     for value in (0.0, 2.5, np.nan):
-        assert like().wide_sums(np.full(200, value), np.inf) == []
+        assert like().wide_sums(VALUES, np.full(200, value), np.inf) == []
         assert like().cited_sums(np.full(200, value), np.inf, [parse("y/(0.5 + x)")]) == []
 
 
@@ -131,14 +132,14 @@ def test_lines_of_other_equations_are_cited():
     written = [parse("y/(0.5 + x + 0.8*y)")]
     expr, bits = like().cited_sums(target, np.inf, written)[0]
     assert skeleton(expr) == skeleton(parse("-1.2*x/(0.5 + x + 0.8*y)"))
-    wide = {skeleton(e): b for e, b in like().wide_sums(target, np.inf)}
+    wide = {skeleton(e): b for e, b in like().wide_sums(VALUES, target, np.inf)}
     assert bits < wide[skeleton(expr)] - 10
 
 
 def test_what_is_not_allowed_is_in_no_sum():
     """Without functions no sum has one."""
     target = evaluate(parse("0.9*sin(x)*cos(y) - 0.4*x"), COLUMNS)
-    found = like(lambda e: not e.has(sympy.Function)).wide_sums(target, np.inf)
+    found = like(lambda e: not e.has(sympy.Function)).wide_sums(VALUES, target, np.inf)
     assert found
     assert not any(expr.has(sympy.Function) for expr, _ in found)
 
@@ -164,6 +165,6 @@ def test_what_the_user_forbids_is_no_wide_term():
     """Where no function is allowed, none is found anew."""
     demands = read_demands(("x", "y"), ("x", "y"), functions=[], constraints=[])
     comparison = SystemComparison(drifting().mesh, replace(SETTINGS, demands=demands))
-    found = Replaceable.of(comparison, comparison.fit(floats(BEGUN)), "x").wide()
+    found = Replaceable.of(Along(comparison, comparison.fit(floats(BEGUN))), "x").wide()
     assert found
     assert not any(e.has(sympy.Function) for e in found)

@@ -26,6 +26,7 @@ from dynsr.selection.comparison import (
     leaves_noise,
 )
 from dynsr.selection.costs import (
+    bodies_of,
     citing_bits,
     is_plain,
     saturating,
@@ -34,7 +35,7 @@ from dynsr.selection.costs import (
     unusual_bits,
 )
 from dynsr.selection.subsets import Subset, best_subsets
-from dynsr.selection.terms import Joint, Terms, move_inside, slopes_inside
+from dynsr.selection.terms import Joint, Terms, move_inside, slopes_inside, weighted_sum
 
 # Terms of other equations, and plain ones, that are offered to one together.
 _OFFERED, _PLAINEST = 12, 40
@@ -97,8 +98,8 @@ class Alone:
         """
         bodies: dict[sympy.Expr, sympy.Expr] = {}
         for one in others:
-            for term in sympy.Add.make_args(one.expr):
-                for body in _ways_to_write(term.as_coeff_Mul()[1]):
+            for term in bodies_of(one.expr):
+                for body in _ways_to_write(term):
                     if not body.is_Symbol and body.free_symbols and citing_bits(body) > 0:
                         bodies.setdefault(skeleton(body), body)
         new = list(bodies.values())
@@ -181,7 +182,10 @@ class Alone:
                     bits + constant_bits(rows),
                     rows,
                 )
-                found += [(s.bits, _add(exprs, s.places, s.coefficients) / line) for s in subsets]
+                found += [
+                    (s.bits, weighted_sum(s.coefficients, [exprs[i] for i in s.places]) / line)
+                    for s in subsets
+                ]
         found.sort(key=lambda pair: (pair[0], ByText(pair[1])))
         return [expr for _, expr in found[: self.comparison.settings.sums]]
 
@@ -347,8 +351,4 @@ def _sum_of(terms: Sequence[sympy.Expr], subset: Subset) -> sympy.Expr:
         move_inside(terms[place], shift) if shift else terms[place]
         for place, shift in zip(subset.places, subset.shifts.tolist(), strict=True)
     ]
-    return _add(exprs, range(len(exprs)), subset.coefficients)
-
-
-def _add(exprs: Sequence[sympy.Expr], places: Sequence[int], values: np.ndarray) -> sympy.Expr:
-    return sympy.Add(*[sympy.Float(c) * exprs[i] for c, i in zip(values, places, strict=True)])
+    return weighted_sum(subset.coefficients, exprs)

@@ -23,7 +23,7 @@ from dynsr.fit import (
     without_flat_line,
 )
 from dynsr.selection.comparison import SystemComparison, SystemFit, owners_of
-from dynsr.selection.costs import citing_bits, shape_bits, term_bodies, unusual_bits
+from dynsr.selection.costs import bodies_of, citing_bits, shape_bits, term_bodies, unusual_bits
 from dynsr.selection.terms import Terms
 
 # A new constant starts here, relative to the size of what it multiplies, and is fitted.
@@ -81,7 +81,7 @@ class _Moves:
 def promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Change]:
     """Give the changes of one equation that the linearised fit expects most of, the best first."""
     settings, mesh, found = comparison.settings, comparison.mesh, fit.fit
-    points = fit.problem.points(found.states, found.constants)
+    points = fit.points
     moves = _make_moves(comparison, fit, points)
     if not moves.moves:
         return []
@@ -236,7 +236,7 @@ def _with_shorter_line(
             others += [sympy.Add(*terms[:i], other, *terms[i + 1 :]) for other in changed]
     if not others:
         return None
-    points = fit.problem.points(fit.fit.states, fit.fit.constants)
+    points = fit.points
     values = compile_columns([fit.exprs[state], *others], [*comparison.names, "t"])(*points)
     with np.errstate(all="ignore"):
         apart = np.nan_to_num(np.std(values[1:] - values[0], axis=1), nan=np.inf)
@@ -247,8 +247,7 @@ def _with_shorter_line(
 def _without_one(fit: SystemFit, state: str) -> sympy.Expr | None:
     """Give an equation without a factor inside a term that may be 1, the likest; None for none."""
     expr, owners = fit.exprs[state], owners_of(fit.exprs)
-    bodies = [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]
-    inside = {float(number) for body in bodies for number in body.atoms(sympy.Float)}
+    inside = {float(number) for body in bodies_of(expr) for number in body.atoms(sympy.Float)}
     values, errors = np.abs(fit.fit.constants), fit.fit.errors
     with np.errstate(all="ignore"):
         apart = np.where(errors < _KNOWN * values, np.abs(values - 1) / errors, np.inf)
@@ -262,7 +261,7 @@ def _without_one(fit: SystemFit, state: str) -> sympy.Expr | None:
 def _without_line(comparison: SystemComparison, fit: SystemFit, state: str) -> sympy.Expr | None:
     if not sympy.fraction(fit.exprs[state])[1].is_Add:
         return None
-    points = fit.problem.points(fit.fit.states, fit.fit.constants)
+    points = fit.points
     columns = dict(zip([*comparison.names, "t"], points, strict=True))
     return without_flat_line(fit.exprs[state], columns)
 
@@ -317,7 +316,7 @@ def _add_terms(
     allowed: Callable[[sympy.Expr], bool],
     beside: Collection[sympy.Expr],
 ) -> None:
-    have = {t.as_coeff_Mul()[1] for t in sympy.Add.make_args(sympy.fraction(expr)[0])}
+    have = set(bodies_of(sympy.fraction(expr)[0]))
     for term, bits, inside, slope in zip(
         terms.exprs, terms.bits, terms.inside, values, strict=True
     ):

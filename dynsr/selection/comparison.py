@@ -152,6 +152,11 @@ class SystemFit:
         """State -> equation with its fitted constants."""
         return self.fit.exprs
 
+    @property
+    def points(self) -> np.ndarray:
+        """Values of all columns, the time the last, at the rows and in the middle between them."""
+        return self.problem.points(self.fit.states, self.fit.constants)
+
 
 @dataclass(frozen=True, eq=False)
 class SystemComparison:

@@ -229,6 +229,20 @@ def citing_bits(body: sympy.Expr) -> float:
     return shape_bits(factor * body) - shape_bits(factor * sympy.Symbol("term"))
 
 
+def bodies_of(expr: sympy.Expr) -> list[sympy.Expr]:
+    """Give the terms of a sum without their coefficients.
+
+    Parameters
+    ----------
+    expr : the sum.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> bodies_of(2.5 * x * y - 3 * x)
+    [x, x*y]
+    """
+    return [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]
+
+
 def term_bodies(expr: sympy.Expr) -> set[sympy.Expr]:
     """Give the terms of a sum without their coefficients, one of each shape.
 
@@ -237,7 +251,7 @@ def term_bodies(expr: sympy.Expr) -> set[sympy.Expr]:
     expr : the sum.
     """
     above, below = sympy.fraction(expr)
-    bodies = [skeleton(t.as_coeff_Mul()[1]) for t in sympy.Add.make_args(above)]
+    bodies = list(map(skeleton, bodies_of(above)))
     bodies += [skeleton(below)] if below.is_Add else []
     return {b for b in bodies if b.free_symbols and not b.is_Symbol}
 
@@ -285,7 +299,7 @@ def bare_terms(expr: sympy.Expr) -> set[sympy.Expr]:
     ----------
     expr : the sum.
     """
-    return {skeleton(t.as_coeff_Mul()[1]) for t in sympy.Add.make_args(sympy.expand(expr))}
+    return set(map(skeleton, bodies_of(sympy.expand(expr))))
 
 
 def rounded(expr: sympy.Expr) -> sympy.Expr:

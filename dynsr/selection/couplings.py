@@ -68,7 +68,7 @@ def _say(
     terms = [e for e in joint.above if limits.allow(e)]
     waves = [ratio.main**main * ratio.other**other for main, other in FACTORS]
     probes = [-fit.exprs[state], *(wave * fit.exprs[by] for wave in waves), *terms]
-    points = fit.problem.points(found.states, found.constants)
+    points = fit.points
     slopes = np.zeros((len(mesh.states), len(probes), points.shape[1]))
     slopes[mesh.states.index(state)] = compile_columns(probes, [*comparison.names, "t"])(*points)
     gram = gram_of(fit, slopes) if np.all(np.isfinite(slopes)) else None

@@ -15,7 +15,7 @@ from dynsr.expression import compile_columns, lines_below
 from dynsr.fit import free_constants, skeleton
 from dynsr.selection.costs import citing_bits, shape_bits
 from dynsr.selection.subsets import best_subsets
-from dynsr.selection.terms import Terms
+from dynsr.selection.terms import Terms, weighted_sum
 from dynsr.selection.wide import WideTerms
 
 # Plain terms that may stand beside a wide one, and wide ones without a constant inside.
@@ -59,15 +59,18 @@ class Likeness:
     each: float
     allow: Callable[[sympy.Expr], bool]
 
-    def wide_sums(self, target: np.ndarray, most: float) -> list[tuple[sympy.Expr, float]]:
+    def wide_sums(
+        self, columns: np.ndarray, target: np.ndarray, most: float
+    ) -> list[tuple[sympy.Expr, float]]:
         """Give sums with a wide term that are like a function, the likest first, with their bits.
 
         Parameters
         ----------
+        columns : values of the wide terms, and their slopes, :meth:`WideTerms.values`.
         target : (n,) values of the function.
         most : bits of a sum at most.
         """
-        columns, said, (exprs, _, beside) = self._columns, self._said, self._plain
+        said, (exprs, _, beside) = self._said, self._plain
         lines = [i for i, e in enumerate(exprs) if e.is_number or e.is_Symbol]
         straight = [beside[:0], beside[lines]]
         likest = self.wide.likest(columns, target, straight, said < most, _LIKEST)
@@ -119,10 +122,6 @@ class Likeness:
         return shape.xreplace(dict(given))
 
     @cached_property
-    def _columns(self) -> np.ndarray:
-        return self.wide.values(self.points)
-
-    @cached_property
     def _said(self) -> np.ndarray:
         """(p,) bits of the wide terms and their constants."""
         wide = self.wide
@@ -146,10 +145,9 @@ class Likeness:
         self, offered: Sequence[_Offered], target: np.ndarray, most: float
     ) -> list[tuple[sympy.Expr, float]]:
         """Give sums of each of some terms and of what does best beside it, the likest first."""
-        exprs, costs, beside = self._plain
-        found = []
         if not np.ptp(target) > 0:
             return []
+        (exprs, costs, beside), found = self._plain, []
         for number, one in enumerate(offered):
             if self.allow(one.expr):
                 for bits, places in _beside(one, beside, costs, target):
@@ -208,5 +206,4 @@ def _sum(
 ) -> sympy.Expr:
     """Give terms the coefficients that make their sum like a function."""
     values = np.linalg.lstsq(np.concatenate([one.block[:1], beside]).T, target, rcond=None)[0]
-    pairs = zip(values, [one.expr, *others], strict=True)
-    return sympy.Add(*[sympy.Float(c) * e for c, e in pairs])
+    return weighted_sum(values, [one.expr, *others])

@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 from dynsr.data import Samples
 from dynsr.expression import ByText, compile_columns
 from dynsr.fit import eliminate
-from dynsr.selection.terms import products
+from dynsr.selection.terms import products, weighted_sum
 
 # Highest degree of the powers, and of what stands before the function, from simple to rich.
 _LADDER = ((1, 1), (2, 1), (3, 1), (2, 2), (3, 2))
@@ -359,4 +359,4 @@ def _thin(
     if np.max(sizes) > _CANCELLED * np.max(np.abs(beside.samples.y)):
         return None
     chosen = [terms[i].xreplace({_INSIDE: sympy.Float(k)}) for i in kept]
-    return sympy.Add(*[sympy.Float(c) * e for c, e in zip(coefficients, chosen, strict=True)])
+    return weighted_sum(coefficients, chosen)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import sympy
@@ -19,7 +20,14 @@ from dynsr.fit import Linearised, constant_bits, skeleton
 from dynsr.selection.alone import columns_of, expected_sums
 from dynsr.selection.changes import climb_while_better, gram_of, prune
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise, owners_of
-from dynsr.selection.costs import citing_bits, is_plain, shape_bits, term_bodies, unusual_bits
+from dynsr.selection.costs import (
+    bodies_of,
+    citing_bits,
+    is_plain,
+    shape_bits,
+    term_bodies,
+    unusual_bits,
+)
 from dynsr.selection.likeness import Likeness
 from dynsr.selection.subsets import taken_whole, without
 
@@ -48,7 +56,7 @@ def try_replacements(
     """
 
     def replaced(best: SystemFit) -> Iterator[SystemFit]:
-        settled = leaves_noise(best, comparison.settings)
+        settled, along = leaves_noise(best, comparison.settings), Along(comparison, best)
         for state, own in best.exprs.items():
             if own.is_Symbol:
                 continue
@@ -56,7 +64,7 @@ def try_replacements(
             anew = [] if settled and plain else replacements(comparison, best, state)[:_TRIED]
             fits = [comparison.fit({**best.exprs, state: expr}, best) for expr in anew]
             # Functions begun from other constants may have ended elsewhere.
-            known = Replaceable.of(comparison, best, state)
+            known = Replaceable.of(along, state)
             found = [*known.wide(), *known.cited()]
             fits += [comparison.fit_anew({**best.exprs, state: expr}) for expr in found]
             for fit in (f for f in fits if f is not None):
@@ -65,9 +73,10 @@ def try_replacements(
 
     def cited(best: SystemFit, known: SystemFit) -> Iterator[SystemFit]:
         """What one equation pays for a term, another may save that has it too."""
+        along = Along(comparison, best)
         new = [s for s, e in best.exprs.items() if skeleton(e) != skeleton(known.exprs[s])]
         for state in (s for s, e in best.exprs.items() if s not in new and not e.is_Symbol):
-            for expr in Replaceable.of(comparison, best, state).cited():
+            for expr in Replaceable.of(along, state).cited():
                 fit = comparison.fit_anew({**best.exprs, state: expr})
                 if fit is not None:
                     yield prune(comparison, fit, state)
@@ -110,6 +119,26 @@ def replacements(comparison: SystemComparison, fit: SystemFit, state: str) -> li
 
 
 @dataclass(frozen=True, eq=False)
+class Along:
+    """Some rows along the states of a system, the same for each of its equations."""
+
+    comparison: SystemComparison
+    fit: SystemFit
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """(names + 1, n) values of the columns, the time the last."""
+        rows = len(self.comparison.mesh.t)
+        few = np.unique(np.linspace(0, rows - 1, min(rows, _ROWS)).astype(int))
+        return self.fit.points[:, few]
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """Values of the wide terms, and their slopes."""
+        return self.comparison.wide.values(self.points[:-1])
+
+
+@dataclass(frozen=True, eq=False)
 class Replaceable:
     """One equation of a system by its ``values`` along the states, and sums ``like`` it.
 
@@ -117,8 +146,7 @@ class Replaceable:
     than the system's misses could save: of ``most`` bits.
     """
 
-    comparison: SystemComparison
-    fit: SystemFit
+    along: Along
     state: str
     values: np.ndarray
     like: Likeness
@@ -126,37 +154,37 @@ class Replaceable:
     most: float
 
     @classmethod
-    def of(cls, comparison: SystemComparison, fit: SystemFit, state: str) -> Replaceable:
+    def of(cls, along: Along, state: str) -> Replaceable:
         """Take one equation.
 
         Parameters
         ----------
-        comparison : fits the systems.
-        fit : the system.
+        along : the rows of the system.
         state : whose equation it is.
         """
-        own, mesh, names = fit.exprs[state], comparison.mesh, comparison.names
+        comparison, fit = along.comparison, along.fit
+        own, mesh = fit.exprs[state], comparison.mesh
         each = constant_bits(float(mesh.rows.max()))
-        few = np.unique(np.linspace(0, len(mesh.t) - 1, min(len(mesh.t), _ROWS)).astype(int))
-        *points, times = fit.problem.points(fit.fit.states, fit.fit.constants)[:, few]
-        values = compile_columns([own], [*names, "t"])(*points, times)[0]
+        values = compile_columns([own], [*comparison.names, "t"])(*along.points)[0]
         bits = shape_bits(own) + unusual_bits(own, comparison.angles)
         bits += each * len(own.atoms(sympy.Float))
         most = bits + comparison.settings.near
         if not leaves_noise(fit, comparison.settings):
             most += float(mesh.rows @ np.log2(np.maximum(fit.fit.mean_squares, 1.0))) / 2
         allow = comparison.settings.demands.limits(state).allow
-        like = Likeness(comparison.terms, comparison.wide, np.array(points), each, allow)
-        return cls(comparison, fit, state, values, like, bits, most)
+        like = Likeness(comparison.terms, comparison.wide, along.points[:-1], each, allow)
+        return cls(along, state, values, like, bits, most)
 
     def wide(self) -> list[sympy.Expr]:
         """Give sums with a wide term, those that are expected to do best."""
-        return self._expected(self.like.wide_sums(self.values, self.most))[:_WIDE]
+        return self._expected(self.like.wide_sums(self.along.columns, self.values, self.most))[
+            :_WIDE
+        ]
 
     def cited(self) -> list[sympy.Expr]:
         """Give sums with a term of another equation, or with its line below a fraction."""
-        others = [expr for s, expr in self.fit.exprs.items() if s != self.state]
-        written = [body for expr in others for body in _bodies(expr)]
+        others = [expr for s, expr in self.along.fit.exprs.items() if s != self.state]
+        written = [body for expr in others for body in bodies_of(expr)]
         return self._expected(self.like.cited_sums(self.values, self.most, written))[:_CITED]
 
     def _expected(self, likely: Sequence[tuple[sympy.Expr, float]]) -> list[sympy.Expr]:
@@ -164,12 +192,13 @@ class Replaceable:
 
         They come with the bits of their terms and constants.
         """
-        fit, comparison, own = self.fit, self.comparison, self.fit.exprs[self.state]
-        points = fit.problem.points(fit.fit.states, fit.fit.constants)
+        fit, comparison = self.along.fit, self.along.comparison
+        own = fit.exprs[self.state]
+        points = fit.points
         shapes = {skeleton(expr): (expr, bits) for expr, bits in reversed(likely)}
         shapes.pop(skeleton(own), None)
         fitted = [(self.like.fitted(expr, self.values), bits) for expr, bits in shapes.values()]
-        bodies = list(dict.fromkeys(body for expr, _ in fitted for body in _bodies(expr)))
+        bodies = list(dict.fromkeys(body for expr, _ in fitted for body in bodies_of(expr)))
         if not bodies:
             return []
         columns = compile_columns([own, *bodies], [*comparison.names, "t"])(*points)
@@ -179,18 +208,13 @@ class Replaceable:
         rows, ranked = float(comparison.mesh.rows.sum()), []
         places_of = {body: place for place, body in enumerate(bodies, 1)}
         for expr, bits in [(own, self.own), *fitted]:
-            places = [0] if expr is own else [places_of[body] for body in _bodies(expr)]
+            places = [0] if expr is own else [places_of[body] for body in bodies_of(expr)]
             left = float(without(gram, places, len(columns))[0, 0])
             if np.all(np.isfinite(columns[places])) and left > 0:
                 ranked.append((bits + rows / 2 * np.log2(left / rows), ByText(expr)))
         # What is expected to be far behind the equation itself is not worth a fit.
         most = ranked[0][0] + comparison.settings.behind if ranked else np.inf
         return [text.expr for bits, text in sorted(ranked) if bits < most and text.expr is not own]
-
-
-def _bodies(expr: sympy.Expr) -> list[sympy.Expr]:
-    """Give the terms of a sum without their coefficients."""
-    return [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]
 
 
 def _normal(
@@ -200,8 +224,7 @@ def _normal(
 
     None where the system does not tell.
     """
-    points = fit.problem.points(fit.fit.states, fit.fit.constants)
-    columns = columns_of(comparison.terms, tiers, points[:-1], curved=True)
+    columns = columns_of(comparison.terms, tiers, fit.points[:-1], curved=True)
     gram = _gram_in_place(comparison, fit, state, columns)
     if gram is None:
         return None
@@ -212,8 +235,7 @@ def _gram_in_place(
     comparison: SystemComparison, fit: SystemFit, state: str, columns: np.ndarray
 ) -> np.ndarray | None:
     """Give the products of columns in the place of one equation, and of the misses as the last."""
-    mesh, found = comparison.mesh, fit.fit
-    points = fit.problem.points(found.states, found.constants)
+    mesh, points = comparison.mesh, fit.points
     own = compile_columns([fit.exprs[state]], [*comparison.names, "t"])(*points)
     slopes = np.zeros((len(mesh.states), 1 + len(columns), points.shape[1]))
     values = np.concatenate([-own, columns])

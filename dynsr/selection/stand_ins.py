@@ -16,6 +16,7 @@ from dynsr.expression import evaluate
 from dynsr.fit import skeleton
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison, SystemFit
+from dynsr.selection.terms import weighted_sum
 
 # Share of the slopes' spread by which a stand-in may be off before anything is fitted.
 _LIKE = 0.5
@@ -93,7 +94,7 @@ def _like(
     size = np.maximum(np.linalg.norm(block, axis=0), 1e-300)
     found = np.linalg.lstsq(block / size, values, rcond=1e-10)[0] / size
     missed = float(np.linalg.norm(block @ found - values))
-    return missed, sympy.Add(*[sympy.Float(c) * b for c, b in zip(found, bodies, strict=True)])
+    return missed, weighted_sum(found, bodies)
 
 
 def _functions(symbol: sympy.Symbol, values: np.ndarray) -> Iterator[sympy.Expr]:

@@ -260,6 +260,16 @@ def products(names: Sequence[str], degree: int) -> list[sympy.Expr]:
     return list(dict.fromkeys(sympy.Mul(*c) for c in chosen))
 
 
+def weighted_sum(values: Iterable[float], exprs: Iterable[sympy.Expr]) -> sympy.Expr:
+    """Give the sum of terms, each times its coefficient.
+
+    Parameters
+    ----------
+    values, exprs : as many coefficients as terms.
+    """
+    return sympy.Add(*[sympy.Float(c) * e for c, e in zip(values, exprs, strict=True)])
+
+
 @dataclass(frozen=True, eq=False)
 class Joint:
     """What hangs from a joint: products with the sine and cosine of one angle.
