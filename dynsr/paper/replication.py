@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, is_dataclass, replace
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ from dynsr.paper.protocol import (
 )
 from dynsr.paper.provenance import EMBEDDED, sample_difference
 from dynsr.paper.records import Record, describe_settings
-from dynsr.paper.results import all_tables
+from dynsr.paper.results import all_tables, prepare
 from dynsr.paper.stages import describe_stages
 from dynsr.report import Table
 
@@ -298,12 +299,17 @@ def replicate(
     }
     folder = RunFolder(Path(out).absolute(), "cells")
     folder.claim("replication", settings, alone=_OURS)
+    # The cells run in processes of their own; this one would wait for them.
+    ready = Thread(target=prepare, daemon=True)
+    if report:
+        ready.start()
     tasks = sorted((_make_task(cell, plan) for cell in cells), key=lambda task: -task.seconds)
     with Watch(progress, {t.name: t.seconds for t in tasks}, effective_n_jobs(jobs)) as watch:
         run_tasks(tasks, folder, jobs, watch, apart=True, finished=lambda record: record.done)
     records = tuple(watch.records[cell.name] for cell in cells)
     result = Replication(Path(out).absolute(), settings, records)
     if report:
+        ready.join()
         result.write()
     return result
 
