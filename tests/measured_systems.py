@@ -15,9 +15,10 @@ from dynsr.fit import Measurements, with_floats
 def measured(system, start, end, rows, share, seed=0):
     """Measurements of a system, each column off by a share of its spread."""
     equations = dict(system)
-    slope = sympy.lambdify(sympy.symbols(list(equations)), [parse(e) for e in equations.values()])
+    names = [*equations, "t"]
+    slope = sympy.lambdify(sympy.symbols(names), [parse(e) for e in equations.values()])
     t = np.linspace(0, end, rows)
-    x = solve_ivp(lambda _, z: slope(*z), (0, end), start, t_eval=t, rtol=1e-9, atol=1e-9).y.T
+    x = solve_ivp(lambda s, z: slope(*z, s), (0, end), start, t_eval=t, rtol=1e-9, atol=1e-9).y.T
     noisy = x + share * x.std(axis=0) * np.random.default_rng(seed).normal(size=x.shape)
     return Measurements.of([Trajectory(t, noisy, tuple(equations))], {}, 2000)
 

@@ -39,7 +39,7 @@ def places(text):
 def like(allow=lambda _: True):
     """What looks for sums like a function of the two columns."""
     terms = Terms.grow(tuple(COLUMNS), POINTS, TermSettings(), ())
-    return Likeness(terms, WIDE, POINTS, 4.0, allow)
+    return Likeness(terms, WIDE, tuple(COLUMNS), POINTS, 4.0, allow)
 
 
 def test_a_term_is_worth_what_is_written():

@@ -133,7 +133,7 @@ class Alone:
         curved = [e for e in exprs if len(e.atoms(sympy.Float)) == 1]
         slopes = np.full(len(exprs), -1)
         slopes[[exprs.index(e) for e in curved]] = len(exprs) + np.arange(len(curved))
-        names, points = self.comparison.names, self._points
+        names, points = self.comparison.columns, self._points
         moved = slopes_inside(curved, names, points)
         normal = self._normal(np.concatenate([compile_columns(exprs, names)(*points), moved]))
         if normal is None:
@@ -167,7 +167,7 @@ class Alone:
         allow = self.comparison.settings.demands.limits(self.state).allow
         exprs = [e for e in joint.above if allow(e)]
         bits = np.array([structure_bits(0.5 * e) for e in exprs])
-        values = compile_columns(exprs, self.comparison.names)(*self._points)
+        values = compile_columns(exprs, self.comparison.columns)(*self._points)
         rows, found = self._rows, []
         for below in joint.below:
             line = 1 + below
@@ -191,12 +191,12 @@ class Alone:
 
     @cached_property
     def _points(self) -> np.ndarray:
-        """Values of all columns but the time at the rows and between them."""
-        return self._still.points(self.comparison.mesh.start, np.zeros(0))[:-1]
+        """Values of all columns, the time the last, at the rows and between them."""
+        return self._still.points(self.comparison.mesh.start, np.zeros(0))
 
     @property
     def _named(self) -> dict[str, np.ndarray]:
-        return dict(zip(self.comparison.names, self._points, strict=True))
+        return dict(zip(self.comparison.columns, self._points, strict=True))
 
     @cached_property
     def _still(self) -> Collocation:
@@ -254,7 +254,7 @@ class Alone:
         settings, terms = self.comparison.settings, self.comparison.terms
         tiers = terms.powers if powers else (*terms.tiers, terms.divisible_by(self.state))
         curved = not powers
-        normal = self._normal(columns_of(terms, tiers, self._points, curved=curved))
+        normal = self._normal(columns_of(terms, tiers, self._points[:-1], curved=curved))
         if normal is None:
             return [sympy.S.Zero]
         costs = terms.bits + constant_bits(self._rows) * (1 + terms.inside)

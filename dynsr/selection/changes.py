@@ -237,7 +237,7 @@ def _with_shorter_line(
     if not others:
         return None
     points = fit.points
-    values = compile_columns([fit.exprs[state], *others], [*comparison.names, "t"])(*points)
+    values = compile_columns([fit.exprs[state], *others], comparison.columns)(*points)
     with np.errstate(all="ignore"):
         apart = np.nan_to_num(np.std(values[1:] - values[0], axis=1), nan=np.inf)
     place = int(np.argmin(apart))
@@ -262,7 +262,7 @@ def _without_line(comparison: SystemComparison, fit: SystemFit, state: str) -> s
     if not sympy.fraction(fit.exprs[state])[1].is_Add:
         return None
     points = fit.points
-    columns = dict(zip([*comparison.names, "t"], points, strict=True))
+    columns = dict(zip(comparison.columns, points, strict=True))
     return without_flat_line(fit.exprs[state], columns)
 
 
@@ -279,7 +279,7 @@ def _join(move: _Move, more: _Move) -> _Move:
 
 def _make_moves(comparison: SystemComparison, fit: SystemFit, points: np.ndarray) -> _Moves:
     """Give all single changes; a probe has the column of its place after the constants'."""
-    names = [*comparison.names, "t"]
+    names = comparison.columns
     terms = comparison.terms
     values = terms.values(points[:-1])
     owners = owners_of(fit.exprs)
@@ -415,7 +415,7 @@ def _add_swaps(
     points: np.ndarray,
 ) -> None:
     """Put sin(v) for v or back, and take a factor of a term in or out."""
-    names = [*comparison.names, "t"]
+    names = comparison.columns
     angles = {sympy.Symbol(name) for name in comparison.angles}
     factors = [
         f

@@ -323,6 +323,11 @@ class SystemComparison:
         return (*self.mesh.states, *self.mesh.driven_names[:-1])
 
     @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that equations may hold, the time the last."""
+        return (*self.names, "t")
+
+    @property
     def _begun(self) -> np.ndarray:
         """(names, n) values of the columns where the smoothed states are."""
         return np.concatenate([self.mesh.start.T, self.mesh.driven[:-1, : len(self.mesh.t)]])

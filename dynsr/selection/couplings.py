@@ -70,7 +70,7 @@ def _say(
     probes = [-fit.exprs[state], *(wave * fit.exprs[by] for wave in waves), *terms]
     points = fit.points
     slopes = np.zeros((len(mesh.states), len(probes), points.shape[1]))
-    slopes[mesh.states.index(state)] = compile_columns(probes, [*comparison.names, "t"])(*points)
+    slopes[mesh.states.index(state)] = compile_columns(probes, comparison.columns)(*points)
     gram = gram_of(fit, slopes) if np.all(np.isfinite(slopes)) else None
     if gram is None:
         return

@@ -48,13 +48,14 @@ class Likeness:
     Parameters
     ----------
     terms, wide : plain terms, and wide ones.
-    points : (names, n) values of the columns.
+    names, points : columns that a sum may hold, and their values (names, n).
     each : bits of a constant.
     allow : whether a term may be used.
     """
 
     terms: Terms
     wide: WideTerms
+    names: Sequence[str]
     points: np.ndarray
     each: float
     allow: Callable[[sympy.Expr], bool]
@@ -89,7 +90,7 @@ class Likeness:
         written : the terms of the other equations.
         """
         cited = self._cited(written)
-        rows = compile_columns(list(cited), self.terms.names)(*self.points)
+        rows = compile_columns(list(cited), self.names)(*self.points)
         offered = [
             _Offered(expr, row[None], bits)
             for (expr, bits), row in zip(cited.items(), rows, strict=True)
@@ -106,7 +107,7 @@ class Likeness:
         target : (n,) values of the function.
         """
         shape, values = free_constants(expr, "constant ")
-        program = compile_columns([shape], [*self.terms.names, *map(str, values)])
+        program = compile_columns([shape], [*self.names, *map(str, values)])
         far = _WILD * float(np.max(np.abs(target)))
 
         def missed(constants: np.ndarray) -> np.ndarray:
@@ -115,6 +116,8 @@ class Likeness:
             return np.clip(np.nan_to_num(off, nan=far, posinf=far, neginf=-far), -far, far)
 
         begun = np.array(list(values.values()))
+        if len(begun) > len(target):
+            return expr
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = optimize.leastsq(missed, begun, maxfev=_TRIES * (1 + len(begun)))[0]
@@ -136,7 +139,7 @@ class Likeness:
         fixed = sorted(fixed, key=lambda i: self._said[i])[:_FIXED]
         exprs = [*(terms.exprs[i] for i in plain[:_PLAIN]), *map(wide.write, fixed)]
         costs = np.concatenate([terms.bits[plain[:_PLAIN]] + self.each, self._said[fixed]])
-        values = compile_columns(exprs, terms.names)(*self.points)
+        values = compile_columns(exprs, self.names)(*self.points)
         usable = np.all(np.isfinite(values), axis=1)
         values[~usable] = 0.0
         return exprs, np.where(usable, costs, np.inf), values
@@ -161,16 +164,16 @@ class Likeness:
 
     def _cited(self, written: Sequence[sympy.Expr]) -> dict[sympy.Expr, float]:
         """Give terms that are written already, and others over their lines, with their bits."""
-        names = set(map(sympy.Symbol, self.terms.names))
+        names, above = (list(map(sympy.Symbol, n)) for n in (self.names, self.terms.names))
         term = sympy.Float(0.5) * sympy.Symbol("term")
         found: dict[sympy.Expr, tuple[sympy.Expr, float]] = {}
-        for own in (t for t in written if t.free_symbols and t.free_symbols <= names):
+        for own in (t for t in written if t.free_symbols and t.free_symbols <= {*names}):
             if citing_bits(own) > 0:
                 found.setdefault(skeleton(own), (own, shape_bits(term) + self.each))
             for line in lines_below(own):
-                for above in (sympy.S.One, *sorted(names, key=str)):
-                    bits = shape_bits(term / above) + self.each
-                    found.setdefault(skeleton(above / line), (above / line, bits))
+                for over in (sympy.S.One, *sorted(above, key=str)):
+                    bits = shape_bits(term / over) + self.each
+                    found.setdefault(skeleton(over / line), (over / line, bits))
         return dict(found.values())
 
 

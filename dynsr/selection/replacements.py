@@ -165,14 +165,16 @@ class Replaceable:
         comparison, fit = along.comparison, along.fit
         own, mesh = fit.exprs[state], comparison.mesh
         each = constant_bits(float(mesh.rows.max()))
-        values = compile_columns([own], [*comparison.names, "t"])(*along.points)[0]
+        values = compile_columns([own], comparison.columns)(*along.points)[0]
         bits = shape_bits(own) + unusual_bits(own, comparison.angles)
         bits += each * len(own.atoms(sympy.Float))
         most = bits + comparison.settings.near
         if not leaves_noise(fit, comparison.settings):
             most += float(mesh.rows @ np.log2(np.maximum(fit.fit.mean_squares, 1.0))) / 2
         allow = comparison.settings.demands.limits(state).allow
-        like = Likeness(comparison.terms, comparison.wide, along.points[:-1], each, allow)
+        like = Likeness(
+            comparison.terms, comparison.wide, comparison.columns, along.points, each, allow
+        )
         return cls(along, state, values, like, bits, most)
 
     def wide(self) -> list[sympy.Expr]:
@@ -201,7 +203,7 @@ class Replaceable:
         bodies = list(dict.fromkeys(body for expr, _ in fitted for body in bodies_of(expr)))
         if not bodies:
             return []
-        columns = compile_columns([own, *bodies], [*comparison.names, "t"])(*points)
+        columns = compile_columns([own, *bodies], comparison.columns)(*points)
         gram = _gram_in_place(comparison, fit, self.state, columns)
         if gram is None:
             return []
@@ -236,7 +238,7 @@ def _gram_in_place(
 ) -> np.ndarray | None:
     """Give the products of columns in the place of one equation, and of the misses as the last."""
     mesh, points = comparison.mesh, fit.points
-    own = compile_columns([fit.exprs[state]], [*comparison.names, "t"])(*points)
+    own = compile_columns([fit.exprs[state]], comparison.columns)(*points)
     slopes = np.zeros((len(mesh.states), 1 + len(columns), points.shape[1]))
     values = np.concatenate([-own, columns])
     slopes[mesh.states.index(state)] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
