@@ -18,7 +18,7 @@ from dynsr.selection.costs import rounded
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.replacements import Along, Replaceable, replacements, try_replacements
 from dynsr.selection.subsets import taken_whole, without
-from dynsr.selection.systems import _compose_by_rates as compose_by_rates
+from dynsr.selection.systems import _compose_related as compose_related
 
 SETTINGS = ComparisonSettings()
 # A ligand, its receptor and their complex, bound at 0.7 and let go at 0.4 per unit.
@@ -83,7 +83,7 @@ def test_systems_are_put_together_by_their_rates():
             Leader(e, float(i), v, np.diag((0.02 * v) ** 2))
             for i, (e, v) in enumerate(zip(forms, values, strict=True))
         ]
-    (best,) = compose_by_rates(comparison, leaders)
+    (best,) = compose_related(comparison, leaders)
     assert {s: skeleton(e) for s, e in best.exprs.items()} == {
         s: skeleton(e) for s, e in floats(BINDING).items()
     }

@@ -36,6 +36,7 @@ from dynsr.selection.costs import (
 )
 from dynsr.selection.subsets import Subset, best_subsets
 from dynsr.selection.terms import Joint, Terms, move_inside, slopes_inside, weighted_sum
+from dynsr.selection.twins import exchanged
 
 # Terms of other equations, and plain ones, that are offered to one together.
 _OFFERED, _PLAINEST = 12, 40
@@ -108,6 +109,34 @@ class Alone:
         self.rank(self._sums_citing(new[:_OFFERED]))
         return self._leaders({shape: citing_bits(body) for shape, body in bodies.items()})
 
+    def lead_twins(self, own: list[Leader], others: Mapping[str, Sequence[Leader]]) -> list[Leader]:
+        """Give the formulas that come close, and after them those of other states as its own.
+
+        Parameters
+        ----------
+        own : what leads here.
+        others : what leads elsewhere, for each state.
+        """
+        known = {skeleton(one.expr) for one in own}
+        columns = [*others, self.state]
+        twins = (
+            expr
+            for state, pool in others.items()
+            for one in pool
+            for expr in exchanged(one.expr, state, self.state, columns)
+        )
+        shapes = {skeleton(expr): expr for expr in twins}
+        self.rank(expr for shape, expr in shapes.items() if shape not in known)
+        ranked = self._ranked()
+        near = [
+            fit for fit in ranked if fit.bits - ranked[0].bits <= self.comparison.settings.behind
+        ]
+        near = [fit for fit in near if skeleton(fit.exprs[self.state]) in shapes.keys() - known]
+        return [*own, *(self._as_leader(fit, fit.bits - ranked[0].bits) for fit in near)]
+
+    def _as_leader(self, fit: SystemFit, behind: float) -> Leader:
+        return Leader(fit.exprs[self.state], behind, fit.fit.constants, fit.fit.covariance)
+
     def _leaders(self, saved: Mapping[sympy.Expr, float]) -> list[Leader]:
         """Give the best, bits that terms save elsewhere taken off."""
         settings = self.comparison.settings
@@ -118,7 +147,7 @@ class Alone:
             found.append((fit.bits - less, fit))
         found.sort(key=lambda pair: pair[0])
         return [
-            Leader(f.exprs[self.state], bits - found[0][0], f.fit.constants, f.fit.covariance)
+            self._as_leader(f, bits - found[0][0])
             for bits, f in found[: settings.together]
             if bits - found[0][0] <= settings.behind
         ]

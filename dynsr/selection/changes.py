@@ -22,7 +22,7 @@ from dynsr.fit import (
     skeleton,
     without_flat_line,
 )
-from dynsr.selection.comparison import SystemComparison, SystemFit, owners_of
+from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, owners_of
 from dynsr.selection.costs import bodies_of, citing_bits, shape_bits, term_bodies, unusual_bits
 from dynsr.selection.terms import Terms
 
@@ -168,8 +168,8 @@ def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit
     state : whose equation loses terms.
     """
     while True:
-        for shorter in _shorter(comparison, fit, state):
-            less = shorter and comparison.fit_near({**fit.exprs, state: shorter}, fit)
+        for system in _shorter_systems(comparison, fit, state):
+            less = comparison.fit_near(system, fit)
             if less is not None and less.bits < fit.bits:
                 fit = less
                 break
@@ -198,6 +198,14 @@ def climb_while_better(
             break
         best = climb(first)
     return best
+
+
+def _shorter_systems(
+    comparison: SystemComparison, fit: SystemFit, state: str
+) -> Iterator[Equations]:
+    for expr in _shorter(comparison, fit, state):
+        if expr is not None:
+            yield from comparison.changed(fit, state, expr)
 
 
 def _shorter(

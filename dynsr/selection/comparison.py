@@ -8,7 +8,7 @@ the bits of :func:`dynsr.fit.information_criterion` and those of its unusual fun
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -32,12 +32,14 @@ from dynsr.selection.costs import (
     cited_bits,
     in_coordinates,
     saturating,
+    shape_bits,
     unusual_bits,
     unwritten_bits,
 )
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.terms import Terms, TermSettings, find_turning
+from dynsr.selection.twins import first_of_each, with_twins
 from dynsr.selection.wide import WideTerms
 
 Equations = dict[str, sympy.Expr]
@@ -45,6 +47,8 @@ Equations = dict[str, sympy.Expr]
 _STARTS, _APART = 2, 0.5
 # Half-saturation, as a multiple of the largest value, from which on nothing is seen of it.
 _NEAR = 4.0
+# Bits of saying whose twin an equation is.
+_TWIN = 4.0
 
 
 @dataclass(frozen=True)
@@ -250,6 +254,16 @@ class SystemComparison:
             before = again
         return before
 
+    def changed(self, fit: SystemFit, state: str, expr: sympy.Expr) -> list[Equations]:
+        """Give a system with one equation changed, and first with its twins changed as it is.
+
+        Parameters
+        ----------
+        fit : the system.
+        state, expr : whose equation changes, and what it becomes.
+        """
+        return with_twins(fit.exprs, state, expr, self.mesh.states)
+
     def fit_anew(self, exprs: Equations) -> SystemFit | None:
         """Fit from the constants given and the smoothed states; of two fits the better is kept.
 
@@ -292,7 +306,22 @@ class SystemComparison:
         said += sum(map(unwritten_bits, flat))
         named = [as_written(e) for e in flat]
         length = information_criterion(squares, self.mesh.rows, named, constants)
-        return length + said - cited_bits(flat)
+        return length + said - self.common_bits(exprs, flat)
+
+    def common_bits(self, exprs: Equations, flat: Sequence[sympy.Expr] | None = None) -> float:
+        """Bits that equations save by what they have in common: terms, or all of it.
+
+        Parameters
+        ----------
+        exprs : state -> equation.
+        flat : the equations as they are written.
+        """
+        flat = list(exprs.values()) if flat is None else flat
+        first = first_of_each(exprs, self.mesh.states)
+        once = [e for s, e in zip(exprs, flat, strict=True) if s in first]
+        twins = [e for s, e in zip(exprs, flat, strict=True) if s not in first]
+        less = sum(shape_bits(e) + unusual_bits(e, self.angles) - _TWIN for e in twins)
+        return max(cited_bits(flat), cited_bits(once) + less) if twins else cited_bits(flat)
 
     def _has_pole(self, fit: CollocationFit) -> bool:
         """Whether a fraction line passes through 0 where the columns are."""

@@ -30,11 +30,12 @@ from dynsr.selection.costs import (
 )
 from dynsr.selection.likeness import Likeness
 from dynsr.selection.subsets import taken_whole, without
+from dynsr.selection.twins import exchanged
 
 # Sums of every kind that are looked at, and that are fitted.
 _COUNT, _TRIED = 2, 8
-# Of sums with wide terms, and with terms of other equations, those that are fitted.
-_WIDE, _CITED = 8, 4
+# Of sums with wide terms or terms of other equations, and of twins of these, those fitted.
+_WIDE, _CITED, _TWINS = 8, 4, 2
 # Systems close to the best one from which the other equations are found anew.
 _NEAR = 2
 # Rows along which an equation is compared with sums.
@@ -62,11 +63,13 @@ def try_replacements(
                 continue
             plain = is_plain(own) and sympy.total_degree(own) <= _DEGREE
             anew = [] if settled and plain else replacements(comparison, best, state)[:_TRIED]
-            fits = [comparison.fit({**best.exprs, state: expr}, best) for expr in anew]
+            systems = [one for expr in anew for one in comparison.changed(best, state, expr)]
+            fits = [comparison.fit(exprs, best) for exprs in systems]
             # Functions begun from other constants may have ended elsewhere.
             known = Replaceable.of(along, state)
-            found = [*known.wide(), *known.cited()]
-            fits += [comparison.fit_anew({**best.exprs, state: expr}) for expr in found]
+            found = [*known.wide(), *known.cited(), *known.twins()]
+            systems = [one for expr in found for one in comparison.changed(best, state, expr)]
+            fits += [comparison.fit_anew(exprs) for exprs in systems]
             for fit in (f for f in fits if f is not None):
                 close = fit.bits < best.bits + comparison.settings.behind
                 yield prune(comparison, fit, state) if close else fit
@@ -188,6 +191,18 @@ class Replaceable:
         others = [expr for s, expr in self.along.fit.exprs.items() if s != self.state]
         written = [body for expr in others for body in bodies_of(expr)]
         return self._expected(self.like.cited_sums(self.values, self.most, written))[:_CITED]
+
+    def twins(self) -> list[sympy.Expr]:
+        """Give the other equations with names exchanged so that they are this one."""
+        states = self.along.comparison.mesh.states
+        each = constant_bits(float(self.along.comparison.mesh.rows.max()))
+        found = [
+            (expr, each * len(expr.atoms(sympy.Float)))
+            for other, own in self.along.fit.exprs.items()
+            if other != self.state and not own.is_Symbol
+            for expr in exchanged(own, other, self.state, states)
+        ]
+        return self._expected(found)[:_TWINS]
 
     def _expected(self, likely: Sequence[tuple[sympy.Expr, float]]) -> list[sympy.Expr]:
         """Fit sums to what is known, and put those first that the data are expected to like best.

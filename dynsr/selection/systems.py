@@ -38,7 +38,7 @@ from dynsr.selection.comparison import (
     apart_by,
     leaves_noise,
 )
-from dynsr.selection.costs import bare_terms, cited_bits, is_plain, rounded
+from dynsr.selection.costs import bare_terms, is_plain, rounded
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.first_look import look
 from dynsr.selection.rates import shared_bits
@@ -52,6 +52,8 @@ _CITED = 3
 # Leaders of each state that others are put beside by their rates, and systems fitted and climbed
 # from.
 _HUBS, _COMPOSED, _CLIMBED = 8, 6, 1
+# Leaders of each other state that are tried as twins.
+_TWINNED = 6
 # Equations in which a system may differ that speaks against each of them.
 _AT_ONCE = 2
 # Correlation of a column's slopes with another column from which on that is its speed.
@@ -251,6 +253,12 @@ def _search(
         for s, own in alone.items()
     }
     fits = [fit for own in (first, leaders) if (fit := _compose(together, own)) is not None]
+    # What is of one kind obeys one law, though it may lead for neither.
+    best = {s: pool[:_TWINNED] for s, pool in leaders.items() if s in alone}
+    related = leaders | {
+        s: own.lead_twins(leaders[s], {o: pool for o, pool in best.items() if o != s})
+        for s, own in alone.items()
+    }
 
     def finish(fit: SystemFit) -> SystemFit:
         # Alone, terms make up for the errors of the curves that the others are read off.
@@ -260,7 +268,7 @@ def _search(
 
     ends = [finish(fit) for fit in dict.fromkeys(fits)]
     least = min((fit.bits for fit in ends), default=math.inf)
-    close = (fit for fit in _compose_by_rates(together, leaders) if fit not in ends)
+    close = (fit for fit in _compose_related(together, related) if fit not in ends)
     ends += [finish(fit) for fit in close if fit.bits < least + settings.near]
     return sorted(dict.fromkeys(ends), key=lambda fit: fit.bits)
 
@@ -356,10 +364,10 @@ def _compose(
     return None
 
 
-def _compose_by_rates(
+def _compose_related(
     comparison: SystemComparison, leaders: Mapping[str, Sequence[Leader]]
 ) -> list[SystemFit]:
-    """Fit systems whose equations have their rates in common, the best of them.
+    """Fit systems whose equations have rates in common or are twins, the best of them.
 
     Alone, a rate that leaves one species and enters another may be behind in either.
     """
@@ -371,7 +379,8 @@ def _compose_by_rates(
                 if other == state:
                     exprs[other] = hub.expr
                     continue
-                behind = [one.behind - _in_common(hub, one) for one in theirs]
+                saved = (_in_common({state: hub, other: one}, comparison) for one in theirs)
+                behind = [one.behind - less for one, less in zip(theirs, saved, strict=True)]
                 place = int(np.argmin(behind))
                 score += behind[place]
                 exprs[other] = theirs[place].expr
@@ -383,14 +392,15 @@ def _compose_by_rates(
     return sorted(fits, key=lambda fit: fit.bits)[:_CLIMBED]
 
 
-def _in_common(one: Leader, other: Leader) -> float:
+def _in_common(pair: Mapping[str, Leader], comparison: SystemComparison) -> float:
     """Bits that two equations save by what they have in common; 0 where one was not fitted."""
-    if not (len(one.constants) and len(other.constants)):
+    if not all(len(one.constants) for one in pair.values()):
         return 0.0
-    exprs = {"one": one.expr, "other": other.expr}
-    both = block_diag(one.covariance, other.covariance)
-    saved, once = shared_bits(exprs, np.concatenate([one.constants, other.constants]), both)
-    return float(saved.sum()) + once + cited_bits(exprs.values())
+    exprs = {state: one.expr for state, one in pair.items()}
+    values = np.concatenate([one.constants for one in pair.values()])
+    both = block_diag(*(one.covariance for one in pair.values()))
+    saved, once = shared_bits(exprs, values, both)
+    return float(saved.sum()) + once + comparison.common_bits(exprs)
 
 
 def _climb(
@@ -398,14 +408,15 @@ def _climb(
 ) -> SystemFit:
     """Take the best change until none takes fewer bits."""
     for number in range(comparison.settings.rounds):
-        changes = [{c.state: c.expr} for c in promising_changes(comparison, fit)]
+        changes = [(c.state, c.expr) for c in promising_changes(comparison, fit)]
         # Where nothing but noise is left, what is worse alone is worse together.
         settled = number > 1 or leaves_noise(fit, comparison.settings)
         most = comparison.settings.near if settled else comparison.settings.behind
         changes += [
-            {s: one.expr} for s, pool in leaders.items() for one in pool if one.behind < most
+            (s, one.expr) for s, pool in leaders.items() for one in pool if one.behind < most
         ]
-        fits = [comparison.fit({**fit.exprs, **change}, fit) for change in changes]
+        systems = [exprs for change in changes for exprs in comparison.changed(fit, *change)]
+        fits = [comparison.fit(exprs, fit) for exprs in systems]
         best = min([fit, *(f for f in fits if f is not None)], key=lambda f: f.bits)
         if best is fit:
             break

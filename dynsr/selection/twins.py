@@ -1,0 +1,135 @@
+"""Twins: equations that are one another's with the names of columns exchanged.
+
+Two pendulums on one spring, two species that compete, three genes in a ring: what is of one kind
+obeys one law. Once such an equation is written, its twins are said by whose they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from itertools import permutations
+
+import sympy
+
+from dynsr.fit import skeleton
+from dynsr.selection.costs import bodies_of
+
+# Ways of exchanging the names of columns that are looked through at most.
+_MOST = 120
+# Stands for every constant: skeletons have no signs, and names that change places may turn one.
+_ANY = sympy.Float(1.5)
+
+Names = dict[sympy.Symbol, sympy.Symbol]
+
+
+def exchanged(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) -> list[sympy.Expr]:
+    """Write an equation for another state, in every way of exchanging names that gives another.
+
+    Parameters
+    ----------
+    expr : the equation.
+    state, other : whose it is, and whose it is to be.
+    columns : names that may be exchanged.
+
+    >>> x, y, z = sympy.symbols("x y z")
+    >>> exchanged(2.5 * x * y - 0.5 * x, "x", "y", ["x", "y", "z"])
+    [2.5*x*y - 0.5*y, 2.5*y*z - 0.5*y]
+    """
+    found: dict[sympy.Expr, sympy.Expr] = {}
+    for names in _ways(expr, state, other, columns):
+        changed = expr.xreplace(names)
+        found.setdefault(skeleton(changed), changed)
+    return list(found.values())
+
+
+def first_of_each(exprs: Mapping[str, sympy.Expr], columns: Sequence[str]) -> list[str]:
+    """Name the states whose equations are no twin of one before them.
+
+    Parameters
+    ----------
+    exprs : state -> equation.
+    columns : names that may be exchanged.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> first_of_each({"x": 2.0 * x - 1.5 * x * y, "y": 0.5 * y - 0.3 * x * y}, ["x", "y"])
+    ['x']
+    """
+    first: list[str] = []
+    for state, expr in exprs.items():
+        if not any(_find(exprs[one], one, expr, state, columns) for one in first):
+            first.append(state)
+    return first
+
+
+def with_twins(
+    exprs: Mapping[str, sympy.Expr], state: str, expr: sympy.Expr, columns: Sequence[str]
+) -> list[dict[str, sympy.Expr]]:
+    """Give a system with one equation changed, and first with its twins changed as it is.
+
+    Parameters
+    ----------
+    exprs : state -> equation.
+    state, expr : whose equation changes, and what it becomes.
+    columns : names that may be exchanged.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> twins = {"x": 2.0 * x - 1.5 * x * y, "y": 0.5 * y - 0.3 * x * y}
+    >>> with_twins(twins, "x", 1.9 * x - 1.2 * x * y - 0.1 * x**2, ["x", "y"])[0]["y"]
+    -0.3*x*y - 0.1*y**2 + 0.5*y
+    """
+    alone = {**exprs, state: expr}
+    both = dict(alone)
+    for other, own in exprs.items():
+        names = None if other == state else _find(exprs[state], state, own, other, columns)
+        if names is not None:
+            both[other] = _with_terms_of(own, expr.xreplace(names))
+    return [alone] if both == alone else [both, alone]
+
+
+def _with_terms_of(own: sympy.Expr, changed: sympy.Expr) -> sympy.Expr:
+    """Give the sum of the terms of one equation, in the constants of another that has them too."""
+    known = {skeleton(body): term for body, term in _terms(own)}
+    return sympy.Add(*[known.get(skeleton(body), term) for body, term in _terms(changed)])
+
+
+def _terms(expr: sympy.Expr) -> Iterator[tuple[sympy.Expr, sympy.Expr]]:
+    yield from zip(bodies_of(expr), sympy.Add.make_args(expr), strict=True)
+
+
+def _find(
+    expr: sympy.Expr, state: str, twin: sympy.Expr, other: str, columns: Sequence[str]
+) -> Names | None:
+    """Give the names by which one equation is another; None where it is not its twin."""
+    if expr.is_Symbol or twin.is_Symbol or len(expr.args) != len(twin.args):
+        return None
+    if len(expr.free_symbols) != len(twin.free_symbols):
+        return None
+    alike = expr.xreplace(dict.fromkeys(expr.atoms(sympy.Float), _ANY))
+    return _find_alike(alike, state, skeleton(twin), other, tuple(columns))
+
+
+@lru_cache(maxsize=20_000)
+def _find_alike(
+    expr: sympy.Expr, state: str, twin: sympy.Expr, other: str, columns: tuple[str, ...]
+) -> Names | None:
+    ways = _ways(expr, state, other, columns)
+    return next((names for names in ways if skeleton(expr.xreplace(names)) == twin), None)
+
+
+def _ways(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) -> Iterator[Names]:
+    """Exchange names so that one state is another; what is not in the equation stays if it can."""
+    own, theirs = sympy.Symbol(state), sympy.Symbol(other)
+    names = [sympy.Symbol(name) for name in columns]
+    beside = [name for name in names if name in expr.free_symbols and name != own]
+    free = [name for name in names if name != theirs]
+    if math.perm(len(free), len(beside)) > _MOST:
+        return
+    for places in permutations(free, len(beside)):
+        found = dict(zip([own, *beside], [theirs, *places], strict=True))
+        left = [name for name in names if name not in found.values()]
+        for name in (n for n in names if n not in found):
+            found[name] = name if name in left else left[0]
+            left.remove(found[name])
+        yield found

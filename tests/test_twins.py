@@ -1,0 +1,105 @@
+"""Twins: equations that are one another's with the names of columns exchanged."""
+
+from itertools import permutations
+
+import pytest
+import sympy
+from measured_systems import floats, measured
+
+from dynsr.fit import skeleton
+from dynsr.selection import ComparisonSettings, compare_systems
+from dynsr.selection.changes import prune
+from dynsr.selection.comparison import SystemComparison
+from dynsr.selection.twins import exchanged, first_of_each, with_twins
+
+SETTINGS = ComparisonSettings()
+# Two genes that switch each other on; what is made of one decays faster.
+GENES = {
+    "x": "0.2 + 1.3*y^2/(0.6 + y^2) - 0.8*x",
+    "y": "0.1 + 1.7*x^2/(0.9 + x^2) - 0.7*y",
+}
+# Rotors that pull each other along; the sine turns its sign as names change places.
+ROTORS = {
+    "a": "1.1 + 0.8*sin(b - a)",
+    "b": "0.7 - 0.3*sin(b - a)",
+}
+RING = {
+    "x": "1.9/(1 + z^3) - 0.6*x",
+    "y": "2.1/(1 + x^3) - 0.7*y",
+    "z": "1.7/(1 + y^3) - 0.5*z",
+}
+
+
+def switched(rows=100):
+    """Measurements of the two genes at 1 %."""
+    return measured(tuple(GENES.items()), (0.15, 0.9), 9.0, rows, 0.01)
+
+
+@pytest.mark.parametrize("system", [GENES, ROTORS, RING], ids=["genes", "rotors", "ring"])
+def test_what_is_of_one_kind_is_written_once(system):
+    """However the equations are ordered, the first stands for all; it holds for another no more
+    once that has a term more.
+    """
+    for order in permutations(system):
+        exprs = floats({state: system[state] for state in order})
+        assert first_of_each(exprs, list(system)) == [order[0]]
+    *_, last = system
+    exprs = floats(system) | floats({last: system[last] + f" - 0.1*{last}^2"})
+    assert last in first_of_each(exprs, list(system))
+
+
+def test_inputs_change_no_places():
+    """What two states feel of inputs of their own makes them no twins: these are no states."""
+    exprs = floats({"x": "0.5*u - 0.3*x", "y": "0.4*v - 0.2*y"})
+    assert first_of_each(exprs, ["x", "y"]) == ["x", "y"]
+    assert first_of_each(exprs, ["x", "y", "u", "v"]) == ["x"]
+
+
+def test_every_way_of_exchanging_is_given():
+    """Of a product with one of three others as many shapes come as there are others for it."""
+    columns = ["w", "x", "y", "z"]
+    (expr,) = floats({"w": "1.5*w*x - 0.5*w"}).values()
+    found = {skeleton(e) for e in exchanged(expr, "w", "y", columns)}
+    expected = floats({other: f"y*{other}*1.5 - 0.5*y" for other in "wxz"})
+    assert found == {skeleton(e) for e in expected.values()}
+    # Ten columns of which six stand in the equation would be too many ways to look through.
+    many = [f"x{i}" for i in range(10)]
+    wide = sympy.Add(*[sympy.Float(1.5) * sympy.Symbol(name) for name in many[:7]])
+    assert exchanged(wide, "x0", "x9", many) == []
+
+
+def test_twins_change_together():
+    """A term that goes from one goes from its twin too; constants that the twin has are kept."""
+    exprs = floats(ROTORS)
+    both, alone = with_twins(exprs, "a", sympy.Float(0.8) * sympy.sin(sympy.sympify("b - a")), "ab")
+    assert both["b"] == floats({"b": "-0.3*sin(b - a)"})["b"]
+    assert alone["b"] == exprs["b"]
+    assert len(with_twins({**exprs, "b": sympy.Symbol("a")}, "a", sympy.Float(2.0), "ab")) == 1
+
+
+def test_twins_cost_less():
+    """A system of twins takes fewer bits than the same two equations would take one by one."""
+    data = switched()
+    comparison = SystemComparison(data.mesh(("x", "y")), SETTINGS)
+    twins, other = floats(GENES), floats({**GENES, "y": "1.7*x^3/(0.9 + x^3) - 0.7*y + 0.1"})
+    assert comparison.common_bits(twins) > comparison.common_bits(other) + 20
+
+
+def test_superfluous_terms_leave_twins_together():
+    """A term that both equations could do without goes, and the two stay of one kind."""
+    data = switched()
+    comparison = SystemComparison(data.mesh(("x", "y")), SETTINGS)
+    longer = {s: f"{text} + 0.01*{s}^3" for s, text in GENES.items()}
+    fit = prune(comparison, comparison.fit(floats(longer)), "x")
+    assert {s: skeleton(e) for s, e in fit.exprs.items()} == {
+        s: skeleton(e) for s, e in floats(GENES).items()
+    }
+
+
+@pytest.mark.slow
+def test_a_twin_is_proposed_along_the_system():
+    """From one right equation the other is found by exchanging the names."""
+    begun = floats({"x": GENES["x"], "y": "0.8*x - 0.5*y + 0.1"})
+    found = compare_systems(begun, {}, switched())
+    assert first_of_each(found.exprs, ["x", "y"]) == ["x"]
+    assert skeleton(found.exprs["x"]) == skeleton(floats(GENES)["x"])
