@@ -357,6 +357,22 @@ def _distance(_: Any, v: Any, w: Any) -> Any:
     return abs(v - w)
 
 
+def _square_apart(_: Any, v: Any, w: Any) -> Any:
+    return (v - w) ** 2
+
+
+def _cube_apart(_: Any, v: Any, w: Any) -> Any:
+    return (v - w) ** 3
+
+
+def _bounded_together(m: Any, v: Any, w: Any, a: Any, b: Any) -> Any:
+    return m.tanh(a * v + b * w)
+
+
+def _bounded_apart(m: Any, v: Any, w: Any, a: Any, b: Any) -> Any:
+    return m.tanh(a * v - b * w)
+
+
 def _root_apart(m: Any, v: Any, w: Any) -> Any:
     return m.sqrt(v - w)
 
@@ -424,7 +440,7 @@ def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
     if np.min(np.ptp(rows, axis=1)) > _BEND:
         waves = (_sine_apart, _cosine_apart, _sine_together, _cosine_together)
         yield from (_Part(wave, pair) for wave in waves)
-    yield from (_Part(make, pair) for make in (_length, _distance))
+    yield from (_Part(make, pair) for make in (_length, _distance, _square_apart, _cube_apart))
     for order, apart in ((pair, first - second), (pair[::-1], second - first)):
         if np.min(apart) > 0:
             yield _Part(_root_apart, order)
@@ -436,6 +452,8 @@ def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
     for turn in np.deg2rad(_TURNS):
         ways = np.array([np.cos(turn), np.sin(turn)]) / spreads
         for share in _SPREADS:
+            line = (float(abs(ways[0])) / share, float(ways[1]) / share)
+            yield _Part(_bounded_together if ways[0] > 0 else _bounded_apart, pair, line)
             for at in _MIDDLES:
                 shift = float(ways @ np.mean(rows, axis=1) + at) / share
                 slopes = (float(ways[0]) / share, float(ways[1]) / share)
