@@ -83,6 +83,9 @@ def test_every_kind_of_function_is_there():
         "1/(1 + exp(1.5 - 2.5*x - 3.5*y))",
         "1/(1 + exp(1.5 - 2.5*x + 3.5*y))",
         "x*y/((x + 1.5)*(y + 2.5))",
+        "(x - y)^3",
+        "tanh(1.5*x - 2.5*y)",
+        "tanh(1.5*x + 2.5*y)",
     ):
         assert skeleton(parse(text)) in shapes, text
 
@@ -104,12 +107,36 @@ def test_roots_of_what_may_be_negative_are_left_out():
         "1.3/x^3 - 1.1/x^2",
         "0.7 - 0.9*sqrt(y - x)",
         "1.2*x/(0.5 + x + 0.8*y)",
+        "0.7 - 1.3*(x - y)^3 - 0.4*y",
+        # What curves as much as others do leads once its constant has moved to its place.
+        "0.9*x - 0.3*x^2 - 0.8*x*y/(0.7 + x)",
+        "1.7/(1.2 + x^3) - 0.5*y",
     ],
 )
 def test_a_sum_is_found_by_what_it_is_worth(text):
     """Among thousands of terms the sum that has the values of a function comes up."""
     found = like().wide_sums(VALUES, evaluate(parse(text), COLUMNS), np.inf)
     assert skeleton(parse(text)) in {skeleton(expr) for expr, _ in found}
+
+
+def test_constants_move_to_their_places():
+    """From the nearest of a few half-saturations a term comes to that of the function."""
+    target = evaluate(parse("2.5*x^2/(1.7 + x^2)"), COLUMNS)
+    which = np.isin(np.arange(len(WIDE.places)), places("x^2/(1.5 + x^2)"))
+    (found,) = WIDE.likest(VALUES, target, [POINTS[:0]], which, 1, POINTS)
+    assert found.constants == pytest.approx([1.7], rel=1e-4)
+    term = WIDE.write(found.place, found.constants)
+    np.testing.assert_allclose(2.5 * evaluate(term, COLUMNS), target, rtol=1e-4)
+    np.testing.assert_allclose(found.block[0], evaluate(term, COLUMNS))
+
+
+def test_what_begins_at_nothing_saturates_too():
+    """A column that noise takes a little below 0 has saturations; one of both signs has none."""
+    shape = skeleton(parse("x/(1.5 + x)"))
+    for least, has in ((-0.01, True), (-0.5, False)):
+        rows = np.array([np.linspace(least, 1.2, 50)])
+        wide = WideTerms.of(("x",), rows, ())
+        assert (shape in {skeleton(wide.write(i)) for i in range(len(wide.places))}) == has
 
 
 def test_no_sum_is_longer_than_asked_for():

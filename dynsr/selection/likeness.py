@@ -22,14 +22,17 @@ from dynsr.selection.wide import WideTerms
 _PLAIN, _FIXED = 40, 40
 # Wide terms of each kind that are looked at closely, terms beside one at most, sums of each number
 # of terms that go on to more, numbers of terms that are given, and sums of all.
-_LIKEST, _BESIDE, _BEAM, _EACH, _GIVEN = 8, 3, 8, 3, 48
+_LIKEST, _BESIDE, _BEAM, _EACH, _GIVEN = 8, 3, 8, 3, 32
 # Evaluations for each constant at most where constants are fitted; misses, in units of the largest
 # value, that count as no larger.
 _TRIES, _WILD = 12, 1e3
+# Degree of what is no polynomial.
+_NO_POWER = 99
 # Subsets that are asked for: all that there are.
 _ALL = 10_000
-# Misses, as a share of the spread, below which sums are alike.
-_ALIKE = 0.01
+# Misses, as a share of the spread, below which sums are alike: the shortest that are roughly so are
+# given, and the shortest that are so closely.
+_ALIKE = (0.01, 0.001)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +75,19 @@ class Likeness:
         most : bits of a sum at most.
         """
         said, (exprs, _, beside) = self._said, self._plain
-        lines = [i for i, e in enumerate(exprs) if e.is_number or e.is_Symbol]
-        straight = [beside[:0], beside[lines]]
-        likest = self.wide.likest(columns, target, straight, said < most, _LIKEST)
-        offered = [_Offered(self.wide.write(i), columns[i], float(said[i])) for i in likest]
+        symbols = list(map(sympy.Symbol, self.terms.names))
+        degrees = [
+            sympy.Poly(e, *symbols).total_degree() if e.is_polynomial(*symbols) else _NO_POWER
+            for e in exprs
+        ]
+        others = [beside[np.array(degrees) <= degree] for degree in (-1, 1, 2)]
+        points = self.points[: len(self.wide.names)]
+        likest = self.wide.likest(columns, target, others, said < most, _LIKEST, points)
+        offered = [
+            _Offered(self.wide.write(one.place, one.constants), one.block, float(said[one.place]))
+            for one in likest
+        ]
+        offered.append(_Offered(sympy.S.One, np.ones((1, len(target))), self.each))
         return self._around(offered, target, most)
 
     def cited_sums(
@@ -150,16 +162,20 @@ class Likeness:
         """Give sums of each of some terms and of what does best beside it, the likest first."""
         if not np.ptp(target) > 0:
             return []
-        (exprs, costs, beside), found = self._plain, []
-        for number, one in enumerate(offered):
-            if self.allow(one.expr):
-                for bits, places in _beside(one, beside, costs, target):
-                    cost = one.bits + float(costs[list(places)].sum())
-                    if cost < most:
-                        found.append((bits + one.bits, number, places, cost))
+        exprs, costs, beside = self._plain
+        given: dict[tuple[int, tuple[int, ...]], float] = {}
+        for alike in _ALIKE:
+            found = []
+            for number, one in enumerate(offered):
+                if self.allow(one.expr):
+                    for bits, places in _beside(one, beside, costs, target, alike):
+                        cost = one.bits + float(costs[list(places)].sum())
+                        if cost < most:
+                            found.append((bits + one.bits, number, places, cost))
+            given |= {(number, places): cost for _, number, places, cost in sorted(found)[:_GIVEN]}
         return [
             (_sum(offered[number], [exprs[i] for i in places], beside[list(places)], target), cost)
-            for _, number, places, cost in sorted(found)[:_GIVEN]
+            for (number, places), cost in given.items()
         ]
 
     def _cited(self, written: Sequence[sympy.Expr]) -> dict[sympy.Expr, float]:
@@ -178,14 +194,14 @@ class Likeness:
 
 
 def _beside(
-    one: _Offered, beside: np.ndarray, costs: np.ndarray, target: np.ndarray
+    one: _Offered, beside: np.ndarray, costs: np.ndarray, target: np.ndarray, alike: float
 ) -> list[tuple[float, tuple[int, ...]]]:
     """Give the terms that do best beside one whose constants inside are free, with their bits."""
     own = np.linalg.qr(one.block.T)[0]
     own = own[:, np.linalg.norm(one.block @ own, axis=0) > 0]
     rest, goal = beside - (beside @ own) @ own.T, target - own @ (own.T @ target)
     rows, left = float(len(target)), float(goal @ goal)
-    least = rows * (_ALIKE * float(np.std(target))) ** 2
+    least = rows * (alike * float(np.std(target))) ** 2
     subsets = best_subsets(
         rest @ rest.T,
         rest @ goal,

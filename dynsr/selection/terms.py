@@ -19,6 +19,8 @@ import sympy
 from dynsr.expression import Program, bits_in_force, compile_columns
 from dynsr.selection.costs import divisors, shape_bits, unusual_bits
 
+# Share of its largest value by which a column may fall below 0 that is never negative.
+_BELOW = 0.03
 _NO_POLYNOMIAL = 99
 # Step of the logarithm of a constant, for its slope by central differences.
 _NUDGE = 1e-4
@@ -322,10 +324,23 @@ def _functions(
             yield sympy.exp(-symbol / scale)
         if angle:
             yield sympy.tanh(symbol / scale)
-        if positive:
+        if never_negative(values):
             yield 1 / (symbol + scale)
         yield 1 / (symbol**2 + scale**2)
         yield symbol**2 / (symbol**2 + scale**2)
+
+
+def never_negative(values: np.ndarray) -> bool:
+    """Whether a column is never negative; what begins at nothing is a little below 0 in noise.
+
+    Parameters
+    ----------
+    values : (n,) of the column.
+
+    >>> never_negative(np.array([-0.01, 0.5, 1.0])), never_negative(np.array([-0.5, 0.5, 1.0]))
+    (True, False)
+    """
+    return bool(np.min(values) > -_BELOW * np.max(np.abs(values)))
 
 
 def _shared(

@@ -7,6 +7,7 @@ found among thousands of terms, and only the likeliest of them are fitted.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -18,6 +19,7 @@ import sympy
 
 from dynsr.expression import bits_in_force
 from dynsr.selection.costs import shape_bits, unusual_bits
+from dynsr.selection.terms import never_negative
 
 # What a function may stand beside: columns, two of them, functions of other columns, other
 # saturations with a column, or nothing.
@@ -25,6 +27,8 @@ _COLUMNS, _PAIRS, _FUNCTIONS = "columns", "pairs", "functions"
 _SATURATIONS, _NOTHING = "saturations", "nothing"
 # Constants inside, as multiples of the usual size or of the spread of a column.
 _SIZES, _SPREADS = (0.3, 1.0, 3.0), (0.15, 0.5, 1.0)
+# The same of half-saturations in powers: these change fast.
+_HALVES = (0.35, 0.7, 1.4, 2.8)
 # Where the middle of a step may lie, in spreads from the mean; directions that two columns step in.
 _MIDDLES, _TURNS = (-1.0, 0.0, 1.0), (22.5, 45.0, 67.5, 112.5, 135.0, 157.5)
 # What spans less, in radians, shows little of a wave.
@@ -37,6 +41,9 @@ _LARGEST = 1e100
 _STEEP = 30.0
 # Constants of a term that are moved, the step of their logarithms, and how far they may.
 _BENT, _NUDGE, _FARTHEST = 3, 1e-5, 1.0
+# Of the terms that bend the likest ones, as many times those asked for, have their constants moved
+# so often.
+_DRAFTED, _MOVES = 3, 6
 # What of its own is left of a column, as a share of it, from which on it tells anything.
 _TOLD = 1e-4
 
@@ -52,6 +59,28 @@ class _Part:
     columns: tuple[int, ...]
     constants: tuple[float, ...] = ()
     beside: tuple[str, ...] = (_COLUMNS,)
+
+    def rows(self, constants: Sequence[float], points: np.ndarray) -> np.ndarray:
+        """(1 + c, n) values with these constants, and slopes by their logarithms."""
+        columns = [points[i] for i in self.columns]
+        found = np.empty((1 + len(constants), points.shape[1]))
+        found[0] = self.make(np, *columns, *constants)
+        for i, constant in enumerate(constants):
+            moved = [*constants[:i], constant * (1 + _NUDGE), *constants[i + 1 :]]
+            found[1 + i] = (self.make(np, *columns, *moved) - found[0]) / _NUDGE
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Likest:
+    """A wide term like a function: its place, its constants, its values and their slopes by these.
+
+    ``block`` (1 + c, n) holds the values first; the slopes are by the constants' logarithms.
+    """
+
+    place: int
+    constants: tuple[float, ...]
+    block: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +130,30 @@ class WideTerms:
         places = np.array(list(_terms(parts, plain)), dtype=int).reshape(-1, 3)
         return cls(tuple(names), tuple(parts), np.array(bits) - bits[0], places)
 
-    def write(self, place: int) -> sympy.Expr:
-        """Give a term."""
+    def write(self, place: int, constants: Sequence[float] | None = None) -> sympy.Expr:
+        """Give a term, with other constants inside if they are given."""
+        numbers = iter(self.constants(place) if constants is None else constants)
         found = sympy.S.One
         for part in (self.parts[i] for i in self.places[place]):
             symbols = (sympy.Symbol(self.names[i]) for i in part.columns)
-            found *= part.make(sympy, *symbols, *map(sympy.Float, part.constants))
+            inside = (sympy.Float(next(numbers)) for _ in part.constants)
+            found *= part.make(sympy, *symbols, *inside)
         return found
+
+    def constants(self, place: int) -> tuple[float, ...]:
+        """Give the constants inside a term."""
+        return tuple(c for i in self.places[place] for c in self.parts[i].constants)
+
+    def _bend(self, place: int, constants: Sequence[float], points: np.ndarray) -> np.ndarray:
+        """(1 + c, n) values of a term with other constants inside, and slopes by these."""
+        parts, numbers = [self.parts[i] for i in self.places[place]], iter(constants)
+        rows = [part.rows([next(numbers) for _ in part.constants], points) for part in parts]
+        slopes = [
+            slope * math.prod(row[0] for i, row in enumerate(rows) if i != at)
+            for at, own in enumerate(rows)
+            for slope in own[1:]
+        ]
+        return np.array([math.prod(row[0] for row in rows), *slopes])
 
     def values(self, points: np.ndarray) -> np.ndarray:
         """(p, 1 + _BENT, n) values at points (len(names), n), and slopes by constants inside.
@@ -118,11 +164,8 @@ class WideTerms:
         slopes = np.zeros((len(self.parts), _BENT, points.shape[1]))
         with np.errstate(all="ignore"):
             for place, part in enumerate(self.parts):
-                columns, constants = [points[i] for i in part.columns], part.constants
-                parts[place] = part.make(np, *columns, *constants)
-                for i, constant in enumerate(constants):
-                    moved = (*constants[:i], constant * (1 + _NUDGE), *constants[i + 1 :])
-                    slopes[place, i] = (part.make(np, *columns, *moved) - parts[place]) / _NUDGE
+                rows = part.rows(part.constants, points)
+                parts[place], slopes[place, : len(part.constants)] = rows[0], rows[1:]
             one, other, third = (parts[self.places[:, i]] for i in range(3))
             first, second = (slopes[self.places[:, i]] for i in range(2))
             values = np.empty((len(self.places), 1 + _BENT, points.shape[1]))
@@ -157,7 +200,8 @@ class WideTerms:
         beside: Sequence[np.ndarray],
         which: np.ndarray,
         count: int,
-    ) -> list[int]:
+        points: np.ndarray,
+    ) -> list[Likest]:
         """Give the terms most like a function once the constants inside have moved.
 
         Parameters
@@ -167,11 +211,12 @@ class WideTerms:
         beside : what may stand beside a term, (c, n) each; for each so many are given.
         which : (p,) whether a term is looked at.
         count : terms for each and for each number of constants inside, one of every shape.
+        points : (len(names), n) values of the columns.
         """
         tame = np.all(np.abs(columns) < _LARGEST, axis=(1, 2))
         chosen = np.flatnonzero(tame & which)
         block, inside = columns[chosen], self.inside[chosen]
-        found: dict[int, None] = {}
+        found: dict[int, Likest] = {}
         for others in beside:
             basis = np.linalg.qr(others.T)[0]
             rest = block - (block @ basis) @ basis.T
@@ -181,8 +226,36 @@ class WideTerms:
             for bends in np.unique(inside):
                 own = chosen[order[inside[order] == bends]]
                 first = np.unique(self._shapes[own], return_index=True)[1]
-                found |= dict.fromkeys(own[np.sort(first)[:count]].tolist())
-        return list(found)
+                draft = own[np.sort(first)[: count * (_DRAFTED if bends else 1)]].tolist()
+                moved = [self._move(place, points, basis, goal) for place in draft]
+                moved.sort(key=lambda pair: -pair[0])
+                for _, one in moved[:count]:
+                    found.setdefault(one.place, one)
+        return list(found.values())
+
+    def _move(
+        self, place: int, points: np.ndarray, basis: np.ndarray, goal: np.ndarray
+    ) -> tuple[float, Likest]:
+        """Move the constants inside a term as a linear fit asks; gives the squares it explains.
+
+        ``basis`` (n, k) is taken out of it, and was out of the function ``goal`` (n,).
+        """
+        constants = np.array(self.constants(place))
+        moves = np.zeros(len(constants))
+        best = -math.inf, Likest(place, tuple(constants), np.zeros((1, len(goal))))
+        with np.errstate(all="ignore"):
+            for _ in range(_MOVES if len(constants) else 1):
+                block = self._bend(place, constants.tolist(), points)
+                rest = block - (block @ basis) @ basis.T
+                gain = float(rest[0] @ goal) ** 2 / max(float(rest[0] @ rest[0]), 1e-300)
+                if np.all(np.abs(block) < _LARGEST) and gain > best[0]:
+                    best = gain, Likest(place, tuple(constants.tolist()), block)
+                    solved = np.linalg.lstsq(rest.T, goal, rcond=None)[0]
+                    moves = np.clip(np.nan_to_num(solved[1:] / solved[0]), -_FARTHEST, _FARTHEST)
+                else:
+                    moves = moves / 4
+                constants = np.array(best[1].constants) * np.exp(moves)
+        return best
 
 
 def _gains(rest: np.ndarray, goal: np.ndarray, whole: np.ndarray) -> np.ndarray:
@@ -397,24 +470,26 @@ def _of_one(place: int, values: np.ndarray) -> Iterator[_Part]:
     if not (size > 0 and spread > 0):
         return
     positive = bool(np.min(values) > 0)
+    stands = never_negative(values)
     if np.ptp(values) > _BEND:
         yield from (_Part(wave, own, (), both) for wave in (_sine, _cosine))
         yield from (_Part(wave, own) for wave in (_double_sine, _squared_sine))
     yield from (_Part(make, own) for make in (_fourth, _size))
+    for power in (power for power in _HILL if stands or power % 2 == 0):
+        beside = both if power == 2 else (_COLUMNS,)
+        halves = [(share * size) ** power for share in _HALVES]
+        yield from (_Part(make, own, (k,), beside) for k in halves for make in _HILL[power])
     for share in _SIZES:
         scale = share * size
         if largest < _STEEP * scale:
             yield _Part(_falling, own, (1 / scale,), both)
             yield _Part(_rising, own, (1 / scale,))
         yield _Part(_bounded, own, (1 / scale,), both)
-        for power, shapes in _HILL.items():
-            if positive or power % 2 == 0:
-                beside = both if power == 2 else (_COLUMNS,)
-                yield from (_Part(make, own, (scale**power,), beside) for make in shapes)
         if positive:
+            yield _Part(_thermal, own, (scale,))
+        if stands:
             yield _Part(_inhibits, own, (scale,), both)
             yield _Part(_saturates, own, (scale,), (*both, _SATURATIONS))
-            yield _Part(_thermal, own, (scale,))
             for other in _SIZES:
                 constants = (scale, 1 / (other * size))
                 yield _Part(_inhibits_itself, own, constants, (_COLUMNS, _PAIRS))
@@ -444,7 +519,7 @@ def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
     for order, apart in ((pair, first - second), (pair[::-1], second - first)):
         if np.min(apart) > 0:
             yield _Part(_root_apart, order)
-    if np.min(rows) > 0:
+    if all(map(never_negative, rows)):
         for one in _SIZES:
             for other in _SIZES:
                 scales = (float(other * sizes[0]), float(one * sizes[0] / sizes[1]))
