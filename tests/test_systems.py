@@ -153,10 +153,10 @@ def test_nested_forms_are_among_what_was_compared():
 
 
 def test_rivals_are_other_functions():
-    """A rival is another function along the states by the share asked for; 1000 % leaves none."""
+    """A rival is another function along the states by the share asked for; of 10^5 % none."""
     choice = found("Lotka-Volterra")
     assert any(choice.different(0.02).values())
-    assert not any(choice.different(10.0).values())
+    assert not any(choice.different(1000.0).values())
 
 
 def test_clean_data_come_back_as_they_are():

@@ -118,6 +118,8 @@ class Alone:
         others : what leads elsewhere, for each state.
         """
         known = {skeleton(one.expr) for one in own}
+        if self.is_clear():
+            return own
         columns = [*others, self.state]
         twins = (
             expr
@@ -257,9 +259,9 @@ class Alone:
     def rank_sums(self) -> list[sympy.Expr]:
         """Give sums of terms, fewest bits first: of powers alone where these leave no doubt."""
         found = self.rank(self.sums_of_terms(powers=True))
-        return found if self._is_clear() else self.rank(self.sums_of_terms())
+        return found if self.is_clear() else self.rank(self.sums_of_terms())
 
-    def _is_clear(self) -> bool:
+    def is_clear(self) -> bool:
         """Whether a short polynomial leaves only noise and leads all others by far."""
         ranked = self._ranked()
         if not ranked:

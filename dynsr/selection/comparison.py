@@ -8,7 +8,7 @@ the bits of :func:`dynsr.fit.information_criterion` and those of its unusual fun
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -49,6 +49,8 @@ _STARTS, _APART = 2, 0.5
 _NEAR = 4.0
 # Bits of saying whose twin an equation is.
 _TWIN = 4.0
+# Standard errors from 0 from which on a constant is told from it.
+_TOLD = 4.0
 
 
 @dataclass(frozen=True)
@@ -306,18 +308,26 @@ class SystemComparison:
         said += sum(map(unwritten_bits, flat))
         named = [as_written(e) for e in flat]
         length = information_criterion(squares, self.mesh.rows, named, constants)
-        return length + said - self.common_bits(exprs, flat)
+        return length + said - self.common_bits(exprs, flat, _doubtful(fit))
 
-    def common_bits(self, exprs: Equations, flat: Sequence[sympy.Expr] | None = None) -> float:
+    def common_bits(
+        self,
+        exprs: Equations,
+        flat: Sequence[sympy.Expr] | None = None,
+        doubtful: Collection[str] = (),
+    ) -> float:
         """Bits that equations save by what they have in common: terms, or all of it.
 
         Parameters
         ----------
         exprs : state -> equation.
         flat : the equations as they are written.
+        doubtful : states whose equations hold what may be 0, and are no twins: a term of that
+            size would make a twin of almost any.
         """
         flat = list(exprs.values()) if flat is None else flat
-        first = first_of_each(exprs, self.mesh.states)
+        sure = {s: e for s, e in exprs.items() if s not in doubtful}
+        first = {*doubtful, *first_of_each(sure, self.mesh.states)}
         once = [e for s, e in zip(exprs, flat, strict=True) if s in first]
         twins = [e for s, e in zip(exprs, flat, strict=True) if s not in first]
         less = sum(shape_bits(e) + unusual_bits(e, self.angles) - _TWIN for e in twins)
@@ -380,6 +390,13 @@ class SystemComparison:
     def fits(self) -> Iterator[SystemFit]:
         """Give all systems that were fitted."""
         return (fit for fit in self._cache.values() if fit is not None)
+
+
+def _doubtful(fit: CollocationFit) -> set[str]:
+    """Name the states with a constant that is hardly told from 0."""
+    values, errors = np.abs(fit.constants), fit.errors
+    pairs = zip(owners_of(fit.exprs), values <= _TOLD * errors, strict=True)
+    return {state for state, small in pairs if small}
 
 
 def owners_of(exprs: Mapping[str, sympy.Expr]) -> list[str]:

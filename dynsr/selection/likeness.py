@@ -21,8 +21,8 @@ from dynsr.selection.wide import WideTerms
 # Plain terms that may stand beside a wide one, and wide ones without a constant inside.
 _PLAIN, _FIXED = 40, 40
 # Wide terms of each kind that are looked at closely, terms beside one at most, sums of each number
-# of terms that go on to more, numbers of terms that are given, and sums of all.
-_LIKEST, _BESIDE, _BEAM, _EACH, _GIVEN = 8, 3, 8, 3, 32
+# of terms that go on to more, and numbers of terms that are given.
+_LIKEST, _BESIDE, _BEAM, _EACH = 8, 3, 8, 3
 # Evaluations for each constant at most where constants are fitted; misses, in units of the largest
 # value, that count as no larger.
 _TRIES, _WILD = 12, 1e3
@@ -30,9 +30,9 @@ _TRIES, _WILD = 12, 1e3
 _NO_POWER = 99
 # Subsets that are asked for: all that there are.
 _ALL = 10_000
-# Misses, as a share of the spread, below which sums are alike: the shortest that are roughly so are
-# given, and the shortest that are so closely.
-_ALIKE = (0.01, 0.001)
+# Misses, as a share of the spread, below which sums are alike, and how many of the shortest such
+# sums are given.
+_ALIKE = ((0.01, 48), (0.001, 16))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,16 +163,20 @@ class Likeness:
         if not np.ptp(target) > 0:
             return []
         exprs, costs, beside = self._plain
-        given: dict[tuple[int, tuple[int, ...]], float] = {}
-        for alike in _ALIKE:
-            found = []
-            for number, one in enumerate(offered):
-                if self.allow(one.expr):
-                    for bits, places in _beside(one, beside, costs, target, alike):
+        found: list[list[tuple[float, int, tuple[int, ...], float]]] = [[] for _ in _ALIKE]
+        for number, one in enumerate(offered):
+            if self.allow(one.expr):
+                fits = np.where(one.bits + costs < most, costs, np.inf)
+                for own, likely in zip(found, _beside(one, beside, fits, target), strict=True):
+                    for bits, places in likely:
                         cost = one.bits + float(costs[list(places)].sum())
                         if cost < most:
-                            found.append((bits + one.bits, number, places, cost))
-            given |= {(number, places): cost for _, number, places, cost in sorted(found)[:_GIVEN]}
+                            own.append((bits + one.bits, number, places, cost))
+        given = {
+            (number, places): cost
+            for own, (_, count) in zip(found, _ALIKE, strict=True)
+            for _, number, places, cost in sorted(own)[:count]
+        }
         return [
             (_sum(offered[number], [exprs[i] for i in places], beside[list(places)], target), cost)
             for (number, places), cost in given.items()
@@ -194,14 +198,17 @@ class Likeness:
 
 
 def _beside(
-    one: _Offered, beside: np.ndarray, costs: np.ndarray, target: np.ndarray, alike: float
-) -> list[tuple[float, tuple[int, ...]]]:
-    """Give the terms that do best beside one whose constants inside are free, with their bits."""
+    one: _Offered, beside: np.ndarray, costs: np.ndarray, target: np.ndarray
+) -> list[list[tuple[float, tuple[int, ...]]]]:
+    """Give the terms that do best beside one whose constants inside are free, with their bits.
+
+    They are given for each size of misses that are alike.
+    """
     own = np.linalg.qr(one.block.T)[0]
     own = own[:, np.linalg.norm(one.block @ own, axis=0) > 0]
     rest, goal = beside - (beside @ own) @ own.T, target - own @ (own.T @ target)
     rows, left = float(len(target)), float(goal @ goal)
-    least = rows * (alike * float(np.std(target))) ** 2
+    least = [rows * (share * float(np.std(target))) ** 2 for share, _ in _ALIKE]
     subsets = best_subsets(
         rest @ rest.T,
         rest @ goal,
@@ -211,13 +218,18 @@ def _beside(
         beam=_BEAM,
         most=_BESIDE,
         keep=_ALL,
-        least=least,
+        least=min(least),
     )
-    found: dict[int, tuple[float, tuple[int, ...]]] = {}
-    found[0] = (rows / 2 * float(np.log2(max(left, least) / rows)), ())
-    for subset in subsets:
-        found.setdefault(len(subset.places), (subset.bits, subset.places))
-    return sorted(found.values())[:_EACH]
+    sums = [((), left), *((s.places, s.squares) for s in subsets)]
+    given = []
+    for floor in least:
+        found: dict[int, tuple[float, tuple[int, ...]]] = {}
+        for places, squares in sums:
+            bits = rows / 2 * float(np.log2(max(squares, floor) / rows))
+            ranked = bits + float(costs[list(places)].sum()), places
+            found[len(places)] = min(found.get(len(places), ranked), ranked)
+        given.append(sorted(found.values())[:_EACH])
+    return given
 
 
 def _sum(

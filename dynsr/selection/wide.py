@@ -44,6 +44,8 @@ _BENT, _NUDGE, _FARTHEST = 3, 1e-5, 1.0
 # Of the terms that bend the likest ones, as many times those asked for, have their constants moved
 # so often.
 _DRAFTED, _MOVES = 3, 6
+# Steps, of e-folds of the constants, by which terms of one shape are told apart.
+_FINE = 10
 # What of its own is left of a column, as a share of it, from which on it tells anything.
 _TOLD = 1e-4
 
@@ -216,7 +218,7 @@ class WideTerms:
         tame = np.all(np.abs(columns) < _LARGEST, axis=(1, 2))
         chosen = np.flatnonzero(tame & which)
         block, inside = columns[chosen], self.inside[chosen]
-        found: dict[int, Likest] = {}
+        found: dict[tuple[int, ...], Likest] = {}
         for others in beside:
             basis = np.linalg.qr(others.T)[0]
             rest = block - (block @ basis) @ basis.T
@@ -227,10 +229,15 @@ class WideTerms:
                 own = chosen[order[inside[order] == bends]]
                 first = np.unique(self._shapes[own], return_index=True)[1]
                 draft = own[np.sort(first)[: count * (_DRAFTED if bends else 1)]].tolist()
-                moved = [self._move(place, points, basis, goal) for place in draft]
+                for place in draft[:count]:
+                    still = Likest(place, self.constants(place), columns[place])
+                    found.setdefault((place,), still)
+                moved = [self._move(place, points, basis, goal) for place in draft if bends]
                 moved.sort(key=lambda pair: -pair[0])
-                for _, one in moved[:count]:
-                    found.setdefault(one.place, one)
+                for _, one in moved[: count // 2]:
+                    # Beside other terms the constants of one term end elsewhere.
+                    ended = (round(_FINE * math.log(abs(c) or 1.0)) for c in one.constants)
+                    found.setdefault((one.place, *ended), one)
         return list(found.values())
 
     def _move(
