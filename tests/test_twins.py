@@ -96,6 +96,17 @@ def test_superfluous_terms_leave_twins_together():
     }
 
 
+def test_a_term_of_no_size_makes_no_twin():
+    """A growth that the data say is 0 would make a twin of another equation, and is not kept."""
+    true = {"x": "0.9*y - 0.5*x", "y": "-0.8*x"}
+    data = measured(tuple(true.items()), (1.5, 0.2), 12.0, 200, 0.01)
+    comparison = SystemComparison(data.mesh(("x", "y")), SETTINGS)
+    fit = comparison.fit(floats({**true, "y": "-0.8*x + 0.01*y"}))
+    assert first_of_each(fit.exprs, ["x", "y"]) == ["x"]
+    assert comparison.fit(floats(true)).bits < fit.bits
+    assert prune(comparison, fit, "y").exprs["y"].free_symbols == {sympy.Symbol("x")}
+
+
 @pytest.mark.slow
 def test_a_twin_is_proposed_along_the_system():
     """From one right equation the other is found by exchanging the names."""

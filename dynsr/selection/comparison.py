@@ -50,7 +50,7 @@ _NEAR = 4.0
 # Bits of saying whose twin an equation is.
 _TWIN = 4.0
 # Standard errors from 0 from which on a constant is told from it.
-_TOLD = 4.0
+_TOLD = 3.0
 
 
 @dataclass(frozen=True)
