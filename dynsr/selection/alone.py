@@ -109,32 +109,33 @@ class Alone:
         self.rank(self._sums_citing(new[:_OFFERED]))
         return self._leaders({shape: citing_bits(body) for shape, body in bodies.items()})
 
-    def lead_twins(self, own: list[Leader], others: Mapping[str, Sequence[Leader]]) -> list[Leader]:
+    def lead_twins(
+        self, own: list[Leader], others: Mapping[str, Sequence[Leader]], states: Sequence[str]
+    ) -> list[Leader]:
         """Give the formulas that come close, and after them those of other states as its own.
 
         Parameters
         ----------
         own : what leads here.
         others : what leads elsewhere, for each state.
+        states : all of them, whose names may be exchanged.
         """
-        known = {skeleton(one.expr) for one in own}
         if self.is_clear():
             return own
-        columns = [*others, self.state]
+        known = {skeleton(one.expr) for one in own}
         twins = (
             expr
             for state, pool in others.items()
             for one in pool
-            for expr in exchanged(one.expr, state, self.state, columns)
+            for expr in exchanged(one.expr, state, self.state, states)
         )
         shapes = {skeleton(expr): expr for expr in twins}
         self.rank(expr for shape, expr in shapes.items() if shape not in known)
-        ranked = self._ranked()
-        near = [
-            fit for fit in ranked if fit.bits - ranked[0].bits <= self.comparison.settings.behind
-        ]
-        near = [fit for fit in near if skeleton(fit.exprs[self.state]) in shapes.keys() - known]
-        return [*own, *(self._as_leader(fit, fit.bits - ranked[0].bits) for fit in near)]
+        ranked, new = self._ranked(), shapes.keys() - known
+        behind = ((fit, fit.bits - ranked[0].bits) for fit in ranked)
+        near = (pair for pair in behind if pair[1] <= self.comparison.settings.behind)
+        twins = [self._as_leader(*pair) for pair in near]
+        return [*own, *(one for one in twins if skeleton(one.expr) in new)]
 
     def _as_leader(self, fit: SystemFit, behind: float) -> Leader:
         return Leader(fit.exprs[self.state], behind, fit.fit.constants, fit.fit.covariance)

@@ -256,7 +256,7 @@ def _search(
     # What is of one kind obeys one law, though it may lead for neither.
     best = {s: pool[:_TWINNED] for s, pool in leaders.items() if s in alone}
     related = leaders | {
-        s: own.lead_twins(leaders[s], {o: pool for o, pool in best.items() if o != s})
+        s: own.lead_twins(leaders[s], {o: pool for o, pool in best.items() if o != s}, list(pools))
         for s, own in alone.items()
     }
 
