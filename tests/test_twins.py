@@ -8,6 +8,7 @@ from measured_systems import floats, measured
 
 from dynsr.fit import skeleton
 from dynsr.selection import ComparisonSettings, compare_systems
+from dynsr.selection.alone import Alone, Leader
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.twins import exchanged, first_of_each, with_twins
@@ -83,6 +84,18 @@ def test_twins_cost_less():
     comparison = SystemComparison(data.mesh(("x", "y")), SETTINGS)
     twins, other = floats(GENES), floats({**GENES, "y": "1.7*x^3/(0.9 + x^3) - 0.7*y + 0.1"})
     assert comparison.common_bits(twins) > comparison.common_bits(other) + 20
+
+
+def test_another_states_formula_is_tried_as_its_own():
+    """What leads for one of two masses on springs leads, all names exchanged, for the other."""
+    masses = {"a": "u", "b": "v", "u": "0.6*b - 2.0*a", "v": "0.7*a - 1.5*b"}
+    data = measured(tuple(masses.items()), (1.2, -0.4, 0.0, 0.3), 8.0, 120, 0.01)
+    exprs = floats(masses)
+    alone = Alone.of("v", data, SETTINGS)
+    begun = alone.lead(floats({"v": "-1.2*b"}).values())
+    found = alone.lead_twins(begun, {"u": [Leader(exprs["u"], 0.0)]}, list(masses))
+    assert skeleton(exprs["v"]) in {skeleton(one.expr) for one in found[len(begun) :]}
+    assert found[: len(begun)] == begun
 
 
 def test_superfluous_terms_leave_twins_together():

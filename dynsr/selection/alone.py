@@ -123,19 +123,18 @@ class Alone:
         if self.is_clear():
             return own
         known = {skeleton(one.expr) for one in own}
-        twins = (
+        offered = (
             expr
             for state, pool in others.items()
             for one in pool
             for expr in exchanged(one.expr, state, self.state, states)
         )
-        shapes = {skeleton(expr): expr for expr in twins}
+        shapes = {skeleton(expr): expr for expr in offered}
         self.rank(expr for shape, expr in shapes.items() if shape not in known)
         ranked, new = self._ranked(), shapes.keys() - known
-        behind = ((fit, fit.bits - ranked[0].bits) for fit in ranked)
-        near = (pair for pair in behind if pair[1] <= self.comparison.settings.behind)
-        twins = [self._as_leader(*pair) for pair in near]
-        return [*own, *(one for one in twins if skeleton(one.expr) in new)]
+        twins = [self._as_leader(f, f.bits - ranked[0].bits) for f in ranked]
+        most = self.comparison.settings.behind
+        return [*own, *(t for t in twins if t.behind <= most and skeleton(t.expr) in new)]
 
     def _as_leader(self, fit: SystemFit, behind: float) -> Leader:
         return Leader(fit.exprs[self.state], behind, fit.fit.constants, fit.fit.covariance)
