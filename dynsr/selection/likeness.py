@@ -15,7 +15,7 @@ from dynsr.expression import compile_columns, lines_below
 from dynsr.fit import free_constants, skeleton
 from dynsr.selection.costs import citing_bits, shape_bits
 from dynsr.selection.subsets import best_subsets
-from dynsr.selection.terms import Terms, weighted_sum
+from dynsr.selection.terms import Terms, degree_of, weighted_sum
 from dynsr.selection.wide import WideTerms
 
 # Plain terms that may stand beside a wide one, and wide ones without a constant inside.
@@ -26,8 +26,6 @@ _LIKEST, _BESIDE, _BEAM, _EACH = 8, 3, 8, 3
 # Evaluations for each constant at most where constants are fitted; misses, in units of the largest
 # value, that count as no larger.
 _TRIES, _WILD = 12, 1e3
-# Degree of what is no polynomial.
-_NO_POWER = 99
 # Subsets that are asked for: all that there are.
 _ALL = 10_000
 # Misses, as a share of the spread, below which sums are alike, and how many of the shortest such
@@ -75,12 +73,8 @@ class Likeness:
         most : bits of a sum at most.
         """
         said, (exprs, _, beside) = self._said, self._plain
-        symbols = list(map(sympy.Symbol, self.terms.names))
-        degrees = [
-            sympy.Poly(e, *symbols).total_degree() if e.is_polynomial(*symbols) else _NO_POWER
-            for e in exprs
-        ]
-        others = [beside[np.array(degrees) <= degree] for degree in (-1, 1, 2)]
+        degrees = np.array([degree_of(e, self.terms.names) for e in exprs])
+        others = [beside[degrees <= degree] for degree in (-1, 1, 2)]
         points = self.points[: len(self.wide.names)]
         likest = self.wide.likest(columns, target, others, said < most, _LIKEST, points)
         offered = [

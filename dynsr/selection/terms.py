@@ -148,13 +148,7 @@ class Terms:
 
     @cached_property
     def _degrees(self) -> np.ndarray:
-        symbols = [sympy.Symbol(name) for name in self.names]
-        return np.array(
-            [
-                sympy.total_degree(e) if e.is_polynomial(*symbols) else _NO_POLYNOMIAL
-                for e in self.exprs
-            ]
-        )
+        return np.array([degree_of(e, self.names) for e in self.exprs])
 
     @property
     def powers(self) -> tuple[np.ndarray, ...]:
@@ -328,6 +322,18 @@ def _functions(
             yield 1 / (symbol + scale)
         yield 1 / (symbol**2 + scale**2)
         yield symbol**2 / (symbol**2 + scale**2)
+
+
+def degree_of(expr: sympy.Expr, names: Iterable[str]) -> int:
+    """Give the degree of a polynomial in columns; 99 for another function of them.
+
+    Parameters
+    ----------
+    expr : the function.
+    names : the columns.
+    """
+    symbols = [sympy.Symbol(name) for name in names]
+    return int(sympy.total_degree(expr)) if expr.is_polynomial(*symbols) else _NO_POLYNOMIAL
 
 
 def never_negative(values: np.ndarray) -> bool:
