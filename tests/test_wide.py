@@ -130,6 +130,21 @@ def test_constants_move_to_their_places():
     np.testing.assert_allclose(found.block[0], evaluate(term, COLUMNS))
 
 
+@pytest.mark.parametrize("size", [1e80, 1e120, 1e180, 1e250])
+def test_values_beyond_numbers_are_let_be(size):
+    """A function whose squares are no numbers is like nothing, and ends no search."""
+    target = size * evaluate(parse("exp(1.2*x)*y"), COLUMNS)
+    found = like().wide_sums(VALUES, target, np.inf)
+    assert bool(found) == (size < 1e100)
+    cited = like().cited_sums(target, np.inf, [parse("exp(1.2*x)*y")])
+    assert bool(cited) == (size < 1e100)
+
+
+def test_what_holds_no_constant_is_fitted_already():
+    """A product of two columns is given back as it is."""
+    assert like().fitted(parse("x*y"), POINTS[0]) == parse("x*y")
+
+
 def test_what_begins_at_nothing_saturates_too():
     """A column that noise takes a little below 0 has saturations; one of both signs has none."""
     shape = skeleton(parse("x/(1.5 + x)"))

@@ -16,7 +16,7 @@ from dynsr.fit import free_constants, skeleton
 from dynsr.selection.costs import citing_bits, shape_bits
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import Terms, degree_of, weighted_sum
-from dynsr.selection.wide import WideTerms
+from dynsr.selection.wide import LARGEST, WideTerms
 
 # Plain terms that may stand beside a wide one, and wide ones without a constant inside.
 _PLAIN, _FIXED = 40, 40
@@ -72,6 +72,8 @@ class Likeness:
         target : (n,) values of the function.
         most : bits of a sum at most.
         """
+        if not _tells(target):
+            return []
         said, (exprs, _, beside) = self._said, self._plain
         degrees = np.array([degree_of(e, self.terms.names) for e in exprs])
         others = [beside[degrees <= degree] for degree in (-1, 1, 2)]
@@ -122,7 +124,7 @@ class Likeness:
             return np.clip(np.nan_to_num(off, nan=far, posinf=far, neginf=-far), -far, far)
 
         begun = np.array(list(values.values()))
-        if len(begun) > len(target):
+        if not 0 < len(begun) <= len(target):
             return expr
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -154,7 +156,7 @@ class Likeness:
         self, offered: Sequence[_Offered], target: np.ndarray, most: float
     ) -> list[tuple[sympy.Expr, float]]:
         """Give sums of each of some terms and of what does best beside it, the likest first."""
-        if not np.ptp(target) > 0:
+        if not _tells(target):
             return []
         exprs, costs, beside = self._plain
         found: list[list[tuple[float, int, tuple[int, ...], float]]] = [[] for _ in _ALIKE]
@@ -189,6 +191,11 @@ class Likeness:
                     bits = shape_bits(term / over) + self.each
                     found.setdefault(skeleton(over / line), (over / line, bits))
         return dict(found.values())
+
+
+def _tells(target: np.ndarray) -> bool:
+    """Whether the values of a function change, and have squares."""
+    return bool(np.ptp(target) > 0 and np.max(np.abs(target)) < LARGEST)
 
 
 def _beside(

@@ -36,7 +36,7 @@ _BEND = 0.7
 # Share of its usual size above which a column stays apart from 0.
 _APART = 0.1
 # Values that are too large to be squared and summed.
-_LARGEST = 1e100
+LARGEST = 1e100
 # What the logarithm of an exponential may reach.
 _STEEP = 30.0
 # Constants of a term that are moved, the step of their logarithms, and how far they may.
@@ -215,7 +215,7 @@ class WideTerms:
         count : terms for each and for each number of constants inside, one of every shape.
         points : (len(names), n) values of the columns.
         """
-        tame = np.all(np.abs(columns) < _LARGEST, axis=(1, 2))
+        tame = np.all(np.abs(columns) < LARGEST, axis=(1, 2))
         chosen = np.flatnonzero(tame & which)
         block, inside = columns[chosen], self.inside[chosen]
         found: dict[tuple[int, ...], Likest] = {}
@@ -254,9 +254,10 @@ class WideTerms:
             for _ in range(_MOVES if len(constants) else 1):
                 block = self._bend(place, constants.tolist(), points)
                 rest = block - (block @ basis) @ basis.T
-                gain = float(rest[0] @ goal) ** 2 / max(float(rest[0] @ rest[0]), 1e-300)
-                if np.all(np.abs(block) < _LARGEST) and gain > best[0]:
-                    best = gain, Likest(place, tuple(constants.tolist()), block)
+                # What is too large for a number is no gain: NumPy's floats say so without an end.
+                gain = np.square(rest[0] @ goal) / max(rest[0] @ rest[0], 1e-300)
+                if np.all(np.abs(block) < LARGEST) and best[0] < gain < math.inf:
+                    best = float(gain), Likest(place, tuple(constants.tolist()), block)
                     solved = np.linalg.lstsq(rest.T, goal, rcond=None)[0]
                     moves = np.clip(np.nan_to_num(solved[1:] / solved[0]), -_FARTHEST, _FARTHEST)
                 else:
