@@ -3,7 +3,7 @@
 Python blocks of a page share one namespace; where a text block follows, they must print what it
 holds, numbers to a hundredth. Of `console` blocks, the lines that begin with `dynsr` are run; where
 a text block follows, what the last one prints begins with it. A page works in an empty folder of
-its own, and without workers, which change no result and take long to start.
+its own.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown import CodeBlockParser, SkipParser
 
 from dynsr.jobs import let_garbage_wait
+
+# No test starts workers unless it asks for them: they change no result and take long to start.
+os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
 
 _ROOT = Path(__file__).parent
 
@@ -88,17 +91,11 @@ def _enter(namespace: dict) -> None:
     namespace["find_spec"] = find_spec
     namespace["_folder"] = tempfile.TemporaryDirectory()
     namespace["_before"] = os.getcwd()
-    namespace["_cores"] = os.environ.get("LOKY_MAX_CPU_COUNT")
-    os.environ["LOKY_MAX_CPU_COUNT"] = "1"
     os.chdir(namespace["_folder"].name)
 
 
 def _leave(namespace: dict) -> None:
     os.chdir(namespace["_before"])
-    if namespace["_cores"] is None:
-        del os.environ["LOKY_MAX_CPU_COUNT"]
-    else:
-        os.environ["LOKY_MAX_CPU_COUNT"] = namespace["_cores"]
     namespace["find_spec"] = find_spec
     namespace["_folder"].cleanup()
 

@@ -274,6 +274,7 @@ def test_exit_codes_in_a_real_shell(tmp_path):
     assert bad.returncode == 2 and out == "" and errors.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_replicate_and_report(tmp_path, monkeypatch):
     """A replication ends in records, tables, the figure and a page; the page can be made anew."""
     import dynsr.paper

@@ -76,6 +76,7 @@ def test_every_constant_stands_beside_its_fitted_value_and_error(hunters):
         assert found.fitted[state] == pytest.approx(list(values.values()), rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("growing", [False, True])
 def test_intervals_hold_the_truth(growing):
     """Of 120 intervals of 95 % between 88 and 99 % hold the truth, also where noise grows."""

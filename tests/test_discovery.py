@@ -90,6 +90,7 @@ def test_the_bias_of_clean_slopes_is_not_followed(tolerance):
     assert same(result.equations["x"], LOTKA_VOLTERRA.rhs[0])
 
 
+@pytest.mark.slow
 def test_the_cart_pole_is_found_exactly_with_its_force_as_input():
     """The rational form of the cart's acceleration is found with F given as an expression."""
     data = simulate(CART_POLE, t=np.arange(250) * 0.02, reltol=1e-10, abstol=1e-12)

@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [*DOCS.rglob("*.md"), ROOT / "README.md"]
 NOTEBOOKS = sorted((DOCS / "gallery").glob("*.ipynb"))
+SLOW = ("noisy", "hybrid")
 PROSE = [page for page in PAGES if page.parent.name != "api"]
 
 
@@ -114,14 +115,12 @@ def test_the_gallery_is_whole():
 @pytest.mark.parametrize(
     "notebook",
     [
-        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem == "noisy"))
+        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem in SLOW))
         for path in NOTEBOOKS
     ],
 )
 def test_a_notebook_gives_what_it_holds(notebook, monkeypatch):
     """Each cell ends well, prints what is kept but for last digits, and shows what it ends in."""
-    # Workers change no result and take long to start.
-    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
     scope = {"__name__": "__notebook__"}
     for cell in json.loads(notebook.read_text("utf-8"))["cells"]:
         if cell["cell_type"] != "code":

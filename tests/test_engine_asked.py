@@ -195,6 +195,7 @@ def test_no_command_answers_without_asking(julia, tmp_path, monkeypatch, name):
     assert asked(julia) > 0
 
 
+@pytest.mark.slow
 def test_noisy_data_are_followed_by_the_engine(julia):
     """Found along the states by NumPy alone, as the record says, then integrated by the engine."""
     noisy = add_noise(DECAY, 0.03, np.random.default_rng(1))

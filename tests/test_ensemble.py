@@ -59,6 +59,7 @@ def test_data_are_needed(noisy, tmp_path):
         bootstrap(loaded)
 
 
+@pytest.mark.slow
 def test_a_discovery_with_an_ensemble(tmp_path):
     """Asked for, it stands in the result, the saved file, the report, and what the shell prints."""
     t = np.linspace(0, 4, 100)

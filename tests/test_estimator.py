@@ -68,6 +68,7 @@ def test_unknown_settings_are_one_line(planted, settings):
         DynsrRegressor(**settings).fit(*planted)
 
 
+@pytest.mark.slow
 def test_the_default_finds_a_product_of_functions():
     """exp(-x0) sin(x1) is exact beside a column that plays no part: the default is "auto"."""
     X = np.random.default_rng(2).uniform(-2, 2, (100, 3))

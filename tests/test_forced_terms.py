@@ -47,6 +47,7 @@ def plain() -> dynsr.Discovery:
     return dynsr.discover(prey(0.0), **QUICK)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "method"), [(0.0, "sindy"), (0.01, "auto")])
 def test_a_term_that_the_data_do_not_ask_for_is_there(
     plain: dynsr.Discovery, noise: float, method: str

@@ -96,9 +96,11 @@ def test_searches_in_threads_stop_too(decay):
 
 
 def test_ctrl_c_before_anything_is_found_is_raised(decay):
-    """With nothing found there is no discovery to give."""
+    """With nothing found there is no discovery to give; what hears Ctrl-C is as it was before."""
+    before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         discover(decay, method=ENDLESS, jobs=1, progress=Interrupt(lambda step: True))
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 # An interrupt between the opening of a file and its ``with`` leaves the file to the collector.

@@ -47,6 +47,7 @@ def swings(rows: int, states: int):
     return Trajectory(t, x, tuple("abc")[:states])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_eight_rows_give_an_answer_and_never_a_fault():
     """The smallest table goes through a whole quick search, and no method fails."""

@@ -48,6 +48,7 @@ def test_derivatives_of_a_known_swing(uneven, noise, velocity, acceleration):
     assert np.std(samples.y - second[rows]) < acceleration * np.std(second)
 
 
+@pytest.mark.slow
 def test_an_oscillator_is_found_from_its_position(tmp_path):
     """x'' = -4 x - x'/5 comes out of noise, as a system of first order and as one line."""
     found = dynsr.discover(swing(0.01, T[::4])[0], order=2, **QUICK)
@@ -81,6 +82,7 @@ def test_a_known_force_on_the_velocity_is_left_out():
     assert float(rest) == pytest.approx(-0.2, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_time_is_a_variable_where_it_is_asked_for():
     """z' = cos t from z = sin t, clean and with noise."""
     t = np.linspace(0, 20, 150)

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from dynsr.discovery import Discovery
 
 ROOT = Path(__file__).parents[1]
@@ -39,6 +41,7 @@ def run_without(code: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_discovery_needs_nothing_that_windows_lacks(tmp_path: Path) -> None:
     """Without alarms, forks and masks of signals the program reads a file with Windows' ends of
     lines, keeps to a budget, fills a folder, writes a report and answers in JSON.

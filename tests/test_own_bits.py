@@ -75,6 +75,7 @@ def swing() -> dynsr.Trajectory:
     return dynsr.Trajectory(t, x[:, None], ("x",))
 
 
+@pytest.mark.slow
 def test_what_is_dear_gives_way_to_what_does_as_well() -> None:
     """In noise the sine is found; at 500 bits a sine, another formula does as well."""
     plain = dynsr.discover(swing(), preset="quick", jobs=1)
@@ -99,6 +100,7 @@ def test_the_estimator_counts_them() -> None:
     assert np.allclose(dear.predict(x[:, None]), np.sin(x), atol=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("jobs", "method"), [(1, "sindy"), (2, ["rational", "sindy"])])
 def test_the_front_counts_them_too(jobs: int, method: str | list[str]) -> None:
     """Every formula of the front has its own bits and those of its functions, by any worker."""

@@ -48,6 +48,7 @@ def timeless(records):
     return [replace(r, seconds=0.0) for r in records]
 
 
+@pytest.mark.slow
 def test_the_result_depends_on_the_seed_alone(whole, tmp_path):
     """One worker gives the records that two give, whatever else is run; another seed does not."""
     chosen = {**CELLS, "systems": ["lotka-volterra", "pendulum"], "runs": 2}

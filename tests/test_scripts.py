@@ -143,6 +143,7 @@ def test_a_replication_in_julia_sets_julia_up_first(tmp_path, arguments, install
         assert calls == [*([] if installed else ["pip install --quiet"]), "dynsr doctor --install"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("julia", ["stand-in", "real"])
 def test_data_of_sciml_are_those_of_the_embedded_engine(julia, tmp_path):
     """Written with diffeqpy alone, three tables hold what the embedded engine integrates."""

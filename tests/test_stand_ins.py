@@ -25,6 +25,7 @@ def data():
     return Measurements.of([Trajectory(t, noisy[:, None], ("x",))], {}, 2000)
 
 
+@pytest.mark.slow
 def test_the_truth_is_fitted_in_the_place_of_its_stand_in(data):
     """From another saturation alone, the true one is reached, or stands beside what is taken."""
     choice = compare_systems({"x": with_floats(parse(FOUND))}, {}, data)

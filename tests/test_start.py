@@ -46,6 +46,7 @@ def earlier() -> dynsr.Discovery:
     return replace(found, equations=shifted, front=few)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_law_of_the_new_data_too_ends_the_search(
     noise: float, earlier: dynsr.Discovery, tmp_path: Path

@@ -123,6 +123,7 @@ def test_stiffness_is_the_largest_eigenvalue_times_the_interval():
     ) == pytest.approx(0.01)
 
 
+@pytest.mark.slow
 def test_a_law_across_layers_is_judged_by_an_implicit_integration():
     """The exact oscillator is a law from 500 even rows; a term beside it, or one less, is none."""
     run = relaxation(np.linspace(0, 200, 500), 200)

@@ -36,13 +36,8 @@ def swings():
     return noisy(PENDULUM, 0.05)
 
 
-@pytest.mark.parametrize(
-    "start",
-    [
-        pytest.param(text, id=name, marks=[pytest.mark.slow] * (name == "a term too many"))
-        for name, text in WRONG.items()
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("start", WRONG.values(), ids=WRONG)
 def test_terms_come_right_on_the_states(swings, start):
     """From a wrong neighbour the damped pendulum is found at 5 % noise, its constants to 2 %."""
     exprs = {"theta1": parse("theta2"), "theta2": parse(start)}
@@ -61,6 +56,7 @@ def test_what_leaves_more_than_noise_explains_nothing(swings):
     assert not SystemChoice(fit.exprs, fit).explains(COMPARISON)
 
 
+@pytest.mark.slow
 def test_alternatives_are_tried(swings):
     """A cubic in the place of the sine gives way to a formula of the front, its constants off."""
     exprs = {"theta1": parse("theta2"), "theta2": parse("1.2*theta1^3 - 9.5*theta1 - 0.08*theta2")}
@@ -86,6 +82,7 @@ def test_what_cannot_be_compared_comes_back(swings):
         assert found.exprs == exprs and found.fit is None
 
 
+@pytest.mark.slow
 def test_a_state_alone_is_compared_beside_the_measured_others(swings):
     """The pendulum's damping comes back where only its second equation is sought."""
     found = compare_systems({"theta2": parse("-9.7*sin(theta1)")}, {}, swings)

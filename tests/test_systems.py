@@ -100,6 +100,7 @@ def test_systems_are_found_in_multiplicative_noise(name):
             assert have[term] == pytest.approx(value, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
 def test_the_true_system_explains_its_data(name):
     """What is found leaves nothing but noise, and an integration from its start follows the run."""
@@ -168,12 +169,14 @@ def test_clean_data_come_back_as_they_are():
     assert not choice.explains(SETTINGS)
 
 
+@pytest.mark.slow
 def test_an_equation_that_nothing_beats_comes_back_as_given():
     """Snapped numbers of the true system stay, though a fit would move them."""
     exprs = {s: parse(e) for s, e in TRUTHS["Lotka-Volterra"].items()}
     assert compare_systems(exprs, {}, measured("Lotka-Volterra"), SETTINGS).exprs == exprs
 
 
+@pytest.mark.slow
 def test_a_second_comparison_knows_what_the_first_one_learnt(monkeypatch):
     """The same system is found again, with a tenth of the fits at most."""
     fits = []
@@ -195,6 +198,7 @@ def test_a_second_comparison_knows_what_the_first_one_learnt(monkeypatch):
     assert counts[1] <= counts[0] / 10
 
 
+@pytest.mark.slow
 def test_a_wrong_neighbour_climbs_to_the_truth():
     """From a cubic in the place of the sine, with no pool at all, the damped pendulum is found."""
     exprs = {"q": parse("v"), "v": parse("0.4*q^3 - 3*q - 0.1*v")}
@@ -388,6 +392,7 @@ def test_half_of_the_rows_are_measured_in_a_half():
     assert all(np.array_equal(h.start, whole.start) for h in halves)
 
 
+@pytest.mark.slow
 def test_columns_that_move_as_one_hold_no_law_apart():
     """Two decays of one start and rate: x' = -x/2 and x' = -y/2 are one function along them, and
     neither is a law.

@@ -62,6 +62,7 @@ def test_an_epidemic_of_one_column_lacks_a_state():
     check_what_is_said(found)
 
 
+@pytest.mark.slow
 def test_two_species_with_one_percent_noise_are_a_law():
     """Constants of Lotka-Volterra lie in their own intervals, and the verdict is law."""
     run = solve(

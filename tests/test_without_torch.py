@@ -67,6 +67,7 @@ def said() -> dict:
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_the_default_methods_run_without_torch(said):
     """A discovery by the default methods needs no torch, and has nothing to say about it."""
     assert said["equation"] == "-0.5*x" and "torch" not in said["why"]

@@ -226,6 +226,7 @@ def fake_fault(data, seed):
 FAKES = {"truth": fake_truth, "boast": fake_boast, "fault": fake_fault}
 
 
+@pytest.mark.slow
 def test_cases_are_kept_and_faults_do_not_spread(tmp_path):
     """Each method has its case; one that raises is told; a second call reads what is there."""
     draw = partial(draw_conditions, levels=[0.0, 0.05])

@@ -291,21 +291,25 @@ class Watch:
         if threading.current_thread() is threading.main_thread() and callable(handler):
             self._handler = handler
             self._hook.enter_context(heard_again(KeyboardInterrupt, interrupt_again))
+            self._hook.callback(signal.signal, signal.SIGINT, handler)
             signal.signal(signal.SIGINT, self._stop)
-        if self.progress is not None:
-            self._tell()
-            self._thread.start()
+        try:
+            if self.progress is not None:
+                self._tell()
+                self._thread.start()
+        except BaseException:
+            # A Ctrl-C here, or a fault of the caller's own reporter, leaves the handler as it was.
+            self._hook.close()
+            raise
         return self
 
     def __exit__(self, *error: object) -> None:
         """End the reports."""
-        self._over.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        self.messages.end()
-        if self._handler is not None:
-            signal.signal(signal.SIGINT, self._handler)
-        self._hook.close()
+        with self._hook:
+            self._over.set()
+            if self._thread.is_alive():
+                self._thread.join()
+            self.messages.end()
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self.messages.stopped = True
