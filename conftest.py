@@ -39,6 +39,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 let_garbage_wait()
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the gallery slow: each of its pages is a whole search."""
+    for item in items:
+        if item.path.parent.name == "gallery":
+            item.add_marker(pytest.mark.slow)
+
+
 def pytest_collection_finish() -> None:
     """Keep what all tests share out of every later look for garbage, a tenth of the suite."""
     gc.freeze()

@@ -189,6 +189,7 @@ def test_a_hostile_table_gives_one_line(page, kind):
         assert page.wait(lambda parts: not parts["busy"])["said"]
 
 
+@pytest.mark.slow
 def test_the_line_is_that_of_the_shell(page, tmp_path, monkeypatch):
     """A table that cannot be read is refused in the very words of the command line."""
     bad = "t,x\n0,1\n1,2,3,4\n2\n"
@@ -555,6 +556,7 @@ def test_forced_equations_are_drawn_with_their_input(tmp_path):
     assert parts["picture"]["said"] == ""
 
 
+@pytest.mark.slow
 def test_second_order_and_maps_have_pictures_too(tmp_path):
     """Equations of second order and steps from row to row are shown, drawn and moved."""
     t = np.arange(0, 10, 0.05)

@@ -229,6 +229,7 @@ def test_bad_values_are_refused():
         search_values(X, np.arange(4.0), ["x", "y"], BruteForce(device="tpu"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "formula",
     ["a*exp(-b*c/(d*e))", "c*(1.5*a*sin(b) + d - 2)", "(a+b)*c/(1 + c*d)"],

@@ -105,6 +105,7 @@ def _small(name, system, quick):
     return replace(paper_method(name, system, quick), epochs=40, candidates=50, max_depth=1)
 
 
+@pytest.mark.slow
 def test_the_network_stages_run_in_the_papers_settings():
     """Each stage that ran is in the record, the network's too, with its best fit if it had one."""
     record = compute_cell(Cell(CART_POLE, "dynaifeynman", 1), Plan(0, "paper", "embedded", _small))

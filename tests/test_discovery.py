@@ -75,6 +75,7 @@ def test_the_papers_pendulum_is_found_exactly():
     assert "a column" in result.explanation["theta1"]
 
 
+@pytest.mark.slow
 def test_the_papers_predators_are_found_exactly():
     """From the paper's training data alone their equation comes out as it is."""
     data = training_trajectory(LOTKA_VOLTERRA)
@@ -82,6 +83,7 @@ def test_the_papers_predators_are_found_exactly():
     assert same(result.equations["y"], LOTKA_VOLTERRA.rhs[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
 def test_the_bias_of_clean_slopes_is_not_followed(tolerance):
     """However exact the data are, no long formula is built on what the differences miss."""

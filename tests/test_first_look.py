@@ -156,6 +156,7 @@ INSIDE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", INSIDE)
 def test_a_constant_inside_a_function_is_found_from_few_exact_rows(name):
     """Laws with a constant inside are final, and true at other states than those of the run."""

@@ -36,6 +36,7 @@ def model(lacking):
     return lacking.hybrid(epochs=300)
 
 
+@pytest.mark.slow
 def test_the_network_learns_the_missing_term(model, lacking):
     """The network of v follows -0.8 q^3 to a few per cent of its size."""
     samples = model.residual_samples("v")

@@ -73,6 +73,7 @@ def test_ctrl_c_gives_the_best_so_far(decay, tmp_path, jobs):
     assert not saved.complete and saved.equations == found.equations
 
 
+@pytest.mark.slow
 # From Python 3.12 on a fork beside threads is warned of; the user chose the backend.
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -86,6 +86,7 @@ def test_a_map_is_not_followed_as_a_motion():
     assert follow_anyway(problem, *give_up(problem, {"x": parse("0")})) is None
 
 
+@pytest.mark.slow
 def test_noisy_data_have_no_law_by_following_alone(prey):
     """In noise what was chosen for its integration is an approximation at most."""
     noise = np.random.default_rng(1).standard_normal(prey.x.shape)

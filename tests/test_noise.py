@@ -57,6 +57,7 @@ def row(state, seed, same, off, rmse, noise=0.01, system="pendulum"):
     return NoiseRow(Recovery(system, state, noise, seed, "2*x", same, off, 3.0 + seed), rmse)
 
 
+@pytest.mark.slow
 def test_draws_are_kept_and_taken_from_their_records(tmp_path):
     """A second run searches only the draws that the folder lacks, and gives the same rows."""
     log = tmp_path / "log"

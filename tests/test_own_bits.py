@@ -113,6 +113,7 @@ def test_the_front_counts_them_too(jobs: int, method: str | list[str]) -> None:
     assert any(c.complexity != complexity(c.expr) for c in found.front["x"])
 
 
+@pytest.mark.slow
 def test_no_bits_change_nothing() -> None:
     """With 0 bits for the sine all is as without."""
     options = {"method": "sindy", "preset": "quick", "functions": ["sin"], "jobs": 1}
@@ -122,6 +123,7 @@ def test_no_bits_change_nothing() -> None:
     assert found.equations == plain.equations
 
 
+@pytest.mark.slow
 def test_the_shell_counts_them(tmp_path: Path) -> None:
     """--complexity reaches the record; what is no pair is one line."""
     data = tmp_path / "swing.csv"

@@ -97,6 +97,7 @@ def test_squares_are_what_everything_counts_by_itself() -> None:
     assert "loss" not in found[1].settings
 
 
+@pytest.mark.slow
 def test_a_discovery_ranks_by_the_loss() -> None:
     """On slopes of one's own with skewed errors, the quantile's constant is chosen."""
     rng = np.random.default_rng(0)

@@ -56,6 +56,7 @@ def test_a_search_for_sums_alone_finds_no_ratio():
         assert sympy.denom(sympy.together(candidate.expr)).is_number
 
 
+@pytest.mark.slow
 def test_the_cart_pole_law_is_found_without_a_library():
     """Both accelerations of the cart-pole come out in their exact rational form, F known."""
     trajectory = _integrate(CART_POLE)

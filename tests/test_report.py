@@ -117,6 +117,7 @@ def test_what_users_name_is_escaped():
     assert "<script" not in text and text.count("&lt;script") >= 8
 
 
+@pytest.mark.slow
 def test_results_are_written_as_files(records, tmp_path):
     """Every table in three formats, the figure, the report; a second time they are the same."""
     paths = write_results(tmp_path, records, SETTINGS)

@@ -187,6 +187,7 @@ def test_every_stage_is_part_of_the_best_preset():
     assert set(DynAIFeynman.preset("best").stages) == set(STAGES)
 
 
+@pytest.mark.slow
 def test_the_source_of_a_formula_names_the_stage_that_found_it():
     """Every member of the front says its stage, alone or before a colon."""
     clean = _samples("sin(a*b) + 0.1*a^3", 80)
@@ -225,6 +226,7 @@ def test_values_that_may_be_exact_have_stages_of_their_own(scheme, first):
     assert tuple(dict.fromkeys(seen)) == first
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", ["I.18.4", "II.24.17"])
 def test_the_best_preset_recovers_equations_of_the_lectures(number):
     """The formula that the preset chooses is the law itself at points it did not see."""

@@ -68,6 +68,7 @@ def test_a_law_of_the_new_data_too_ends_the_search(
         assert again.equations == found.equations
 
 
+@pytest.mark.slow
 def test_what_is_no_law_of_the_new_data_is_one_formula_among_others(
     earlier: dynsr.Discovery,
 ) -> None:

@@ -91,7 +91,8 @@ def test_nothing_explains_jumps_by_being_small_elsewhere(even):
     assert not explains_all(score_candidate(sympy.S.Zero, samples), samples)
 
 
-@pytest.mark.parametrize("rows", ["even", pytest.param("adaptive", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", ["even", "adaptive"])
 def test_a_stiff_law_is_found_exactly(rows):
     """Both equations of Van der Pol at mu = 50, from even rows and from the solver's own."""
     # Even rows as far apart as above, over one jump; the solver needs 561 of its own for it.
@@ -135,6 +136,7 @@ def test_a_law_across_layers_is_judged_by_an_implicit_integration():
     assert judge({**exact, "y": parse("50*y - 50*x**2*y")}, [run]).level == "not found"
 
 
+@pytest.mark.slow
 def test_a_law_is_judged_on_the_rows_of_its_own_solver(own):
     """Rows close in the layers and far apart between them: the law is one there too, and with
     another damping it is none.

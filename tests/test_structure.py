@@ -73,6 +73,7 @@ def test_sums_of_terms_are_found_along_the_states(swings):
     assert same and off < 0.1
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compared_comes_back(swings):
     """Clean data, and equations without values, change nothing; no fit is claimed for them."""
     wrong = {"theta1": parse("theta2"), "theta2": parse("-9.7*sin(theta1)")}

@@ -135,6 +135,7 @@ def test_the_exploration_is_in_the_order_of_bits():
     assert len({skeleton(e) for e in pool}) == len(pool)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
 def test_rivals_hold_no_nested_forms(name):
     """What has all terms of the law and one more is no rival; what is told apart by them is."""
@@ -147,12 +148,14 @@ def test_rivals_hold_no_nested_forms(name):
             assert np.isfinite(more)
 
 
+@pytest.mark.slow
 def test_nested_forms_are_among_what_was_compared():
     """So that there is something to leave out where rivals are named."""
     nested = [e for e, _ in found("SIR").others["S"] if set(coefficients(e)) > {parse("S*J")}]
     assert nested
 
 
+@pytest.mark.slow
 def test_rivals_are_other_functions():
     """A rival is another function along the states by the share asked for; of 10^5 % none."""
     choice = found("Lotka-Volterra")
@@ -372,6 +375,7 @@ def test_one_edit_away():
     ]
 
 
+@pytest.mark.slow
 def test_a_law_is_found_again_in_either_half_of_the_rows():
     """Every second row asks for the law's own terms; of a wrong equation another is named."""
     data = measured("Lotka-Volterra")

@@ -89,6 +89,7 @@ def test_two_species_with_one_percent_noise_are_a_law():
     check_what_is_said(found)
 
 
+@pytest.mark.slow
 def test_gompertz_growth_is_found():
     """With 5 % noise the answer is V and V log V, or says what it cannot be told apart from."""
     run = solve(lambda t, v: 0.5 * v * np.log(10 / v), [0.5], np.linspace(0, 20, 100), ("V",), 0.05)
@@ -98,6 +99,7 @@ def test_gompertz_growth_is_found():
     check_what_is_said(found)
 
 
+@pytest.mark.slow
 def test_saturation_is_no_other_law_without_a_word():
     """Michaelis-Menten with 1 % noise: the ratio, or an approximation with formulas as good."""
     run = solve(lambda t, s: -1.2 * s / (0.8 + s), [8.0], np.linspace(0, 20, 100), ("S",), 0.01)
@@ -195,6 +197,7 @@ def test_layers_that_hold_few_rows_are_named():
     assert "Measure the layers with more rows" in said.states["y"].reason
 
 
+@pytest.mark.slow
 def test_a_law_is_none_beside_an_equation_that_is_none():
     """Two states are followed together; what one gets wrong the other may make up for."""
     x, y = sympy.symbols("x y")

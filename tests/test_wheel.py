@@ -55,6 +55,7 @@ def test_the_wheel_holds_all_that_dynsr_needs_at_run_time(wheel):
     assert {n for n in here if "__pycache__" not in n} <= names
 
 
+@pytest.mark.slow
 def test_the_sdist_gives_the_same_wheel(wheel, tmp_path):
     """The archive of the sources, unpacked elsewhere, builds a wheel of the very same files."""
     build = [sys.executable, "-m", "hatchling", "build"]
@@ -75,6 +76,7 @@ def test_the_sdist_gives_the_same_wheel(wheel, tmp_path):
     assert files[0] == files[1]
 
 
+@pytest.mark.slow
 def test_an_installed_dynsr_finds_julias_sources(installed, tmp_path):
     """Away from the checkout, the engine finds the folder beside the package."""
     code = "from dynsr.engines.julia.setup import find_sources; print(find_sources())"

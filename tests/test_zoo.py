@@ -286,6 +286,7 @@ def test_a_verdict_is_right_by_the_truth(verdict, reproduced, is_law, right):
     assert isinstance(record, ZooRecord) and changed.right is right
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rival", [answer_stlsq, answer_weak])
 def test_a_rival_finds_a_polynomial_law_in_clean_data(rival):
     """Both forms of pysindy find the logistic law, and the same again."""
@@ -298,6 +299,7 @@ def test_a_rival_finds_a_polynomial_law_in_clean_data(rival):
     assert rival(measured.data, 0).equations == answer.equations
 
 
+@pytest.mark.slow
 def test_dynsr_answers_with_intervals():
     """The discovery's equations come with an interval for each constant of the form."""
     measured = measure(DECAY, NOISY)
