@@ -43,6 +43,7 @@ from dynsr.discovery.start import Start
 from dynsr.discovery.tasks import (
     EXPLORATION,
     FIRST_LOOK,
+    MORE_LOOKS,
     START,
     Choice,
     Found,
@@ -405,7 +406,7 @@ def _choose_first(
     # Who names an engine wants the methods that regress in it.
     looked = not problem.form.discrete and engine.name == DEFAULT_ENGINE
     if problem.measurements is None:
-        return (FIRST_LOOK,) if looked else ()
+        return (FIRST_LOOK, *MORE_LOOKS) if looked else ()
     # Few exact rows look as if they were noisy.
     lengths = [len(run) for run in problem.runs]
     sparse = sum(lengths) <= problem.settings.selection.look.sparse and min(lengths) > _FEWEST
@@ -507,11 +508,21 @@ class _Steps:
         return replace(found, verdict=verdict), rivals
 
     def _look(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
-        """Have a first look at the slopes of every state."""
-        problem = self.problem
-        tasks = look_tasks(samples, problem.demands, problem.settings.selection.look, self.key)
+        """Have a first look at the slopes of every state, and more where others tell of them."""
+        problem, settings = self.problem, self.problem.settings.selection.look
+        tasks = look_tasks(samples, problem.demands, settings, self.key)
         # Workers take longer to start than all of it.
-        return run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
+        found = run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
+        known: dict[str, sympy.Expr] | None = None
+        for source in (name for name in MORE_LOOKS if name in self.first):
+            ended = {f.target: f.candidates[0].expr for f in found if f.final}
+            rest = {s: own for s, own in samples.items() if s not in ended and ended != known}
+            watch.skip(plan_tasks([s for s in samples if s not in rest], {}, [source]))
+            known = ended
+            tasks = look_tasks(rest, problem.demands, settings, self.key, source, known)
+            later = run_tasks(with_bits(tasks, self.bits), self.folder, self.jobs, watch)
+            found = [*(f for f in found if f.target not in rest), *later]
+        return found
 
     def _end_early(
         self, watch: Watch, looked: Sequence[Found], record: dict[str, Any]

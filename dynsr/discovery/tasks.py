@@ -59,9 +59,9 @@ _USUAL = {"rational": 6.0, "sindy": 4.0, "dynaifeynman": 15.0, "genetic": 10.0}
 _USUAL_SEARCH, _USUAL_PICK = 10.0, 6.0
 # What looks for sums of terms along noisy states, in the names of its tasks.
 EXPLORATION = "states"
-FIRST_LOOK = "look"
+FIRST_LOOK, MORE_LOOKS = "look", ("second look", "third look")
 START = "start"
-_USUAL_FIRST = {EXPLORATION: 3.0, FIRST_LOOK: 0.3, START: 0.5}
+_USUAL_FIRST = {EXPLORATION: 3.0, FIRST_LOOK: 0.3, START: 0.5} | dict.fromkeys(MORE_LOOKS, 1.0)
 
 
 @dataclass(frozen=True)
@@ -173,18 +173,23 @@ def explore_one(
 
 
 def look_one(
-    samples: Samples, limits: Limits, settings: LookSettings, report: Report = silent
+    samples: Samples,
+    limits: Limits,
+    settings: LookSettings,
+    source: str,
+    known: Mapping[str, sympy.Expr] | None,
+    report: Report = silent,
 ) -> Found:
     """Look for a sum or ratio of a few terms that exact slopes leave no doubt of."""
     began = time.monotonic()
     trivial = trivial_candidates(samples)
     found = Look(tuple(c for c in trivial if explains_all(c, samples)), final=True)
     if not found.candidates:
-        found = look(samples, limits, settings)
+        found = look(samples, limits, settings, known)
     report(Progress("first look", 0, None, ParetoFront(found.candidates)))
     taken = time.monotonic() - began
     pool = (*found.candidates, *trivial)
-    return Found(samples.target, FIRST_LOOK, pool, taken, final=found.final)
+    return Found(samples.target, source, pool, taken, final=found.final)
 
 
 def start_one(exprs: Sequence[sympy.Expr], samples: Samples, report: Report = silent) -> Found:
@@ -222,15 +227,30 @@ def start_tasks(
 
 
 def look_tasks(
-    samples: Mapping[str, Samples], demands: Demands, settings: LookSettings, key: str
+    samples: Mapping[str, Samples],
+    demands: Demands,
+    settings: LookSettings,
+    key: str,
+    source: str = FIRST_LOOK,
+    known: Mapping[str, sympy.Expr] | None = None,
 ) -> list[Task]:
-    """Give a task for every state that has a first look at its slopes."""
+    """Give a task for every state that has a first look at its slopes, or one more.
+
+    Parameters
+    ----------
+    samples : state -> its samples.
+    demands : what the user asks.
+    settings : the numbers that decide.
+    key : digest of all that the result depends on.
+    source : which look it is.
+    known : at a later one, the equations that those before it ended with.
+    """
     return [
         Task(
-            _search_name(state, FIRST_LOOK),
-            f"{state}' at a first look",
+            _search_name(state, source),
+            f"{state}' at a {'first look' if source == FIRST_LOOK else source}",
             look_one,
-            (own, demands.limits(state), settings),
+            (own, demands.limits(state), settings, source, known),
             Found,
             key,
         )

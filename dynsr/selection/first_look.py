@@ -7,28 +7,33 @@ terms comes near, or all of its constants are simple numbers to many more digits
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, islice
+from itertools import count as counting
 
 import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import compile_columns, evaluate
+from dynsr.expression import ByText, compile_columns, evaluate
 from dynsr.fit import (
     Candidate,
     constant_bits,
     eliminate,
     fit_ratio,
+    refit,
     score_candidate,
     simplest_form,
+    skeleton,
     slope_size,
     structure_bits,
+    with_floats,
 )
 from dynsr.methods import Limits
-from dynsr.selection.costs import shape_bits, unusual_bits
+from dynsr.selection.costs import bodies_of, shape_bits, unusual_bits
+from dynsr.selection.likeness import Likeness, cited_terms
 from dynsr.selection.profiles import sums_beside
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import (
@@ -38,6 +43,8 @@ from dynsr.selection.terms import (
     find_angles,
     products,
 )
+from dynsr.selection.twins import exchanged
+from dynsr.selection.wide import WideTerms
 
 SOURCE = "the first look"
 # Of more columns none is surely left out by chance; steps that are looked at; rounds of a fit.
@@ -53,6 +60,9 @@ _WRITTEN = 6
 _STRICT, _LOOSE = 1e-8, 1e-6
 # The same share for single rows, that rest where others move.
 _ROW = 0.1
+# Rows at which wide terms are looked at; misses, as shares of the spread, below which sums of them
+# are alike, with how many are fitted; and how many are fitted again, to all rows.
+_THIN, _ALIKE, _CLOSE = 200, ((0.01, 32), (0.001, 16), (1e-5, 16)), 6
 # Times the median miss beyond which a row may be one where differences fail.
 _FAR = 10.0
 
@@ -102,7 +112,12 @@ class Look:
     final: bool = False
 
 
-def look(samples: Samples, limits: Limits | None = None, settings: LookSettings = LOOK) -> Look:
+def look(
+    samples: Samples,
+    limits: Limits | None = None,
+    settings: LookSettings = LOOK,
+    known: Mapping[str, sympy.Expr] | None = None,
+) -> Look:
     """Look for the equation among sums and ratios of a few terms.
 
     Parameters
@@ -110,6 +125,8 @@ def look(samples: Samples, limits: Limits | None = None, settings: LookSettings 
     samples : of the state whose equation is sought.
     limits : what the user allows.
     settings : the numbers that decide.
+    known : equations of other states. Where they are given, if only none, terms of these and wide
+        terms are looked at too.
 
     >>> x = np.linspace(0.2, 3.0, 200)
     >>> s = Samples(x[:, None], 2 * x / (x + 0.5), ("x",), "x", "given", x)
@@ -121,7 +138,8 @@ def look(samples: Samples, limits: Limits | None = None, settings: LookSettings 
         return Look()
     with np.errstate(all="ignore"):
         allowed = limits or Limits()
-        search = _Search.of(samples, allowed, settings)
+        others = {s: _in_floats(expr) for s, expr in (known or {}).items()}
+        search = _Search.of(samples, allowed, settings, others)
         found = [one for kind in search.kinds() for one in search.choose(kind)]
         seen = search.conclude(found)
         for angle in find_angles(samples.names, samples.X.T):
@@ -134,6 +152,9 @@ def look(samples: Samples, limits: Limits | None = None, settings: LookSettings 
             beside = list(search.choose_beside(allowed))
             again = search.conclude([*found, *beside]) if beside else seen
             seen = again if again.final or not seen.final else seen
+            if known is not None and not seen.final:
+                wide = list(search.choose_wide(allowed, others))
+                seen = search.conclude([*found, *beside, *wide]) if wide else seen
         return seen
 
 
@@ -181,15 +202,28 @@ class _Search:
     error: float
     size: float
     trust: np.ndarray
+    cited: np.ndarray | None = None
     fitted: dict[frozenset[int], _Choice | None] = field(default_factory=dict)
+    # What formulas have for terms, which are no columns.
+    numbers: Iterator[int] = field(default_factory=lambda: counting(-1, -1))
 
     @classmethod
-    def of(cls, samples: Samples, limits: Limits, settings: LookSettings) -> _Search:
+    def of(
+        cls,
+        samples: Samples,
+        limits: Limits,
+        settings: LookSettings,
+        known: Mapping[str, sympy.Expr],
+    ) -> _Search:
         names = samples.names
         angles = find_angles(names, samples.X.T)
-        terms = Terms.grow(names, samples.X.T, settings.terms, angles, limits.terms)
+        written = [body for expr in known.values() for body in bodies_of(expr)]
+        cited = cited_terms(written, names, products(names, 2))
+        own = (*limits.terms, *cited)
+        terms = Terms.grow(names, samples.X.T, settings.terms, angles, own)
         under = _factors(names, angles, settings.below)
-        return cls._make(terms.exprs, terms.bits, under, samples, limits, settings)
+        found = cls._make(terms.exprs, terms.bits, under, samples, limits, settings)
+        return replace(found, cited=np.array([expr in cited for expr in found.exprs]))
 
     @classmethod
     def around(
@@ -234,7 +268,7 @@ class _Search:
         )
 
     def kinds(self) -> Iterator[np.ndarray]:
-        """Give the places of polynomials, of all terms, and of ratios of growing degree."""
+        """Give the places of polynomials, of cited and all terms, and of ratios of each degree."""
         symbols = [sympy.Symbol(name) for name in self.samples.names]
         degree = np.array(
             [sympy.total_degree(e) if e.is_polynomial(*symbols) else np.inf for e in self.exprs],
@@ -242,6 +276,10 @@ class _Search:
         )
         over = np.arange(len(self.exprs)) < self.above
         yield np.flatnonzero(over & np.isfinite(degree))
+        if self.cited is not None and self.cited.any():
+            # What flows from one state to another is in the equations of both.
+            for most in (1, 2):
+                yield np.flatnonzero(over & (self.cited | (degree <= most)))
         yield np.flatnonzero(over)
         for top, bottom in ((2, 1), (3, 1), (3, 2)):
             yield np.flatnonzero(degree <= np.where(over, top, bottom))
@@ -290,20 +328,59 @@ class _Search:
         for share in (_STRICT, _LOOSE):
             least = np.maximum(errors, _ROW * share * self.size)
             found = found or sums_beside(own, least, self.settings.within, self.settings.most)
-        first = 0
-        for expr in found:
+        yield from self._choices(found, limits)
+
+    def choose_wide(self, limits: Limits, known: Mapping[str, sympy.Expr]) -> Iterator[_Choice]:
+        """Give sums with a wide term, and the equations of other states with names exchanged.
+
+        Parameters
+        ----------
+        limits : what the user allows.
+        known : the equations of other states.
+        """
+        if self.error > self.settings.exact * self.size:
+            return
+        own = self.samples
+        sure = np.flatnonzero(self.trust >= np.quantile(self.trust, self.settings.wild))
+        rows = sure[np.unique(np.linspace(0, len(sure) - 1, min(len(sure), _THIN)).astype(int))]
+        points, target = own.X[rows].T, own.y[rows]
+        angles = find_angles(own.names, own.X.T)
+        terms = Terms.grow(own.names, points, self.settings.terms, angles, limits.terms)
+        wide = WideTerms.of(own.names, points, angles)
+        each = constant_bits(len(own))
+        like = Likeness(terms, wide, own.names, points, each, limits.allow, _ALIKE)
+        twins = [
+            expr
+            for state, other in known.items()
+            if not other.is_Symbol
+            for expr in exchanged(other, state, own.target, own.names)
+        ]
+        sums = [expr for expr, _ in like.wide_sums(wide.values(points), target, np.inf)]
+        shapes = {skeleton(expr): expr for expr in reversed([*twins, *sums])}
+        fitted = [like.fitted(expr, target) for expr in shapes.values()]
+        columns = dict(zip(own.names, points, strict=True))
+        left = [np.median(np.abs(evaluate(expr, columns) - target)) for expr in fitted]
+        missed = zip(left, map(ByText, fitted), strict=True)
+        likest = [text.expr for miss, text in sorted(missed) if np.isfinite(miss)][:_CLOSE]
+        yield from self._choices([refit(expr, own, self.error) for expr in likest], limits)
+
+    def _choices(self, exprs: Sequence[sympy.Expr], limits: Limits) -> Iterator[_Choice]:
+        """Take formulas with constants inside for what is chosen, where the user allows them."""
+        own = self.samples
+        for expr in exprs:
             terms = sympy.Add.make_args(expr)
             if not all(limits.allow(term) for term in terms):
                 continue
             misses = np.abs(own.y - evaluate(expr, own.columns)) * self.trust
-            inside = len({a for term in terms for a in term.as_coeff_Mul()[1].atoms(sympy.Float)})
+            count = len(terms) + len(
+                {a for term in terms for a in term.as_coeff_Mul()[1].atoms(sympy.Float)}
+            )
             bits = sum(shape_bits(term) + unusual_bits(term, ()) for term in terms)
-            first -= len(terms) + inside
             yield _Choice(
-                frozenset(range(first, first + len(terms) + inside)),
+                frozenset(islice(self.numbers, count)),
                 ((1.0, expr),),
                 (),
-                bits + (len(terms) + inside) * constant_bits(len(own)),
+                bits + count * constant_bits(len(own)),
                 float(np.median(misses)) / self.size,
                 float(np.quantile(misses, 1 - self.settings.wild)) / self.size,
             )
@@ -416,6 +493,10 @@ class _Search:
         exprs += [c.expr for c in ranked[: settings.kept]]
         named = dict.fromkeys(exprs)
         return Look(tuple(score_candidate(e, self.samples, SOURCE) for e in named), final)
+
+
+def _in_floats(expr: sympy.Expr) -> sympy.Expr:
+    return sympy.Add(*map(with_floats, sympy.Add.make_args(expr)))
 
 
 def _is_simple(expr: sympy.Expr) -> bool:

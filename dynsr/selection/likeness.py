@@ -30,7 +30,7 @@ _TRIES, _WILD = 12, 1e3
 _ALL = 10_000
 # Misses, as a share of the spread, below which sums are alike, and how many of the shortest such
 # sums are given.
-_ALIKE = ((0.01, 48), (0.001, 16))
+ALIKE = ((0.01, 48), (0.001, 16))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,8 @@ class Likeness:
     names, points : columns that a sum may hold, and their values (names, n).
     each : bits of a constant.
     allow : whether a term may be used.
+    alike : misses, as a share of the spread, below which sums are alike, and how many of the
+        shortest such sums are given.
     """
 
     terms: Terms
@@ -60,6 +62,7 @@ class Likeness:
     points: np.ndarray
     each: float
     allow: Callable[[sympy.Expr], bool]
+    alike: Sequence[tuple[float, int]] = ALIKE
 
     def wide_sums(
         self, columns: np.ndarray, target: np.ndarray, most: float
@@ -97,10 +100,11 @@ class Likeness:
         most : bits of a sum at most.
         written : the terms of the other equations.
         """
-        cited = self._cited(written)
+        above = map(sympy.Symbol, sorted(self.terms.names))
+        cited = cited_terms(written, self.names, list(above))
         rows = compile_columns(list(cited), self.names)(*self.points)
         offered = [
-            _Offered(expr, row[None], bits)
+            _Offered(expr, row[None], bits + self.each)
             for (expr, bits), row in zip(cited.items(), rows, strict=True)
             if np.all(np.isfinite(row))
         ]
@@ -159,18 +163,19 @@ class Likeness:
         if not _tells(target):
             return []
         exprs, costs, beside = self._plain
-        found: list[list[tuple[float, int, tuple[int, ...], float]]] = [[] for _ in _ALIKE]
+        found: list[list[tuple[float, int, tuple[int, ...], float]]] = [[] for _ in self.alike]
         for number, one in enumerate(offered):
             if self.allow(one.expr):
                 fits = np.where(one.bits + costs < most, costs, np.inf)
-                for own, likely in zip(found, _beside(one, beside, fits, target), strict=True):
+                near = _beside(one, beside, fits, target, [share for share, _ in self.alike])
+                for own, likely in zip(found, near, strict=True):
                     for bits, places in likely:
                         cost = one.bits + float(costs[list(places)].sum())
                         if cost < most:
                             own.append((bits + one.bits, number, places, cost))
         given = {
             (number, places): cost
-            for own, (_, count) in zip(found, _ALIKE, strict=True)
+            for own, (_, count) in zip(found, self.alike, strict=True)
             for _, number, places, cost in sorted(own)[:count]
         }
         return [
@@ -178,19 +183,32 @@ class Likeness:
             for (number, places), cost in given.items()
         ]
 
-    def _cited(self, written: Sequence[sympy.Expr]) -> dict[sympy.Expr, float]:
-        """Give terms that are written already, and others over their lines, with their bits."""
-        names, above = (list(map(sympy.Symbol, n)) for n in (self.names, self.terms.names))
-        term = sympy.Float(0.5) * sympy.Symbol("term")
-        found: dict[sympy.Expr, tuple[sympy.Expr, float]] = {}
-        for own in (t for t in written if t.free_symbols and t.free_symbols <= {*names}):
-            if citing_bits(own) > 0:
-                found.setdefault(skeleton(own), (own, shape_bits(term) + self.each))
-            for line in lines_below(own):
-                for over in (sympy.S.One, *sorted(above, key=str)):
-                    bits = shape_bits(term / over) + self.each
-                    found.setdefault(skeleton(over / line), (over / line, bits))
-        return dict(found.values())
+
+def cited_terms(
+    written: Sequence[sympy.Expr], names: Sequence[str], above: Sequence[sympy.Expr]
+) -> dict[sympy.Expr, float]:
+    """Give terms that are written already, and others over their lines, with their bits.
+
+    Parameters
+    ----------
+    written : terms of other equations.
+    names : columns that a term may hold.
+    above : what may stand above a line beside 1.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> [str(term) for term in cited_terms([x * y / (x + 1.5)], ["x", "y"], [x])]
+    ['x*y/(x + 1.5)', '1/(x + 1.5)', 'x/(x + 1.5)']
+    """
+    allowed = {*map(sympy.Symbol, names)}
+    term = sympy.Float(0.5) * sympy.Symbol("term")
+    found: dict[sympy.Expr, tuple[sympy.Expr, float]] = {}
+    for own in (t for t in written if t.free_symbols and t.free_symbols <= allowed):
+        if citing_bits(own) > 0:
+            found.setdefault(skeleton(own), (own, shape_bits(term)))
+        for line in lines_below(own):
+            for over in (sympy.S.One, *above):
+                found.setdefault(skeleton(over / line), (over / line, shape_bits(term / over)))
+    return dict(found.values())
 
 
 def _tells(target: np.ndarray) -> bool:
@@ -199,7 +217,11 @@ def _tells(target: np.ndarray) -> bool:
 
 
 def _beside(
-    one: _Offered, beside: np.ndarray, costs: np.ndarray, target: np.ndarray
+    one: _Offered,
+    beside: np.ndarray,
+    costs: np.ndarray,
+    target: np.ndarray,
+    shares: Sequence[float],
 ) -> list[list[tuple[float, tuple[int, ...]]]]:
     """Give the terms that do best beside one whose constants inside are free, with their bits.
 
@@ -209,7 +231,7 @@ def _beside(
     own = own[:, np.linalg.norm(one.block @ own, axis=0) > 0]
     rest, goal = beside - (beside @ own) @ own.T, target - own @ (own.T @ target)
     rows, left = float(len(target)), float(goal @ goal)
-    least = [rows * (share * float(np.std(target))) ** 2 for share, _ in _ALIKE]
+    least = [rows * (share * float(np.std(target))) ** 2 for share in shares]
     subsets = best_subsets(
         rest @ rest.T,
         rest @ goal,
