@@ -12,10 +12,11 @@ from dynsr.fit import confirm, simplest_form
 from dynsr.selection import look
 
 
-def run(rhs, start, end, rows, names, rtol=1e-10):
-    """Integrate closely."""
+def run(rhs, start, end, rows, names, rtol=1e-10, every_row=False):
+    """Integrate closely, with a step for every row if asked."""
     t = np.linspace(0, end, rows)
-    solved = solve_ivp(lambda _, x: rhs(*x), (0, end), start, "DOP853", t, rtol=rtol, atol=1e-12)
+    tight = {"rtol": rtol, "atol": 1e-12, "max_step": t[1] if every_row else np.inf}
+    solved = solve_ivp(lambda _, x: rhs(*x), (0, end), start, "DOP853", t, **tight)
     return dynsr.Trajectory(t, solved.y.T, names)
 
 
@@ -171,3 +172,68 @@ def test_a_constant_inside_a_function_is_found_from_few_exact_rows(name):
         assert seen.final
         found = evaluate(seen.candidates[0].expr, others)
         assert np.max(np.abs(found - true[place])) < 1e-4 * np.std(true[place])
+
+
+COUPLED = {
+    # The text of each equation, a start, the span, and what is known of the others.
+    "a step of a line of two columns": (
+        {"x": "-x + 1.6*tanh(1.4*x - 0.9*y)", "y": "-y + 1.6*tanh(1.4*y + 0.9*x)"},
+        (0.3, 1.2),
+        8.0,
+        (),
+    ),
+    "a twin with constants of its own": (
+        {"x": "0.8 - x*exp(-0.7*x*y)", "y": "1.1 - 0.9*y*exp(-0.4*x*y)"},
+        (2.6, 0.4),
+        8.0,
+        ("y",),
+    ),
+    "what two others take": (
+        {
+            "r": "0.8*r - 0.2*r^2 - 0.5*r*x/(1 + r) - 0.7*r*y/(2 + r)",
+            "x": "0.35*r*x/(1 + r) - 0.2*x",
+            "y": "0.4*r*y/(2 + r) - 0.15*y",
+        },
+        (2.5, 0.6, 0.9),
+        20.0,
+        ("x", "y"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", COUPLED)
+def test_exact_slopes_are_looked_at_again_beside_other_equations(name):
+    """What a first look misses is found among wide terms, or by what other equations hold."""
+    texts, start, end, told = COUPLED[name]
+    laws = {state: parse(text) for state, text in texts.items()}
+    rhs = sympy.lambdify(list(map(sympy.Symbol, laws)), list(laws.values()))
+    state = next(iter(laws))
+    data = run(rhs, start, end, 250, tuple(laws), 1e-12, every_row=True)
+    samples = choose_samples([data], state)
+    assert not look(samples).final
+    seen = look(samples, known={other: laws[other] for other in told})
+    assert seen.final
+    beside = {s: np.roll(x, 40 * i) for i, (s, x) in enumerate(samples.columns.items())}
+    assert evaluate(seen.candidates[0].expr, beside) == pytest.approx(
+        evaluate(laws[state], beside), rel=1e-6
+    )
+
+
+@pytest.mark.slow
+def test_what_a_later_look_finds_helps_the_next():
+    """Both equations that share a rate of two substrates are found: one alone, one beside it."""
+    texts = {
+        "s": "-0.5*s + 0.9 - 1.1*x*s*o/((0.6 + s)*(0.3 + o))",
+        "o": "0.9*(1.5 - o) - 0.8*x*s*o/((0.6 + s)*(0.3 + o))",
+        "x": "0.5*x*s*o/((0.6 + s)*(0.3 + o)) - 0.3*x",
+    }
+    laws = {state: parse(text) for state, text in texts.items()}
+    rhs = sympy.lambdify(list(map(sympy.Symbol, laws)), list(laws.values()))
+    data = run(rhs, (1.5, 1.4, 0.3), 15.0, 250, tuple(laws), 1e-12, every_row=True)
+    found = dynsr.discover(data, jobs=1)
+    assert found.settings["first_look"] == ["o", "s", "x"]
+    beside = {name: np.roll(data.x[:, i], 40 * i) for i, name in enumerate(laws)}
+    for state, law in laws.items():
+        assert evaluate(found.equations[state], beside) == pytest.approx(
+            evaluate(law, beside), rel=1e-5
+        )

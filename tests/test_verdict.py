@@ -292,3 +292,24 @@ def test_what_divides_by_zero_between_the_rows_is_no_law():
     judged = judge({"x": spoiled}, [decay])
     assert judged.level != "law"
     assert not judge({"x": -0.5 * x * (1 + 1e-12 / (x + 0.01))}, [decay]).reason.count("divides")
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("-r + 1/(2.46*exp(3.1*a - 5.2*r) + 1)", 5),
+        ("0.9*a - 0.3*a**2 - 4*a*r/(5*a + 3.5)", 4),
+        ("2*a/(1.0 + a) + 3*r/(a + 1.0)", 3),
+        ("1.5*r*exp(-2*a) + 3*sin(2.5*a + 1)", 3),
+        ("(2*a + 3)/(a + 0.5)", 3),
+    ],
+)
+def test_open_constants_are_those_of_the_terms_as_written(text, count):
+    """With its constants put back an opened equation is itself; each constant is open once."""
+    expr = parse(text)
+    opened, places = open_constants({"a": expr})
+    put = {symbol: sympy.Float(place.value) for symbol, place in places.items()}
+    columns = {"a": np.linspace(0.1, 2.0, 30), "r": np.linspace(1.5, 0.2, 30)}
+    back = evaluate(opened["a"].xreplace(put), columns)
+    assert back == pytest.approx(evaluate(expr, columns), rel=1e-12)
+    assert len(places) == count

@@ -65,29 +65,36 @@ def open_constants(
     opened: dict[str, sympy.Expr] = {}
     places: dict[sympy.Symbol, Place] = {}
     for state, expr in equations.items():
-        # A number alone below the line, as in 5 x / 7, belongs to its term.
-        ratio = _is_ratio(expr)
-        top, bottom = sympy.fraction(sympy.together(expr)) if ratio else (expr, sympy.S.One)
-        # A ratio is given up to a factor, so that its last number below the line stays.
-        loose = loosen(1 / bottom) if ratio else sympy.S.One
-        factor, below = loose.as_coeff_Mul()[0], sympy.fraction(loose)[1]
-        terms = []
-        for term in sympy.Add.make_args(sympy.expand(top)):
-            coefficient, rest = term.as_coeff_Mul()
-            symbol = sympy.Symbol(f"constant {state} {len(places)}")
-            places[symbol] = Place(state, rest, float(coefficient * factor))
-            terms.append(symbol * _open_inside(rest, state, places))
-        opened[state] = sympy.Add(*terms) / _open_floats(below, state, places)
+        lines: dict[sympy.Expr, tuple[sympy.Expr, sympy.Expr]] = {}
+        written, terms = sympy.Add.make_args(expr), []
+        for whole in written:
+            top, bottom = _split(whole)
+            # A ratio is given up to a factor, so that its last number below the line stays; terms
+            # on one line have it together.
+            if bottom not in lines:
+                loose = loosen(1 / bottom) if bottom.free_symbols else sympy.S.One
+                factor, below = loose.as_coeff_Mul()
+                lines[bottom] = factor, _open_floats(below, state, places)
+            factor, over = lines[bottom]
+            for term in sympy.Add.make_args(sympy.expand(top, power_exp=False)):
+                coefficient, rest = term.as_coeff_Mul()
+                symbol = sympy.Symbol(f"constant {state} {len(places)}")
+                # The line of all that there is goes without saying.
+                named = rest if len(written) == 1 else rest / bottom
+                places[symbol] = Place(state, named, float(coefficient * factor))
+                terms.append(symbol * _open_floats(_loose(rest), state, places) * over)
+        opened[state] = sympy.Add(*terms)
     return opened, places
 
 
-def _is_ratio(expr: sympy.Expr) -> bool:
-    return bool(sympy.fraction(sympy.together(expr))[1].free_symbols)
+def _split(term: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr]:
+    """Give what stands above and below the line; a number alone below it belongs to the term."""
+    top, bottom = sympy.fraction(sympy.together(term), exact=True)
+    return (top, bottom) if bottom.free_symbols else (term, sympy.S.One)
 
 
-def _open_inside(rest: sympy.Expr, state: str, places: dict[sympy.Symbol, Place]) -> sympy.Expr:
-    loose = sympy.fraction(loosen(rest))[0].as_coeff_Mul()[1] if rest.free_symbols else rest
-    return _open_floats(loose, state, places)
+def _loose(rest: sympy.Expr) -> sympy.Expr:
+    return loosen(rest).as_coeff_Mul()[1] if rest.free_symbols else rest
 
 
 def _open_floats(expr: sympy.Expr, state: str, places: dict[sympy.Symbol, Place]) -> sympy.Expr:

@@ -101,7 +101,10 @@ class Likeness:
         written : the terms of the other equations.
         """
         above = map(sympy.Symbol, sorted(self.terms.names))
-        cited = cited_terms(written, self.names, list(above))
+        every = cited_terms(written, self.names, list(above))
+        # The constants inside are free: of terms that differ in these alone the first is enough.
+        first = {skeleton(expr): expr for expr in reversed(every)}
+        cited = {expr: every[expr] for expr in reversed(first.values())}
         rows = compile_columns(list(cited), self.names)(*self.points)
         offered = [
             _Offered(expr, row[None], bits + self.each)
@@ -201,14 +204,14 @@ def cited_terms(
     """
     allowed = {*map(sympy.Symbol, names)}
     term = sympy.Float(0.5) * sympy.Symbol("term")
-    found: dict[sympy.Expr, tuple[sympy.Expr, float]] = {}
+    found: dict[sympy.Expr, float] = {}
     for own in (t for t in written if t.free_symbols and t.free_symbols <= allowed):
         if citing_bits(own) > 0:
-            found.setdefault(skeleton(own), (own, shape_bits(term)))
+            found.setdefault(own, shape_bits(term))
         for line in lines_below(own):
             for over in (sympy.S.One, *above):
-                found.setdefault(skeleton(over / line), (over / line, shape_bits(term / over)))
-    return dict(found.values())
+                found.setdefault(over / line, shape_bits(term / over))
+    return found
 
 
 def _tells(target: np.ndarray) -> bool:
