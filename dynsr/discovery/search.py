@@ -53,6 +53,7 @@ from dynsr.discovery.tasks import (
     cut_tasks,
     explore_tasks,
     give_turns,
+    look_again_tasks,
     look_tasks,
     pick_tasks,
     plan_tasks,
@@ -508,20 +509,21 @@ class _Steps:
         return replace(found, verdict=verdict), rivals
 
     def _look(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
-        """Have a first look at the slopes of every state, and more where others tell of them."""
+        """Have a first look at the slopes of every state, and more where others tell of it."""
         problem, settings = self.problem, self.problem.settings.selection.look
-        tasks = look_tasks(samples, problem.demands, settings, self.key)
+        demands = problem.demands
+        tasks = look_tasks(samples, demands, settings, self.key)
         # Workers take longer to start than all of it.
         found = run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
-        known: dict[str, sympy.Expr] | None = None
+        told = -1
         for source in (name for name in MORE_LOOKS if name in self.first):
-            ended = {f.target: f.candidates[0].expr for f in found if f.final}
-            rest = {s: own for s, own in samples.items() if s not in ended and ended != known}
-            watch.skip(plan_tasks([s for s in samples if s not in rest], {}, [source]))
-            known = ended
-            tasks = look_tasks(rest, problem.demands, settings, self.key, source, known)
+            final = [f.target for f in found if f.final]
+            tasks = look_again_tasks(samples, found, demands, settings, source, self.key)
+            tasks = tasks if len(final) > told else []
+            watch.skip(plan_tasks(samples if not tasks else final, {}, [source]))
             later = run_tasks(with_bits(tasks, self.bits), self.folder, self.jobs, watch)
-            found = [*(f for f in found if f.target not in rest), *later]
+            again = {f.target: f for f in later}
+            found, told = [again.get(f.target, f) for f in found], len(final)
         return found
 
     def _end_early(

@@ -50,6 +50,7 @@ from dynsr.selection import (
     explains_all,
     explore,
     look,
+    look_again,
     pick_equation,
     trivial_candidates,
 )
@@ -173,23 +174,36 @@ def explore_one(
 
 
 def look_one(
-    samples: Samples,
-    limits: Limits,
-    settings: LookSettings,
-    source: str,
-    known: Mapping[str, sympy.Expr] | None,
-    report: Report = silent,
+    samples: Samples, limits: Limits, settings: LookSettings, report: Report = silent
 ) -> Found:
     """Look for a sum or ratio of a few terms that exact slopes leave no doubt of."""
     began = time.monotonic()
     trivial = trivial_candidates(samples)
     found = Look(tuple(c for c in trivial if explains_all(c, samples)), final=True)
     if not found.candidates:
-        found = look(samples, limits, settings, known)
+        found = look(samples, limits, settings)
     report(Progress("first look", 0, None, ParetoFront(found.candidates)))
     taken = time.monotonic() - began
     pool = (*found.candidates, *trivial)
-    return Found(samples.target, source, pool, taken, final=found.final)
+    return Found(samples.target, FIRST_LOOK, pool, taken, final=found.final)
+
+
+def look_again_one(
+    samples: Samples,
+    known: Mapping[str, sympy.Expr],
+    earlier: Found,
+    limits: Limits,
+    settings: LookSettings,
+    source: str,
+    report: Report = silent,
+) -> Found:
+    """Look beside what is known of other states; what was found before stays where it is none."""
+    began = time.monotonic()
+    seen = look_again(samples, known, [c.expr for c in earlier.candidates], limits, settings)
+    candidates = tuple({c.expr: c for c in (*seen.candidates, *earlier.candidates)}.values())
+    report(Progress(source, 0, None, ParetoFront(candidates)))
+    taken = time.monotonic() - began
+    return Found(samples.target, source, candidates, taken, final=seen.final)
 
 
 def start_one(exprs: Sequence[sympy.Expr], samples: Samples, report: Report = silent) -> Found:
@@ -227,34 +241,53 @@ def start_tasks(
 
 
 def look_tasks(
-    samples: Mapping[str, Samples],
-    demands: Demands,
-    settings: LookSettings,
-    key: str,
-    source: str = FIRST_LOOK,
-    known: Mapping[str, sympy.Expr] | None = None,
+    samples: Mapping[str, Samples], demands: Demands, settings: LookSettings, key: str
 ) -> list[Task]:
-    """Give a task for every state that has a first look at its slopes, or one more.
-
-    Parameters
-    ----------
-    samples : state -> its samples.
-    demands : what the user asks.
-    settings : the numbers that decide.
-    key : digest of all that the result depends on.
-    source : which look it is.
-    known : at a later one, the equations that those before it ended with.
-    """
+    """Give a task for every state that has a first look at its slopes."""
     return [
         Task(
-            _search_name(state, source),
-            f"{state}' at a {'first look' if source == FIRST_LOOK else source}",
+            _search_name(state, FIRST_LOOK),
+            f"{state}' at a first look",
             look_one,
-            (own, demands.limits(state), settings, source, known),
+            (own, demands.limits(state), settings),
             Found,
             key,
         )
         for state, own in samples.items()
+    ]
+
+
+def look_again_tasks(
+    samples: Mapping[str, Samples],
+    found: Sequence[Found],
+    demands: Demands,
+    settings: LookSettings,
+    source: str,
+    key: str,
+) -> list[Task]:
+    """Give a task for every state that no look has ended yet.
+
+    Parameters
+    ----------
+    samples : state -> its samples.
+    found : what the looks before it found, of every state.
+    demands : what the user asks.
+    settings : the numbers that decide.
+    source : which look it is.
+    key : digest of all that the result depends on.
+    """
+    known = {f.target: f.candidates[0].expr for f in found if f.final}
+    return [
+        Task(
+            _search_name(f.target, source),
+            f"{f.target}' at a {source}",
+            look_again_one,
+            (samples[f.target], known, f, demands.limits(f.target), settings, source),
+            Found,
+            key,
+        )
+        for f in found
+        if not f.final
     ]
 
 

@@ -1,5 +1,5 @@
 from .comparison import ComparisonSettings
-from .first_look import Look, LookSettings, look
+from .first_look import Look, LookSettings, look, look_again
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
     Pick,
@@ -31,6 +31,7 @@ __all__ = [
     "forecast_miss",
     "lead_with",
     "look",
+    "look_again",
     "other_in_halves",
     "pick_equation",
     "rank_by_length",

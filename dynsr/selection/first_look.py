@@ -7,7 +7,7 @@ terms comes near, or all of its constants are simple numbers to many more digits
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations_with_replacement, islice
@@ -33,7 +33,7 @@ from dynsr.fit import (
 )
 from dynsr.methods import Limits
 from dynsr.selection.costs import bodies_of, shape_bits, unusual_bits
-from dynsr.selection.likeness import Likeness, cited_terms
+from dynsr.selection.likeness import Likeness, cited_terms, fit_to
 from dynsr.selection.profiles import sums_beside
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import (
@@ -112,12 +112,7 @@ class Look:
     final: bool = False
 
 
-def look(
-    samples: Samples,
-    limits: Limits | None = None,
-    settings: LookSettings = LOOK,
-    known: Mapping[str, sympy.Expr] | None = None,
-) -> Look:
+def look(samples: Samples, limits: Limits | None = None, settings: LookSettings = LOOK) -> Look:
     """Look for the equation among sums and ratios of a few terms.
 
     Parameters
@@ -125,8 +120,6 @@ def look(
     samples : of the state whose equation is sought.
     limits : what the user allows.
     settings : the numbers that decide.
-    known : equations of other states. Where they are given, if only none, terms of these and wide
-        terms are looked at too.
 
     >>> x = np.linspace(0.2, 3.0, 200)
     >>> s = Samples(x[:, None], 2 * x / (x + 0.5), ("x",), "x", "given", x)
@@ -138,8 +131,7 @@ def look(
         return Look()
     with np.errstate(all="ignore"):
         allowed = limits or Limits()
-        others = {s: _in_floats(expr) for s, expr in (known or {}).items()}
-        search = _Search.of(samples, allowed, settings, others)
+        search = _Search.of(samples, allowed, settings)
         found = [one for kind in search.kinds() for one in search.choose(kind)]
         seen = search.conclude(found)
         for angle in find_angles(samples.names, samples.X.T):
@@ -152,9 +144,51 @@ def look(
             beside = list(search.choose_beside(allowed))
             again = search.conclude([*found, *beside]) if beside else seen
             seen = again if again.final or not seen.final else seen
-            if known is not None and not seen.final:
-                wide = list(search.choose_wide(allowed, others))
-                seen = search.conclude([*found, *beside, *wide]) if wide else seen
+        return seen
+
+
+def look_again(
+    samples: Samples,
+    known: Mapping[str, sympy.Expr],
+    earlier: Sequence[sympy.Expr] = (),
+    limits: Limits | None = None,
+    settings: LookSettings = LOOK,
+) -> Look:
+    """Look for an exact equation among wide terms, and beside the equations of other states.
+
+    What flows from one state to another stands in the equations of both, and what is of one kind
+    obeys one law.
+
+    Parameters
+    ----------
+    samples : of the state whose equation is sought.
+    known : equations of other states.
+    earlier : what was found for it before.
+    limits : what the user allows.
+    settings : the numbers that decide.
+
+    >>> from dynsr.expression import parse
+    >>> t = np.linspace(0.0, 3.0, 200)
+    >>> s, p = 3 * np.exp(-t), 0.5 + np.sin(t)
+    >>> rates = 0.8 - 1.3 * s / (s + 0.4) - 0.7 * s * p / (p + 1.1)
+    >>> own = Samples(np.stack([s, p], 1), rates, ("s", "p"), "s", "given", t)
+    >>> law = parse("0.4*s/(s + 0.4) + 0.2*p*s/(p + 1.1) - 0.3*p")
+    >>> look_again(own, {"p": law}).candidates[0].expr
+    -7*p*s/(10*(p + 11/10)) - 13*s/(10*(s + 2/5)) + 4/5
+    """
+    if len(samples) < 2 * settings.most or not np.all(np.isfinite(samples.y)):
+        return Look()
+    allowed = limits or Limits()
+    others = {s: _in_floats(expr) for s, expr in known.items()}
+    with np.errstate(all="ignore"):
+        search = _Search.of(samples, allowed, settings, others)
+        if search.error > settings.exact * search.size:
+            return Look()
+        found = [one for kind in search.kinds() for one in search.choose(kind)]
+        found += search.take([*earlier, *search.twins(others)], allowed)
+        seen = search.conclude(found)
+        if not seen.final:
+            seen = search.conclude([*found, *search.take(search.wide_sums(allowed), allowed)])
         return seen
 
 
@@ -213,11 +247,11 @@ class _Search:
         samples: Samples,
         limits: Limits,
         settings: LookSettings,
-        known: Mapping[str, sympy.Expr],
+        known: Mapping[str, sympy.Expr] | None = None,
     ) -> _Search:
         names = samples.names
         angles = find_angles(names, samples.X.T)
-        written = [body for expr in known.values() for body in bodies_of(expr)]
+        written = [body for expr in (known or {}).values() for body in bodies_of(expr)]
         cited = cited_terms(written, names, products(names, 2))
         own = (*limits.terms, *cited)
         terms = Terms.grow(names, samples.X.T, settings.terms, angles, own)
@@ -328,44 +362,65 @@ class _Search:
         for share in (_STRICT, _LOOSE):
             least = np.maximum(errors, _ROW * share * self.size)
             found = found or sums_beside(own, least, self.settings.within, self.settings.most)
-        yield from self._choices(found, limits)
+        yield from self.take(found, limits)
 
-    def choose_wide(self, limits: Limits, known: Mapping[str, sympy.Expr]) -> Iterator[_Choice]:
-        """Give sums with a wide term, and the equations of other states with names exchanged.
+    @cached_property
+    def _thinned(self) -> Samples:
+        """Some of the rows that are sure."""
+        sure = np.flatnonzero(self.trust >= np.quantile(self.trust, self.settings.wild))
+        rows = np.unique(np.linspace(0, len(sure) - 1, min(len(sure), _THIN)).astype(int))
+        return self.samples.select(sure[rows])
+
+    def twins(self, known: Mapping[str, sympy.Expr]) -> list[sympy.Expr]:
+        """Give the equations of other states with names exchanged so that they are this one's.
 
         Parameters
         ----------
-        limits : what the user allows.
-        known : the equations of other states.
+        known : those equations.
         """
-        if self.error > self.settings.exact * self.size:
-            return
         own = self.samples
-        sure = np.flatnonzero(self.trust >= np.quantile(self.trust, self.settings.wild))
-        rows = sure[np.unique(np.linspace(0, len(sure) - 1, min(len(sure), _THIN)).astype(int))]
-        points, target = own.X[rows].T, own.y[rows]
-        angles = find_angles(own.names, own.X.T)
-        terms = Terms.grow(own.names, points, self.settings.terms, angles, limits.terms)
-        wide = WideTerms.of(own.names, points, angles)
-        each = constant_bits(len(own))
-        like = Likeness(terms, wide, own.names, points, each, limits.allow, _ALIKE)
-        twins = [
+        return self._closest(
             expr
             for state, other in known.items()
             if not other.is_Symbol
             for expr in exchanged(other, state, own.target, own.names)
-        ]
-        sums = [expr for expr, _ in like.wide_sums(wide.values(points), target, np.inf)]
-        shapes = {skeleton(expr): expr for expr in reversed([*twins, *sums])}
-        fitted = [like.fitted(expr, target) for expr in shapes.values()]
-        columns = dict(zip(own.names, points, strict=True))
-        left = [np.median(np.abs(evaluate(expr, columns) - target)) for expr in fitted]
-        missed = zip(left, map(ByText, fitted), strict=True)
-        likest = [text.expr for miss, text in sorted(missed) if np.isfinite(miss)][:_CLOSE]
-        yield from self._choices([refit(expr, own, self.error) for expr in likest], limits)
+        )
 
-    def _choices(self, exprs: Sequence[sympy.Expr], limits: Limits) -> Iterator[_Choice]:
-        """Take formulas with constants inside for what is chosen, where the user allows them."""
+    def wide_sums(self, limits: Limits) -> list[sympy.Expr]:
+        """Give the sums with a wide term that miss least.
+
+        Parameters
+        ----------
+        limits : what the user allows.
+        """
+        few = self._thinned
+        points, angles = few.X.T, find_angles(few.names, self.samples.X.T)
+        terms = Terms.grow(few.names, points, self.settings.terms, angles, limits.terms)
+        wide = WideTerms.of(few.names, points, angles)
+        each = constant_bits(len(self.samples))
+        like = Likeness(terms, wide, few.names, points, each, limits.allow, _ALIKE)
+        return self._closest(e for e, _ in like.wide_sums(wide.values(points), few.y, np.inf))
+
+    def _closest(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
+        """Fit formulas, those of one shape once, and give the ones that miss least."""
+        few = self._thinned
+        shapes: dict[sympy.Expr, sympy.Expr] = {}
+        for expr in exprs:
+            shapes.setdefault(skeleton(expr), expr)
+        fitted = [fit_to(expr, few.columns, few.y) for expr in shapes.values()]
+        left = [float(np.median(np.abs(evaluate(e, few.columns) - few.y))) for e in fitted]
+        ranked = sorted(zip(left, map(ByText, fitted), strict=True))
+        likest = [text.expr for miss, text in ranked if np.isfinite(miss)][:_CLOSE]
+        return [refit(expr, self.samples, self.error) for expr in likest]
+
+    def take(self, exprs: Sequence[sympy.Expr], limits: Limits) -> Iterator[_Choice]:
+        """Take formulas for what is chosen, where the user allows them.
+
+        Parameters
+        ----------
+        exprs : the formulas.
+        limits : what the user allows.
+        """
         own = self.samples
         for expr in exprs:
             terms = sympy.Add.make_args(expr)

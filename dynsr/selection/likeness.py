@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -121,23 +121,7 @@ class Likeness:
         expr : the sum.
         target : (n,) values of the function.
         """
-        shape, values = free_constants(expr, "constant ")
-        program = compile_columns([shape], [*self.names, *map(str, values)])
-        far = _WILD * float(np.max(np.abs(target)))
-
-        def missed(constants: np.ndarray) -> np.ndarray:
-            with np.errstate(all="ignore"):
-                off = program(*self.points, *constants)[0] - target
-            return np.clip(np.nan_to_num(off, nan=far, posinf=far, neginf=-far), -far, far)
-
-        begun = np.array(list(values.values()))
-        if not 0 < len(begun) <= len(target):
-            return expr
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = optimize.leastsq(missed, begun, maxfev=_TRIES * (1 + len(begun)))[0]
-        given = zip(values, map(sympy.Float, np.atleast_1d(found).tolist()), strict=True)
-        return shape.xreplace(dict(given))
+        return fit_to(expr, dict(zip(self.names, self.points, strict=True)), target)
 
     @cached_property
     def _said(self) -> np.ndarray:
@@ -212,6 +196,39 @@ def cited_terms(
             for over in (sympy.S.One, *above):
                 found.setdefault(over / line, shape_bits(term / over))
     return found
+
+
+def fit_to(expr: sympy.Expr, columns: Mapping[str, np.ndarray], target: np.ndarray) -> sympy.Expr:
+    """Give a formula the constants, those inside too, that make it most like a function.
+
+    Parameters
+    ----------
+    expr : the formula.
+    columns : name -> (n,) values.
+    target : (n,) values of the function.
+
+    >>> x = np.linspace(0.0, 2.0, 50)
+    >>> found = fit_to(sympy.sympify("1.5*exp(-0.8*x)"), {"x": x}, 2 * np.exp(-x))
+    >>> sorted(round(float(a), 6) for a in found.atoms(sympy.Float))
+    [-1.0, 2.0]
+    """
+    shape, values = free_constants(expr, "constant ")
+    program = compile_columns([shape], [*columns, *map(str, values)])
+    far = _WILD * float(np.max(np.abs(target)))
+
+    def missed(constants: np.ndarray) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            off = program(*columns.values(), *constants)[0] - target
+        return np.clip(np.nan_to_num(off, nan=far, posinf=far, neginf=-far), -far, far)
+
+    begun = np.array(list(values.values()))
+    if not 0 < len(begun) <= len(target):
+        return expr
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = optimize.leastsq(missed, begun, maxfev=_TRIES * (1 + len(begun)))[0]
+    given = zip(values, map(sympy.Float, np.atleast_1d(found).tolist()), strict=True)
+    return shape.xreplace(dict(given))
 
 
 def _tells(target: np.ndarray) -> bool:
