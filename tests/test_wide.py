@@ -210,3 +210,32 @@ def test_what_the_user_forbids_is_no_wide_term():
     found = Replaceable.of(Along(comparison, comparison.fit(floats(BEGUN))), "x").wide()
     assert found
     assert not any(e.has(sympy.Function) for e in found)
+
+
+def test_a_distance_is_offered_only_where_the_difference_changes_sign():
+    """Of one sign it is the difference itself, and beside the data it would be another law."""
+    x = np.linspace(0.5, 2.0, 60)
+
+    def has_distance(other):
+        wide = WideTerms.of(["x", "y"], np.array([x, other]), [])
+        return any(wide.write(i).has(sympy.Abs) for i in range(len(wide.places)))
+
+    assert has_distance(3.0 - x)
+    assert not has_distance(5.0 + np.sin(x))
+
+
+def test_exponents_are_free_where_they_are_asked_for():
+    """A repression of the power 2.5 is found from exact values; without, no term has its shape."""
+    x = np.linspace(0.3, 3.0, 150)
+    points = np.array([x, 1.5 + np.sin(3 * x)])
+    target = 1.8 / (1 + x**2.5) - 0.6 * points[1]
+    for powers in (True, False):
+        wide = WideTerms.of(["x", "y"], points, [], powers=powers)
+        terms = Terms.grow(["x", "y"], points, TermSettings(inside=()), [])
+        one = Likeness(terms, wide, ("x", "y"), points, 4.0, lambda _: True, drafted=20)
+        sums = [
+            one.fitted(e, target) for e, _ in one.wide_sums(wide.values(points), target, np.inf)
+        ]
+        columns = dict(zip("xy", points, strict=True))
+        missed = min(np.max(np.abs(evaluate(e, columns) - target)) for e in sums)
+        assert (missed < 1e-6) == powers

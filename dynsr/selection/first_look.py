@@ -63,6 +63,9 @@ _ROW = 0.1
 # Rows at which wide terms are looked at; misses, as shares of the spread, below which sums of them
 # are alike, with how many are fitted; and how many are fitted again, to all rows.
 _THIN, _ALIKE, _CLOSE = 200, ((0.01, 32), (0.001, 16), (1e-5, 16)), 6
+# Exact slopes tell more terms apart: those whose constants move, as many times those that are
+# given, and those without any that may stand beside others.
+_DRAFTED, _FIXED = 20, 200
 # Times the median miss beyond which a row may be one where differences fail.
 _FAR = 10.0
 
@@ -366,9 +369,14 @@ class _Search:
 
     @cached_property
     def _thinned(self) -> Samples:
-        """Some of the rows that are sure."""
+        """Some of the rows that are sure, as many where the states move as where they rest."""
         sure = np.flatnonzero(self.trust >= np.quantile(self.trust, self.settings.wild))
-        rows = np.unique(np.linspace(0, len(sure) - 1, min(len(sure), _THIN)).astype(int))
+        points = np.column_stack([self.samples.X, self.samples.y])[sure]
+        moved = np.abs(np.diff(points, axis=0)) / np.maximum(np.ptp(points, axis=0), 1e-300)
+        way = np.concatenate([[0.0], np.cumsum(moved.sum(axis=1))])
+        way = way / max(way[-1], 1e-300) + np.linspace(0.0, 1.0, len(sure))
+        at = np.linspace(0.0, way[-1], min(len(sure), _THIN))
+        rows = np.unique(np.searchsorted(way, at).clip(max=len(sure) - 1))
         return self.samples.select(sure[rows])
 
     def twins(self, known: Mapping[str, sympy.Expr]) -> list[sympy.Expr]:
@@ -396,9 +404,11 @@ class _Search:
         few = self._thinned
         points, angles = few.X.T, find_angles(few.names, self.samples.X.T)
         terms = Terms.grow(few.names, points, self.settings.terms, angles, limits.terms)
-        wide = WideTerms.of(few.names, points, angles)
+        wide = WideTerms.of(few.names, points, angles, powers=True)
         each = constant_bits(len(self.samples))
-        like = Likeness(terms, wide, few.names, points, each, limits.allow, _ALIKE)
+        like = Likeness(
+            terms, wide, few.names, points, each, limits.allow, _ALIKE, _DRAFTED, _FIXED
+        )
         return self._closest(e for e, _ in like.wide_sums(wide.values(points), few.y, np.inf))
 
     def _closest(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
@@ -408,7 +418,7 @@ class _Search:
         for expr in exprs:
             shapes.setdefault(skeleton(expr), expr)
         fitted = [fit_to(expr, few.columns, few.y) for expr in shapes.values()]
-        left = [float(np.median(np.abs(evaluate(e, few.columns) - few.y))) for e in fitted]
+        left = [float(np.mean((evaluate(e, few.columns) - few.y) ** 2)) for e in fitted]
         ranked = sorted(zip(left, map(ByText, fitted), strict=True))
         likest = [text.expr for miss, text in ranked if np.isfinite(miss)][:_CLOSE]
         return [refit(expr, self.samples, self.error) for expr in likest]

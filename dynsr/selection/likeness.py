@@ -16,7 +16,7 @@ from dynsr.fit import free_constants, skeleton
 from dynsr.selection.costs import citing_bits, shape_bits
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import Terms, degree_of, weighted_sum
-from dynsr.selection.wide import LARGEST, WideTerms
+from dynsr.selection.wide import DRAFTED, LARGEST, WideTerms
 
 # Plain terms that may stand beside a wide one, and wide ones without a constant inside.
 _PLAIN, _FIXED = 40, 40
@@ -54,6 +54,8 @@ class Likeness:
     allow : whether a term may be used.
     alike : misses, as a share of the spread, below which sums are alike, and how many of the
         shortest such sums are given.
+    drafted : how many wide terms have their constants moved, as for :meth:`WideTerms.likest`.
+    fixed : wide terms without a constant inside that may stand beside others.
     """
 
     terms: Terms
@@ -63,6 +65,8 @@ class Likeness:
     each: float
     allow: Callable[[sympy.Expr], bool]
     alike: Sequence[tuple[float, int]] = ALIKE
+    drafted: int = DRAFTED
+    fixed: int = _FIXED
 
     def wide_sums(
         self, columns: np.ndarray, target: np.ndarray, most: float
@@ -81,7 +85,8 @@ class Likeness:
         degrees = np.array([degree_of(e, self.terms.names) for e in exprs])
         others = [beside[degrees <= degree] for degree in (-1, 1, 2)]
         points = self.points[: len(self.wide.names)]
-        likest = self.wide.likest(columns, target, others, said < most, _LIKEST, points)
+        fits = said < most
+        likest = self.wide.likest(columns, target, others, fits, _LIKEST, points, self.drafted)
         offered = [
             _Offered(self.wide.write(one.place, one.constants), one.block, float(said[one.place]))
             for one in likest
@@ -135,7 +140,7 @@ class Likeness:
         terms, wide = self.terms, self.wide
         plain = [i for i in np.flatnonzero(terms.inside == 0) if self.allow(terms.exprs[i])]
         fixed = [i for i in np.flatnonzero(wide.inside == 0).tolist() if self.allow(wide.write(i))]
-        fixed = sorted(fixed, key=lambda i: self._said[i])[:_FIXED]
+        fixed = sorted(fixed, key=lambda i: self._said[i])[: self.fixed]
         exprs = [*(terms.exprs[i] for i in plain[:_PLAIN]), *map(wide.write, fixed)]
         costs = np.concatenate([terms.bits[plain[:_PLAIN]] + self.each, self._said[fixed]])
         values = compile_columns(exprs, self.names)(*self.points)

@@ -29,6 +29,8 @@ _SATURATIONS, _NOTHING = "saturations", "nothing"
 _SIZES, _SPREADS = (0.3, 1.0, 3.0), (0.15, 0.5, 1.0)
 # The same of half-saturations in powers: these change fast.
 _HALVES = (0.35, 0.7, 1.4, 2.8)
+# Exponents that are free to move.
+_POWERS = (0.6, 1.4, 2.6)
 # Where the middle of a step may lie, in spreads from the mean; directions that two columns step in.
 _MIDDLES, _TURNS = (-1.0, 0.0, 1.0), (22.5, 45.0, 67.5, 112.5, 135.0, 157.5)
 # What spans less, in radians, shows little of a wave.
@@ -43,7 +45,7 @@ _STEEP = 30.0
 _BENT, _NUDGE, _FARTHEST = 3, 1e-5, 1.0
 # Of the terms that bend the likest ones, as many times those asked for, have their constants moved
 # so often.
-_DRAFTED, _MOVES = 3, 6
+DRAFTED, _MOVES = 3, 6
 # Steps, of e-folds of the constants, by which terms of one shape are told apart.
 _FINE = 10
 # What of its own is left of a column, as a share of it, from which on it tells anything.
@@ -103,13 +105,21 @@ class WideTerms:
     places: np.ndarray
 
     @classmethod
-    def of(cls, names: Sequence[str], points: np.ndarray, angles: Sequence[str]) -> WideTerms:
+    def of(
+        cls,
+        names: Sequence[str],
+        points: np.ndarray,
+        angles: Sequence[str],
+        *,
+        powers: bool = False,
+    ) -> WideTerms:
         """Make the terms of columns that take these values.
 
         Parameters
         ----------
         names, points : the columns and their values (len(names), n).
         angles : columns that may be angles.
+        powers : whether exponents are constants inside too; noise tells few of them.
 
         >>> points = np.array([np.linspace(0.5, 3.0, 50), np.linspace(-1.0, 1.0, 50)])
         >>> wide = WideTerms.of(["x", "v"], points, ["v"])
@@ -120,6 +130,7 @@ class WideTerms:
         plain = len(parts)
         for place, values in enumerate(points):
             parts += _of_one(place, values)
+            parts += _powers_of(place, values) if powers else ()
         for pair in combinations(range(len(names)), 2):
             parts += _of_two(pair, points[list(pair)])
         parts = [replace(part, constants=tuple(map(_short, part.constants))) for part in parts]
@@ -203,6 +214,7 @@ class WideTerms:
         which: np.ndarray,
         count: int,
         points: np.ndarray,
+        drafted: int = DRAFTED,
     ) -> list[Likest]:
         """Give the terms most like a function once the constants inside have moved.
 
@@ -214,6 +226,7 @@ class WideTerms:
         which : (p,) whether a term is looked at.
         count : terms for each and for each number of constants inside, one of every shape.
         points : (len(names), n) values of the columns.
+        drafted : of the terms that bend, as many times ``count`` have their constants moved.
         """
         tame = np.all(np.abs(columns) < LARGEST, axis=(1, 2))
         chosen = np.flatnonzero(tame & which)
@@ -228,7 +241,7 @@ class WideTerms:
             for bends in np.unique(inside):
                 own = chosen[order[inside[order] == bends]]
                 first = np.unique(self._shapes[own], return_index=True)[1]
-                draft = own[np.sort(first)[: count * (_DRAFTED if bends else 1)]].tolist()
+                draft = own[np.sort(first)[: count * (drafted if bends else 1)]].tolist()
                 for place in draft[:count]:
                     still = Likest(place, self.constants(place), columns[place])
                     found.setdefault((place,), still)
@@ -411,6 +424,22 @@ def _hill(power: int) -> tuple[Written, Written]:
     return activates, represses
 
 
+def _activates(_: Any, v: Any, k: Any, n: Any) -> Any:
+    return v**n / (k + v**n)
+
+
+def _represses(_: Any, v: Any, k: Any, n: Any) -> Any:
+    return 1 / (k + v**n)
+
+
+def _to_power(_: Any, v: Any, n: Any) -> Any:
+    return v**n
+
+
+def _to_inverse_power(_: Any, v: Any, n: Any) -> Any:
+    return v**-n
+
+
 _HILL = {power: _hill(power) for power in (2, 3, 4)}
 
 
@@ -482,7 +511,8 @@ def _of_one(place: int, values: np.ndarray) -> Iterator[_Part]:
     if np.ptp(values) > _BEND:
         yield from (_Part(wave, own, (), both) for wave in (_sine, _cosine))
         yield from (_Part(wave, own) for wave in (_double_sine, _squared_sine))
-    yield from (_Part(make, own) for make in (_fourth, _size))
+    sizes = (_fourth, _size) if np.min(values) < 0 < np.max(values) else (_fourth,)
+    yield from (_Part(make, own) for make in sizes)
     for power in (power for power in _HILL if stands or power % 2 == 0):
         beside = both if power == 2 else (_COLUMNS,)
         halves = [(share * size) ** power for share in _HALVES]
@@ -514,6 +544,20 @@ def _of_one(place: int, values: np.ndarray) -> Iterator[_Part]:
             yield _Part(_falling_step, own, (-shift, slope))
 
 
+def _powers_of(place: int, values: np.ndarray) -> Iterator[_Part]:
+    """Give the functions of one column whose exponent is free."""
+    if not np.min(values) > 0 or not np.std(values) > 0:
+        return
+    size, both = float(np.median(values)), (_COLUMNS, _FUNCTIONS)
+    for power in _POWERS:
+        yield from (
+            _Part(make, (place,), (power,), both) for make in (_to_power, _to_inverse_power)
+        )
+        for share in _HALVES:
+            constants = ((share * size) ** power, power)
+            yield from (_Part(make, (place,), constants) for make in (_activates, _represses))
+
+
 def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
     """Give the functions of two columns."""
     first, second = rows
@@ -523,7 +567,10 @@ def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
     if np.min(np.ptp(rows, axis=1)) > _BEND:
         waves = (_sine_apart, _cosine_apart, _sine_together, _cosine_together)
         yield from (_Part(wave, pair) for wave in waves)
-    yield from (_Part(make, pair) for make in (_length, _distance, _square_apart, _cube_apart))
+    # Of one sign a distance is a difference, which simpler terms are.
+    crossing = bool(np.min(first - second) < 0 < np.max(first - second))
+    made = (_length, _square_apart, _cube_apart, *(_distance,) * crossing)
+    yield from (_Part(make, pair) for make in made)
     for order, apart in ((pair, first - second), (pair[::-1], second - first)):
         if np.min(apart) > 0:
             yield _Part(_root_apart, order)
