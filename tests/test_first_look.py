@@ -225,3 +225,20 @@ def test_rough_slopes_are_not_looked_at_again():
     noise = np.random.default_rng(0).normal(0, 1e-2, (200, 2))
     data = dynsr.Trajectory(t, np.stack([np.exp(-t), np.cos(t)], axis=1) + noise, ("x", "y"))
     assert look_again(choose_samples([data], "x"), {}).candidates == ()
+
+
+@pytest.mark.slow
+def test_a_discovery_looks_again_where_two_of_three_states_are_done():
+    """The third equation is found beside the two others, and no method runs."""
+    texts, start, end, _ = COUPLED["what two others take"]
+    laws = {state: parse(text) for state, text in texts.items()}
+    rhs = sympy.lambdify(list(map(sympy.Symbol, laws)), list(laws.values()))
+    data = run(rhs, start, end, 250, tuple(laws), 1e-12, every_row=True)
+    found = dynsr.discover(data, jobs=1)
+    assert found.settings["first_look"] == sorted(laws)
+    assert found.verdict.level == "law"
+    assert all("rational" not in c.source for own in found.front.values() for c in own)
+    beside = {s: np.roll(data.x[:, i], 40 * i) for i, s in enumerate(laws)}
+    for state, law in laws.items():
+        truth = evaluate(law, beside)
+        assert evaluate(found.equations[state], beside) == pytest.approx(truth, rel=1e-5)
