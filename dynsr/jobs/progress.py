@@ -288,19 +288,17 @@ class Watch:
     def __enter__(self) -> Self:
         """Begin to report."""
         handler = signal.getsignal(signal.SIGINT)
-        if threading.current_thread() is threading.main_thread() and callable(handler):
-            self._handler = handler
-            self._hook.enter_context(heard_again(KeyboardInterrupt, interrupt_again))
-            self._hook.callback(signal.signal, signal.SIGINT, handler)
-            signal.signal(signal.SIGINT, self._stop)
-        try:
+        # A Ctrl-C here, or a fault of the caller's own reporter, leaves the handler as it was.
+        with ExitStack() as hook:
+            if threading.current_thread() is threading.main_thread() and callable(handler):
+                self._handler = handler
+                hook.enter_context(heard_again(KeyboardInterrupt, interrupt_again))
+                hook.callback(signal.signal, signal.SIGINT, handler)
+                signal.signal(signal.SIGINT, self._stop)
             if self.progress is not None:
                 self._tell()
                 self._thread.start()
-        except BaseException:
-            # A Ctrl-C here, or a fault of the caller's own reporter, leaves the handler as it was.
-            self._hook.close()
-            raise
+            self._hook = hook.pop_all()
         return self
 
     def __exit__(self, *error: object) -> None:
