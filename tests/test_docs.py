@@ -119,7 +119,7 @@ def test_the_gallery_is_whole():
         for path in NOTEBOOKS
     ],
 )
-def test_a_notebook_gives_what_it_holds(notebook, monkeypatch):
+def test_a_notebook_gives_what_it_holds(notebook):
     """Each cell ends well, prints what is kept but for last digits, and shows what it ends in."""
     scope = {"__name__": "__notebook__"}
     for cell in json.loads(notebook.read_text("utf-8"))["cells"]:

@@ -73,8 +73,8 @@ def open_constants(
             # on one line have it together.
             if bottom not in lines:
                 loose = loosen(1 / bottom) if bottom.free_symbols else sympy.S.One
-                factor, below = loose.as_coeff_Mul()
-                lines[bottom] = factor, _open_floats(below, state, places)
+                factor, over = loose.as_coeff_Mul()
+                lines[bottom] = factor, _open_floats(over, state, places)
             factor, over = lines[bottom]
             for term in sympy.Add.make_args(sympy.expand(top, power_exp=False)):
                 coefficient, rest = term.as_coeff_Mul()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import combinations, combinations_with_replacement
 from typing import Any
 
@@ -414,14 +414,7 @@ def _falling_step(m: Any, v: Any, c: Any, a: Any) -> Any:
 
 def _hill(power: int) -> tuple[Written, Written]:
     """Hill's function of one power: what activates, and what represses."""
-
-    def activates(_: Any, v: Any, k: Any) -> Any:
-        return v**power / (k + v**power)
-
-    def represses(_: Any, v: Any, k: Any) -> Any:
-        return 1 / (k + v**power)
-
-    return activates, represses
+    return partial(_activates, n=power), partial(_represses, n=power)
 
 
 def _activates(_: Any, v: Any, k: Any, n: Any) -> Any:
@@ -511,7 +504,7 @@ def _of_one(place: int, values: np.ndarray) -> Iterator[_Part]:
     if np.ptp(values) > _BEND:
         yield from (_Part(wave, own, (), both) for wave in (_sine, _cosine))
         yield from (_Part(wave, own) for wave in (_double_sine, _squared_sine))
-    sizes = (_fourth, _size) if np.min(values) < 0 < np.max(values) else (_fourth,)
+    sizes = (_fourth, _size) if _changes_sign(values) else (_fourth,)
     yield from (_Part(make, own) for make in sizes)
     for power in (power for power in _HILL if stands or power % 2 == 0):
         beside = both if power == 2 else (_COLUMNS,)
@@ -568,9 +561,9 @@ def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
         waves = (_sine_apart, _cosine_apart, _sine_together, _cosine_together)
         yield from (_Part(wave, pair) for wave in waves)
     # Of one sign a distance is a difference, which simpler terms are.
-    crossing = bool(np.min(first - second) < 0 < np.max(first - second))
-    made = (_length, _square_apart, _cube_apart, *(_distance,) * crossing)
-    yield from (_Part(make, pair) for make in made)
+    distances = (_distance,) if _changes_sign(first - second) else ()
+    sums = (_length, *distances, _square_apart, _cube_apart)
+    yield from (_Part(make, pair) for make in sums)
     for order, apart in ((pair, first - second), (pair[::-1], second - first)):
         if np.min(apart) > 0:
             yield _Part(_root_apart, order)
@@ -593,6 +586,10 @@ def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
                 else:
                     slopes = (-slopes[0], slopes[1])
                     yield _Part(_step_apart, pair, (-shift, *slopes), (_NOTHING,))
+
+
+def _changes_sign(values: np.ndarray) -> bool:
+    return bool(np.min(values) < 0 < np.max(values))
 
 
 def _short(value: float) -> float:
