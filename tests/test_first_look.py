@@ -201,14 +201,20 @@ COUPLED = {
 }
 
 
-@pytest.mark.parametrize("name", COUPLED)
-def test_exact_slopes_are_looked_at_again_beside_other_equations(name):
-    """What a first look misses is found among wide terms, or by what other equations hold."""
+def coupled(name):
+    """Give the equations of a system, exact rows of it, and which equations are known."""
     texts, start, end, told = COUPLED[name]
     laws = {state: parse(text) for state, text in texts.items()}
     rhs = sympy.lambdify(list(map(sympy.Symbol, laws)), list(laws.values()))
+    return laws, run(rhs, start, end, 250, tuple(laws), 1e-12, every_row=True), told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COUPLED)
+def test_exact_slopes_are_looked_at_again_beside_other_equations(name):
+    """What a first look misses is found among wide terms, or by what other equations hold."""
+    laws, data, told = coupled(name)
     state = next(iter(laws))
-    data = run(rhs, start, end, 250, tuple(laws), 1e-12, every_row=True)
     samples = choose_samples([data], state)
     assert not look(samples).final
     seen = look_again(samples, {other: laws[other] for other in told})
@@ -230,10 +236,7 @@ def test_rough_slopes_are_not_looked_at_again():
 @pytest.mark.slow
 def test_a_discovery_looks_again_where_two_of_three_states_are_done():
     """The third equation is found beside the two others, and no method runs."""
-    texts, start, end, _ = COUPLED["what two others take"]
-    laws = {state: parse(text) for state, text in texts.items()}
-    rhs = sympy.lambdify(list(map(sympy.Symbol, laws)), list(laws.values()))
-    data = run(rhs, start, end, 250, tuple(laws), 1e-12, every_row=True)
+    laws, data, _ = coupled("what two others take")
     found = dynsr.discover(data, jobs=1)
     assert found.settings["first_look"] == sorted(laws)
     assert found.verdict.level == "law"

@@ -515,15 +515,18 @@ class _Steps:
         tasks = look_tasks(samples, demands, settings, self.key)
         # Workers take longer to start than all of it.
         found = run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
-        told = -1
+        ended: list[str] | None = None
         for source in (name for name in MORE_LOOKS if name in self.first):
-            final = [f.target for f in found if f.final]
+            before, ended = ended, [f.target for f in found if f.final]
             tasks = look_again_tasks(samples, found, demands, settings, source, self.key)
-            tasks = tasks if len(final) > told else []
-            watch.skip(plan_tasks(samples if not tasks else final, {}, [source]))
+            # One more look sees more only where the one before it ended a state.
+            tasks = tasks if ended != before else []
+            coming = {task.name for task in tasks}
+            planned = tasks_of(self.states, [source], picked=False)
+            watch.skip(name for name in planned if name not in coming)
             later = run_tasks(with_bits(tasks, self.bits), self.folder, self.jobs, watch)
             again = {f.target: f for f in later}
-            found, told = [again.get(f.target, f) for f in found], len(final)
+            found = [again.get(f.target, f) for f in found]
         return found
 
     def _end_early(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -197,9 +197,12 @@ def look_again_one(
     source: str,
     report: Report = silent,
 ) -> Found:
-    """Look beside what is known of other states; what was found before stays where it is none."""
+    """Look again beside what is known of other states; keep what was found before."""
     began = time.monotonic()
-    seen = look_again(samples, known, [c.expr for c in earlier.candidates], limits, settings)
+    before = [c.expr for c in earlier.candidates]
+    # Wide terms are the same at every look.
+    wide = source == MORE_LOOKS[0]
+    seen = look_again(samples, known, before, limits, settings, wide=wide)
     candidates = tuple({c.expr: c for c in (*seen.candidates, *earlier.candidates)}.values())
     report(Progress(source, 0, None, ParetoFront(candidates)))
     taken = time.monotonic() - began
@@ -369,9 +372,7 @@ def plan_tasks(
     )
 
 
-def tasks_of(
-    states: Sequence[str], methods: Mapping[str, AbstractMethod], picked: bool = True
-) -> list[str]:
+def tasks_of(states: Sequence[str], methods: Collection[str], picked: bool = True) -> list[str]:
     """Give the names of the searches of some states, and of the choices of their equations."""
     searches = [_search_name(s, name) for s in states for name in methods]
     return searches + [_pick_name(s) for s in states if picked]

@@ -8,7 +8,7 @@ from .collocation import (
     Mesh,
     fit_along,
 )
-from .constants import free_constants, refit, skeleton
+from .constants import free_constants, one_of_each_shape, refit, skeleton
 from .description import (
     choose,
     constant_bits,
@@ -113,6 +113,7 @@ __all__ = [
     "noise_and_spread",
     "noise_of",
     "one_a_shape",
+    "one_of_each_shape",
     "polish",
     "prepare",
     "r_squared",

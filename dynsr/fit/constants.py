@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -67,6 +67,22 @@ def skeleton(expr: sympy.Expr) -> sympy.Expr:
     True
     """
     return expr.xreplace(dict.fromkeys(expr.atoms(sympy.Float), sympy.pi))
+
+
+def one_of_each_shape(exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
+    """Give the first of the formulas of every shape.
+
+    Parameters
+    ----------
+    exprs : the formulas.
+
+    >>> one_of_each_shape(map(sympy.sympify, ["2.5*x", "x**2", "1.5*x"]))
+    [2.5*x, x**2]
+    """
+    found: dict[sympy.Expr, sympy.Expr] = {}
+    for expr in exprs:
+        found.setdefault(skeleton(expr), expr)
+    return list(found.values())
 
 
 def as_floats(values: np.ndarray) -> list[sympy.Expr]:

@@ -23,10 +23,10 @@ from dynsr.fit import (
     constant_bits,
     eliminate,
     fit_ratio,
+    one_of_each_shape,
     refit,
     score_candidate,
     simplest_form,
-    skeleton,
     slope_size,
     structure_bits,
     with_floats,
@@ -156,6 +156,8 @@ def look_again(
     earlier: Sequence[sympy.Expr] = (),
     limits: Limits | None = None,
     settings: LookSettings = LOOK,
+    *,
+    wide: bool = True,
 ) -> Look:
     """Look for an exact equation among wide terms, and beside the equations of other states.
 
@@ -169,6 +171,7 @@ def look_again(
     earlier : what was found for it before.
     limits : what the user allows.
     settings : the numbers that decide.
+    wide : whether wide terms are looked at.
 
     >>> from dynsr.expression import parse
     >>> t = np.linspace(0.0, 3.0, 200)
@@ -185,12 +188,12 @@ def look_again(
     others = {s: _in_floats(expr) for s, expr in known.items()}
     with np.errstate(all="ignore"):
         search = _Search.of(samples, allowed, settings, others)
-        if search.error > settings.exact * search.size:
+        if not search.is_exact:
             return Look()
         found = [one for kind in search.kinds() for one in search.choose(kind)]
         found += search.take([*earlier, *search.twins(others)], allowed)
         seen = search.conclude(found)
-        if not seen.final:
+        if wide and not seen.final:
             seen = search.conclude([*found, *search.take(search.wide_sums(allowed), allowed)])
         return seen
 
@@ -304,6 +307,11 @@ class _Search:
             error / np.maximum(error if sd is None else sd, error) * np.ones(len(samples)),
         )
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether the slopes err so little that what follows them may be final."""
+        return self.error <= self.settings.exact * self.size
+
     def kinds(self) -> Iterator[np.ndarray]:
         """Give the places of polynomials, of cited and all terms, and of ratios of each degree."""
         symbols = [sympy.Symbol(name) for name in self.samples.names]
@@ -357,10 +365,10 @@ class _Search:
         ----------
         limits : what the user allows.
         """
-        own, unit = self.samples, self.error
-        if unit > self.settings.exact * self.size:
+        if not self.is_exact:
             return
-        errors = np.full(len(own), unit) if own.slope_sd is None else own.slope_sd
+        own = self.samples
+        errors = np.full(len(own), self.error) if own.slope_sd is None else own.slope_sd
         found: list[sympy.Expr] = []
         for share in (_STRICT, _LOOSE):
             least = np.maximum(errors, _ROW * share * self.size)
@@ -407,17 +415,22 @@ class _Search:
         wide = WideTerms.of(few.names, points, angles, powers=True)
         each = constant_bits(len(self.samples))
         like = Likeness(
-            terms, wide, few.names, points, each, limits.allow, _ALIKE, _DRAFTED, _FIXED
+            terms,
+            wide,
+            few.names,
+            points,
+            each,
+            limits.allow,
+            alike=_ALIKE,
+            drafted=_DRAFTED,
+            fixed=_FIXED,
         )
         return self._closest(e for e, _ in like.wide_sums(wide.values(points), few.y, np.inf))
 
     def _closest(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
         """Fit formulas, those of one shape once, and give the ones that miss least."""
         few = self._thinned
-        shapes: dict[sympy.Expr, sympy.Expr] = {}
-        for expr in exprs:
-            shapes.setdefault(skeleton(expr), expr)
-        fitted = [fit_to(expr, few.columns, few.y) for expr in shapes.values()]
+        fitted = [fit_to(expr, few.columns, few.y) for expr in one_of_each_shape(exprs)]
         left = [float(np.mean((evaluate(e, few.columns) - few.y) ** 2)) for e in fitted]
         ranked = sorted(zip(left, map(ByText, fitted), strict=True))
         likest = [text.expr for miss, text in ranked if np.isfinite(miss)][:_CLOSE]

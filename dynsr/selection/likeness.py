@@ -12,7 +12,7 @@ import sympy
 from scipy import optimize
 
 from dynsr.expression import compile_columns, lines_below
-from dynsr.fit import free_constants, skeleton
+from dynsr.fit import free_constants, one_of_each_shape
 from dynsr.selection.costs import citing_bits, shape_bits
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import Terms, degree_of, weighted_sum
@@ -108,8 +108,7 @@ class Likeness:
         above = map(sympy.Symbol, sorted(self.terms.names))
         every = cited_terms(written, self.names, list(above))
         # The constants inside are free: of terms that differ in these alone the first is enough.
-        first = {skeleton(expr): expr for expr in reversed(every)}
-        cited = {expr: every[expr] for expr in reversed(first.values())}
+        cited = {expr: every[expr] for expr in one_of_each_shape(every)}
         rows = compile_columns(list(cited), self.names)(*self.points)
         offered = [
             _Offered(expr, row[None], bits + self.each)

@@ -23,6 +23,7 @@ from dynsr.expression import ByText, evaluate
 from dynsr.fit import (
     Measurements,
     constant_bits,
+    one_of_each_shape,
     r_squared,
     skeleton,
     with_floats,
@@ -275,11 +276,7 @@ def _search(
 
 def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
     """Give formulas with free constants, one of each shape."""
-    found: dict[sympy.Expr, sympy.Expr] = {}
-    for expr in pool:
-        loose = with_floats(expr)
-        found.setdefault(skeleton(loose), loose)
-    return list(found.values())
+    return one_of_each_shape(map(with_floats, pool))
 
 
 def explore(

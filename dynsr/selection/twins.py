@@ -13,7 +13,7 @@ from itertools import permutations
 
 import sympy
 
-from dynsr.fit import skeleton
+from dynsr.fit import one_of_each_shape, skeleton
 from dynsr.selection.costs import bodies_of
 
 # Ways of exchanging the names of columns that are looked through at most.
@@ -37,11 +37,8 @@ def exchanged(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) 
     >>> exchanged(2.5 * x * y - 0.5 * x, "x", "y", ["x", "y", "z"])
     [2.5*x*y - 0.5*y, 2.5*y*z - 0.5*y]
     """
-    found: dict[sympy.Expr, sympy.Expr] = {}
-    for names in _ways(expr, state, other, columns):
-        changed = expr.xreplace(names)
-        found.setdefault(skeleton(changed), changed)
-    return list(found.values())
+    ways = _ways(expr, state, other, columns)
+    return one_of_each_shape(expr.xreplace(names) for names in ways)
 
 
 def first_of_each(exprs: Mapping[str, sympy.Expr], columns: Sequence[str]) -> list[str]:
