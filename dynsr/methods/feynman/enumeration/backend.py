@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, Protocol
@@ -20,6 +21,9 @@ from dynsr.expression import OPERATORS
 
 DEVICES = ("auto", "cpu", "cuda", "torch-cpu")
 _DRIVER = "/dev/nvidiactl"
+# Share of a GPU's free memory that one batch may take, arrays that are held of it at a time, and
+# batches that are measured at once at most: beyond these the host is what takes the time.
+_SHARE, _ARRAYS, _MOST = 0.25, 4, 64
 
 
 class Store(Protocol):
@@ -94,6 +98,17 @@ class NumpyBackend:
         """Give room for at most ``count`` value rows; memory is taken as it is filled."""
         return _Reserved(count, rows)
 
+    def together(self, count: int, rows: int) -> int:
+        """Give the batches of ``count`` value rows that are measured at once: they share memory."""
+        del count, rows
+        return 1
+
+    def measure(
+        self, batches: Sequence[Any], directions: Any
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Give products with directions, and sums of squares, of the value rows of each batch."""
+        return [(self.get(directions @ own.T), self.square_sums(own)) for own in batches]
+
     def square_sums(self, rows: Any) -> np.ndarray:
         """Give the sum of squares of each row."""
         return np.einsum("ij,ij->i", rows, rows)
@@ -137,6 +152,24 @@ class TorchBackend:
     def reserve(self, count: int, rows: int) -> Store:
         """Give room for value rows; nothing is taken ahead, since devices do it at once."""
         return _Joined(self, rows)
+
+    def together(self, count: int, rows: int) -> int:
+        """Give the batches of ``count`` value rows that are measured at once, by free memory."""
+        if not self.device.startswith("cuda"):
+            return 1
+        free, _ = self.torch.cuda.mem_get_info(self.device)
+        each = _ARRAYS * count * rows * np.dtype(float).itemsize
+        return max(1, min(_MOST, int(_SHARE * free / each)))
+
+    def measure(
+        self, batches: Sequence[Any], directions: Any
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Give products with directions, and sums of squares, of the value rows of each batch."""
+        # What a device has computed is fetched once for all: each fetch waits for it.
+        values = self.torch.cat(list(batches))
+        ends = np.cumsum([len(own) for own in batches])[:-1]
+        projected, squares = self.get(directions @ values.T), self.square_sums(values)
+        return list(zip(np.split(projected, ends, axis=1), np.split(squares, ends), strict=True))
 
     def square_sums(self, rows: Any) -> np.ndarray:
         """Give the sum of squares of each row."""

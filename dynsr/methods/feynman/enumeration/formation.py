@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -261,8 +262,8 @@ class Enumerator:
         labels: list[Labels] = []
         fresh: list[np.ndarray] = []
         directions = self.backend.put(np.concatenate([self._sketch, screen.directions]))
-        for chunk in self._chunks(size):
-            index, new = self._look_at(chunk, directions, screen, shortlist)
+        for chunk, projected, squares in self._measured(self._chunks(size), directions):
+            index, new = self._look_at(chunk, projected, squares, screen, shortlist)
             if size == 1:  # A constant is no candidate, but an argument.
                 index, new = np.arange(len(chunk)), np.isin(np.arange(len(chunk)), index[new])
             if self._has_room(len(index) + sum(map(len, fresh))):
@@ -289,13 +290,29 @@ class Enumerator:
             return iter([form_leaves(self._leaf_values, self.backend)])
         return form_level(self.bank, size, self.nested, self.storing, self.backend)
 
+    def _measured(
+        self, chunks: Iterator[Chunk], directions: Any
+    ) -> Iterator[tuple[Chunk, np.ndarray, np.ndarray]]:
+        """Give chunks with products (k, B) with the directions, and sums of squares (B,).
+
+        However many are measured at once, they come one by one: all that is counted, and the order
+        in which equals come, is the same on any device.
+        """
+        together = self.backend.together(CHUNK, self.rows)
+        while batch := list(islice(chunks, together)):
+            found = self.backend.measure([chunk.values for chunk in batch], directions)
+            for chunk, (projected, squares) in zip(batch, found, strict=True):
+                yield chunk, projected, squares
+
     def _look_at(
-        self, chunk: Chunk, directions: Any, screen: Screen, shortlist: Shortlist
+        self,
+        chunk: Chunk,
+        projected: np.ndarray,
+        squares: np.ndarray,
+        screen: Screen,
+        shortlist: Shortlist,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Test the new functions of a chunk; give them, and which are new up to an affine map."""
-        values = chunk.values
-        squares = self.backend.square_sums(values)
-        projected = self.backend.get(directions @ values.T)
         spread = Spread(projected, squares, self.rows)
         index = np.flatnonzero(spread.usable)
         spread = spread.take(index)
@@ -304,7 +321,7 @@ class Enumerator:
             index, spread = index[new], spread.take(new)
         fresh = self._enter(self._affine, spread.affine())
         tested = index[fresh]
-        rows = self.backend.pick(values, tested) if self.formed < self.powers_up_to else None
+        rows = self.backend.pick(chunk.values, tested) if self.formed < self.powers_up_to else None
         shares = screen.shares(projected[len(self._sketch) :, tested], squares[tested], rows)
         shortlist.offer(shares, chunk, tested)
         self.formed += len(chunk)
