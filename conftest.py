@@ -30,6 +30,8 @@ from dynsr.jobs import let_garbage_wait
 os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
 
 _ROOT = Path(__file__).parent
+# Folders and pages of the documentation that search.
+_SEARCHING = {"gallery", "coming-from", "index.md", "your-data.md"}
 
 # A shell starts background jobs with Ctrl-C ignored; the tests of it and their children would wait.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -41,9 +43,9 @@ let_garbage_wait()
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the gallery slow: each of its pages is a whole search."""
+    """Mark pages slow that search: blocks of a page build on each other."""
     for item in items:
-        if item.path.parent.name == "gallery":
+        if item.path.suffix == ".md" and {item.path.parent.name, item.path.name} & _SEARCHING:
             item.add_marker(pytest.mark.slow)
 
 

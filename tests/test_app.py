@@ -203,6 +203,7 @@ def test_the_line_is_that_of_the_shell(page, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "name", ["../../etc/a.csv", "..\\a.csv", "/a.csv", ".a.csv", "a\n\x00b.csv"]
 )
+@pytest.mark.slow
 def test_a_name_leads_nowhere(page, name):
     """The name of a file is a label: folders in it are left out."""
     parts = page.drop(TABLE, name)

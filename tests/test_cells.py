@@ -143,6 +143,7 @@ def test_a_namesake_of_a_catalogue_system_is_refused(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_the_steps_stand_in_the_manifest_and_in_the_samples(tmp_path):
     """Own steps are the default; a folder of theirs is not continued with the recorded ones."""
     result = replicate(["cart-pole"], ["sindy"], 1, jobs=1, out=tmp_path, report=False)

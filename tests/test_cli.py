@@ -332,6 +332,7 @@ def test_audit():
     assert all(row["unrounded"] for row in rows if not row["agrees"])
 
 
+@pytest.mark.slow
 def test_julia_without_julia_is_one_line():
     """Asking for an engine that is absent takes one line, exit code 2 and under two seconds."""
     if importlib.util.find_spec("juliacall"):

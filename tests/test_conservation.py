@@ -1,6 +1,7 @@
 """What rests along exact runs is conserved by the equations that are found."""
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import dynsr
@@ -40,6 +41,7 @@ def test_a_constant_inflow_is_no_state_of_a_closed_system():
         assert np.allclose(evaluate(found[state], rows), evaluate(parse(true), rows))
 
 
+@pytest.mark.slow
 def test_a_law_of_a_closed_system_holds_from_other_starts():
     """From another start, with another sum, the isomers follow what was found."""
     found = dynsr.discover(isomers(), jobs=1)

@@ -103,6 +103,7 @@ def test_what_does_not_belong_is_not_tied(extra):
         assert not list(find_couplings(exprs, values, np.diag((0.02 * values) ** 2)))
 
 
+@pytest.mark.slow
 def test_the_loss_is_that_of_the_restrictions():
     """Of constants with errors, twice the loss in nats is chi-square of three, and errors are real.
 

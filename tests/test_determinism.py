@@ -91,6 +91,7 @@ def kinds(t, x, target="a", noise=0.0, multiplicative=False):
 
 
 @pytest.mark.parametrize("name", WHOLE)
+@pytest.mark.slow
 def test_whole_states_raise_no_alarm(name):
     """No state, order, time or map is called missing where all states are there, noise or not."""
     t, x = WHOLE[name]()

@@ -59,6 +59,7 @@ def test_the_choice_is_explained(found):
     assert "bits" in found.details["y"] and "held-back" in found.details["y"]
 
 
+@pytest.mark.slow
 def test_the_number_of_jobs_does_not_change_the_result(decay, found):
     """Two processes give exactly what one gives."""
     twice = discover(decay, method=QUICK, jobs=2)
@@ -66,6 +67,7 @@ def test_the_number_of_jobs_does_not_change_the_result(decay, found):
     assert {**first, "seconds": 0} == {**second, "seconds": 0}
 
 
+@pytest.mark.slow
 def test_the_papers_pendulum_is_found_exactly():
     """Both equations and their constants come out as they are, theta1' = theta2 as a column."""
     data = training_trajectory(PENDULUM)

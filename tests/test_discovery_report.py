@@ -172,6 +172,7 @@ def test_a_choice_off_its_front_is_told():
         assert place_front(front, on).note == ""
 
 
+@pytest.mark.slow
 def test_large_data_are_thinned_or_drawn_as_a_density_and_it_is_said():
     """Of 6,000 rows one in three is a point of a line, and slopes are pictures, a small page."""
     t = np.linspace(0, 300, 6_000)

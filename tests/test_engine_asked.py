@@ -187,6 +187,7 @@ def test_every_command_that_takes_an_engine_is_tested_below():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.slow
 def test_no_command_answers_without_asking(julia, tmp_path, monkeypatch, name):
     """With --engine julia each command asks it."""
     monkeypatch.chdir(tmp_path)

@@ -46,6 +46,7 @@ def test_intervals_hold_the_true_constants(noisy):
     assert rows["x"][1] - rows["x"][0] < 0.1
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_ensemble(noisy):
     """Seed 3 gives the same twice, whatever the jobs are."""
     first = bootstrap(noisy, members=10, seed=3)

@@ -54,6 +54,7 @@ LAWS = {
 
 # The pendulum's is told by distant rows below.
 @pytest.mark.parametrize("name", [name for name in LAWS if name != "a pendulum"])
+@pytest.mark.slow
 def test_a_final_law_ends_the_search(name):
     """Sums and ratios of exact data are found; no other method runs, as the record says."""
     rhs, start, end, names, law = LAWS[name]
@@ -66,6 +67,7 @@ def test_a_final_law_ends_the_search(name):
     assert all("rational" not in c.source for own in found.front.values() for c in own)
 
 
+@pytest.mark.slow
 def test_distant_rows_are_confirmed_on_the_states():
     """Ten rows a swing give slopes no nearer than 1e-4; the states leave no doubt of the law."""
     rhs, start, _, names, law = LAWS["a pendulum"]
@@ -79,6 +81,7 @@ def test_distant_rows_are_confirmed_on_the_states():
     assert str(found.equations["v"]) == "-0.3*v - 7.7*sin(q)"
 
 
+@pytest.mark.slow
 def test_a_law_beyond_the_library_is_not_final():
     """Where no sum of few terms is the law, many that are not miss as little: search goes on."""
     rhs = lambda x, y: (y, -0.5 * np.arctan(3 * x) - 0.1 * y)  # noqa: E731

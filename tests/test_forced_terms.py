@@ -71,6 +71,7 @@ def test_a_term_that_the_data_do_not_ask_for_is_there(
     assert found.settings["must"] == ["x: x**2"]
 
 
+@pytest.mark.slow
 def test_a_term_of_the_law_changes_nothing_else(plain: dynsr.Discovery) -> None:
     """Forced terms that the law has give the equations of a search without them."""
     found = dynsr.discover(prey(0.0), must=["x: x*y", "y: y"], **QUICK)

@@ -228,6 +228,7 @@ def _calls(path):
                 yield f"{path.name}:{node.lineno} {name}"
 
 
+@pytest.mark.slow
 def test_no_file_evaluates_text():
     """The only reader of formulas is dynsr.expression.parse, and it builds them node by node."""
     folder = Path(inspect.getfile(dynsr)).parent

@@ -106,6 +106,7 @@ def test_ctrl_c_before_anything_is_found_is_raised(decay):
 
 # An interrupt between the opening of a file and its ``with`` leaves the file to the collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.slow
 def test_an_interrupted_search_is_searched_again(decay, tmp_path):
     """What an interrupted search had does not pass for its result: the rerun is as if undisturbed.
 

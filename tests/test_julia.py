@@ -165,6 +165,7 @@ def test_a_worker_killed_between_calls_is_replaced(engine):
     assert process_of(engine) != before
 
 
+@pytest.mark.slow
 def test_what_takes_too_long_is_stopped(engine, monkeypatch):
     """A call past its limit is an EngineError in time, and the next call works."""
     monkeypatch.setattr(julia, "GRACE_SECONDS", 0.5)
@@ -190,6 +191,7 @@ def test_what_julia_prints_does_not_harm_the_protocol(engine):
     assert engine.integrate(decay(CHATTER)).success
 
 
+@pytest.mark.slow
 def test_an_answer_that_breaks_off_is_an_error_and_never_half_an_answer(fake_julia, monkeypatch):
     """Wherever the stream of a worker ends inside an answer, the call is an EngineError."""
     answer = pickle.dumps(({"event": "answer"}, {"x": np.arange(3.0)}))
@@ -226,6 +228,7 @@ def test_a_julia_that_does_not_start_is_unavailable(engine, monkeypatch):
     assert engine.integrate(decay()).success
 
 
+@pytest.mark.slow
 def test_a_long_start_shows_its_progress(fake_julia, monkeypatch):
     """While Julia precompiles, a line says so."""
     monkeypatch.setenv("FAKE_JULIA_START", "slow")

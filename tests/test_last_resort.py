@@ -68,6 +68,7 @@ def test_a_law_stays(prey):
     assert follow_anyway(problem, found, verdict) is None
 
 
+@pytest.mark.slow
 def test_what_follows_keeps_to_the_demands(prey, followed):
     """Where x' may not hold x*y, what is given instead does without; else it holds that."""
     problem = pose(prey, constraints={"x": {"x*y": 0}}, functions=[])

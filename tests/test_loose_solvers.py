@@ -25,6 +25,7 @@ def compare(damping, tolerance, settings=COMPARISON):
 
 
 @pytest.mark.parametrize("extra", ["q^3", "q*v^2"])
+@pytest.mark.slow
 def test_errors_of_a_solver_are_no_terms(extra):
     """The true equation takes fewer bits than with a term for what the solver left behind.
 
@@ -37,6 +38,7 @@ def test_errors_of_a_solver_are_no_terms(extra):
     assert strict(true) > strict(longer)
 
 
+@pytest.mark.slow
 def test_small_true_terms_stay():
     """A damping by which the swings shrink by 3 % in all is not taken for an error."""
     bits = compare(0.003, 1e-10)

@@ -155,6 +155,7 @@ def test_free_constants_keep_the_structure():
     assert template.subs(values) == sympy.sympify(parse("2.5*x**2 + x/3 + sin(2.5*x)"))
 
 
+@pytest.mark.slow
 def test_standard_errors_are_as_large_as_the_spread_of_the_constants():
     """Over 60 draws of Gaussian noise the stated error is the constants' spread, to a fifth."""
     t, rng = np.linspace(0.0, 8.0, 161), np.random.default_rng(0)

@@ -1,6 +1,7 @@
 import sys
 
 import numpy as np
+import pytest
 
 from dynsr.data.samples import Samples
 from dynsr.methods.feynman.network import fit_network
@@ -13,6 +14,7 @@ def _samples(count: int) -> Samples:
     return Samples(X, y, ("a", "b"), "a", "given", np.arange(float(count)))
 
 
+@pytest.mark.slow
 def test_the_network_and_its_gradient_follow_a_smooth_function():
     """On fresh points the values are within 2 % of the spread, the derivatives within 10 %."""
     network = fit_network(_samples(600), np.random.default_rng(0), epochs=200)

@@ -92,6 +92,7 @@ def test_a_folder_holds_the_draws_of_one_method(tmp_path):
         run_noise([DECAY], [0.0], [0], method=Truth(), preset="quick", out=tmp_path)
 
 
+@pytest.mark.slow
 def test_what_is_found_is_judged_against_the_truth():
     """The right form counts as exact with its errors; a line, which no noise mends, does not."""
     x, y = run_noise([LOTKA_VOLTERRA], [0.0], [0], method=Truth(prey=True))

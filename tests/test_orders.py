@@ -34,6 +34,7 @@ def swing(noise=0.0, times=T):
     ("uneven", "noise", "velocity", "acceleration"),
     [(False, 0.0, 1e-5, 1e-3), (False, 0.01, 0.03, 0.06), (True, 0.05, 0.06, 0.1)],
 )
+@pytest.mark.slow
 def test_derivatives_of_a_known_swing(uneven, noise, velocity, acceleration):
     """First and second derivative are those in closed form, on even and uneven times."""
     times = np.sort(np.random.default_rng(1).uniform(0, 10, 500)) if uneven else T
@@ -62,6 +63,7 @@ def test_an_oscillator_is_found_from_its_position(tmp_path):
     assert str(again) == str(found)
 
 
+@pytest.mark.slow
 def test_of_two_states_one_may_be_of_second_order():
     """With order={"x": 2} a first-order column keeps its slopes and its place."""
     one, _, _ = swing(times=FEW)
@@ -138,6 +140,7 @@ def test_forms_survive_their_record_and_strange_ones_are_plain():
     assert write_lines({"x": sympy.Symbol("y")}, {}) == ["x' = y"]
 
 
+@pytest.mark.slow
 def test_the_command_takes_orders(tmp_path):
     """--order x=2 finds the oscillator, prints x'', and --json has the first-order system."""
     dynsr.data.write_csv(swing(times=FEW)[0], tmp_path / "swing.csv")

@@ -5,6 +5,7 @@ import sys
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -47,6 +48,7 @@ def test_numpy_reads_what_pandas_reads(tmp_path_factory, data) -> None:
     np.testing.assert_equal(read(path), expected)
 
 
+@pytest.mark.slow
 def test_a_plain_table_needs_no_pandas(tmp_path) -> None:
     """Half a second of every start goes to importing it, which a plain table is spared; one with
     units in its names is not.

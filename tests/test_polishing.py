@@ -46,6 +46,7 @@ def rational(text):
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.slow
 def test_constants_fitted_again_come_back_to_their_own_terms(seed):
     """However SymPy sorts terms by their numbers, a pendulum's friction stays beside its speed."""
     t, rng = np.linspace(0, 10, 101), np.random.default_rng(seed)
@@ -107,6 +108,7 @@ def test_the_more_forecasts_the_finer_the_choice():
     assert rank_candidates([near, short], 800)[0] is near
 
 
+@pytest.mark.slow
 def test_one_wrong_equation_does_not_bend_the_constants_of_the_others(exact):
     """Beside a line for the predators, the prey's equation keeps its constants to two percent."""
     wrong = {"x": parse("1.4*x - 0.9*x*y"), "y": parse("0.3*x - 0.3*y")}

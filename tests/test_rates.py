@@ -124,6 +124,7 @@ def test_what_the_user_forbids_is_not_found_anew():
     assert all(e.as_coefficients_dict().get(sympy.Symbol("p")) is None for e in found)
 
 
+@pytest.mark.slow
 def test_a_forcing_is_cited_too():
     """What moves one equation with the time is offered to another, alone and along the system."""
     forced = {"x": "0.9*cos(t) - x", "v": "0.4*cos(t) - 0.5*v + x"}

@@ -92,6 +92,7 @@ def test_a_planted_law_is_found_by_its_own_reduction_alone(kind):
 
 
 @pytest.mark.parametrize("kind", PLANTED)
+@pytest.mark.slow
 def test_a_reducer_that_is_switched_off_finds_nothing(kind):
     """Without the planted property there is nothing to find: a law with none is left alone."""
     samples = _samples("sin(a*b + c*a^2) + exp(b*c)/(a + b*c^2)")

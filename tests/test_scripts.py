@@ -44,6 +44,7 @@ def test_each_script_is_small_and_says_what_it_makes(name):
     assert text.splitlines()[1].startswith(('"""Table', '"""Figure'))
 
 
+@pytest.mark.slow
 def test_the_appendix_of_the_ga_is_made_and_continued(tmp_path, run):
     """--quick gives three tables of two runs each; the next call takes them from the records."""
     code, shown, said = run("appendix_ga", "--quick", "--out", tmp_path)

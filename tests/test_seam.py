@@ -1,7 +1,10 @@
 import subprocess
 import sys
 
+import pytest
 
+
+@pytest.mark.slow
 def test_nothing_heavy_is_loaded_before_it_is_needed():
     """``import dynsr`` loads neither torch nor Julia nor matplotlib nor pandas; ``discover``, which
     every worker loads, needs no plots, no tables, no scipy.stats and no torch.

@@ -44,6 +44,7 @@ def _sources(front: ParetoFront) -> set[str]:
     [(LOTKA_VOLTERRA, "x"), (PENDULUM, "theta2")],
     ids=lambda one: getattr(one, "name", one),
 )
+@pytest.mark.slow
 def test_the_best_preset_finds_the_true_equation(system, state):
     """From the paper's training data alone the chosen formula is the true one, every digit."""
     # A long enumeration ends at the same choice.
@@ -55,6 +56,7 @@ def test_the_best_preset_finds_the_true_equation(system, state):
     assert sympy.expand(difference) == 0, f"{state}: {chosen}"
 
 
+@pytest.mark.slow
 def test_the_paper_preset_is_at_least_as_good_as_the_paper():
     """Forward differences, lowest error: Lotka-Volterra's trajectory loss is below 0.19."""
     preset = DynAIFeynman.preset("paper")
@@ -68,6 +70,7 @@ def test_the_paper_preset_is_at_least_as_good_as_the_paper():
     assert trajectory_loss(LOTKA_VOLTERRA, chosen.expr) <= 0.19
 
 
+@pytest.mark.slow
 def test_a_law_beyond_the_direct_stages_is_found_through_the_network():
     """A scaling symmetry that the trained network shows leads on; without it the law is missed."""
     samples = _samples("1/(1 + (a/b)^2)", 300)

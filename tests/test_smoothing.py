@@ -99,6 +99,7 @@ def test_a_constant_state_stays_what_it_is():
         (logistic, 150, 0.05, 0.0, 0.02, 0.1),
     ],
 )
+@pytest.mark.slow
 def test_states_and_slopes_are_close_to_the_truth(
     signal, rows, additive, multiplicative, states, slopes
 ):
@@ -117,6 +118,7 @@ def test_states_and_slopes_are_close_to_the_truth(
     assert np.all(np.median(misses, axis=0) < [states, slopes])
 
 
+@pytest.mark.slow
 def test_the_truth_lies_within_two_standard_deviations():
     """Over 6 draws of an oscillation, 88 to 99 % of states and slopes do."""
     t = np.linspace(0, 30, 120)
@@ -151,6 +153,7 @@ def test_the_curve_runs_through_the_smoothed_states():
     assert np.max(np.abs(found.curve(between) - [np.sin(between), np.cos(between)])) < 0.004
 
 
+@pytest.mark.slow
 def test_long_records_are_smoothed_in_pieces():
     """3000 rows of 120 cycles keep their slopes across the joints of the pieces."""
     t = np.linspace(0, 240 * np.pi, 3000)

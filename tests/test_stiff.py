@@ -102,6 +102,7 @@ def test_a_stiff_law_is_found_exactly(rows):
     assert found.equations == {"x": parse("y"), "y": parse("50*y - 50*x^2*y - x")}
 
 
+@pytest.mark.slow
 def test_forecasts_of_the_true_law_stay_stable_between_coarse_rows():
     """At 200 even rows an explicit step of a row is unstable; the true law still follows most."""
     run = relaxation(np.linspace(0, 150, 200))

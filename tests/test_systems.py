@@ -118,6 +118,7 @@ def test_a_wrong_system_does_not_explain():
 
 
 @pytest.mark.parametrize("name", NAMED)
+@pytest.mark.slow
 def test_the_truth_is_among_what_is_found_alone(name):
     """Each state by itself, the others read off their curves, has its true form in its pool."""
     for state, text in TRUTHS[name].items():

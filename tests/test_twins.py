@@ -86,6 +86,7 @@ def test_twins_cost_less():
     assert comparison.common_bits(twins) > comparison.common_bits(other) + 20
 
 
+@pytest.mark.slow
 def test_another_states_formula_is_tried_as_its_own():
     """What leads for one of two masses on springs leads, all names exchanged, for the other."""
     masses = {"a": "u", "b": "v", "u": "0.6*b - 2.0*a", "v": "0.7*a - 1.5*b"}

@@ -130,6 +130,7 @@ def swing():
 
 
 @pytest.mark.filterwarnings("ignore:columns were renamed")
+@pytest.mark.slow
 def test_a_discovery_in_units(swing, tmp_path):
     """Units from the names: coefficients have theirs in the shell, the report and the result."""
     assert bracketed_unit("w [rad/s]") == "rad/s"

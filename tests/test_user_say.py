@@ -80,6 +80,7 @@ SEARCHES = {
 
 @pytest.mark.parametrize("name", SEARCHES)
 @pytest.mark.parametrize("asked", [[], ["exp"], ["+", "-", "*"], ["tanh", "/", "**"]])
+@pytest.mark.slow
 def test_every_method_keeps_to_the_functions_asked(
     name: str, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -287,6 +288,7 @@ class Endless(AbstractMethod):
             return front
 
 
+@pytest.mark.slow
 def test_a_budget_ends_a_search_that_would_not_end(prey: dynsr.Trajectory) -> None:
     """The endless search gives what it has, the answer is complete and the record names it."""
     found = dynsr.discover(prey, method=[Endless(), "sindy"], jobs=1, time_budget=1)
@@ -352,6 +354,7 @@ def test_a_report_is_never_cut_in_two() -> None:
     assert ended == ["whole"]
 
 
+@pytest.mark.slow
 def test_the_shell_has_the_same_say(tmp_path) -> None:
     """Options reach the record as the arguments of the same names do."""
     data = tmp_path / "people.csv"

@@ -87,6 +87,7 @@ def test_a_state_that_rests_has_a_law_and_one_that_moves_has_none():
     assert judge({"x": sympy.S.Zero, "y": parse("2.0")}, data).level == "law"
 
 
+@pytest.mark.slow
 def test_what_follows_but_leaves_more_than_noise_is_an_approximation():
     """A pendulum without the sine explains nine tenths of its data, and is no law."""
     true = {"q": parse("p"), "p": parse("-4*sin(q)")}
@@ -223,6 +224,7 @@ def test_the_heading_never_says_found_of_what_is_not(found, other, tmp_path):
     assert "<h1>Equations found</h1>" in found.report(tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_programs_get_verdict_and_constants(tmp_path):
     """The JSON of the command has levels, numbers and intervals; readers get the verdict first."""
     t = np.linspace(0, 3, 151)

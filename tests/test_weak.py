@@ -88,6 +88,7 @@ def test_slopes_of_the_weak_scheme_have_the_means_of_the_weak_form():
     assert np.sqrt(np.mean((weak.matrix[whole] @ truth - weak.y[whole]) ** 2)) > 1e-6
 
 
+@pytest.mark.slow
 def test_a_discovery_by_the_weak_scheme():
     """The law of the predators comes out of noise, and the record names the scheme."""
     data, _ = prey(np.linspace(0, 8, 200), 0.005)

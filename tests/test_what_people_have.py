@@ -54,6 +54,7 @@ def test_hare_and_lynx_follow_lotka_and_volterra():
     check_what_is_said(found)
 
 
+@pytest.mark.slow
 def test_an_epidemic_of_one_column_lacks_a_state():
     """Boys in bed rise and fall again: what moves them is not in the table."""
     found = dynsr.discover(RECORDS / "influenza.csv", **FEW)
@@ -156,6 +157,7 @@ def chaotic(rows=200):
     return Trajectory(np.arange(float(rows)), np.array(x)[:, None], ("x",))
 
 
+@pytest.mark.slow
 def test_a_map_taken_for_a_flow_is_called_a_map():
     """A chaotic map is no state at rest with noise: the verdict names --map."""
     found = dynsr.discover(chaotic(), **FEW)

@@ -113,6 +113,7 @@ def test_roots_of_what_may_be_negative_are_left_out():
         "1.7/(1.2 + x^3) - 0.5*y",
     ],
 )
+@pytest.mark.slow
 def test_a_sum_is_found_by_what_it_is_worth(text):
     """Among thousands of terms the sum that has the values of a function comes up."""
     found = like().wide_sums(VALUES, evaluate(parse(text), COLUMNS), np.inf)
@@ -131,6 +132,7 @@ def test_constants_move_to_their_places():
 
 
 @pytest.mark.parametrize("size", [1e80, 1e120, 1e180, 1e250])
+@pytest.mark.slow
 def test_values_beyond_numbers_are_let_be(size):
     """A function whose squares are no numbers is like nothing, and ends no search."""
     target = size * evaluate(parse("exp(1.2*x)*y"), COLUMNS)
@@ -168,6 +170,7 @@ def test_no_sum_is_like_a_constant():
         assert like().cited_sums(np.full(200, value), np.inf, [parse("y/(0.5 + x)")]) == []
 
 
+@pytest.mark.slow
 def test_lines_of_other_equations_are_cited():
     """What is used up at the same catalyst stands over the line of the other equation."""
     target = evaluate(parse("-1.2*x/(0.5 + x + 0.8*y)"), COLUMNS)
@@ -203,6 +206,7 @@ def test_a_product_of_waves_is_found_from_a_line(state):
     assert best.bits < wrong.bits - 50
 
 
+@pytest.mark.slow
 def test_what_the_user_forbids_is_no_wide_term():
     """Where no function is allowed, none is found anew."""
     demands = read_demands(("x", "y"), ("x", "y"), functions=[], constraints=[])
@@ -224,6 +228,7 @@ def test_a_distance_is_offered_only_where_the_difference_changes_sign():
     assert not has_distance(5.0 + np.sin(x))
 
 
+@pytest.mark.slow
 def test_exponents_are_free_where_they_are_asked_for():
     """A repression of the power 2.5 is found from exact values; without, no term has its shape."""
     x = np.linspace(0.3, 3.0, 150)

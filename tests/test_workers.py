@@ -53,6 +53,7 @@ class WithoutGenerators(ThreadingBackend):
     supports_return_generator = False
 
 
+@pytest.mark.slow
 def test_a_broken_or_closed_pool_is_followed_by_a_good_one():
     """After results that nobody takes, an error and a worker that dies, the next call works."""
     with closing(spread(time.sleep, [(0,), (600,), (600,)], 2)) as results:
@@ -123,6 +124,7 @@ except KeyboardInterrupt:
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc to look at processes")
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL], ids=["interrupt", "kill"])
+@pytest.mark.slow
 def test_no_worker_is_left(tmp_path, end):
     """Ctrl-C in the whole group kills the workers at once; after kill -9 they end themselves."""
     child = subprocess.Popen(

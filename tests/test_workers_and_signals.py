@@ -62,6 +62,7 @@ def test_a_worker_that_dies_is_started_again_and_named_if_it_always_dies(tmp_pat
     assert any(c.source.startswith("rational") for c in found.front["x"])
 
 
+@pytest.mark.slow
 def test_no_more_workers_start_than_there_are_tasks():
     """Of 24 workers asked for, two are started for two calls."""
     before = set(_children())
@@ -201,6 +202,7 @@ def test_a_reader_that_has_enough_is_no_fault(words):
     assert (child.returncode, said) == (0, "")
 
 
+@pytest.mark.slow
 def test_a_full_output_is_one_line():
     """What cannot be written is told, with exit code 2."""
     with open("/dev/full", "w") as full:
@@ -327,6 +329,7 @@ def test_a_flipped_bit_in_what_is_finished_is_never_believed(part, tmp_path):
         path.write_bytes(content)
 
 
+@pytest.mark.slow
 def test_states_whose_names_a_file_system_confuses_have_records_of_their_own(tmp_path):
     """Upper and lower case, Greek letters and very long names each keep their own record."""
     names = ("x", "X", "μ", "n" * 300)
@@ -352,6 +355,7 @@ class Quarter(AbstractMethod):
 
 
 @pytest.mark.filterwarnings("ignore:the slopes given")
+@pytest.mark.slow
 def test_what_is_read_back_gives_the_very_same_result(tmp_path):
     """Formulas that were kept and read have the same form as those that were never written."""
     slopes = X[:, 1] / 4 / (np.log(X[:, 0]) + 3.5)
