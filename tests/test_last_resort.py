@@ -1,12 +1,17 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_followers import explained, integrate, measure
 
+from dynsr.data import System
 from dynsr.data.trajectory import Trajectory
+from dynsr.discovery import last_resort
 from dynsr.discovery.last_resort import SOURCE, follow_anyway
 from dynsr.discovery.orders import Form
 from dynsr.discovery.problem import DISCOVERY, Problem
 from dynsr.discovery.result import Discovery
+from dynsr.engines import simulate
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import ParetoFront
 from dynsr.jobs.budget import Budget
@@ -75,6 +80,31 @@ def test_what_follows_keeps_to_the_demands(prey, followed):
     changed, _ = follow_anyway(problem, *give_up(problem, WRONG))
     assert problem.demands.keep_all(changed.equations)
     assert not problem.demands.keep_all(followed[0].equations)
+
+
+def test_a_chaotic_run_that_leaves_noise_alone_keeps_its_equations(monkeypatch):
+    """Lorenz's law in noise parts from the whole run, as any equations would: it is not given up,
+    though it is no law for sure.
+    """
+    truth = {"x": "10*(y - x)", "y": "x*(28 - z) - y", "z": "x*y - 8*z/3"}
+    system = System.from_strings(
+        truth, x0=(1.0, 2.0, 20.0), name="lorenz", train=(0, 12), test=(0, 12), step=0.02
+    )
+    run = simulate(system, (1.0, 2.0, 20.0), np.arange(0, 12, 0.02), 1e-10, 1e-12)
+    noise = 0.01 * run.x.std(axis=0) * np.random.default_rng(0).standard_normal(run.x.shape)
+    problem = pose(Trajectory(run.t, run.x + noise, run.states))
+    found, verdict = give_up(problem, {s: parse(e) for s, e in truth.items()})
+    assert verdict.span < 12
+    unsure = {s: replace(own, level="approximation") for s, own in verdict.states.items()}
+    verdict = replace(verdict, level="approximation", states=unsure)
+    searched = []
+    monkeypatch.setattr(last_resort, "find_followers", lambda *args: searched.append(args))
+    assert follow_anyway(problem, found, verdict) is None
+    assert not searched
+    wrong = {s: replace(own, chi_square=4.0) for s, own in unsure.items()}
+    with pytest.raises(TypeError):
+        follow_anyway(problem, found, replace(verdict, states=wrong))
+    assert searched
 
 
 def test_a_map_is_not_followed_as_a_motion():

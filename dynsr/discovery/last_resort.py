@@ -57,7 +57,8 @@ def follow_anyway(
     if verdict.level == LAW or problem.form.discrete or problem.known or min(map(len, runs)) < 5:
         return None
     trail = _make_trail(problem, tuple(found.equations))
-    followed = verdict.level != NOT_FOUND and verdict.span >= max(np.ptp(run.t) for run in runs)
+    whole = verdict.span >= max(np.ptp(run.t) for run in runs)
+    followed = verdict.level != NOT_FOUND and (whole or _leaves_noise(problem, verdict))
     noise = {s: own.noise for s, own in verdict.states.items()}
     least = {s: least_r2(noise[s], problem.settings.verdict) for s in trail.states}
     enough = float(np.mean(list(least.values())))
@@ -73,6 +74,17 @@ def follow_anyway(
     if LEVELS.index(judged.level) > LEVELS.index(verdict.level):
         return None
     return changed, judged
+
+
+def _leaves_noise(problem: Problem, verdict: Verdict) -> bool:
+    """Whether nothing but noise is left where errors grow too far for whole runs to be followed.
+
+    Neighbours part on such runs, and what keeps closer to all of one does so by chance.
+    """
+    judge = problem.settings.verdict
+    return all(
+        own.chi_square < judge.excess and own.r2 >= judge.follows for own in verdict.states.values()
+    )
 
 
 def _make_trail(problem: Problem, states: tuple[str, ...]) -> Trail:

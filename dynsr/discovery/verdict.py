@@ -42,6 +42,7 @@ class VerdictSettings:
     ----------
     r2 : share of a state's variance, less that of its noise, that an approximation explains at
         least.
+    follows : share of it that equations explain over windows that they follow.
     finest : share of a state's spread that its noise is never thought below.
     exact : noise, as a share of the spread, below which data are clean, as solvers write them.
     solver : share of the spread by which solvers of low accuracy are off over a whole run; what
@@ -67,6 +68,7 @@ class VerdictSettings:
     """
 
     r2: float = 0.9
+    follows: float = 0.99
     finest: float = 5e-5
     exact: float = 2e-4
     solver: float = 2e-3
@@ -344,7 +346,7 @@ class _Bench:
     def _follows(self, followed: Followed) -> bool:
         return (
             followed.finite
-            and bool(np.all(self.r2(followed) >= 0.99))
+            and bool(np.all(self.r2(followed) >= self.settings.follows))
             and bool(np.all(followed.sizes() < self.settings.excess))
         )
 

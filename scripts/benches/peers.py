@@ -314,38 +314,57 @@ run_aifeynman(sys.argv[1], "data.txt", 20, "14ops.txt", polyfit_deg=3, NN_epochs
 """
 
 
-def show_aifeynman() -> str:
-    """Run the first AI Feynman on two systems; give a table, or why there is none."""
-    import numpy as np
-    from feynman import is_right, problems
+def show_aifeynman(out: Path) -> str:
+    """Run the first AI Feynman on two systems; give a table, or why there is none.
 
-    from dynsr.expression import to_text
+    Every equation is kept in the folder ``out`` as it ends.
+    """
+    from feynman import problems
+
     from dynsr.report import Table
 
     reason = make_old_home()
     if reason:
         return f"aifeynman 2.0.7 was not measured: {reason}.\n"
-    rows = []
+    kept = out / "aifeynman.json"
+    rows = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else []
+    for system, target, samples, truth in problems():
+        if [system.name, target] not in [row[:2] for row in rows]:
+            rows.append([system.name, target, *run_aifeynman(samples, truth)])
+            kept.write_text(json.dumps(rows), encoding="utf-8")
+    columns = ("system", "target", "right", "seconds", "ended", "its best formula")
+    return Table("aifeynman", "aifeynman 2.0.7", columns, tuple(map(tuple, rows))).to_markdown()
+
+
+def run_aifeynman(samples: Any, truth: Any) -> tuple[str, float, str, str]:
+    """Run it on one target; say whether it is right, after how long, how it ended, and with what.
+
+    Parameters
+    ----------
+    samples : of the target.
+    truth : the true formula.
+    """
+    import numpy as np
+    from feynman import is_right
+
+    from dynsr.expression import to_text
+
     # Its brute force is programs of its own, which it looks for on the path.
     near = {**os.environ, "PATH": f"{OLD / 'bin'}{os.pathsep}{os.environ['PATH']}"}
-    for system, target, samples, truth in problems():
-        with tempfile.TemporaryDirectory() as folder:
-            np.savetxt(Path(folder) / "data.txt", np.column_stack([samples.X, samples.y]))
-            began, ended = time.perf_counter(), "by itself"
-            command = [OLD / "bin" / "python", "-W", "ignore", "-c", AIFEYNMAN, f"{folder}/"]
-            try:
-                subprocess.run(
-                    command, cwd=folder, capture_output=True, check=False, timeout=CAP, env=near
-                )
-            except subprocess.TimeoutExpired:
-                ended = f"after {CAP:g} s"
-            seconds = time.perf_counter() - began
-            texts = read_solutions(Path(folder), samples.names)
-        right = any(is_right(member, truth, loose=True) for member in texts)
-        best = to_text(texts[-1])[:60] if texts else ""
-        rows.append((system.name, target, "yes" if right else "no", seconds, ended, best))
-    columns = ("system", "target", "right", "seconds", "ended", "its best formula")
-    return Table("aifeynman", "aifeynman 2.0.7", columns, tuple(rows)).to_markdown()
+    with tempfile.TemporaryDirectory() as folder:
+        np.savetxt(Path(folder) / "data.txt", np.column_stack([samples.X, samples.y]))
+        began, ended = time.perf_counter(), "by itself"
+        command = [OLD / "bin" / "python", "-W", "ignore", "-c", AIFEYNMAN, f"{folder}/"]
+        try:
+            subprocess.run(
+                command, cwd=folder, capture_output=True, check=False, timeout=CAP, env=near
+            )
+        except subprocess.TimeoutExpired:
+            ended = f"after {CAP:g} s"
+        seconds = time.perf_counter() - began
+        texts = read_solutions(Path(folder), samples.names)
+    right = any(is_right(member, truth, loose=True) for member in texts)
+    return "yes" if right else "no", seconds, ended, to_text(texts[-1])[:60] if texts else ""
 
 
 def read_solutions(folder: Path, names: Sequence[str]) -> list[Any]:
@@ -375,10 +394,10 @@ def main() -> None:
         table_of(records).to_markdown(),
         *(f"{note}\n" for note in notes),
     ]
-    if not options.no_aifeynman:
-        parts.append(show_aifeynman())
-    text = "\n".join(parts)
     options.out.mkdir(parents=True, exist_ok=True)
+    if not options.no_aifeynman:
+        parts.append(show_aifeynman(options.out))
+    text = "\n".join(parts)
     (options.out / "peers.md").write_text(text, encoding="utf-8")
     (options.out / "notes.json").write_text(json.dumps(notes), encoding="utf-8")
     if options.page is not None:
