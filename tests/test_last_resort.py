@@ -82,6 +82,7 @@ def test_what_follows_keeps_to_the_demands(prey, followed):
     assert not problem.demands.keep_all(followed[0].equations)
 
 
+@pytest.mark.slow
 def test_a_chaotic_run_that_leaves_noise_alone_keeps_its_equations(monkeypatch):
     """Lorenz's law in noise parts from the whole run, as any equations would: it is not given up,
     though it is no law for sure.

@@ -45,7 +45,7 @@ _STEEP = 30.0
 _BENT, _NUDGE, _FARTHEST = 3, 1e-5, 1.0
 # Of the terms that bend the likest ones, as many times those asked for, have their constants moved
 # so often.
-DRAFTED, _MOVES = 3, 6
+DRAFTED, _MOVES = 3, 8
 # Steps, of e-folds of the constants, by which terms of one shape are told apart.
 _FINE = 10
 # What of its own is left of a column, as a share of it, from which on it tells anything.
@@ -268,11 +268,14 @@ class WideTerms:
                 block = self._bend(place, constants.tolist(), points)
                 rest = block - (block @ basis) @ basis.T
                 # What is too large for a number is no gain: NumPy's floats say so without an end.
-                gain = np.square(rest[0] @ goal) / max(rest[0] @ rest[0], 1e-300)
+                coefficient = rest[0] @ goal / max(rest[0] @ rest[0], 1e-300)
+                gain = coefficient * (rest[0] @ goal)
                 if np.all(np.abs(block) < LARGEST) and best[0] < gain < math.inf:
                     best = float(gain), Likest(place, tuple(constants.tolist()), block)
-                    solved = np.linalg.lstsq(rest.T, goal, rcond=None)[0]
-                    moves = np.clip(np.nan_to_num(solved[1:] / solved[0]), -_FARTHEST, _FARTHEST)
+                    # Over the coefficient that the term has, small steps lead uphill; over the one
+                    # that the linear fit gives it they may lead anywhere.
+                    solved = np.linalg.lstsq(rest.T, goal, rcond=None)[0][1:] / coefficient
+                    moves = np.clip(np.nan_to_num(solved), -_FARTHEST, _FARTHEST)
                 else:
                     moves = moves / 4
                 constants = np.array(best[1].constants) * np.exp(moves)
@@ -417,12 +420,12 @@ def _hill(power: int) -> tuple[Written, Written]:
     return partial(_activates, n=power), partial(_represses, n=power)
 
 
-def _activates(_: Any, v: Any, k: Any, n: Any) -> Any:
-    return v**n / (k + v**n)
+def _activates(_: Any, v: Any, half: Any, n: Any) -> Any:
+    return v**n / (half**n + v**n)
 
 
-def _represses(_: Any, v: Any, k: Any, n: Any) -> Any:
-    return 1 / (k + v**n)
+def _represses(_: Any, v: Any, half: Any, n: Any) -> Any:
+    return 1 / (half**n + v**n)
 
 
 def _to_power(_: Any, v: Any, n: Any) -> Any:
@@ -433,7 +436,7 @@ def _to_inverse_power(_: Any, v: Any, n: Any) -> Any:
     return v**-n
 
 
-_HILL = {power: _hill(power) for power in (2, 3, 4)}
+_HILL = {power: _hill(power) for power in (2, 3, 4, 6, 8)}
 
 
 def _sine_apart(m: Any, v: Any, w: Any) -> Any:
@@ -508,8 +511,8 @@ def _of_one(place: int, values: np.ndarray) -> Iterator[_Part]:
     yield from (_Part(make, own) for make in sizes)
     for power in (power for power in _HILL if stands or power % 2 == 0):
         beside = both if power == 2 else (_COLUMNS,)
-        halves = [(share * size) ** power for share in _HALVES]
-        yield from (_Part(make, own, (k,), beside) for k in halves for make in _HILL[power])
+        halves = [share * size for share in _HALVES]
+        yield from (_Part(make, own, (half,), beside) for half in halves for make in _HILL[power])
     for share in _SIZES:
         scale = share * size
         if largest < _STEEP * scale:
@@ -547,7 +550,7 @@ def _powers_of(place: int, values: np.ndarray) -> Iterator[_Part]:
             _Part(make, (place,), (power,), both) for make in (_to_power, _to_inverse_power)
         )
         for share in _HALVES:
-            constants = ((share * size) ** power, power)
+            constants = (share * size, power)
             yield from (_Part(make, (place,), constants) for make in (_activates, _represses))
 
 
