@@ -11,6 +11,7 @@ from .pick import (
     rank_by_length,
     trivial_candidates,
 )
+from .relations import open_ratio
 from .systems import Compared, SystemChoice, compare_systems, explore, other_in_halves
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "lead_with",
     "look",
     "look_again",
+    "open_ratio",
     "other_in_halves",
     "pick_equation",
     "rank_by_length",

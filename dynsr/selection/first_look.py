@@ -35,6 +35,7 @@ from dynsr.methods import Limits
 from dynsr.selection.costs import bodies_of, shape_bits, unusual_bits
 from dynsr.selection.likeness import Likeness, cited_terms, fit_to
 from dynsr.selection.profiles import sums_beside
+from dynsr.selection.relations import open_ratio
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import (
     Joint,
@@ -551,6 +552,11 @@ class _Search:
         for error in (self.error / self.size, max(self.error / self.size, _LOOSE)):
             most = settings.within * error if error <= settings.exact else 0.0
             good = good or [c for c in found if max(c.miss, 0.1 * c.wild) <= most]
+        # One ratio of many that are the same along the data gives way to what is no such ratio.
+        settled = [c for c in good if not (c.below and open_ratio(c.expr, self.samples.columns))]
+        if settled:
+            found = [c for c in found if c in settled or c not in good]
+            good = settled
         # What rough slopes miss is the same for all that is near the law.
         bound = settings.alike * min(c.miss for c in found)
         near = good or [c for c in found if c.miss <= bound]
@@ -567,7 +573,7 @@ class _Search:
             if simple is not None:
                 exprs.append(simple)
             ranked.sort(key=lambda c: c is not best)
-            final = bool(sure) or self._stands_out(best, found)
+            final = bool(settled) and (bool(sure) or self._stands_out(best, found))
         exprs += [c.expr for c in ranked[: settings.kept]]
         named = dict.fromkeys(exprs)
         return Look(tuple(score_candidate(e, self.samples, SOURCE) for e in named), final)

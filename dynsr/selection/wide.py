@@ -428,6 +428,15 @@ def _represses(_: Any, v: Any, half: Any, n: Any) -> Any:
     return 1 / (half**n + v**n)
 
 
+def _softened(m: Any, v: Any, half: Any) -> Any:
+    """Beside its column, what levels off to either side."""
+    return 1 / m.sqrt(half**2 + v**2)
+
+
+def _softened_attraction(m: Any, v: Any, half: Any) -> Any:
+    return 1 / m.sqrt(half**2 + v**2) ** 3
+
+
 def _to_power(_: Any, v: Any, n: Any) -> Any:
     return v**n
 
@@ -457,6 +466,19 @@ def _cosine_together(m: Any, v: Any, w: Any) -> Any:
 
 def _length(m: Any, v: Any, w: Any) -> Any:
     return m.sqrt(v**2 + w**2)
+
+
+def _inverse_length(m: Any, v: Any, w: Any) -> Any:
+    return 1 / m.sqrt(v**2 + w**2)
+
+
+def _inverse_square_length(_: Any, v: Any, w: Any) -> Any:
+    return 1 / (v**2 + w**2)
+
+
+def _attraction(m: Any, v: Any, w: Any) -> Any:
+    """Of what falls with the square of a distance, beside a column its component."""
+    return 1 / m.sqrt(v**2 + w**2) ** 3
 
 
 def _distance(_: Any, v: Any, w: Any) -> Any:
@@ -513,6 +535,8 @@ def _of_one(place: int, values: np.ndarray) -> Iterator[_Part]:
         beside = both if power == 2 else (_COLUMNS,)
         halves = [share * size for share in _HALVES]
         yield from (_Part(make, own, (half,), beside) for half in halves for make in _HILL[power])
+    softened = (_softened, _softened_attraction)
+    yield from (_Part(make, own, (share * size,)) for share in _SIZES for make in softened)
     for share in _SIZES:
         scale = share * size
         if largest < _STEEP * scale:
@@ -563,10 +587,7 @@ def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
     if np.min(np.ptp(rows, axis=1)) > _BEND:
         waves = (_sine_apart, _cosine_apart, _sine_together, _cosine_together)
         yield from (_Part(wave, pair) for wave in waves)
-    # Of one sign a distance is a difference, which simpler terms are.
-    distances = (_distance,) if _changes_sign(first - second) else ()
-    sums = (_length, *distances, _square_apart, _cube_apart)
-    yield from (_Part(make, pair) for make in sums)
+    yield from (_Part(make, pair) for make in _sizes_of_two(first, second))
     for order, apart in ((pair, first - second), (pair[::-1], second - first)):
         if np.min(apart) > 0:
             yield _Part(_root_apart, order)
@@ -589,6 +610,17 @@ def _of_two(pair: tuple[int, int], rows: np.ndarray) -> Iterator[_Part]:
                 else:
                     slopes = (-slopes[0], slopes[1])
                     yield _Part(_step_apart, pair, (-shift, *slopes), (_NOTHING,))
+
+
+def _sizes_of_two(first: np.ndarray, second: np.ndarray) -> Iterator[Written]:
+    """Give the functions without a constant: lengths, what falls with them, and differences."""
+    yield from (_length, _square_apart, _cube_apart)
+    # Of one sign a distance is a difference, which simpler terms are.
+    if _changes_sign(first - second):
+        yield _distance
+    lengths = np.hypot(first, second)
+    if np.min(lengths) > _APART * np.median(lengths):
+        yield from (_inverse_length, _inverse_square_length, _attraction)
 
 
 def _changes_sign(values: np.ndarray) -> bool:
