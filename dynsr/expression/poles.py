@@ -11,6 +11,8 @@ from dynsr.expression.evaluation import evaluate
 
 # Points at which the line below a fraction is looked at, so that even a narrow pole shows.
 _ACROSS = 201
+# Share of its range that a bare column reaches to either side of 0 where no noise brings it there.
+_EITHER = 0.05
 
 
 def lines_below(expr: sympy.Expr) -> Iterator[sympy.Expr]:
@@ -32,7 +34,8 @@ def lines_below(expr: sympy.Expr) -> Iterator[sympy.Expr]:
 def has_pole(expr: sympy.Expr, columns: Mapping[str, np.ndarray], beside: float = 0.0) -> bool:
     """Whether a fraction line passes through 0 where the columns of one run are, or between.
 
-    Lines that hold anything but columns tell nothing.
+    Lines that hold anything but columns tell nothing. A bare column passes through 0 where it
+    reaches to both sides of it.
 
     Parameters
     ----------
@@ -45,6 +48,8 @@ def has_pole(expr: sympy.Expr, columns: Mapping[str, np.ndarray], beside: float 
     >>> rows = {"x": np.array([1.0, 2.0])}
     >>> has_pole(1 / (x - 1.5), rows), has_pole(1 / (x - 2.05), rows)
     (True, False)
+    >>> has_pole(1 / x, rows), has_pole(1 / x, {"x": np.array([-1.0, 2.0])})
+    (False, True)
     >>> has_pole(1 / (x - 2.05), rows, beside=0.1)
     True
     """
@@ -62,4 +67,10 @@ def has_pole(expr: sympy.Expr, columns: Mapping[str, np.ndarray], beside: float 
                 values = evaluate(line, columns)
         if not np.min(values) * np.max(values) > 0:
             return True
-    return False
+    bare = (p.base for p in expr.atoms(sympy.Pow) if p.base.is_Symbol and p.exp.is_negative)
+    return any(_crosses(columns[str(symbol)]) for symbol in bare if str(symbol) in columns)
+
+
+def _crosses(values: np.ndarray) -> bool:
+    low, high = np.min(values), np.max(values)
+    return bool(min(-low, high) > _EITHER * (high - low))
