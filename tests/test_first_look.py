@@ -261,9 +261,11 @@ def test_rough_slopes_are_not_looked_at_again():
 
 @pytest.mark.slow
 def test_a_discovery_looks_again_where_two_of_three_states_are_done():
-    """The third equation is found beside the two others, and no method runs."""
+    """The third equation is found beside the two others, no method runs, and none is planned."""
     laws, data, _ = coupled("what two others take")
-    found = dynsr.discover(data, jobs=1)
+    steps = []
+    found = dynsr.discover(data, jobs=1, progress=steps.append)
+    assert steps[-1].done == steps[-1].total == 4
     assert found.settings["first_look"] == sorted(laws)
     assert found.verdict.level == "law"
     assert all("rational" not in c.source for own in found.front.values() for c in own)
@@ -271,3 +273,22 @@ def test_a_discovery_looks_again_where_two_of_three_states_are_done():
     for state, law in laws.items():
         truth = evaluate(law, beside)
         assert evaluate(found.equations[state], beside) == pytest.approx(truth, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_what_is_left_to_do_is_counted_to_its_end():
+    """One state is done at once; the searches and the choice of the other stay in the plan."""
+    data = run(
+        lambda x, y: (-0.7 * x, 0.3 * x - np.exp(-(y**3)) * np.sin(3.1 * y) * y**1.3),
+        (2.0, 0.6),
+        6.0,
+        150,
+        ("x", "y"),
+    )
+    steps = []
+    found = dynsr.discover(data, preset="quick", jobs=1, progress=steps.append)
+    assert found.settings["first_look"] == ["x"]
+    assert all(step.done <= step.total for step in steps)
+    named = dict.fromkeys(step.what for step in steps if step.what)
+    assert list(named)[-1] == "choice of y'"
+    assert steps[-1].done == steps[-1].total == len(named)

@@ -320,8 +320,8 @@ class Watch:
             self._tell(title, record, getattr(record, "summary", ""))
 
     def skip(self, tasks: Iterable[str]) -> None:
-        """Take tasks out of the plan that are not needed any more."""
-        gone = set(tasks)
+        """Take tasks out of the plan that are not needed any more; what has ended stays in it."""
+        gone = set(tasks) - self.records.keys()
         self.plan = {name: usual for name, usual in self.plan.items() if name not in gone}
 
     def running(self) -> tuple[Running, ...]:
