@@ -184,6 +184,25 @@ def test_a_column_that_others_make_up_is_never_added():
     assert max(np.abs(s.coefficients).max() for s in found) < 10
 
 
+@pytest.mark.parametrize("left", [-1e9, 0.0])
+def test_a_slope_of_which_nothing_is_left_moves_no_constant(left):
+    """What else is free may take all of a huge column but rounding, which falls below 0 as well;
+    its term is found as one without it is.
+    """
+    columns = RNG.normal(size=(50, 2))
+    y = columns @ [1.5, -0.7] + 0.01 * RNG.normal(size=50)
+    information, pull = np.zeros((3, 3)), np.array([*(columns.T @ y), 1e-3])
+    information[:2, :2] = columns.T @ columns
+    information[2] = information[:, 2] = [1e-3, 1e-3, left]
+    found = best_subsets(information, pull, y @ y, np.full(2, 5.0), 50.0, slopes=np.array([2, -1]))[
+        0
+    ]
+    plain = best_subsets(information[:2, :2], pull[:2], y @ y, np.full(2, 5.0), 50.0)[0]
+    assert found.places == plain.places == (0, 1)
+    assert not found.shifts.any()
+    np.testing.assert_allclose(found.coefficients, plain.coefficients, rtol=1e-9)
+
+
 def test_a_term_of_infinite_cost_is_never_taken():
     """What the user's demands rule out is in no subset, however well it fits."""
     rng = np.random.default_rng(3)

@@ -67,7 +67,9 @@ def best_subsets(
         ``costs``, and by default they are all.
     """
     slopes = np.full(len(costs), -1) if slopes is None else slopes
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    own = np.diag(information)
+    # What else is free may leave nothing of a term but rounding, below 0 too.
+    scale = np.where(own > 0, np.sqrt(np.maximum(own, 1e-300)), np.inf)
     gram, target = information / np.outer(scale, scale), pull / scale
     known: list[Subset] = []
     layer = _Layer.of(gram, target, squares, [()], slopes)
