@@ -11,7 +11,7 @@ from dynsr.selection import ComparisonSettings, compare_systems
 from dynsr.selection.alone import Alone, Leader
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
-from dynsr.selection.twins import exchanged, first_of_each, with_twins
+from dynsr.selection.twins import exchanged, families, first_of_each, with_twins
 
 SETTINGS = ComparisonSettings()
 # Two genes that switch each other on; what is made of one decays faster.
@@ -54,6 +54,19 @@ def test_inputs_change_no_places():
     exprs = floats({"x": "0.5*u - 0.3*x", "y": "0.4*v - 0.2*y"})
     assert first_of_each(exprs, ["x", "y"]) == ["x", "y"]
     assert first_of_each(exprs, ["x", "y", "u", "v"]) == ["x"]
+
+
+def test_families_are_made_of_what_was_found():
+    """After the system of the first equations come those with twins of one, each system once; what
+    has no twin keeps its first equation.
+    """
+    found = {s: list(floats({s: text}).values()) for s, text in RING.items()}
+    alone, odd = sympy.sympify("0.3*x - 0.1*y"), sympy.sympify("0.9*y*z - 1.2*z")
+    found["z"].insert(0, odd)
+    found["w"] = [alone]
+    first, second = families(found, list(found))
+    assert first == {**floats(RING), "z": odd, "w": alone}
+    assert second == {**floats(RING), "w": alone}
 
 
 def test_every_way_of_exchanging_is_given():

@@ -62,12 +62,15 @@ from dynsr.selection import (
     SelectionSettings,
     SystemChoice,
     compare_systems,
+    families,
     other_in_halves,
 )
 
 Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 # Misses in units of the noise below which there may be none.
 _FAR_BELOW_NOISE = 0.2
+# Times the loss of the likeliest formula up to which others may be as good on slopes.
+_AS_NEAR = 10.0
 
 
 @dataclass(frozen=True)
@@ -400,15 +403,15 @@ class Problem:
         """
         if not all(found.candidates for found in looked):
             return {}
-        exprs = {
-            f.target: self.known.get(f.target, sympy.S.Zero) + f.candidates[0].expr for f in looked
-        }
+        near = {f.target: _as_near(f.candidates)[: 1 if f.final else None] for f in looked}
         given = self.form.known
-        whole = {s: given[s] if s in given else exprs[s] for s in self.form.complete(tuple(exprs))}
-        found = self._confirmed(whole)
-        if found is None:
-            return {}
-        return {s: found[s] - self.known.get(s, sympy.S.Zero) for s in exprs}
+        for exprs in families(near, self.form.complete(tuple(near))):
+            whole = {s: self.known.get(s, sympy.S.Zero) + e for s, e in exprs.items()}
+            whole = {s: given.get(s, whole.get(s)) for s in self.form.complete(tuple(exprs))}
+            found = self._confirmed(whole)
+            if found is not None:
+                return {s: found[s] - self.known.get(s, sympy.S.Zero) for s in exprs}
+        return {}
 
     def _confirmed(self, whole: Mapping[str, sympy.Expr]) -> Mapping[str, sympy.Expr] | None:
         found, cut = finish_by(
@@ -546,6 +549,12 @@ def with_velocities(found: Discovery, form: Form) -> Discovery:
             **{s: f" {explain_velocity(s, str(e))}" for s, e in known.items()},
         },
     )
+
+
+def _as_near(candidates: Sequence[Candidate]) -> list[sympy.Expr]:
+    """Give the first formula and those that come as near to the slopes."""
+    first, *others = candidates
+    return [first.expr, *(c.expr for c in others if c.loss <= _AS_NEAR * first.loss)]
 
 
 def _why(system: sympy.Expr, picked: sympy.Expr) -> str:

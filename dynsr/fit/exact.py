@@ -14,7 +14,7 @@ import sympy
 
 from dynsr.data import Trajectory
 from dynsr.errors import InputError
-from dynsr.expression import evaluate, number_bits, ratio_forms
+from dynsr.expression import compile_columns, number_bits, ratio_forms
 from dynsr.fit.constants import free_constants
 from dynsr.fit.description import structure_bits
 from dynsr.fit.settings import FIT, FitSettings
@@ -160,16 +160,16 @@ def _without_nothing(
 ) -> sympy.Expr:
     """Put 0 for every constant whose absence changes a formula by less than a share of it."""
     template, values = free_constants(expr, "constant ")
+    held = np.array(list(values.values()))
+    # All constants first, then each of them put to 0.
+    each = np.concatenate([held[None], held * (1 - np.eye(len(held)))])[..., None]
+    program = compile_columns([template], (*columns, *map(str, values)))
     with np.errstate(all="ignore"):
-        whole = evaluate(expr, columns)
-        size = float(np.sqrt(np.mean(whole**2)))
-        kept: dict[sympy.Symbol, sympy.Expr] = {}
-        for symbol, value in values.items():
-            lost = expr.xreplace({sympy.Float(value): sympy.S.Zero})
-            kept[symbol] = sympy.Float(value)
-            if lost.has(sympy.zoo, sympy.nan):
-                continue
-            change = float(np.sqrt(np.mean((evaluate(lost, columns) - whole) ** 2)))
-            if change <= share * size:
-                kept[symbol] = sympy.S.Zero
+        whole, *lost = np.atleast_2d(program(*columns.values(), *np.moveaxis(each, 1, 0))[0])
+        most = share * float(np.sqrt(np.mean(whole**2)))
+        nothing = [float(np.sqrt(np.mean((own - whole) ** 2))) <= most for own in lost]
+    kept = {
+        symbol: sympy.S.Zero if none else sympy.Float(value)
+        for (symbol, value), none in zip(values.items(), nothing, strict=True)
+    }
     return template.xreplace(kept)

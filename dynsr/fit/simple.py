@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TypeAlias
 
 import numpy as np
 import sympy
@@ -27,6 +28,9 @@ class Kind:
     pinned: bool = False
 
 
+# SymPy's fractions are made of the one that is chosen alone.
+Number: TypeAlias = Fraction | sympy.Expr
+
 # Shares of constants in textbooks and handbooks by kind, to a factor of two; what is left is
 # measured. Denominators above 8, and decimals of three digits or more, ask for precision.
 WHOLE, HALF, SMALL_PARTS, PARTS = Kind(0.3), Kind(0.1), Kind(0.05), Kind(0.005)
@@ -35,7 +39,7 @@ DIGITS = {1: Kind(0.15), 2: Kind(0.15), 3: Kind(0.02, True), 4: Kind(0.01, True)
 KNOWN = Kind(0.01)
 MEASURED = 0.25
 # Numbers of physics and mathematics that have names.
-_NAMED: tuple[sympy.Expr, ...] = (sympy.Rational(981, 100), sympy.pi, 2 * sympy.pi, sympy.E)
+_NAMED: tuple[Number, ...] = (Fraction(981, 100), sympy.pi, 2 * sympy.pi, sympy.E)
 _LARGEST_WHOLE = 100
 
 
@@ -56,7 +60,7 @@ def simple_value(value: float, error: float, settings: FitSettings = FIT) -> sym
         return None
     # Integration itself is not surer than the finest.
     error = max(error, settings.finest * abs(value), 1e-300)
-    weights: dict[sympy.Expr, float] = {}
+    weights: dict[Number, float] = {}
     for number, use, gap in _numbers(abs(value), error <= settings.pinned * abs(value)):
         z = (float(number) - abs(value)) / error
         density = math.exp(-z * z / 2) / math.sqrt(2 * math.pi) / error
@@ -65,8 +69,10 @@ def simple_value(value: float, error: float, settings: FitSettings = FIT) -> sym
         return None
     best = max(weights, key=lambda n: (weights[n], str(n)))
     near = abs(float(best) - abs(value)) <= reach(best, settings) * error
-    believed = weights[best] >= settings.sure * (sum(weights.values()) + MEASURED)
-    return (best if value > 0 else -best) if near and believed else None
+    if not (near and weights[best] >= settings.sure * (sum(weights.values()) + MEASURED)):
+        return None
+    simple = sympy.Rational(best) if isinstance(best, Fraction) else best
+    return simple if value > 0 else -simple
 
 
 def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
@@ -104,7 +110,7 @@ def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(np.log2(found / most), 0.0))
 
 
-def reach(number: sympy.Expr, settings: FitSettings = FIT) -> float:
+def reach(number: Number, settings: FitSettings = FIT) -> float:
     """Give the standard errors within which a number may stand for a constant.
 
     A factor 1 is no number of a formula but its absence, like a term whose factor is 0, and is
@@ -116,17 +122,13 @@ def reach(number: sympy.Expr, settings: FitSettings = FIT) -> float:
     return settings.surely_zero if abs(number) == 1 else settings.within
 
 
-def _numbers(value: float, pinned: bool) -> list[tuple[sympy.Expr, float, float]]:
+def _numbers(value: float, pinned: bool) -> list[tuple[Number, float, float]]:
     """Give (number, share of use, spacing of its kind) of the simple numbers around a value."""
-    found: list[tuple[sympy.Expr, float, float]] = []
+    found: list[tuple[Number, float, float]] = []
 
     def add(numbers: set[Fraction], kind: Kind, gap: float) -> None:
         if pinned or not kind.pinned:
-            found.extend(
-                (sympy.Rational(n.numerator, n.denominator), kind.use, gap)
-                for n in numbers
-                if n > 0
-            )
+            found.extend((n, kind.use, gap) for n in numbers if n > 0)
 
     if value < _LARGEST_WHOLE:
         add(_around(value, Fraction(1)), WHOLE, 1.0)
@@ -145,5 +147,6 @@ def _numbers(value: float, pinned: bool) -> list[tuple[sympy.Expr, float, float]
 
 def _around(value: float, step: Fraction) -> set[Fraction]:
     """Give the multiples of ``step`` below and above a value."""
-    below = math.floor(Fraction(value) / step)
+    over, under = value.as_integer_ratio()
+    below = over * step.denominator // (under * step.numerator)
     return {below * step, (below + 1) * step}

@@ -13,6 +13,7 @@ from .pick import (
 )
 from .relations import open_ratio
 from .systems import Compared, SystemChoice, compare_systems, explore, other_in_halves
+from .twins import families
 
 __all__ = [
     "Compared",
@@ -28,6 +29,7 @@ __all__ = [
     "compare_systems",
     "explains_all",
     "explore",
+    "families",
     "find_followers",
     "forecast_miss",
     "lead_with",

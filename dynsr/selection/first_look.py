@@ -245,6 +245,7 @@ class _Search:
     trust: np.ndarray
     cited: np.ndarray | None = None
     fitted: dict[frozenset[int], _Choice | None] = field(default_factory=dict)
+    simple: dict[_Choice, sympy.Expr] = field(default_factory=dict)
     # What formulas have for terms, which are no columns.
     numbers: Iterator[int] = field(default_factory=lambda: counting(-1, -1))
 
@@ -515,7 +516,9 @@ class _Search:
 
     def _simplest(self, choice: _Choice, most: float) -> sympy.Expr | None:
         """Write a choice in simple numbers; None where that misses by more than allowed."""
-        simple = simplest_form(choice.expr, self.samples.columns)
+        if choice not in self.simple:
+            self.simple[choice] = simplest_form(choice.expr, self.samples.columns)
+        simple = self.simple[choice]
         misses = np.abs(self.samples.y - evaluate(simple, self.samples.columns)) * self.trust
         return simple if np.median(misses) <= most else None
 

@@ -39,6 +39,8 @@ _FREQUENCIES = tuple(np.arange(0.5, 4.1, 0.25).tolist())
 _INSIDE = sympy.Symbol("constant inside")
 # How far the constant moves when terms leave, in steps of those tried.
 _CLOSE = 0.02
+# Gauss-Newton steps of the constant then; each doubles its digits.
+_STEPS = 5
 
 
 @dataclass(frozen=True)
@@ -321,6 +323,7 @@ def _thin(
     functions = profile.make(_INSIDE)[which]
     terms = [*beside.powers, *(f * m for f in functions for m in beside.before)]
     at = beside.compile(terms)
+    turns = beside.compile([term.diff(_INSIDE) for term in terms])
     columns = at(k)
     if not np.all(np.isfinite(columns)):
         return None
@@ -333,14 +336,26 @@ def _thin(
     def left(own: Sequence[int]) -> tuple[float, float]:
         """What some of the terms leave, and the constant near the one known that does."""
 
-        def miss(value: float) -> float:
-            columns = at(value)[list(own)].T
+        def fit(value: float) -> tuple[float, float]:
+            """Give what is left at a constant, and the step that makes it least."""
+            columns = at(value)[own].T
             if not np.all(np.isfinite(columns)):
-                return np.inf
-            return _size(y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0])
+                return np.inf, 0.0
+            coefficients = np.linalg.lstsq(columns, y, rcond=None)[0]
+            turned = np.column_stack([columns, coefficients @ turns(value)[own]])
+            step = 0.0
+            if width and np.all(np.isfinite(turned)):
+                step = float(np.linalg.lstsq(turned, y, rcond=None)[0][-1])
+            return _size(y - columns @ coefficients), step
 
-        moved = _least(miss, k, k - width, k + width) if width else k
-        return miss(moved), moved
+        value, (miss, step) = k, fit(k)
+        for _ in range(_STEPS):
+            moved = float(np.clip(value + step, k - width, k + width))
+            least, further = fit(moved)
+            if not least < miss:
+                break
+            value, miss, step = moved, least, further
+        return miss, value
 
     width = _CLOSE * abs(near[1] - near[0])
     while 1 < len(kept) <= 2 * most:

@@ -13,7 +13,7 @@ from itertools import permutations
 
 import sympy
 
-from dynsr.fit import one_of_each_shape, skeleton
+from dynsr.fit import one_of_each_shape, skeleton, with_floats
 from dynsr.selection.costs import bodies_of
 
 # Ways of exchanging the names of columns that are looked through at most.
@@ -83,6 +83,39 @@ def with_twins(
         if names is not None:
             both[other] = _with_terms_of(own, expr.xreplace(names))
     return [alone] if both == alone else [both, alone]
+
+
+def families(
+    found: Mapping[str, Sequence[sympy.Expr]], columns: Sequence[str]
+) -> list[dict[str, sympy.Expr]]:
+    """Give the system of the likeliest equations, then those in which twins of one take part.
+
+    Parameters
+    ----------
+    found : state -> equations that may be its own, the likeliest first.
+    columns : names that may be exchanged.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> found = {"x": [2.0 * x - 1.5 * x * y], "y": [0.7 / y, 0.5 * y - 0.3 * x * y]}
+    >>> families(found, ["x", "y"])[1]
+    {'x': -1.5*x*y + 2.0*x, 'y': -0.3*x*y + 0.5*y}
+    """
+    loose = {state: [with_floats(expr) for expr in own] for state, own in found.items()}
+    systems = [{state: own[0] for state, own in found.items()}]
+    for state, (lead, *_) in loose.items():
+        family = {
+            other: next(
+                (
+                    expr
+                    for expr, own in zip(exprs, loose[other], strict=True)
+                    if other != state and _find(lead, state, own, other, columns)
+                ),
+                exprs[0],
+            )
+            for other, exprs in found.items()
+        }
+        systems += [family] if family not in systems else []
+    return systems
 
 
 def _with_terms_of(own: sympy.Expr, changed: sympy.Expr) -> sympy.Expr:
