@@ -251,6 +251,19 @@ def test_exact_slopes_are_looked_at_again_beside_other_equations(name):
     )
 
 
+@pytest.mark.slow
+def test_of_what_one_ellipse_leaves_open_a_planet_obeys_what_holds_for_its_other_axis():
+    """Alone, exact slopes leave many forms; the twin of the first equation, with the same
+    constants, is none of many.
+    """
+    laws, data, _ = coupled("a planet, all of whose columns keep relations")
+    samples = choose_samples([data], "w")
+    assert not look_again(samples, {}, wide=False).final
+    seen = look_again(samples, {"u": laws["u"]}, wide=False)
+    assert seen.final
+    assert seen.candidates[0].expr == sympy.nsimplify(laws["w"], rational=True)
+
+
 def test_rough_slopes_are_not_looked_at_again():
     """Noise holds no more for a second look than for the first."""
     t = np.linspace(0.0, 8.0, 200)

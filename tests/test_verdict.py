@@ -283,8 +283,14 @@ def test_what_divides_by_zero_between_the_rows_is_no_law():
     assert not judge({"x": -0.5 * x * (1 + 1e-12 / (x + 0.01))}, [decay]).reason.count("divides")
 
 
-def test_a_ratio_is_no_law_where_its_columns_keep_a_relation():
-    """Along a planet's one ellipse a wrong ratio follows it exactly; it is no law of planets."""
+@pytest.mark.parametrize(
+    ("state", "open_form"),
+    [("u", "(-0.3*u^2 - 1.69*w)/(0.3*x + 1)"), ("w", "0.946745562*u^3 + u*w^2")],
+)
+def test_what_a_relation_of_the_columns_leaves_open_is_no_law(state, open_form):
+    """Along a planet's one ellipse a wrong ratio follows it exactly, and a wrong cubic polynomial;
+    neither is a law of planets.
+    """
     planet = {
         "x": parse("u"),
         "u": parse("-1.3*x/(x^2 + y^2)^(3/2)"),
@@ -292,9 +298,9 @@ def test_a_ratio_is_no_law_where_its_columns_keep_a_relation():
         "w": parse("-1.3*y/(x^2 + y^2)^(3/2)"),
     }
     orbit = measure(planet, [1.0, 0.0, 0.0, 1.0], 9, 300)
-    wrong = {**planet, "u": parse("(-0.3*u^2 - 1.69*w)/(0.3*x + 1)")}
+    wrong = {**planet, state: parse(open_form)}
     assert judge(planet, [orbit]).level == "law"
-    own = judge(wrong, [orbit]).states["u"]
+    own = judge(wrong, [orbit]).states[state]
     assert own.level == "approximation" and own.r2 > 0.999999
     assert "a run from another start" in own.reason
 

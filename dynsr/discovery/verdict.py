@@ -30,7 +30,7 @@ from dynsr.discovery.rivals import compare_rivals
 from dynsr.errors import InputError, one_line
 from dynsr.expression import has_pole, shown
 from dynsr.fit import STABLE, Flow, ParetoFront, Shooting, noise_and_spread, tidy
-from dynsr.selection import open_ratio
+from dynsr.selection import is_left_open
 
 LAW, APPROXIMATION, NOT_FOUND = LEVELS = ("law", "approximation", "not found")
 
@@ -566,7 +566,7 @@ class _Bench:
             doubts.append("it divides by 0 between the data")
         if self.clean[place] and self._is_open(state):
             doubts.append(
-                "its columns keep a relation along the data, so that other ratios are the same "
+                "its columns keep a relation along the data, so that other forms are the same "
                 "there: a run from another start tells them apart"
             )
         chi = found.chi_square
@@ -611,10 +611,10 @@ class _Bench:
         return any(has_pole(expr, run.by_name) for run in self.course.runs)
 
     def _is_open(self, state: str) -> bool:
-        """Whether an equation is one of many ratios that are the same along every run."""
+        """Whether an equation is one of many that are the same along every run."""
         rows = np.concatenate([[*run.by_name.values()] for run in self.course.runs], axis=1)
         columns = dict(zip(self.course.runs[0].by_name, rows, strict=True))
-        return open_ratio(self.equations[state], columns)
+        return is_left_open(self.equations[state], columns)
 
     def _praise(self, place: int, noise: float, followed: Followed, evidence: _Evidence) -> str:
         exact = "exactly" if self.clean[place] else f"within their noise of {_percent(noise)}"

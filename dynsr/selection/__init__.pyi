@@ -11,7 +11,7 @@ from .pick import (
     rank_by_length,
     trivial_candidates,
 )
-from .relations import open_ratio
+from .relations import is_left_open
 from .systems import Compared, SystemChoice, compare_systems, explore, other_in_halves
 from .twins import families
 
@@ -32,10 +32,10 @@ __all__ = [
     "families",
     "find_followers",
     "forecast_miss",
+    "is_left_open",
     "lead_with",
     "look",
     "look_again",
-    "open_ratio",
     "other_in_halves",
     "pick_equation",
     "rank_by_length",

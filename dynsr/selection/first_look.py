@@ -35,7 +35,7 @@ from dynsr.methods import Limits
 from dynsr.selection.costs import bodies_of, shape_bits, unusual_bits
 from dynsr.selection.likeness import Likeness, cited_terms, fit_to
 from dynsr.selection.profiles import sums_beside
-from dynsr.selection.relations import open_ratio
+from dynsr.selection.relations import is_left_open
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import (
     Joint,
@@ -61,6 +61,8 @@ _WRITTEN = 6
 _STRICT, _LOOSE = 1e-8, 1e-6
 # The same share for single rows, that rest where others move.
 _ROW = 0.1
+# Bits of saying whose twin an equation is, and which names change places.
+_SAID = 8.0
 # Rows at which wide terms are looked at; misses, as shares of the spread, below which sums of them
 # are alike, with how many are fitted; and how many are fitted again, to all rows.
 _THIN, _ALIKE, _CLOSE = 200, ((0.01, 32), (0.001, 16), (1e-5, 16)), 6
@@ -192,7 +194,10 @@ def look_again(
         if not search.is_exact:
             return Look()
         found = [one for kind in search.kinds() for one in search.choose(kind)]
-        found += search.take([*earlier, *search.twins(others)], allowed)
+        twins = search.twins(others)
+        found += search.take([*earlier, *search.closest(twins)], allowed)
+        # Said by whose twin it is, one with the same constants is shorter than whatever else it is.
+        found += [replace(one, cost=_SAID) for one in search.take(twins, allowed)]
         seen = search.conclude(found)
         if wide and not seen.final:
             seen = search.conclude([*found, *search.take(search.wide_sums(allowed), allowed)])
@@ -397,12 +402,12 @@ class _Search:
         known : those equations.
         """
         own = self.samples
-        return self._closest(
+        return [
             expr
             for state, other in known.items()
             if not other.is_Symbol
             for expr in exchanged(other, state, own.target, own.names)
-        )
+        ]
 
     def wide_sums(self, limits: Limits) -> list[sympy.Expr]:
         """Give the sums with a wide term that miss least.
@@ -427,10 +432,15 @@ class _Search:
             drafted=_DRAFTED,
             fixed=_FIXED,
         )
-        return self._closest(e for e, _ in like.wide_sums(wide.values(points), few.y, np.inf))
+        return self.closest(e for e, _ in like.wide_sums(wide.values(points), few.y, np.inf))
 
-    def _closest(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
-        """Fit formulas, those of one shape once, and give the ones that miss least."""
+    def closest(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
+        """Fit formulas, those of one shape once, and give the ones that miss least.
+
+        Parameters
+        ----------
+        exprs : the formulas.
+        """
         few = self._thinned
         fitted = [fit_to(expr, few.columns, few.y) for expr in one_of_each_shape(exprs)]
         left = [float(np.mean((evaluate(e, few.columns) - few.y) ** 2)) for e in fitted]
@@ -555,8 +565,8 @@ class _Search:
         for error in (self.error / self.size, max(self.error / self.size, _LOOSE)):
             most = settings.within * error if error <= settings.exact else 0.0
             good = good or [c for c in found if max(c.miss, 0.1 * c.wild) <= most]
-        # One ratio of many that are the same along the data gives way to what is no such ratio.
-        settled = [c for c in good if not (c.below and open_ratio(c.expr, self.samples.columns))]
+        # One of many that are the same along the data gives way to what is alone there.
+        settled = [c for c in good if not is_left_open(c.expr, self.samples.columns)]
         if settled:
             found = [c for c in found if c in settled or c not in good]
             good = settled

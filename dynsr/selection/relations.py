@@ -1,8 +1,9 @@
 """Relations: columns that lie on a curve of the second degree all along exact data.
 
 There a ratio is many ratios: above and below its line any multiple of what vanishes can be added.
-So where the columns of a ratio keep such a relation, the data say what it is along them and leave
-open what it is beside them.
+A polynomial of the third degree is many as well, by such multiples of every column. So where the
+columns keep such a relation, the data say what these are along them and leave open what they are
+beside them.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ import sympy
 # Share of the largest direction that one which vanishes may be, and how far below the last that
 # does not: along any short arc the directions become small one after another.
 _VANISHES, _FALLS = 1e-6, 100.0
+# Degree from which on a product of a column and what vanishes may stand in a polynomial.
+_CUBIC = 3
 # Rows that are enough.
 _ROWS = 400
 
 
-def open_ratio(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
-    """Whether a formula is a ratio whose columns keep a relation of the second degree.
+def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
+    """Whether a formula is a ratio, or cubic, in columns that keep a relation of degree two.
 
     Parameters
     ----------
@@ -31,12 +34,16 @@ def open_ratio(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
     >>> t = np.linspace(0.0, 6.0, 200)
     >>> circle = {"x": np.cos(t), "y": np.sin(t), "t": t}
     >>> x, y, s = sympy.symbols("x y t")
-    >>> open_ratio(y / (3 + x), circle), open_ratio(2 * y, circle), open_ratio(y / (3 + s), circle)
-    (True, False, False)
+    >>> [is_left_open(expr, circle) for expr in (y / (3 + x), y / (3 + s), x * y**2, x * y)]
+    [True, False, True, False]
     """
     line = sympy.denom(sympy.together(expr))
     # A line of one product has taken nothing in that vanishes.
     sums = [part for part in line.atoms(sympy.Add) if part.is_polynomial(*part.free_symbols)]
+    if expr.is_polynomial(*expr.free_symbols):
+        sums = [
+            t for t in sympy.Add.make_args(sympy.expand(expr)) if sympy.total_degree(t) >= _CUBIC
+        ]
     under = {str(symbol) for part in sums for symbol in part.free_symbols}
     if not under or not line.is_polynomial(*line.free_symbols):
         return False
