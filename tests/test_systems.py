@@ -280,6 +280,14 @@ def test_a_saturation_that_nobody_sees_costs_more():
         assert fit.bits - without == pytest.approx(more)
 
 
+def test_a_saturation_that_nobody_sees_is_none_that_another_equation_has():
+    """S J / (S + 50) has nothing in common with S J / (S + 0.8) where S never passes 1."""
+    comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
+    near, far = parse("-0.7*S*J/(S + 0.8)"), parse("20.0*S*J/(S + 50.0) - 0.1*J")
+    assert comparison.common_bits({"S": near, "J": parse("0.5*S*J/(S + 1.2) - 0.1*J")}) > 0
+    assert comparison.common_bits({"S": near, "J": far}) == 0
+
+
 @pytest.mark.slow
 def test_what_leaves_one_state_enters_another():
     """Monod's term is found in the equation of the food because that of the cells has it."""

@@ -7,12 +7,13 @@ import pytest
 import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from measured_systems import floats, measured
 
 from dynsr.data import Trajectory
 from dynsr.data.system import CART_POLE
 from dynsr.engines import simulate
 from dynsr.expression import compile_columns, counting, evaluate, parse
-from dynsr.fit import Measurements, structure_bits
+from dynsr.fit import Measurements, skeleton, structure_bits
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings
 from dynsr.selection.comparison import SystemComparison
@@ -38,11 +39,13 @@ def bare(terms):
 
 
 def test_products_up_to_the_degree_are_terms():
-    """All ten products of two variables up to the third degree are there, and none above."""
+    """All ten products of two variables up to the third degree are there; above it stand powers
+    of one variable alone, up to the fifth.
+    """
     found = grow(BOTH_SIGNS)
     powers = {X**i * Y**j for i in range(4) for j in range(4 - i)}
-    assert powers <= set(found.exprs)
-    assert not {X**4, X**2 * Y**2} & set(found.exprs)
+    assert powers | {X**4, Y**4, X**5, Y**5} <= set(found.exprs)
+    assert not {X**6, X**2 * Y**2, X * Y**4} & set(found.exprs)
     assert not {X**3, X**2 * Y} & set(grow(BOTH_SIGNS, degree=2).exprs)
 
 
@@ -246,6 +249,9 @@ def test_terms_that_equations_share_cost_less():
     assert saved == pytest.approx(structure_bits(gained) - structure_bits(0.25 * x))
     assert cited_bits([0.7 * x + lost, gained * x - 0.2 * y]) == 0
     assert cited_bits([0.7 * x, 0.3 * x]) == 0
+    taken, made = -0.7 * x * y / (x + 0.8), 0.5 * x * y / (x + 1.2)
+    whole = cited_bits([0.2 - 0.7 * x * y / (x + 0.8), made - 0.3 * y])
+    assert cited_bits([taken, made - 0.3 * y]) == cited_bits([taken, made]) == whole > 0
 
 
 @pytest.mark.slow
@@ -356,3 +362,23 @@ def test_a_phase_that_turns_on_may_have_sines():
     assert find_turning(["short", "long", "back"], [1 + t, 1 + 9 * t, 5 + 4 * np.cos(9 * t)]) == (
         "long",
     )
+
+
+def test_phases_that_turn_on_pull_each_other_along():
+    """Of two columns that turn on there are the sine and cosine of their difference, as in
+    Kuramoto's model; of others there are none.
+    """
+    t = np.linspace(0, 9, 80)
+    on, ahead, back = 0.3 + t, 1.2 + 0.9 * t + np.sin(t) / 3, 2 + np.sin(t)
+    pull = {sympy.sin(X - Y), sympy.cos(X - Y)}
+    assert pull <= set(grow(np.stack([on, ahead])).exprs)
+    assert not any(e.atoms(sympy.sin) for e in grow(np.stack([on, back])).exprs)
+
+
+@pytest.mark.slow
+def test_what_saturates_in_the_fifth_power_is_found_in_noise():
+    """The normal form of a subcritical pitchfork, from rows on its positive side alone."""
+    law = {"a": "0.4*a + 0.9*a^3 - 0.3*a^5"}
+    data = measured(tuple(law.items()), (0.1,), 8.0, 300, 0.01)
+    found = explore("a", data, ComparisonSettings())
+    assert skeleton(floats(law)["a"]) in map(skeleton, found[:3])

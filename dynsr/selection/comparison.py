@@ -325,13 +325,22 @@ class SystemComparison:
         doubtful : states whose equations hold what may be 0, and are no twins: a term of that
             size would make a twin of almost any.
         """
-        flat = list(exprs.values()) if flat is None else flat
+        own = list(exprs.values())
+        flat = own if flat is None else flat
+        # What the columns do not see of a saturation says nothing of another one.
+        seen = [self._seen(e) if e == plain else e for e, plain in zip(flat, own, strict=True)]
         sure = {s: e for s, e in exprs.items() if s not in doubtful}
         first = {*doubtful, *first_of_each(sure, self.mesh.states)}
-        once = [e for s, e in zip(exprs, flat, strict=True) if s in first]
+        once = [e for s, e in zip(exprs, seen, strict=True) if s in first]
         twins = [e for s, e in zip(exprs, flat, strict=True) if s not in first]
         less = sum(shape_bits(e) + unusual_bits(e, self.angles) - _TWIN for e in twins)
-        return max(cited_bits(flat), cited_bits(once) + less) if twins else cited_bits(flat)
+        return max(cited_bits(seen), cited_bits(once) + less) if twins else cited_bits(seen)
+
+    def _seen(self, expr: sympy.Expr) -> sympy.Expr:
+        """Give an equation without the saturations that the columns do not come near to."""
+        if not self._far_off(expr):
+            return expr
+        return sympy.Add(*[e for e in sympy.Add.make_args(expr) if not self._far_off(e)])
 
     def _has_pole(self, fit: CollocationFit) -> bool:
         """Whether a fraction line passes through 0 where the columns are."""

@@ -214,7 +214,13 @@ def cited_bits(exprs: Iterable[sympy.Expr]) -> float:
     >>> cited_bits([2.0 * x - 1.5 * x * y, 0.5 * x * y - y]) > cited_bits([2.0 * x, -y])
     True
     """
-    times = Counter(body for expr in exprs for body in term_bodies(expr))
+    exprs = list(exprs)
+    whole = Counter(skeleton(body) for expr in exprs for body in bodies_of(expr))
+    times: Counter[sympy.Expr] = Counter()
+    for expr in exprs:
+        first, *others = map(skeleton, bodies_of(expr))
+        # Where one ratio is all of an equation and another has it too, its line is not said again.
+        times.update([first] if whole[first] > 1 and not others else term_bodies(expr))
     return sum((n - 1) * citing_bits(body) for body, n in times.items() if n > 1)
 
 
@@ -246,13 +252,15 @@ def bodies_of(expr: sympy.Expr) -> list[sympy.Expr]:
 def term_bodies(expr: sympy.Expr) -> set[sympy.Expr]:
     """Give the terms of a sum without their coefficients, one of each shape.
 
+    Of one ratio these are it, the terms above its line, and the line.
+
     Parameters
     ----------
     expr : the sum.
     """
     above, below = sympy.fraction(expr)
     bodies = list(map(skeleton, bodies_of(above)))
-    bodies += [skeleton(below)] if below.is_Add else []
+    bodies += [skeleton(below), *map(skeleton, bodies_of(expr))] if below.is_Add else []
     return {b for b in bodies if b.free_symbols and not b.is_Symbol}
 
 

@@ -72,12 +72,14 @@ class TermSettings:
     Parameters
     ----------
     degree : most variables in a product without a function.
+    alone : further powers of one variable.
     inside : values of a constant inside a function, in units of the median size of its variable.
     powers : exponents of a positive variable from which a fit reaches any other.
     most : terms at most; the cheapest are kept.
     """
 
     degree: int = 3
+    alone: tuple[int, ...] = (4, 5)
     inside: tuple[float, ...] = (0.3, 1.0, 3.0)
     powers: tuple[float, ...] = (-1.5, -0.5, 0.35, 0.7, 1.5)
     most: int = 600
@@ -125,9 +127,9 @@ class Terms:
             tuple(_functions(sympy.Symbol(name), values, settings, name in angles))
             for name, values in zip(names, points, strict=True)
         )
-        shared = _shared(names, points, settings)
+        pairs = (*_shared(names, points, settings), *_phases(names, points))
         exprs, bits, program = _make_terms(
-            tuple(names), functions, settings, tuple(angles), (*own, *shared), bits_in_force()
+            tuple(names), functions, settings, tuple(angles), (*own, *pairs), bits_in_force()
         )
         kept = _distinct(program(*points))
         return cls(
@@ -226,6 +228,7 @@ def _make_terms(
     for degree in range(settings.degree + 1):
         for chosen in combinations_with_replacement(symbols, degree):
             found.setdefault(sympy.Mul(*chosen))
+    found |= dict.fromkeys(x**power for power in settings.alone for x in symbols)
     waves = [f(sympy.Symbol(name)) for name in angles for f in (sympy.sin, sympy.cos)]
     pairs = [a * b for a, b in combinations_with_replacement(symbols, 2)]
     for symbol, factors in zip(symbols, functions, strict=True):
@@ -361,6 +364,13 @@ def _shared(
         for share in settings.inside:
             scale = sympy.Float(float(f"{share * sizes[first] / sizes[second]:.3g}"))
             yield x * y / (x + scale * y)
+
+
+def _phases(names: Sequence[str], points: np.ndarray) -> Iterator[sympy.Expr]:
+    """Give the sine and cosine of how far one column that turns on and on is before another."""
+    turning = [sympy.Symbol(n) for n, row in zip(names, points, strict=True) if _keeps_turning(row)]
+    for x, y in combinations(turning, 2):
+        yield from (sympy.sin(x - y), sympy.cos(x - y))
 
 
 def _distinct(values: np.ndarray, same: float = 1e-8) -> list[int]:
