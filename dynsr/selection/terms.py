@@ -72,7 +72,7 @@ class TermSettings:
     Parameters
     ----------
     degree : most variables in a product without a function.
-    alone : further powers of one variable.
+    alone : further powers of a variable that is the only one.
     inside : values of a constant inside a function, in units of the median size of its variable.
     powers : exponents of a positive variable from which a fit reaches any other.
     most : terms at most; the cheapest are kept.
@@ -228,7 +228,9 @@ def _make_terms(
     for degree in range(settings.degree + 1):
         for chosen in combinations_with_replacement(symbols, degree):
             found.setdefault(sympy.Mul(*chosen))
-    found |= dict.fromkeys(x**power for power in settings.alone for x in symbols)
+    if len(symbols) == 1:
+        # Beside others they would be so many more polynomials that follow any curve.
+        found |= dict.fromkeys(symbols[0] ** power for power in settings.alone)
     waves = [f(sympy.Symbol(name)) for name in angles for f in (sympy.sin, sympy.cos)]
     pairs = [a * b for a, b in combinations_with_replacement(symbols, 2)]
     for symbol, factors in zip(symbols, functions, strict=True):
