@@ -33,6 +33,7 @@ from dynsr.fit import (
 )
 from dynsr.methods import Limits
 from dynsr.selection.costs import bodies_of, shape_bits, unusual_bits
+from dynsr.selection.few import FewTerms
 from dynsr.selection.likeness import Likeness, cited_terms, fit_to
 from dynsr.selection.profiles import sums_beside
 from dynsr.selection.relations import is_left_open
@@ -61,14 +62,18 @@ _WRITTEN = 6
 _STRICT, _LOOSE = 1e-8, 1e-6
 # The same share for single rows, that rest where others move.
 _ROW = 0.1
+# Constants of a formula, to each that is no simple number.
+_SIMPLE = 4
 # Bits of saying whose twin an equation is, and which names change places.
 _SAID = 8.0
 # Rows at which wide terms are looked at; misses, as shares of the spread, below which sums of them
 # are alike, with how many are fitted; and how many are fitted again, to all rows.
-_THIN, _ALIKE, _CLOSE = 200, ((0.01, 32), (0.001, 16), (1e-5, 16)), 6
+_THIN, _FEW, _ALIKE, _CLOSE = 200, 80, ((0.01, 32), (0.001, 16), (1e-5, 16)), 6
 # Exact slopes tell more terms apart: those whose constants move, as many times those that are
 # given, and those without any that may stand beside others.
 _DRAFTED, _FIXED = 20, 200
+# Terms of each column beside its products that stand alone there.
+_OTHERS = 4
 # Times the median miss beyond which a row may be one where differences fail.
 _FAR = 10.0
 
@@ -199,8 +204,11 @@ def look_again(
         # Said by whose twin it is, one with the same constants is shorter than whatever else it is.
         found += [replace(one, cost=_SAID) for one in search.take(twins, allowed)]
         seen = search.conclude(found)
-        if wide and not seen.final:
-            seen = search.conclude([*found, *search.take(search.wide_sums(allowed), allowed)])
+        for sums in search.further_sums(allowed) if wide and not seen.final else ():
+            found += search.take(sums, allowed)
+            seen = search.conclude(found)
+            if seen.final:
+                break
         return seen
 
 
@@ -330,7 +338,7 @@ class _Search:
         yield np.flatnonzero(over & np.isfinite(degree))
         if self.cited is not None and self.cited.any():
             # What flows from one state to another is in the equations of both.
-            for most in (1, 2):
+            for most in (1, 2, 3):
                 yield np.flatnonzero(over & (self.cited | (degree <= most)))
         yield np.flatnonzero(over)
         for top, bottom in ((2, 1), (3, 1), (3, 2)):
@@ -409,6 +417,36 @@ class _Search:
             for expr in exchanged(other, state, own.target, own.names)
         ]
 
+    def further_sums(self, limits: Limits) -> Iterator[list[sympy.Expr]]:
+        """Give sums of few terms, with one function and with two, and then those of wide terms.
+
+        Parameters
+        ----------
+        limits : what the user allows.
+        """
+        own, names = sympy.Symbol(self.samples.target), self.samples.names
+        plain = [sympy.S.One, *products(names, self.settings.terms.degree)]
+        cited = [] if self.cited is None else [self.exprs[i] for i in np.flatnonzero(self.cited)]
+        plain.sort(key=lambda e: sympy.total_degree(e) - e.has(own))
+        # Roots and logarithms have no constant inside that would move.
+        cheapest = (self.exprs[i] for i in np.argsort(self.costs[: self.above]))
+        others = [e for e in cheapest if e.has(sympy.log) or _has_root(e)]
+        plain += sorted(others, key=lambda e: e.free_symbols != {own})[: _OTHERS * len(names)]
+        rows = np.unique(np.linspace(0, len(self._thinned) - 1, _FEW).astype(int))
+        # What is in the equations of others is likelier than products of more columns.
+        first = 1 + len(names)
+        every = dict.fromkeys([*plain[:first], *cited, *plain[first:]])
+        few = FewTerms.of(self._thinned.select(rows), list(every))
+        most = self.settings.within * max(self.error, _LOOSE * self.size)
+        yield self._refitted(few.plain_sums(most))
+        yield self._refitted(few.with_one(most))
+        yield self._refitted(few.with_two(most, self.settings.within * self.error))
+        yield self.wide_sums(limits)
+
+    def _refitted(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
+        """Fit formulas to all rows."""
+        return [refit(expr, self.samples, self.error) for expr in exprs]
+
     def wide_sums(self, limits: Limits) -> list[sympy.Expr]:
         """Give the sums with a wide term that miss least.
 
@@ -446,7 +484,7 @@ class _Search:
         left = [float(np.mean((evaluate(e, few.columns) - few.y) ** 2)) for e in fitted]
         ranked = sorted(zip(left, map(ByText, fitted), strict=True))
         likest = [text.expr for miss, text in ranked if np.isfinite(miss)][:_CLOSE]
-        return [refit(expr, self.samples, self.error) for expr in likest]
+        return self._refitted(likest)
 
     def take(self, exprs: Sequence[sympy.Expr], limits: Limits) -> Iterator[_Choice]:
         """Take formulas for what is chosen, where the user allows them.
@@ -597,8 +635,17 @@ def _in_floats(expr: sympy.Expr) -> sympy.Expr:
 
 
 def _is_simple(expr: sympy.Expr) -> bool:
-    """Whether all constants of a formula are simple numbers."""
-    return not expr.has(sympy.Float)
+    """Whether the constants of a formula are simple numbers, all but one in four at most.
+
+    A product of two of them may be none, as r / K is in r x (1 - x / K).
+    """
+    numbers = [a for a in sympy.preorder_traversal(expr) if a.is_Number and abs(a) != 1]
+    odd = sum(a.is_Float for a in numbers)
+    return len(numbers) >= _SIMPLE * odd
+
+
+def _has_root(expr: sympy.Expr) -> bool:
+    return any(power.exp == sympy.S.Half for power in expr.atoms(sympy.Pow))
 
 
 def _factors(names: Sequence[str], angles: Sequence[str], degree: int) -> list[sympy.Expr]:

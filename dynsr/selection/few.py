@@ -1,0 +1,430 @@
+"""Few terms: all sums of some plain terms and of one or two functions with a constant inside.
+
+Exact slopes along a short arc are followed by very many sums of many terms, and one that loses
+them one by one ends anywhere. Hardly any sum of few terms follows them but the law: all of these
+are looked at, for some values of the constants inside, and the likeliest then have theirs moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain, combinations
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.expression import Program, compile_columns
+from dynsr.selection.profiles import find_profiles
+from dynsr.selection.terms import products, weighted_sum
+
+# Plain terms beside one function and beside two, at most.
+_BESIDE, _BESIDE_TWO = 4, 3
+# Billions of values that are looked at beside plain terms, of pairs of functions that are tried,
+# and choices of plain terms for two more, in billions too.
+_WORK, _WORK_TWO, _WORK_ALONE = 0.3, 0.03, 6e-6
+# Of the values of a constant every which is tried, alone and beside those of another.
+_EVERY_ONE, _EVERY = 2, 2
+# Places in the order of likelihood that one more plain term is worth.
+_LONGER = 4
+# Sums of plain terms alone that are kept of each choice; sums of each number of terms whose
+# constants are moved, and of these beside the same plain terms.
+_LIKELY, _MOVED, _EACH = 3, 120, 20
+# Sums of as many terms with one function, and of the same plain ones with two, whose constants are
+# moved side by side, how often that is done, and what keeps these fits from failing where columns
+# are alike.
+_ROUGH, _SHARPENED, _SHARPER, _RIDGE = 4000, 400, 5, 1e-12
+# Sums that are given.
+_GIVEN = 6
+# Steps that constants inside make, and the share of a step that is still tried.
+_STEPS, _LEAST = 12, 1e-3
+# Share of a column that is not in others from which on it says anything.
+_OWN = 1e-6
+# What two functions that are nearly one leave of each other, squared.
+_APART = 1e-8
+# Size of a term, in that of the slopes, from which on terms only cancel each other.
+_CANCELLED = 100.0
+_INSIDE = sympy.Symbol("constant inside")
+
+
+@dataclass(frozen=True, eq=False)
+class _Sum:
+    """Plain terms and functions by their places, the constants inside these, and what is left."""
+
+    plain: tuple[int, ...]
+    functions: tuple[int, ...]
+    inside: tuple[float, ...]
+    left: float
+
+    @property
+    def count(self) -> int:
+        """Constants of the sum."""
+        return len(self.plain) + 2 * len(self.functions)
+
+
+@dataclass(frozen=True, eq=False)
+class FewTerms:
+    """Sums of few terms at rows of exact slopes.
+
+    Parameters
+    ----------
+    samples : the rows.
+    plain : terms without a constant inside, the likeliest first, and their values (p, n).
+    values : these.
+    functions : functions of a constant inside.
+    signs : whether each may stand beside another, with a constant below 0 and with one above it.
+    which, tried : (q,) place of a function, each in one stretch, and a constant inside it.
+    columns : (q, 2, n) values with it, and slopes by its logarithm.
+    """
+
+    samples: Samples
+    plain: tuple[sympy.Expr, ...]
+    values: np.ndarray
+    functions: tuple[sympy.Expr, ...]
+    signs: tuple[tuple[bool, bool], ...]
+    which: np.ndarray
+    tried: np.ndarray
+    columns: np.ndarray
+    _compiled: dict[int, Program] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, samples: Samples, plain: Sequence[sympy.Expr]) -> FewTerms:
+        """Make the functions that textbooks have of the columns, each beside up to one of them.
+
+        Parameters
+        ----------
+        samples : the rows.
+        plain : terms without a constant inside, the likeliest first.
+        """
+        rows = samples.X.T
+        own = sympy.Symbol(samples.target)
+        short = [sympy.S.One, *products(samples.names, 1)]
+        before = [*short, *(own * e for e in short[1:])]
+        constants: dict[sympy.Expr, set[float]] = {}
+        signs: dict[sympy.Expr, tuple[bool, bool]] = {}
+        for profile in find_profiles(samples):
+            for function, *more in profile.make(_INSIDE):
+                for factor in before if function.has(_INSIDE) and not more else ():
+                    expr = function * factor
+                    constants.setdefault(expr, set()).update(profile.tried)
+                    if factor in short:
+                        signs[expr] = _signs(expr)
+        which, tried, columns = [], [], []
+        for place, (expr, inside) in enumerate(constants.items()):
+            both = [expr, _INSIDE * expr.diff(_INSIDE)]
+            program = compile_columns(both, (*samples.names, str(_INSIDE)))
+            k = np.array(sorted(inside))
+            values = np.array([program(*rows, np.full(len(samples), c)) for c in k])
+            fine = np.all(np.isfinite(values), axis=(1, 2))
+            which.append(np.full(int(fine.sum()), place))
+            tried.append(k[fine])
+            columns.append(values[fine])
+        values = compile_columns(list(plain), samples.names)(*rows)
+        usable = np.all(np.isfinite(values), axis=1)
+        return cls(
+            samples,
+            tuple(e for e, fine in zip(plain, usable, strict=True) if fine),
+            values[usable],
+            tuple(constants),
+            tuple(signs.get(expr, (False, False)) for expr in constants),
+            np.concatenate(which),
+            np.concatenate(tried),
+            np.concatenate(columns),
+        )
+
+    def plain_sums(self, most: float) -> list[sympy.Expr]:
+        """Give sums of plain terms alone, the fewest first.
+
+        Parameters
+        ----------
+        most : root mean square that a sum leaves at most.
+        """
+        return self._shortest(self._of_none(), most)
+
+    def with_one(self, most: float) -> list[sympy.Expr]:
+        """Give sums with one function, the fewest constants first; as :meth:`plain_sums`."""
+        return self._shortest(self._of_one(), most)
+
+    def with_two(self, most: float, enough: float) -> list[sympy.Expr]:
+        """Give sums with two functions, the fewest constants first; as :meth:`plain_sums`.
+
+        Parameters
+        ----------
+        most : root mean square that a sum leaves at most.
+        enough : what a sum leaves beside which no others are looked for.
+        """
+        return self._shortest(self._of_two(enough), most)
+
+    def _shortest(self, sums: Sequence[_Sum], most: float) -> list[sympy.Expr]:
+        """Move the constants of sums, and give the shortest that leave no more than so much."""
+        found: dict[tuple[tuple[int, ...], ...], _Sum] = {}
+        for one in map(self._move, sums):
+            if one.left <= most:
+                short = self._thin(one, most)
+                key = short.plain, short.functions
+                found[key] = min(found.get(key, short), short, key=lambda own: own.left)
+        ranked = sorted(found.values(), key=lambda one: (one.count, one.left))
+        written = (self._write(one) for one in ranked)
+        return [expr for expr in written if expr is not None][:_GIVEN]
+
+    def _thin(self, one: _Sum, most: float) -> _Sum:
+        """Take out the plain terms that are not needed, those first that are missed least."""
+        while one.plain:
+            fewer = [
+                self._move(replace(one, plain=tuple(i for i in one.plain if i != place)))
+                for place in one.plain
+            ]
+            least = min(fewer, key=lambda own: own.left)
+            if least.left > most:
+                break
+            one = least
+        return one
+
+    def _subsets(self, most: int, count: float) -> list[tuple[int, ...]]:
+        """Give so many choices of plain terms, the shortest and likeliest first."""
+        places = range(len(self.plain))
+        every = chain.from_iterable(combinations(places, size) for size in range(most + 1))
+        ranked = sorted(every, key=lambda own: sum(own) + _LONGER * len(own))
+        return ranked[: max(int(1e9 * count), 1)]
+
+    def _of_none(self) -> list[_Sum]:
+        """Give the likeliest sums of plain terms, of each number of them."""
+        found: dict[int, dict[tuple[int, ...], _Sum]] = {}
+        for places in self._subsets(_BESIDE, _WORK_ALONE):
+            basis, goal = self._without(places)
+            told = _told_by_two(_unit(self.values, _rest(self.values, basis)), goal)
+            for flat in np.argsort(-np.triu(told, 1), axis=None)[:_LIKELY].tolist():
+                own = tuple(sorted({*places, *divmod(flat, len(told))}))
+                left = float(goal @ goal - told.flat[flat])
+                found.setdefault(len(own), {})[own] = _Sum(own, (), (), left)
+        return _likeliest(own.values() for own in found.values())
+
+    def _without(self, places: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Give an orthonormal basis (n, p) of some plain terms, and the slopes without them."""
+        basis = np.linalg.qr(self.values[list(places)].T)[0]
+        return basis, self.samples.y - basis @ (basis.T @ self.samples.y)
+
+    def _of_one(self) -> list[_Sum]:
+        """Give the likeliest sums with one function, of each number of terms."""
+        which, tried = self.which[::_EVERY_ONE], self.tried[::_EVERY_ONE]
+        columns, turned = np.moveaxis(self.columns[::_EVERY_ONE], 1, 0).copy()
+        begins = np.flatnonzero(np.diff(which, prepend=-1))
+        ends, found = [*begins[1:], len(which)], dict[int, list[_Sum]]()
+        pairs = ((columns, columns), (turned, turned), (columns, turned))
+        products_of = [np.einsum("qn,qn->q", a, b) for a, b in pairs]
+        for places in self._subsets(_BESIDE, _WORK / columns.size):
+            beside = np.column_stack(self._without(places))
+            gains = _told_near(columns @ beside, turned @ beside, products_of)
+            best = np.maximum.reduceat(gains, begins)
+            left = float(beside[:, -1] @ beside[:, -1])
+            for i in np.argsort(-best)[:_EACH].tolist():
+                at = begins[i] + int(np.argmax(gains[begins[i] : ends[i]]))
+                one = _Sum(places, (int(which[at]),), (float(tried[at]),), left - best[i])
+                found.setdefault(len(places), []).append(one)
+        likely = (sorted(own, key=lambda one: one.left)[:_ROUGH] for own in found.values())
+        return _likeliest(map(self._sharpen, likely))
+
+    def _of_two(self, enough: float) -> list[_Sum]:
+        """Give the likeliest sums with two functions, up to the first that leave little enough."""
+        usual = np.array(self.signs)[self.which]
+        few = np.flatnonzero(usual[np.arange(len(usual)), (self.tried > 0).astype(int)])[::_EVERY]
+        which, tried, columns = self.which[few], self.tried[few], self.columns[few, 0].copy()
+        begins = np.flatnonzero(np.diff(which, prepend=-1))
+        ends = [*begins[1:], len(which)]
+        found: dict[int, list[_Sum]] = {}
+        for places in self._subsets(_BESIDE_TWO, _WORK_TWO / len(few) ** 2):
+            basis, goal = self._without(places)
+            told = _told_by_two(_unit(columns, _rest(columns, basis)), goal)
+            best = np.maximum.reduceat(np.maximum.reduceat(told, begins, 0), begins, 1)
+            flat = np.argsort(-np.triu(best), axis=None)[:_SHARPENED]
+            rough = []
+            for i, j in zip(*np.unravel_index(flat, best.shape), strict=True):
+                block = told[begins[i] : ends[i], begins[j] : ends[j]]
+                row, column = divmod(int(np.argmax(block)), block.shape[1])
+                at = [begins[i] + row, begins[j] + column]
+                rough.append(
+                    _Sum(places, tuple(which[at].tolist()), tuple(tried[at].tolist()), 0.0)
+                )
+            likely = self._sharpen(rough)[:_EACH]
+            found.setdefault(len(places), []).extend(likely)
+            if likely and likely[0].left <= len(goal) * enough**2:
+                break
+        return _likeliest(found.values())
+
+    def _sharpen(self, sums: Sequence[_Sum]) -> list[_Sum]:
+        """Move the constants inside sums of as many terms side by side; the best of them first."""
+        plain = self.values[np.array([one.plain for one in sums], dtype=int)]
+        basis = np.linalg.qr(np.swapaxes(plain, 1, 2))[0]
+        goal = _rest(np.broadcast_to(self.samples.y, (len(sums), 1, len(self.samples))), basis)
+        functions = np.array([one.functions for one in sums])
+        inside = best = np.array([one.inside for one in sums])
+        count, least, share = functions.shape[1], np.full(len(sums), np.inf), np.ones(len(sums))
+        columns = np.zeros((len(sums), 2 * count, goal.shape[2]))
+        for _ in range(_SHARPER):
+            rows = _rest(self._bent(functions, inside), basis)
+            values = _solve_all(rows[:, :count], goal)
+            missed = goal[:, 0] - np.einsum("mc,mcn->mn", values, rows[:, :count])
+            left = np.sum(missed**2, axis=1)
+            better = left < least
+            least = np.where(better, left, least)
+            best = np.where(better[:, None], inside, best)
+            share = np.where(better, 1.0, share / 4)
+            rows[:, count:] *= values[:, :, None]
+            columns[better] = rows[better]
+            step = share[:, None] * _solve_all(columns, goal)[:, count:]
+            inside = best + np.clip(step, -np.abs(best) / 2, np.abs(best))
+        moved = zip(sums, best.tolist(), least.tolist(), strict=True)
+        found = [replace(one, inside=tuple(own), left=left) for one, own, left in moved]
+        return sorted(found, key=lambda one: one.left)
+
+    def _bent(self, functions: np.ndarray, inside: np.ndarray) -> np.ndarray:
+        """(m, 2 f, n) values of functions (m, f), and then their slopes by the constants inside."""
+        X, rows, count = self.samples.X.T, len(self.samples), functions.shape[1]
+        found = np.empty((len(functions), 2 * count, rows))
+        for side in range(count):
+            for function in np.unique(functions[:, side]).tolist():
+                own = np.flatnonzero(functions[:, side] == function)
+                constants = np.repeat(inside[own, side], rows)
+                both = self._programs(function)(*np.tile(X, len(own)), constants)
+                found[own, side], found[own, side + count] = both.reshape(2, len(own), rows)
+        return np.where(np.isfinite(found), found, 0.0)
+
+    def _programs(self, function: int) -> Program:
+        """Give what computes a function and its slope by the constant inside."""
+        if function not in self._compiled:
+            own = self.functions[function]
+            names = (*self.samples.names, str(_INSIDE))
+            self._compiled[function] = compile_columns([own, own.diff(_INSIDE)], names)
+        return self._compiled[function]
+
+    def _move(self, one: _Sum) -> _Sum:
+        """Move the constants inside a sum to where these leave least (Gauss and Newton)."""
+        y, plain, inside = self.samples.y, self.values[list(one.plain)], len(one.functions)
+
+        def fit(constants: np.ndarray) -> tuple[float, np.ndarray]:
+            """Give what is left, and the step of the constants that makes it least."""
+            rows = self._at(one.functions, constants)
+            if not np.all(np.isfinite(rows)):
+                return np.inf, np.zeros(inside)
+            own = np.concatenate([plain, rows[:inside]])
+            values = _solve(own, y)
+            left = float(np.mean((y - values @ own) ** 2))
+            turned = rows[inside:] * values[len(plain) :, None]
+            return left, _solve(np.concatenate([own, turned]), y)[len(own) :]
+
+        constants = np.array(one.inside)
+        left, step = fit(constants)
+        share = 1.0
+        for _ in range(_STEPS):
+            # A constant that changes its sign is that of another function.
+            moved = constants + share * np.clip(step, -np.abs(constants) / 2, np.abs(constants))
+            least, further = fit(moved)
+            if least >= left:
+                share /= 4
+                continue
+            settled = least > (1 - _LEAST) * left
+            constants, left, step, share = moved, least, further, 1.0
+            if settled:
+                break
+        return replace(one, inside=tuple(constants.tolist()), left=float(np.sqrt(left)))
+
+    def _at(self, functions: Sequence[int], constants: np.ndarray) -> np.ndarray:
+        """Give the values of functions and then their slopes by the constants inside (2 f, n)."""
+        X, rows = self.samples.X.T, len(self.samples)
+        pairs = [
+            self._programs(i)(*X, np.full(rows, c))
+            for i, c in zip(functions, constants, strict=True)
+        ]
+        return np.array([pair[kind] for kind in (0, 1) for pair in pairs]).reshape(-1, rows)
+
+    def _write(self, one: _Sum) -> sympy.Expr | None:
+        """Write a sum; None where its terms only cancel each other."""
+        rows = self._at(one.functions, np.array(one.inside))[: len(one.functions)]
+        columns = np.concatenate([self.values[list(one.plain)], rows])
+        values = _solve(columns, self.samples.y)
+        sizes = np.abs(values) * np.max(np.abs(columns), axis=1)
+        if np.max(sizes) > _CANCELLED * np.max(np.abs(self.samples.y)):
+            return None
+        inside = [
+            self.functions[i].xreplace({_INSIDE: sympy.Float(c)})
+            for i, c in zip(one.functions, one.inside, strict=True)
+        ]
+        return weighted_sum(values, [*(self.plain[i] for i in one.plain), *inside])
+
+
+def _likeliest(kinds: Iterable[Iterable[_Sum]]) -> list[_Sum]:
+    """Give the sums of each kind that leave least."""
+    return [one for own in kinds for one in sorted(own, key=lambda one: one.left)[:_MOVED]]
+
+
+def _rest(columns: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """Give what is left of columns (..., c, n) without those of a basis (..., n, p)."""
+    return np.asarray(columns - (columns @ basis) @ np.swapaxes(basis, -1, -2))
+
+
+def _told_near(pull: np.ndarray, turn: np.ndarray, products_of: Sequence[np.ndarray]) -> np.ndarray:
+    """Give the squares (q,) that functions explain whose constants inside move a little.
+
+    Parameters
+    ----------
+    pull, turn : (q, p + 1) products of functions, and of their slopes by the logarithm of the
+        constant, with an orthonormal basis of what is beside them, and with what is left.
+    products_of : (q,) of the functions, of the slopes, and of both.
+    """
+    own, bent, mixed = (
+        whole - np.einsum("qk,qk->q", a[:, :-1], b[:, :-1])
+        for whole, a, b in zip(products_of, (pull, turn, pull), (pull, turn, turn), strict=True)
+    )
+    first, second = pull[:, -1], turn[:, -1]
+    told = own > _OWN**2 * products_of[0]
+    own = np.where(told, own, 1.0)
+    apart = own * bent - mixed**2
+    # Where it moves by more than to the next constant tried, that one says it.
+    safe = np.where(apart > _OWN * own * np.abs(bent), apart, np.inf)
+    value, move = (first * bent - second * mixed) / safe, (second * own - first * mixed) / safe
+    near = np.isfinite(safe) & (np.abs(move) <= np.abs(value))
+    gains = np.where(near, first * value + second * move, first**2 / own)
+    return np.where(told, gains, 0.0)
+
+
+def _told_by_two(columns: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Give the squares (q, q) of (n,) that each two of the columns (q, n) of length 1 explain."""
+    pull, alike = columns @ goal, columns @ columns.T
+    squares, apart = pull**2, 1 - alike**2
+    told = squares[:, None] + squares[None] - 2 * np.outer(pull, pull) * alike
+    return np.where(apart > _APART, told, 0.0) / np.maximum(apart, _APART)
+
+
+def _unit(whole: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Give what is left of columns (q, n) the length 1, and 0 where that is nothing."""
+    sizes = np.linalg.norm(rest, axis=1)
+    told = sizes > _OWN * np.linalg.norm(whole, axis=1)
+    return rest * np.where(told, 1 / np.maximum(sizes, 1e-300), 0.0)[:, None]
+
+
+def _solve_all(columns: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Give the coefficients (m, c) of each of many sets of columns (m, c, n) for (m, 1, n)."""
+    sizes = np.linalg.norm(columns, axis=2)
+    unit = np.where(sizes > 0, 1 / np.maximum(sizes, 1e-300), 0.0)
+    own = columns * unit[:, :, None]
+    gram = own @ np.swapaxes(own, 1, 2) + _RIDGE * np.eye(columns.shape[1])
+    return np.asarray(np.linalg.solve(gram, own @ np.swapaxes(goal, 1, 2))[..., 0] * unit)
+
+
+def _solve(columns: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Give the coefficients (c,) of columns (c, n) whose sum is closest to y."""
+    sizes = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+    return np.asarray(np.linalg.lstsq((columns / sizes[:, None]).T, y, rcond=None)[0] / sizes)
+
+
+def _signs(expr: sympy.Expr) -> tuple[bool, bool]:
+    """Whether a function is usual beside another, with a constant below 0, and with one above it.
+
+    Of what saturates from the other side, as (1 - x) / (k - x) does, one writing is enough.
+    """
+    powers = [p for p in expr.atoms(sympy.Pow, sympy.exp) if p.has(_INSIDE)]
+    lines = [p for p in powers if p.is_Pow and p.base.has(_INSIDE)]
+    above = (expr / sympy.Mul(*lines)).free_symbols
+    below = any(above & line.free_symbols for line in lines)
+    return not below, all(line.exp == -1 for line in lines)
