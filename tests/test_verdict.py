@@ -9,7 +9,9 @@ from command_line import run
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.following import open_constants
 from dynsr.discovery.intervals import list_constants
+from dynsr.discovery.orders import Form
 from dynsr.discovery.prediction import predict
+from dynsr.discovery.problem import DISCOVERY, Problem
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
 from dynsr.discovery.verdict import explain, judge
@@ -18,6 +20,8 @@ from dynsr.expression.evaluation import evaluate
 from dynsr.expression.export import shown
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.jobs.budget import Budget
+from dynsr.methods.demands import read_demands
 from dynsr.methods.rational import RationalSearch
 
 QUICK = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
@@ -328,3 +332,19 @@ def test_open_constants_are_those_of_the_terms_as_written(text, count):
     back = evaluate(opened["a"].xreplace(put), columns)
     assert back == pytest.approx(evaluate(expr, columns), rel=1e-12)
     assert len(places) == count
+
+
+def test_what_misses_exact_slopes_is_no_law():
+    """An equation that follows an exact run closely misses its slopes; its law does not."""
+    t = np.linspace(0.0, 6.0, 200)
+    data = Trajectory(t, 1 / (1 + 4 * np.exp(-t))[:, None], ("x",))
+    law, near = parse("x - x^2"), parse("1.0002*x - 1.0002*x^2")
+    problem = Problem(
+        [data], {}, "auto", {}, {}, Form(), DISCOVERY, read_demands(("x",), ("x",)), Budget(None)
+    )
+    for expr, level in ((law, "law"), (near, "approximation")):
+        found = Discovery({"x": expr}, {"x": ()}, {"x": ParetoFront([])}, {"x": ""})
+        assert judge({"x": expr}, [data]).level == "law"
+        verdict = problem.judge(found, None)
+        assert verdict.level == level
+        assert ("misses the slopes" in verdict.states["x"].reason) == (level != "law")

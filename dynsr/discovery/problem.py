@@ -27,8 +27,8 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import (
     Found,
 )
-from dynsr.discovery.verdict import Verdict, VerdictSettings, judge
-from dynsr.expression import compile_numpy, has_pole
+from dynsr.discovery.verdict import Verdict, VerdictSettings, hold_to_slopes, judge
+from dynsr.expression import compile_numpy, evaluate, has_pole
 from dynsr.fit import (
     Candidate,
     FitSettings,
@@ -45,6 +45,7 @@ from dynsr.fit import (
     polish,
     refit,
     score_candidate,
+    slope_size,
     tidy,
     without_flat_line,
 )
@@ -455,7 +456,7 @@ class Problem:
             return judge_map(found.equations, self.runs, front, self.settings.verdict)
         if rivals is not None:
             rivals = self._with_halves(found, rivals)
-        return judge(
+        verdict = judge(
             found.equations,
             self.runs,
             self.inputs,
@@ -464,6 +465,22 @@ class Problem:
             rivals=rivals,
             settings=self.settings.verdict,
         )
+        missed = self._missed_slopes(found.equations)
+        return hold_to_slopes(verdict, missed, self.settings.verdict)
+
+    def _missed_slopes(self, equations: Mapping[str, sympy.Expr]) -> dict[str, tuple[float, float]]:
+        """State -> median miss of its slopes and their error, as shares of their size."""
+        found: dict[str, tuple[float, float]] = {}
+        if self.measurements is not None or self.slopes:
+            return found
+        for state, expr in equations.items():
+            own = self.samples(state, self.runs, known_left_out=False)
+            if {str(symbol) for symbol in expr.free_symbols} <= set(own.names):
+                with np.errstate(all="ignore"):
+                    missed = float(np.median(np.abs(own.y - evaluate(expr, own.columns))))
+                size = max(slope_size(own), 1e-300)
+                found[state] = missed / size, float(own.noise or 0.0) / size
+        return found
 
     def _with_halves(self, found: Discovery, rivals: Rivals) -> Rivals:
         """Put what half of the rows ask for beside the formulas that come close."""

@@ -48,6 +48,8 @@ class VerdictSettings:
     exact : noise, as a share of the spread, below which data are clean, as solvers write them.
     solver : share of the spread by which solvers of low accuracy are off over a whole run; what
         is off by less than twice that reproduces clean data, less with more than three constants.
+    slopes, sharp : median miss of slopes, as a share of their size, that is no law's, and the error
+        of slopes below which they tell that.
     excess : mean squared miss in units of the noise that is still noise, beyond its own spread.
     correlated : correlation of neighbouring misses above which they are no noise, if significant.
     sure : smallest ratio of a term to its standard error in a law.
@@ -73,6 +75,8 @@ class VerdictSettings:
     finest: float = 5e-5
     exact: float = 2e-4
     solver: float = 2e-3
+    slopes: float = 1e-5
+    sharp: float = 1e-6
     excess: float = 1.6
     correlated: float = 0.25
     sure: float = 4.0
@@ -780,6 +784,34 @@ def explain(state: str, expr: sympy.Expr, verdict: StateVerdict, discrete: bool 
     if rival.bits < JUDGE.rival_bits:
         return f"{said} A different formula, {other}, does as well."
     return f"{said} The next different formula, {other}, follows the data clearly worse."
+
+
+def hold_to_slopes(
+    verdict: Verdict, missed: Mapping[str, tuple[float, float]], settings: VerdictSettings = JUDGE
+) -> Verdict:
+    """Take for an approximation what misses slopes that are exact, however closely it follows.
+
+    Over a run misses of either sign cancel, so that what follows it to a thousandth may be no law.
+
+    Parameters
+    ----------
+    verdict : what the trajectories tell.
+    missed : state -> what its equation misses of the slopes, and the error of these, as shares of
+        their size.
+    settings : the numbers that decide.
+
+    >>> law = summarise({"x": StateVerdict("law", "it follows.", 1.0)}, 2.0)
+    >>> hold_to_slopes(law, {"x": (1e-3, 1e-8)}).reason
+    'x: it follows, but misses the slopes of the data, which are exact, by 0.1 % of their size.'
+    """
+    states = dict(verdict.states)
+    for state, (share, error) in missed.items():
+        own = states[state]
+        if own.level == LAW and share > settings.slopes > settings.sharp > error:
+            said = own.reason.removesuffix(".") + ", but misses the slopes of the data, which are"
+            said += f" exact, by {100 * share:.2g} % of their size."
+            states[state] = replace(own, level=APPROXIMATION, reason=said)
+    return verdict if states == verdict.states else summarise(states, verdict.span)
 
 
 def summarise(states: Mapping[str, StateVerdict], span: float) -> Verdict:
