@@ -27,7 +27,7 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import (
     Found,
 )
-from dynsr.discovery.verdict import Verdict, VerdictSettings, hold_to_slopes, judge
+from dynsr.discovery.verdict import LAW, Verdict, VerdictSettings, hold_to_slopes, judge
 from dynsr.expression import compile_numpy, evaluate, has_pole
 from dynsr.fit import (
     Candidate,
@@ -465,7 +465,8 @@ class Problem:
             rivals=rivals,
             settings=self.settings.verdict,
         )
-        missed = self._missed_slopes(found.equations)
+        laws = {s: e for s, e in found.equations.items() if verdict.states[s].level == LAW}
+        missed = self._missed_slopes(laws)
         return hold_to_slopes(verdict, missed, self.settings.verdict)
 
     def _missed_slopes(self, equations: Mapping[str, sympy.Expr]) -> dict[str, tuple[float, float]]:

@@ -255,10 +255,16 @@ def _doubt_beside(
         expr = equations[state]
         beside = sorted(weak & {str(symbol) for symbol in expr.free_symbols})
         if own.level == LAW and beside and not expr.is_Symbol:
-            said = own.reason.removesuffix(".")
-            said += f", but only beside {_join(beside)}, whose own equation is no law."
-            found[state] = replace(own, level=APPROXIMATION, reason=said)
+            found[state] = _doubt(
+                own, f"only beside {_join(beside)}, whose own equation is no law."
+            )
     return found
+
+
+def _doubt(law: StateVerdict, why: str) -> StateVerdict:
+    """Take a law for an approximation."""
+    said = f"{law.reason.removesuffix('.')}, but {why}"
+    return replace(law, level=APPROXIMATION, reason=said)
 
 
 @dataclass(frozen=True, eq=False)
@@ -807,10 +813,10 @@ def hold_to_slopes(
     states = dict(verdict.states)
     for state, (share, error) in missed.items():
         own = states[state]
-        if own.level == LAW and share > settings.slopes > settings.sharp > error:
-            said = own.reason.removesuffix(".") + ", but misses the slopes of the data, which are"
-            said += f" exact, by {100 * share:.2g} % of their size."
-            states[state] = replace(own, level=APPROXIMATION, reason=said)
+        if own.level == LAW and share > settings.slopes and error < settings.sharp:
+            size = f"{100 * share:.2g} % of their size."
+            said = f"misses the slopes of the data, which are exact, by {size}"
+            states[state] = _doubt(own, said)
     return verdict if states == verdict.states else summarise(states, verdict.span)
 
 

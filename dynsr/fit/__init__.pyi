@@ -19,7 +19,7 @@ from .description import (
     shift_bits,
     structure_bits,
 )
-from .exact import confirm, in_simple_numbers, simplest_form
+from .exact import confirm, simplest_form
 from .flow import Flow, Pace, Windows, cut_windows, runge_kutta_step
 from .forced import missing_terms
 from .linear import (
@@ -99,7 +99,6 @@ __all__ = [
     "fit_robustly",
     "free_constants",
     "improve",
-    "in_simple_numbers",
     "independent_rows",
     "information_criterion",
     "is_noisy",

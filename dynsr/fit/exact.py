@@ -28,8 +28,6 @@ _ENOUGH, _FINE = 1e-8, 4
 _NEARLY = 100.0
 # Misses below this share of those that leave no doubt are of the steps of the integration.
 _NOTHING = 0.01
-# Digits of a simple number, and constants of a formula to each that is none.
-_DIGITS, _TO_AN_ODD_ONE = 4, 4
 
 
 def confirm(
@@ -155,25 +153,6 @@ def simplest_form(
             }
             best, found = order, template.xreplace(put)
     return found
-
-
-def in_simple_numbers(expr: sympy.Expr) -> bool:
-    """Whether the constants of a formula are simple numbers, all but one in four at most.
-
-    A product of two of them may be none, as r / K is in r x (1 - x / K).
-
-    Parameters
-    ----------
-    expr : the formula.
-
-    >>> x = sympy.Symbol("x")
-    >>> in_simple_numbers(0.7 * x + 1.5), in_simple_numbers(0.7183217 * x + 1.5)
-    (True, False)
-    """
-    written = expr.replace(lambda e: e.is_Pow and e.exp.is_Integer, lambda e: e.base)
-    numbers = [a for a in sympy.preorder_traversal(written) if a.is_Number and abs(a) != 1]
-    odd = sum(a.is_Float and float(f"{float(a):.{_DIGITS}g}") != float(a) for a in numbers)
-    return len(numbers) >= _TO_AN_ODD_ONE * odd
 
 
 def _without_nothing(

@@ -8,7 +8,7 @@ are looked at, for some values of the constants inside, and the likeliest then h
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain, combinations
 
 import numpy as np
@@ -16,16 +16,16 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.expression import Program, compile_columns
-from dynsr.selection.profiles import find_profiles
-from dynsr.selection.terms import products, weighted_sum
+from dynsr.selection.profiles import INSIDE, find_profiles, write_sum
+from dynsr.selection.terms import products
 
 # Plain terms beside one function and beside two, at most.
 _BESIDE, _BESIDE_TWO = 4, 3
-# Billions of values that are looked at beside plain terms, of pairs of functions that are tried,
-# and choices of plain terms for two more, in billions too.
-_WORK, _WORK_TWO, _WORK_ALONE = 0.3, 0.03, 6e-6
-# Of the values of a constant every which is tried, alone and beside those of another.
-_EVERY_ONE, _EVERY = 2, 2
+# Values that are looked at beside plain terms, pairs of functions that are tried there, and choices
+# of plain terms that two more are put beside.
+_WORK, _WORK_TWO, _CHOICES = 3e8, 3e7, 6000
+# Of the values of a constant every which is tried.
+_EVERY = 2
 # Places in the order of likelihood that one more plain term is worth.
 _LONGER = 4
 # Sums of plain terms alone that are kept of each choice; sums of each number of terms whose
@@ -43,14 +43,15 @@ _STEPS, _LEAST = 12, 1e-3
 _OWN = 1e-6
 # What two functions that are nearly one leave of each other, squared.
 _APART = 1e-8
-# Size of a term, in that of the slopes, from which on terms only cancel each other.
-_CANCELLED = 100.0
-_INSIDE = sympy.Symbol("constant inside")
 
 
 @dataclass(frozen=True, eq=False)
 class _Sum:
-    """Plain terms and functions by their places, the constants inside these, and what is left."""
+    """Plain terms and functions by their places, the constants inside these, and what is left.
+
+    What is left is a sum of squares until the constants have been moved, and their root mean square
+    then.
+    """
 
     plain: tuple[int, ...]
     functions: tuple[int, ...]
@@ -76,6 +77,7 @@ class FewTerms:
     signs : whether each may stand beside another, with a constant below 0 and with one above it.
     which, tried : (q,) place of a function, each in one stretch, and a constant inside it.
     columns : (q, 2, n) values with it, and slopes by its logarithm.
+    programs : what computes each function and its slope by the constant.
     """
 
     samples: Samples
@@ -86,7 +88,7 @@ class FewTerms:
     which: np.ndarray
     tried: np.ndarray
     columns: np.ndarray
-    _compiled: dict[int, Program] = field(default_factory=dict)
+    programs: tuple[Program, ...]
 
     @classmethod
     def of(cls, samples: Samples, plain: Sequence[sympy.Expr]) -> FewTerms:
@@ -104,18 +106,20 @@ class FewTerms:
         constants: dict[sympy.Expr, set[float]] = {}
         signs: dict[sympy.Expr, tuple[bool, bool]] = {}
         for profile in find_profiles(samples):
-            for function, *more in profile.make(_INSIDE):
-                for factor in before if function.has(_INSIDE) and not more else ():
+            for function, *more in profile.make(INSIDE):
+                for factor in before if function.has(INSIDE) and not more else ():
                     expr = function * factor
                     constants.setdefault(expr, set()).update(profile.tried)
                     if factor in short:
                         signs[expr] = _signs(expr)
         which, tried, columns = [], [], []
-        for place, (expr, inside) in enumerate(constants.items()):
-            both = [expr, _INSIDE * expr.diff(_INSIDE)]
-            program = compile_columns(both, (*samples.names, str(_INSIDE)))
+        programs = [
+            compile_columns([e, e.diff(INSIDE)], (*samples.names, str(INSIDE))) for e in constants
+        ]
+        for place, (program, inside) in enumerate(zip(programs, constants.values(), strict=True)):
             k = np.array(sorted(inside))
-            values = np.array([program(*rows, np.full(len(samples), c)) for c in k])
+            values = _values(program, samples, k)
+            values[:, 1] *= k[:, None]
             fine = np.all(np.isfinite(values), axis=(1, 2))
             which.append(np.full(int(fine.sum()), place))
             tried.append(k[fine])
@@ -131,6 +135,7 @@ class FewTerms:
             np.concatenate(which),
             np.concatenate(tried),
             np.concatenate(columns),
+            tuple(programs),
         )
 
     def plain_sums(self, most: float) -> list[sympy.Expr]:
@@ -186,12 +191,12 @@ class FewTerms:
         places = range(len(self.plain))
         every = chain.from_iterable(combinations(places, size) for size in range(most + 1))
         ranked = sorted(every, key=lambda own: sum(own) + _LONGER * len(own))
-        return ranked[: max(int(1e9 * count), 1)]
+        return ranked[: max(int(count), 1)]
 
     def _of_none(self) -> list[_Sum]:
         """Give the likeliest sums of plain terms, of each number of them."""
         found: dict[int, dict[tuple[int, ...], _Sum]] = {}
-        for places in self._subsets(_BESIDE, _WORK_ALONE):
+        for places in self._subsets(_BESIDE, _CHOICES):
             basis, goal = self._without(places)
             told = _told_by_two(_unit(self.values, _rest(self.values, basis)), goal)
             for flat in np.argsort(-np.triu(told, 1), axis=None)[:_LIKELY].tolist():
@@ -207,8 +212,8 @@ class FewTerms:
 
     def _of_one(self) -> list[_Sum]:
         """Give the likeliest sums with one function, of each number of terms."""
-        which, tried = self.which[::_EVERY_ONE], self.tried[::_EVERY_ONE]
-        columns, turned = np.moveaxis(self.columns[::_EVERY_ONE], 1, 0).copy()
+        which, tried = self.which[::_EVERY], self.tried[::_EVERY]
+        columns, turned = np.moveaxis(self.columns[::_EVERY], 1, 0).copy()
         begins = np.flatnonzero(np.diff(which, prepend=-1))
         ends, found = [*begins[1:], len(which)], dict[int, list[_Sum]]()
         pairs = ((columns, columns), (turned, turned), (columns, turned))
@@ -262,7 +267,8 @@ class FewTerms:
         count, least, share = functions.shape[1], np.full(len(sums), np.inf), np.ones(len(sums))
         columns = np.zeros((len(sums), 2 * count, goal.shape[2]))
         for _ in range(_SHARPER):
-            rows = _rest(self._bent(functions, inside), basis)
+            rows = self._bent(functions, inside)
+            rows = _rest(np.where(np.isfinite(rows), rows, 0.0), basis)
             values = _solve_all(rows[:, :count], goal)
             missed = goal[:, 0] - np.einsum("mc,mcn->mn", values, rows[:, :count])
             left = np.sum(missed**2, axis=1)
@@ -280,23 +286,14 @@ class FewTerms:
 
     def _bent(self, functions: np.ndarray, inside: np.ndarray) -> np.ndarray:
         """(m, 2 f, n) values of functions (m, f), and then their slopes by the constants inside."""
-        X, rows, count = self.samples.X.T, len(self.samples), functions.shape[1]
-        found = np.empty((len(functions), 2 * count, rows))
+        count = functions.shape[1]
+        found = np.empty((len(functions), 2 * count, len(self.samples)))
         for side in range(count):
             for function in np.unique(functions[:, side]).tolist():
                 own = np.flatnonzero(functions[:, side] == function)
-                constants = np.repeat(inside[own, side], rows)
-                both = self._programs(function)(*np.tile(X, len(own)), constants)
-                found[own, side], found[own, side + count] = both.reshape(2, len(own), rows)
-        return np.where(np.isfinite(found), found, 0.0)
-
-    def _programs(self, function: int) -> Program:
-        """Give what computes a function and its slope by the constant inside."""
-        if function not in self._compiled:
-            own = self.functions[function]
-            names = (*self.samples.names, str(_INSIDE))
-            self._compiled[function] = compile_columns([own, own.diff(_INSIDE)], names)
-        return self._compiled[function]
+                both = _values(self.programs[function], self.samples, inside[own, side])
+                found[own, side], found[own, side + count] = both[:, 0], both[:, 1]
+        return found
 
     def _move(self, one: _Sum) -> _Sum:
         """Move the constants inside a sum to where these leave least (Gauss and Newton)."""
@@ -330,27 +327,20 @@ class FewTerms:
         return replace(one, inside=tuple(constants.tolist()), left=float(np.sqrt(left)))
 
     def _at(self, functions: Sequence[int], constants: np.ndarray) -> np.ndarray:
-        """Give the values of functions and then their slopes by the constants inside (2 f, n)."""
-        X, rows = self.samples.X.T, len(self.samples)
-        pairs = [
-            self._programs(i)(*X, np.full(rows, c))
-            for i, c in zip(functions, constants, strict=True)
-        ]
-        return np.array([pair[kind] for kind in (0, 1) for pair in pairs]).reshape(-1, rows)
+        """(2 f, n) values of functions and then their slopes by the constants inside."""
+        return self._bent(np.array([functions], dtype=int), constants[None])[0]
 
     def _write(self, one: _Sum) -> sympy.Expr | None:
         """Write a sum; None where its terms only cancel each other."""
         rows = self._at(one.functions, np.array(one.inside))[: len(one.functions)]
         columns = np.concatenate([self.values[list(one.plain)], rows])
-        values = _solve(columns, self.samples.y)
-        sizes = np.abs(values) * np.max(np.abs(columns), axis=1)
-        if np.max(sizes) > _CANCELLED * np.max(np.abs(self.samples.y)):
-            return None
         inside = [
-            self.functions[i].xreplace({_INSIDE: sympy.Float(c)})
+            self.functions[i].xreplace({INSIDE: sympy.Float(c)})
             for i, c in zip(one.functions, one.inside, strict=True)
         ]
-        return weighted_sum(values, [*(self.plain[i] for i in one.plain), *inside])
+        terms = [*(self.plain[i] for i in one.plain), *inside]
+        y = self.samples.y
+        return write_sum(_solve(columns, y), terms, columns, y)
 
 
 def _likeliest(kinds: Iterable[Iterable[_Sum]]) -> list[_Sum]:
@@ -361,6 +351,13 @@ def _likeliest(kinds: Iterable[Iterable[_Sum]]) -> list[_Sum]:
 def _rest(columns: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """Give what is left of columns (..., c, n) without those of a basis (..., n, p)."""
     return np.asarray(columns - (columns @ basis) @ np.swapaxes(basis, -1, -2))
+
+
+def _values(program: Program, samples: Samples, constants: np.ndarray) -> np.ndarray:
+    """(m, 2, n) values and slopes of a function with each of the constants (m,) inside."""
+    held = np.repeat(constants, len(samples))
+    both = program(*np.tile(samples.X.T, len(constants)), held)
+    return np.moveaxis(both.reshape(2, len(constants), len(samples)), 1, 0)
 
 
 def _told_near(pull: np.ndarray, turn: np.ndarray, products_of: Sequence[np.ndarray]) -> np.ndarray:
@@ -423,8 +420,8 @@ def _signs(expr: sympy.Expr) -> tuple[bool, bool]:
 
     Of what saturates from the other side, as (1 - x) / (k - x) does, one writing is enough.
     """
-    powers = [p for p in expr.atoms(sympy.Pow, sympy.exp) if p.has(_INSIDE)]
-    lines = [p for p in powers if p.is_Pow and p.base.has(_INSIDE)]
+    powers = [p for p in expr.atoms(sympy.Pow, sympy.exp) if p.has(INSIDE)]
+    lines = [p for p in powers if p.is_Pow and p.base.has(INSIDE)]
     above = (expr / sympy.Mul(*lines)).free_symbols
     below = any(above & line.free_symbols for line in lines)
     return not below, all(line.exp == -1 for line in lines)

@@ -23,7 +23,6 @@ from dynsr.fit import (
     constant_bits,
     eliminate,
     fit_ratio,
-    in_simple_numbers,
     one_of_each_shape,
     refit,
     score_candidate,
@@ -63,6 +62,8 @@ _WRITTEN = 6
 _STRICT, _LOOSE = 1e-8, 1e-6
 # The same share for single rows, that rest where others move.
 _ROW = 0.1
+# Constants of a formula to each that is no simple number.
+_TO_AN_ODD_ONE = 4
 # Bits of saying whose twin an equation is, and which names change places.
 _SAID = 8.0
 # Rows at which wide terms are looked at; misses, as shares of the spread, below which sums of them
@@ -150,7 +151,7 @@ def look(samples: Samples, limits: Limits | None = None, settings: LookSettings 
                 again = swings.conclude(list(swings.choose(np.arange(len(swings.exprs)))))
                 seen = again if again.final else seen
         # What is written in simple numbers is the law, whatever else comes near.
-        if not (seen.final and in_simple_numbers(seen.candidates[0].expr)):
+        if not (seen.final and _is_simple(seen.candidates[0].expr)):
             beside = list(search.choose_beside(allowed))
             again = search.conclude([*found, *beside]) if beside else seen
             seen = again if again.final or not seen.final else seen
@@ -618,7 +619,7 @@ class _Search:
             # What cannot be chance leads: a longer formula whose constants are all simple numbers.
             most = settings.within * max(self.error, max(c.miss for c in good) * self.size)
             written = [(c, self._simplest(c, most)) for c in ranked[: min(len(good), _WRITTEN)]]
-            sure = [(c, e) for c, e in written if e is not None and in_simple_numbers(e)]
+            sure = [(c, e) for c, e in written if e is not None and _is_simple(e)]
             best, simple = (sure or written)[0]
             if simple is not None:
                 exprs.append(simple)
@@ -631,6 +632,16 @@ class _Search:
 
 def _in_floats(expr: sympy.Expr) -> sympy.Expr:
     return sympy.Add(*map(with_floats, sympy.Add.make_args(expr)))
+
+
+def _is_simple(expr: sympy.Expr) -> bool:
+    """Whether the constants of a formula are simple numbers, all but one in four at most.
+
+    A product of two of them may be none, as r / K is in r x (1 - x / K).
+    """
+    written = expr.replace(lambda e: e.is_Pow and e.exp.is_Integer, lambda e: e.base)
+    numbers = [a for a in sympy.preorder_traversal(written) if a.is_Number and abs(a) != 1]
+    return len(numbers) >= _TO_AN_ODD_ONE * sum(a.is_Float for a in numbers)
 
 
 def _has_root(expr: sympy.Expr) -> bool:

@@ -36,7 +36,7 @@ _CANCELLED = 100.0
 # Powers and frequencies that are tried; next to a whole power one is one of those beside it.
 _POWERS = tuple(np.arange(-3.9, 4.0, 0.2).tolist())
 _FREQUENCIES = tuple(np.arange(0.5, 4.1, 0.25).tolist())
-_INSIDE = sympy.Symbol("constant inside")
+INSIDE = sympy.Symbol("constant inside")
 # How far the constant moves when terms leave, in steps of those tried.
 _CLOSE = 0.02
 # Gauss-Newton steps of the constant then; each doubles its digits.
@@ -60,7 +60,7 @@ class Profile:
     @property
     def count(self) -> int:
         """Functions that stand side by side."""
-        return len(self.make(_INSIDE)[0])
+        return len(self.make(INSIDE)[0])
 
 
 def find_profiles(samples: Samples) -> list[Profile]:
@@ -207,7 +207,7 @@ class _Beside:
 
     def compile(self, exprs: Sequence[sympy.Expr]) -> Callable[[float], np.ndarray]:
         """Give the values (p, n) of expressions at a constant inside, in units of the errors."""
-        program = compile_columns(exprs, (*self.samples.names, str(_INSIDE)))
+        program = compile_columns(exprs, (*self.samples.names, str(INSIDE)))
 
         def at(k: float) -> np.ndarray:
             with np.errstate(all="ignore"):
@@ -241,7 +241,7 @@ class _Beside:
 
     def follow(self, profile: Profile) -> Callable[[float], np.ndarray]:
         """Give what is left of the slopes (n,) as a function of the constant inside."""
-        at = self.compile(profile.make(_INSIDE)[0])
+        at = self.compile(profile.make(INSIDE)[0])
         return lambda k: self.rest(at(k))
 
     def likeliest(self, profiles: Sequence[Profile]) -> list[tuple[Profile, list[float]]]:
@@ -320,10 +320,10 @@ def _thin(
 ) -> sympy.Expr | None:
     """Leave out the terms that are not needed, in one way to write the functions."""
     y = beside.y
-    functions = profile.make(_INSIDE)[which]
+    functions = profile.make(INSIDE)[which]
     terms = [*beside.powers, *(f * m for f in functions for m in beside.before)]
     at = beside.compile(terms)
-    turns = beside.compile([term.diff(_INSIDE) for term in terms])
+    turns = beside.compile([term.diff(INSIDE) for term in terms])
     columns = at(k)
     if not np.all(np.isfinite(columns)):
         return None
@@ -370,8 +370,28 @@ def _thin(
         return None
     values = at(k)[kept]
     coefficients = np.linalg.lstsq(values.T, y, rcond=None)[0]
-    sizes = np.abs(coefficients) * np.max(np.abs(values * beside.unit), axis=1)
-    if np.max(sizes) > _CANCELLED * np.max(np.abs(beside.samples.y)):
+    chosen = [terms[i].xreplace({INSIDE: sympy.Float(k)}) for i in kept]
+    return write_sum(coefficients, chosen, values * beside.unit, beside.samples.y)
+
+
+def write_sum(
+    coefficients: np.ndarray, terms: Sequence[sympy.Expr], values: np.ndarray, y: np.ndarray
+) -> sympy.Expr | None:
+    """Write a sum; None where its terms only cancel each other.
+
+    Parameters
+    ----------
+    coefficients, terms : (c,) those of the sum.
+    values : (c, n) what the terms are worth.
+    y : (n,) the slopes.
+
+    >>> x, row = sympy.Symbol("x"), np.ones(3)
+    >>> write_sum(np.array([2.0]), [x], row[None], row)
+    2.0*x
+    >>> write_sum(np.array([500.0, -499.0]), [x, x**2], np.array([row, row]), row) is None
+    True
+    """
+    sizes = np.abs(coefficients) * np.max(np.abs(values), axis=1)
+    if np.max(sizes) > _CANCELLED * np.max(np.abs(y)):
         return None
-    chosen = [terms[i].xreplace({_INSIDE: sympy.Float(k)}) for i in kept]
-    return weighted_sum(coefficients, chosen)
+    return weighted_sum(coefficients, terms)
