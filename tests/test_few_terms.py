@@ -5,8 +5,9 @@ import pytest
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import evaluate, parse
+from dynsr.expression import Vocabulary, evaluate, parse
 from dynsr.fit import skeleton
+from dynsr.methods import Limits
 from dynsr.selection import look_again
 from dynsr.selection.few import FewTerms
 from dynsr.selection.terms import products
@@ -82,3 +83,42 @@ def test_what_is_in_simple_numbers_is_final():
     beside = {"n": np.linspace(0.2, 3.0, 7), "p": np.linspace(2.0, 0.1, 7)}
     found = evaluate(seen.candidates[0].expr, beside)
     np.testing.assert_allclose(found, evaluate(law, beside), rtol=1e-5)
+
+
+def test_sums_hold_only_what_is_allowed():
+    """A list of functions is kept: the shortest sums that leave as little hold no others."""
+    law = "0.9*n - 0.4*n*p*exp(-0.8*n)"
+    samples = on_an_arc(law)
+    most = 1e-6 * float(np.max(np.abs(samples.y)))
+    plain = [sympy.S.One, *products(samples.names, 3)]
+    for names, found in ((["exp", "*"], True), (["sin", "*"], False), (["/"], None)):
+        own = Vocabulary.read(names)
+        few = FewTerms.of(samples, plain, Limits(own).allow)
+        exprs = [
+            e for kind in ("plain_sums", "with_one", "with_two") for e in sums(few, kind, most)
+        ]
+        assert all(own.allows(expr) for expr in exprs)
+        if found is not None:
+            assert found == any(skeleton(e) == skeleton(parse(law)) for e in exprs)
+
+
+def test_nothing_allowed_is_no_fault():
+    """With no function allowed, and with no term at all, no sum is given."""
+    samples = on_an_arc("0.9*n - 0.4*n*p*exp(-0.8*n)")
+    for allowed in (lambda e: e == 1, lambda _: False):
+        few = FewTerms.of(samples, [sympy.S.One], allowed)
+        for kind in ("plain_sums", "with_one", "with_two"):
+            assert sums(few, kind, 1e-6) == []
+
+
+def test_the_users_own_terms_are_among_the_few():
+    """A law with a term that only the user knows is final; left out, that term is not there."""
+    law = parse("0.16 + 2.4*p^2/(p^2 + 1.5) - 0.75*n*sin(3*p)*exp(p)")
+    own = parse("n*sin(3*p)*exp(p)")
+    seen = look_again(on_an_arc(str(law)), {}, limits=Limits(terms=(2 * own,)))
+    assert seen.final
+    beside = {"n": np.linspace(0.2, 3.0, 7), "p": np.linspace(2.0, 0.1, 7)}
+    found = evaluate(seen.candidates[0].expr, beside)
+    np.testing.assert_allclose(found, evaluate(law, beside), rtol=1e-5)
+    without = look_again(on_an_arc(str(law)), {}, limits=Limits(terms=(own,), left_out=(own,)))
+    assert not any(c.expr.has(own) for c in without.candidates)

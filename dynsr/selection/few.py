@@ -7,7 +7,7 @@ are looked at, for some values of the constants inside, and the likeliest then h
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 
@@ -91,13 +91,19 @@ class FewTerms:
     programs: tuple[Program, ...]
 
     @classmethod
-    def of(cls, samples: Samples, plain: Sequence[sympy.Expr]) -> FewTerms:
+    def of(
+        cls,
+        samples: Samples,
+        plain: Sequence[sympy.Expr],
+        allowed: Callable[[sympy.Expr], bool] = lambda _: True,
+    ) -> FewTerms:
         """Make the functions that textbooks have of the columns, each beside up to one of them.
 
         Parameters
         ----------
         samples : the rows.
         plain : terms without a constant inside, the likeliest first.
+        allowed : whether a term may be used.
         """
         rows = samples.X.T
         own = sympy.Symbol(samples.target)
@@ -109,10 +115,13 @@ class FewTerms:
             for function, *more in profile.make(INSIDE):
                 for factor in before if function.has(INSIDE) and not more else ():
                     expr = function * factor
+                    if not allowed(expr):
+                        continue
                     constants.setdefault(expr, set()).update(profile.tried)
                     if factor in short:
                         signs[expr] = _signs(expr)
-        which, tried, columns = [], [], []
+        which, tried = [np.empty(0, dtype=int)], [np.empty(0)]
+        columns = [np.empty((0, 2, len(samples)))]
         programs = [
             compile_columns([e, e.diff(INSIDE)], (*samples.names, str(INSIDE))) for e in constants
         ]
@@ -124,7 +133,8 @@ class FewTerms:
             which.append(np.full(int(fine.sum()), place))
             tried.append(k[fine])
             columns.append(values[fine])
-        values = compile_columns(list(plain), samples.names)(*rows)
+        plain = [expr for expr in plain if allowed(expr)]
+        values = compile_columns(plain, samples.names)(*rows)
         usable = np.all(np.isfinite(values), axis=1)
         return cls(
             samples,
@@ -214,6 +224,8 @@ class FewTerms:
         """Give the likeliest sums with one function, of each number of terms."""
         which, tried = self.which[::_EVERY], self.tried[::_EVERY]
         columns, turned = np.moveaxis(self.columns[::_EVERY], 1, 0).copy()
+        if not len(which):
+            return []
         begins = np.flatnonzero(np.diff(which, prepend=-1))
         ends, found = [*begins[1:], len(which)], dict[int, list[_Sum]]()
         pairs = ((columns, columns), (turned, turned), (columns, turned))
@@ -232,9 +244,11 @@ class FewTerms:
 
     def _of_two(self, enough: float) -> list[_Sum]:
         """Give the likeliest sums with two functions, up to the first that leave little enough."""
-        usual = np.array(self.signs)[self.which]
+        usual = np.array(self.signs, dtype=bool).reshape(-1, 2)[self.which]
         few = np.flatnonzero(usual[np.arange(len(usual)), (self.tried > 0).astype(int)])[::_EVERY]
         which, tried, columns = self.which[few], self.tried[few], self.columns[few, 0].copy()
+        if not len(which):
+            return []
         begins = np.flatnonzero(np.diff(which, prepend=-1))
         ends = [*begins[1:], len(which)]
         found: dict[int, list[_Sum]] = {}

@@ -433,10 +433,11 @@ class _Search:
         others = [e for e in cheapest if e.has(sympy.log) or _has_root(e)]
         plain += sorted(others, key=lambda e: e.free_symbols != {own})[: _OTHERS * len(names)]
         rows = np.unique(np.linspace(0, len(self._thinned) - 1, _FEW).astype(int))
+        given = [term.as_coeff_Mul()[1] for term in limits.terms]
         # What is in the equations of others is likelier than products of more columns.
         first = 1 + len(names)
-        every = dict.fromkeys([*plain[:first], *cited, *plain[first:]])
-        few = FewTerms.of(self._thinned.select(rows), list(every))
+        every = dict.fromkeys([*plain[:first], *given, *cited, *plain[first:]])
+        few = FewTerms.of(self._thinned.select(rows), list(every), limits.allow)
         most = self.settings.within * max(self.error, _LOOSE * self.size)
         yield self._refitted(few.plain_sums(most))
         yield self._refitted(few.with_one(most))
@@ -497,7 +498,7 @@ class _Search:
         own = self.samples
         for expr in exprs:
             terms = sympy.Add.make_args(expr)
-            if not all(limits.allow(term) for term in terms):
+            if not all(limits.allow(term.as_coeff_Mul()[1]) for term in terms):
                 continue
             misses = np.abs(own.y - evaluate(expr, own.columns)) * self.trust
             count = len(terms) + len(
