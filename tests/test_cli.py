@@ -386,8 +386,14 @@ def test_crosscheck(monkeypatch):
 def test_benchmarks_are_listed():
     """Without a name the benchmarks are listed."""
     rows = json.loads(run("benchmark", "--json").stdout)
-    assert [row["name"] for row in rows] == ["recovery", "zoo", "FILE.json"]
+    assert [row["name"] for row in rows] == ["recovery", "zoo", "random", "FILE.json"]
     assert all(row["name"] in run("benchmark").stdout for row in rows)
+
+
+def test_random_systems_cannot_be_chosen_by_name():
+    """Names beside a benchmark of random systems are refused, with the option that counts them."""
+    words = run("benchmark", "random", "--systems", "logistic", code=2).stderr
+    assert "leave --systems out, give --count" in words
 
 
 @pytest.mark.parametrize(

@@ -26,10 +26,12 @@ if TYPE_CHECKING:
 BENCHMARKS = {
     "recovery": "equations of known systems found again from their data, at levels of noise",
     "zoo": "textbook systems measured badly, judged on their trajectories, beside pysindy",
+    "random": "the same for mechanisms of textbooks put together by chance, drawn from --seed",
     "FILE.json": "the same for the systems of a suite: a list with id, init and substituted",
 }
 _DEFAULT_SYSTEMS = ("lotka-volterra", "pendulum", "lorenz")
-_DEFAULT_NOISE = {"recovery": "0,0.01", "zoo": "0,0.01,0.05,0.1", "suite": "0"}
+_ZOO_NOISE = "0,0.01,0.05,0.1"
+_DEFAULT_NOISE = {"recovery": "0,0.01", "zoo": _ZOO_NOISE, "random": _ZOO_NOISE, "suite": "0"}
 
 
 def benchmark(
@@ -55,11 +57,14 @@ def benchmark(
         str,
         typer.Option(help="Half of the zoo: tuning, unseen or all.", rich_help_panel=options.DATA),
     ] = "tuning",
+    count: Annotated[
+        int, typer.Option(min=1, help="How many random systems.", rich_help_panel=options.DATA)
+    ] = 20,
     rows: Annotated[
         int | None,
         typer.Option(
             min=8,
-            help="Rows, evenly spaced; drawn from 50 to 1000 in the zoo, 150 for a suite.",
+            help="Rows, evenly spaced; drawn from 50 to 1000 for zoo and random, 150 for a suite.",
             rich_help_panel=options.DATA,
         ),
     ] = None,
@@ -70,7 +75,7 @@ def benchmark(
         list[str] | None,
         typer.Option(
             "--methods",
-            help="Who searches in the zoo: dynsr,stlsq,weak.",
+            help="Who searches (zoo, random, suites): dynsr,stlsq,weak.",
             rich_help_panel=options.SEARCH,
         ),
     ] = None,
@@ -83,7 +88,7 @@ def benchmark(
         typer.Option(
             "--out",
             "-o",
-            help="Folder that keeps every case; the next call goes on from there (zoo, suites).",
+            help="Folder that keeps every case; the next call goes on from there; not of recovery.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
@@ -103,11 +108,16 @@ def benchmark(
     if kind == "recovery":
         _run_recovery(chosen, levels, seeds, method, preset, jobs, engine, json, quiet)
         return
-    from dynsr.benchmarks import find_animals, make_methods, read_suite
+    from dynsr.benchmarks import draw_systems, find_animals, make_methods, read_suite
     from dynsr.engines import refuse_idle
 
     refuse_idle(engine, f"benchmark {name} is made and scored by the embedded engine")
-    animals = read_suite(name, chosen, span) if kind == "suite" else find_animals(half, chosen)
+    if kind == "random":
+        if chosen:
+            raise InputError("random systems have no names yet; leave --systems out, give --count")
+        animals = draw_systems(count, seed)
+    else:
+        animals = read_suite(name, chosen, span) if kind == "suite" else find_animals(half, chosen)
     rows = rows or (150 if kind == "suite" else None)
     searchers = make_methods(options.read_names(competitors) or ["dynsr"], preset, method)
     _run_zoo(animals, levels, rows, searchers, seed, jobs, out, json, quiet)

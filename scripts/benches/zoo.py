@@ -19,7 +19,9 @@ from rich.console import Console
 from dynsr import __version__
 from dynsr.benchmarks import (
     ZooRecord,
+    ZooSystem,
     draw_conditions,
+    draw_systems,
     find_animals,
     make_methods,
     run_zoo,
@@ -30,7 +32,8 @@ from dynsr.cli.progress import SearchProgress
 from dynsr.errors import DynsrError
 from dynsr.report import Table
 
-BEGIN, END = "<!-- measured -->\n", "<!-- end of measured -->\n"
+MARKS = "<!-- measured -->\n", "<!-- end of measured -->\n"
+RANDOM_MARKS = "<!-- random -->\n", "<!-- end of random -->\n"
 
 
 def read_options() -> argparse.Namespace:
@@ -38,6 +41,7 @@ def read_options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("systems", nargs="*", help="systems of the half; all by default")
     parser.add_argument("--half", default="tuning", help="tuning, unseen or all")
+    parser.add_argument("--random", type=int, help="so many random systems of --seed instead")
     parser.add_argument("--noise", default="0,0.01,0.05,0.1", help="levels, by commas")
     parser.add_argument("--methods", default="dynsr,stlsq,weak", help="who searches, by commas")
     parser.add_argument("--preset", default="best", help="of dynsr")
@@ -46,6 +50,13 @@ def read_options() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("results/zoo"))
     parser.add_argument("--page", type=Path, help="page of the docs to write the tables into")
     return parser.parse_args()
+
+
+def find_systems(options: argparse.Namespace) -> list[ZooSystem]:
+    """Give the systems of the half, or draw them."""
+    if options.random is None:
+        return find_animals(options.half, options.systems)
+    return draw_systems(options.random, options.seed)
 
 
 def write_cases(records: Sequence[ZooRecord], out: Path) -> None:
@@ -78,8 +89,9 @@ def system_table(records: Sequence[ZooRecord], method: str) -> Table:
 def write_tables(records: Sequence[ZooRecord], options: argparse.Namespace) -> str:
     """Give all tables as Markdown, with what they were measured by."""
     count = len({r.system for r in records})
+    who = f"The {options.half} half" if options.random is None else "Drawn by chance"
     parts = [
-        f"The {options.half} half, {count} systems; seed {options.seed}, preset {options.preset}, "
+        f"{who}, {count} systems; seed {options.seed}, preset {options.preset}, "
         f"dynsr {__version__}.\n",
         score_table(records).to_markdown(),
     ]
@@ -94,12 +106,12 @@ def write_tables(records: Sequence[ZooRecord], options: argparse.Namespace) -> s
     parts += [
         system_table(records, method).to_markdown()
         for method in dict.fromkeys(r.method for r in records)
-        if method == "dynsr"
+        if method == "dynsr" and options.random is None
     ]
     return "\n".join(parts)
 
 
-def write_page(page: Path, text: str, marks: tuple[str, str] = (BEGIN, END)) -> None:
+def write_page(page: Path, text: str, marks: tuple[str, str] = MARKS) -> None:
     """Put the tables between the marks of a page."""
     begin, end = marks
     before, found, rest = page.read_text(encoding="utf-8").partition(begin)
@@ -116,7 +128,7 @@ def main() -> None:
         levels = [float(level) for level in options.noise.split(",")]
         with SearchProgress() as progress:
             records = run_zoo(
-                find_animals(options.half, options.systems),
+                find_systems(options),
                 make_methods(options.methods.split(","), options.preset),
                 partial(draw_conditions, levels=levels, seed=options.seed),
                 seed=options.seed,
@@ -131,7 +143,7 @@ def main() -> None:
     (options.out / "zoo.md").write_text(text, encoding="utf-8")
     write_cases(records, options.out)
     if options.page is not None:
-        write_page(options.page, text)
+        write_page(options.page, text, MARKS if options.random is None else RANDOM_MARKS)
     for table in (score_table(records), verdict_table(records)):
         Console(width=180).print(table.to_rich())
 

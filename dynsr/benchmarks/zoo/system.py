@@ -8,7 +8,7 @@ from functools import cached_property
 
 from dynsr.data import System
 
-TUNING, UNSEEN = "tuning", "unseen"
+TUNING, UNSEEN, DRAWN = "tuning", "unseen", "drawn"
 HALVES = (TUNING, UNSEEN)
 
 
@@ -24,7 +24,7 @@ class ZooSystem:
     equations : state -> right-hand side, in state units a second.
     starts : start states; the first gives the data, the second, if any, is never searched.
     span : seconds from time 0 that both are watched.
-    half : "tuning", on which methods may be tuned, or "unseen".
+    half : "tuning", on which methods may be tuned, or "unseen"; "drawn" for a random system.
 
     >>> decay = ZooSystem("a", "b", "c", {"x": "-2*x"}, ((1.0,), (3.0,)), 2.0, TUNING)
     >>> decay.system.rhs
