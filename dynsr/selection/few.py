@@ -32,9 +32,8 @@ _LONGER = 4
 # constants are moved, and of these beside the same plain terms.
 _LIKELY, _MOVED, _EACH = 3, 120, 20
 # Sums of as many terms with one function, and of the same plain ones with two, whose constants are
-# moved side by side, how often that is done, and what keeps these fits from failing where columns
-# are alike.
-_ROUGH, _SHARPENED, _SHARPER, _RIDGE = 4000, 400, 5, 1e-12
+# moved roughly, how often that is done, and the share of a column that others must not say.
+_ROUGH, _SHARPENED, _SHARPER, _LITTLE = 4000, 400, 5, 1e-10
 # Sums that are given.
 _GIVEN = 6
 # Steps that constants inside make, and the share of a step that is still tried.
@@ -44,19 +43,29 @@ _OWN = 1e-6
 # What two functions that are nearly one leave of each other, squared.
 _APART = 1e-8
 
+_Terms = tuple[tuple[int, ...], tuple[int, ...]]
+
 
 @dataclass(frozen=True, eq=False)
 class _Sum:
     """Plain terms and functions by their places, the constants inside these, and what is left.
 
-    What is left is a sum of squares until the constants have been moved, and their root mean square
-    then.
+    What is left is a root mean square.
     """
 
     plain: tuple[int, ...]
     functions: tuple[int, ...]
     inside: tuple[float, ...]
     left: float
+
+    @property
+    def terms(self) -> _Terms:
+        """Its plain terms and functions."""
+        return self.plain, self.functions
+
+    def without(self, place: int) -> _Sum:
+        """Take a plain term out."""
+        return replace(self, plain=tuple(i for i in self.plain if i != place))
 
     @property
     def count(self) -> int:
@@ -173,28 +182,35 @@ class FewTerms:
 
     def _shortest(self, sums: Sequence[_Sum], most: float) -> list[sympy.Expr]:
         """Move the constants of sums, and give the shortest that leave no more than so much."""
-        found: dict[tuple[tuple[int, ...], ...], _Sum] = {}
-        for one in map(self._move, sums):
-            if one.left <= most:
-                short = self._thin(one, most)
-                key = short.plain, short.functions
-                found[key] = min(found.get(key, short), short, key=lambda own: own.left)
+        enough = [one for one in self._move(sums) if one.left <= most]
+        found: dict[_Terms, _Sum] = {}
+        for one in self._thin(enough, most):
+            found[one.terms] = min(found.get(one.terms, one), one, key=_left)
         ranked = sorted(found.values(), key=lambda one: (one.count, one.left))
         written = (self._write(one) for one in ranked)
         return [expr for expr in written if expr is not None][:_GIVEN]
 
-    def _thin(self, one: _Sum, most: float) -> _Sum:
-        """Take out the plain terms that are not needed, those first that are missed least."""
-        while one.plain:
-            fewer = [
-                self._move(replace(one, plain=tuple(i for i in one.plain if i != place)))
-                for place in one.plain
-            ]
-            least = min(fewer, key=lambda own: own.left)
-            if least.left > most:
-                break
-            one = least
-        return one
+    def _thin(self, sums: Sequence[_Sum], most: float) -> list[_Sum]:
+        """Take the plain terms out of sums that are not needed, those first that are missed least.
+
+        What is left without a term is found once, whichever sum it is taken out of.
+        """
+        thin: list[_Sum] = []
+        moved: dict[_Terms, _Sum] = {}
+        while sums:
+            fewer = [list(map(one.without, one.plain)) for one in sums]
+            new = {short.terms: short for own in fewer for short in own}
+            for short in self._move([one for terms, one in new.items() if terms not in moved]):
+                moved[short.terms] = short
+            further: dict[_Terms, _Sum] = {}
+            for one, own in zip(sums, fewer, strict=True):
+                least = min((moved[short.terms] for short in own), key=_left, default=one)
+                if least is one or least.left > most:
+                    thin.append(one)
+                else:
+                    further[least.terms] = least
+            sums = list(further.values())
+        return thin
 
     def _subsets(self, most: int, count: float) -> list[tuple[int, ...]]:
         """Give so many choices of plain terms, the shortest and likeliest first."""
@@ -211,7 +227,7 @@ class FewTerms:
             told = _told_by_two(_unit(self.values, _rest(self.values, basis)), goal)
             for flat in np.argsort(-np.triu(told, 1), axis=None)[:_LIKELY].tolist():
                 own = tuple(sorted({*places, *divmod(flat, len(told))}))
-                left = float(goal @ goal - told.flat[flat])
+                left = _root_mean(goal @ goal - told.flat[flat], goal)
                 found.setdefault(len(own), {})[own] = _Sum(own, (), (), left)
         return _likeliest(own.values() for own in found.values())
 
@@ -234,13 +250,14 @@ class FewTerms:
             beside = np.column_stack(self._without(places))
             gains = _told_near(columns @ beside, turned @ beside, products_of)
             best = np.maximum.reduceat(gains, begins)
-            left = float(beside[:, -1] @ beside[:, -1])
+            goal = beside[:, -1]
             for i in np.argsort(-best)[:_EACH].tolist():
                 at = begins[i] + int(np.argmax(gains[begins[i] : ends[i]]))
-                one = _Sum(places, (int(which[at]),), (float(tried[at]),), left - best[i])
+                left = _root_mean(goal @ goal - best[i], goal)
+                one = _Sum(places, (int(which[at]),), (float(tried[at]),), left)
                 found.setdefault(len(places), []).append(one)
-        likely = (sorted(own, key=lambda one: one.left)[:_ROUGH] for own in found.values())
-        return _likeliest(map(self._sharpen, likely))
+        likely = (sorted(own, key=_left)[:_ROUGH] for own in found.values())
+        return _likeliest(self._move(own, _SHARPER) for own in likely)
 
     def _of_two(self, enough: float) -> list[_Sum]:
         """Give the likeliest sums with two functions, up to the first that leave little enough."""
@@ -265,38 +282,58 @@ class FewTerms:
                 rough.append(
                     _Sum(places, tuple(which[at].tolist()), tuple(tried[at].tolist()), 0.0)
                 )
-            likely = self._sharpen(rough)[:_EACH]
+            likely = sorted(self._move(rough, _SHARPER), key=_left)[:_EACH]
             found.setdefault(len(places), []).extend(likely)
-            if likely and likely[0].left <= len(goal) * enough**2:
+            if likely and likely[0].left <= enough:
                 break
         return _likeliest(found.values())
 
-    def _sharpen(self, sums: Sequence[_Sum]) -> list[_Sum]:
-        """Move the constants inside sums of as many terms side by side; the best of them first."""
+    def _move(self, sums: Sequence[_Sum], steps: int = _STEPS) -> list[_Sum]:
+        """Move the constants inside sums to where these leave least (Gauss and Newton).
+
+        Sums of as many terms are moved side by side.
+        """
+        found = list(sums)
+        shapes = [(len(one.plain), len(one.functions)) for one in sums]
+        for shape in dict.fromkeys(shapes):
+            places = [place for place, own in enumerate(shapes) if own == shape]
+            alike = self._move_alike([sums[i] for i in places], steps)
+            for place, one in zip(places, alike, strict=True):
+                found[place] = one
+        return found
+
+    def _move_alike(self, sums: Sequence[_Sum], steps: int) -> list[_Sum]:
         plain = self.values[np.array([one.plain for one in sums], dtype=int)]
         basis = np.linalg.qr(np.swapaxes(plain, 1, 2))[0]
         goal = _rest(np.broadcast_to(self.samples.y, (len(sums), 1, len(self.samples))), basis)
-        functions = np.array([one.functions for one in sums])
-        inside = best = np.array([one.inside for one in sums])
-        count, least, share = functions.shape[1], np.full(len(sums), np.inf), np.ones(len(sums))
-        columns = np.zeros((len(sums), 2 * count, goal.shape[2]))
-        for _ in range(_SHARPER):
-            rows = self._bent(functions, inside)
-            rows = _rest(np.where(np.isfinite(rows), rows, 0.0), basis)
-            values = _solve_all(rows[:, :count], goal)
-            missed = goal[:, 0] - np.einsum("mc,mcn->mn", values, rows[:, :count])
-            left = np.sum(missed**2, axis=1)
-            better = left < least
-            least = np.where(better, left, least)
-            best = np.where(better[:, None], inside, best)
-            share = np.where(better, 1.0, share / 4)
+        functions = np.array([one.functions for one in sums], dtype=int)
+        count = functions.shape[1]
+        best = np.array([one.inside for one in sums], dtype=float)
+        step, share = np.zeros_like(best), np.ones(len(sums))
+        least, own = np.full(len(sums), np.inf), np.arange(len(sums))
+        for _ in range(steps + 1):
+            # A constant that changes its sign is that of another function.
+            most = np.abs(best[own])
+            inside = best[own] + share[own, None] * np.clip(step[own], -most / 2, most)
+            rows = self._bent(functions[own], inside)
+            fine = np.all(np.isfinite(rows), axis=(1, 2))
+            rows = _rest(np.where(fine[:, None, None], rows, 0.0), basis[own])
+            values = _solve_all(rows[:, :count], goal[own])
+            missed = goal[own, 0] - np.einsum("mc,mcn->mn", values, rows[:, :count])
+            left = np.where(fine, np.mean(missed**2, axis=1), np.inf)
+            better = left < least[own]
+            settled = better & (left > (1 - _LEAST) * least[own])
+            now = own[better]
             rows[:, count:] *= values[:, :, None]
-            columns[better] = rows[better]
-            step = share[:, None] * _solve_all(columns, goal)[:, count:]
-            inside = best + np.clip(step, -np.abs(best) / 2, np.abs(best))
-        moved = zip(sums, best.tolist(), least.tolist(), strict=True)
-        found = [replace(one, inside=tuple(own), left=left) for one, own, left in moved]
-        return sorted(found, key=lambda one: one.left)
+            least[now], best[now] = left[better], inside[better]
+            step[now] = _solve_all(rows[better], goal[now])[:, count:]
+            share[now] = 1.0
+            share[own[~better]] /= 4
+            own = own[~settled]
+            if not count or not len(own):
+                break
+        moved = zip(sums, best.tolist(), np.sqrt(least).tolist(), strict=True)
+        return [replace(one, inside=tuple(inside), left=left) for one, inside, left in moved]
 
     def _bent(self, functions: np.ndarray, inside: np.ndarray) -> np.ndarray:
         """(m, 2 f, n) values of functions (m, f), and then their slopes by the constants inside."""
@@ -308,37 +345,6 @@ class FewTerms:
                 both = _values(self.programs[function], self.samples, inside[own, side])
                 found[own, side], found[own, side + count] = both[:, 0], both[:, 1]
         return found
-
-    def _move(self, one: _Sum) -> _Sum:
-        """Move the constants inside a sum to where these leave least (Gauss and Newton)."""
-        y, plain, inside = self.samples.y, self.values[list(one.plain)], len(one.functions)
-
-        def fit(constants: np.ndarray) -> tuple[float, np.ndarray]:
-            """Give what is left, and the step of the constants that makes it least."""
-            rows = self._at(one.functions, constants)
-            if not np.all(np.isfinite(rows)):
-                return np.inf, np.zeros(inside)
-            own = np.concatenate([plain, rows[:inside]])
-            values = _solve(own, y)
-            left = float(np.mean((y - values @ own) ** 2))
-            turned = rows[inside:] * values[len(plain) :, None]
-            return left, _solve(np.concatenate([own, turned]), y)[len(own) :]
-
-        constants = np.array(one.inside)
-        left, step = fit(constants)
-        share = 1.0
-        for _ in range(_STEPS):
-            # A constant that changes its sign is that of another function.
-            moved = constants + share * np.clip(step, -np.abs(constants) / 2, np.abs(constants))
-            least, further = fit(moved)
-            if least >= left:
-                share /= 4
-                continue
-            settled = least > (1 - _LEAST) * left
-            constants, left, step, share = moved, least, further, 1.0
-            if settled:
-                break
-        return replace(one, inside=tuple(constants.tolist()), left=float(np.sqrt(left)))
 
     def _at(self, functions: Sequence[int], constants: np.ndarray) -> np.ndarray:
         """(2 f, n) values of functions and then their slopes by the constants inside."""
@@ -357,9 +363,18 @@ class FewTerms:
         return write_sum(_solve(columns, y), terms, columns, y)
 
 
+def _left(one: _Sum) -> float:
+    return one.left
+
+
+def _root_mean(total: float, rows: np.ndarray) -> float:
+    """Root mean square of a sum of squares over rows, which rounding may leave below 0."""
+    return float(np.sqrt(max(total, 0.0) / len(rows)))
+
+
 def _likeliest(kinds: Iterable[Iterable[_Sum]]) -> list[_Sum]:
     """Give the sums of each kind that leave least."""
-    return [one for own in kinds for one in sorted(own, key=lambda one: one.left)[:_MOVED]]
+    return [one for own in kinds for one in sorted(own, key=_left)[:_MOVED]]
 
 
 def _rest(columns: np.ndarray, basis: np.ndarray) -> np.ndarray:
@@ -415,12 +430,18 @@ def _unit(whole: np.ndarray, rest: np.ndarray) -> np.ndarray:
 
 
 def _solve_all(columns: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Give the coefficients (m, c) of each of many sets of columns (m, c, n) for (m, 1, n)."""
+    """Give the coefficients (m, c) of each of many sets of columns (m, c, n) for (m, 1, n).
+
+    A column that others say all but a little of says nothing.
+    """
     sizes = np.linalg.norm(columns, axis=2)
     unit = np.where(sizes > 0, 1 / np.maximum(sizes, 1e-300), 0.0)
-    own = columns * unit[:, :, None]
-    gram = own @ np.swapaxes(own, 1, 2) + _RIDGE * np.eye(columns.shape[1])
-    return np.asarray(np.linalg.solve(gram, own @ np.swapaxes(goal, 1, 2))[..., 0] * unit)
+    basis, upper = np.linalg.qr(np.swapaxes(columns * unit[:, :, None], 1, 2))
+    diagonal = np.einsum("mcc->mc", upper)
+    little = np.abs(diagonal) < _LITTLE
+    diagonal[little] = 1.0
+    told = np.where(little[..., None], 0.0, np.swapaxes(basis, 1, 2) @ np.swapaxes(goal, 1, 2))
+    return np.asarray(np.linalg.solve(upper, told)[..., 0] * unit)
 
 
 def _solve(columns: np.ndarray, y: np.ndarray) -> np.ndarray:

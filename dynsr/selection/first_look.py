@@ -259,6 +259,7 @@ class _Search:
     cited: np.ndarray | None = None
     fitted: dict[frozenset[int], _Choice | None] = field(default_factory=dict)
     simple: dict[_Choice, sympy.Expr] = field(default_factory=dict)
+    open: dict[_Choice, bool] = field(default_factory=dict)
     # What formulas have for terms, which are no columns.
     numbers: Iterator[int] = field(default_factory=lambda: counting(-1, -1))
 
@@ -563,6 +564,12 @@ class _Search:
             float(np.quantile(misses, wild)) / self.size,
         )
 
+    def _is_open(self, choice: _Choice) -> bool:
+        """Whether a choice is one of many that are the same along the data."""
+        if choice not in self.open:
+            self.open[choice] = is_left_open(choice.expr, self.samples.columns)
+        return self.open[choice]
+
     def _simplest(self, choice: _Choice, most: float) -> sympy.Expr | None:
         """Write a choice in simple numbers; None where that misses by more than allowed."""
         if choice not in self.simple:
@@ -605,7 +612,7 @@ class _Search:
             most = settings.within * error if error <= settings.exact else 0.0
             good = good or [c for c in found if max(c.miss, 0.1 * c.wild) <= most]
         # One of many that are the same along the data gives way to what is alone there.
-        settled = [c for c in good if not is_left_open(c.expr, self.samples.columns)]
+        settled = [c for c in good if not self._is_open(c)]
         if settled:
             found = [c for c in found if c in settled or c not in good]
             good = settled

@@ -37,6 +37,10 @@ def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
     >>> [is_left_open(expr, circle) for expr in (y / (3 + x), y / (3 + s), x * y**2, x * y)]
     [True, False, True, False]
     """
+    clock = {"t"} - {str(symbol) for symbol in expr.free_symbols}
+    bound = _bound([name for name in columns if name not in clock], columns)
+    if not bound:
+        return False
     line = sympy.denom(sympy.together(expr))
     # A line of one product has taken nothing in that vanishes.
     sums = [part for part in line.atoms(sympy.Add) if part.is_polynomial(*part.free_symbols)]
@@ -47,8 +51,7 @@ def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
     under = {str(symbol) for part in sums for symbol in part.free_symbols}
     if not under or not line.is_polynomial(*line.free_symbols):
         return False
-    clock = {"t"} - {str(symbol) for symbol in expr.free_symbols}
-    return bool(under & _bound([name for name in columns if name not in clock], columns))
+    return bool(under & bound)
 
 
 def _bound(names: list[str], columns: Mapping[str, np.ndarray]) -> set[str]:
