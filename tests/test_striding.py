@@ -49,6 +49,30 @@ def test_steps_of_order_eight_follow_the_solution_closely(substeps):
     assert np.allclose(found[:, :, 0], truth, atol=2e-9 / 2 ** (6 * (substeps - 1)))
 
 
+LONELY = [
+    {"a": parse("b"), "b": parse("-9.81*sin(a) - 0.1*b + F")},
+    {"a": parse("-0.5*a + tanh(b) + sign(a)"), "b": parse("abs(a - b) - exp(b)/(2 + cos(b))")},
+    # Beside their domain: a root and a power of what falls below 0, a pole, a blow-up.
+    {"a": parse("-1 - sqrt(a)"), "b": parse("cos(t) - 0.3*b")},
+    {"a": parse("-2 - a^1.5"), "b": parse("log(a)")},
+    {"a": parse("-1/(a - 1)"), "b": parse("b")},
+    {"a": parse("exp(a^2)"), "b": parse("sin(a) - b")},
+]
+
+
+@pytest.mark.parametrize("pace", [Pace(2), Pace(1, 8)])
+@pytest.mark.parametrize("rhs", LONELY, ids=str)
+def test_a_lane_alone_goes_as_it_does_beside_another(rhs, pace):
+    """One run on floats is the same run among two on arrays, NaN and infinity in their places."""
+    two = Windows(np.repeat(T[:, None], 2, axis=1), np.zeros((len(T), 2, 2)), drive)
+    flow = Flow(rhs, ("F",), ())
+    alone = flow.track(WINDOWS, START, np.empty(0), pace)
+    beside = flow.track(two, np.repeat(START, 2, axis=1), np.empty(0), pace)
+    for own, other in ((alone.rows, beside.rows), (alone.nodes, beside.nodes)):
+        assert np.allclose(own[..., 0], other[..., 1], rtol=1e-9, atol=1e-12, equal_nan=True)
+    assert np.isfinite(alone.rows[1]).any()
+
+
 def test_probes_have_the_sensitivity_of_their_term():
     """The slope by a probe is what a small multiple of its term changes, the states as before."""
     flow = Flow(RHS, ("F",), (sympy.Symbol("p"),), 2, ((1, parse("a*b")),))

@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 from scipy.integrate import DOP853
 
-from dynsr.expression import Rows, compile_rows
+from dynsr.expression import Rows, compile_rows, compile_scalar
 
 # Where the twelve stages of a step of order 8 are, as shares of it; the last one is its end.
 _NODES = DOP853.C[: len(DOP853.B)]
@@ -161,6 +161,10 @@ class Flow:
         return compile_rows(list(self.rhs.values()), self.names)
 
     @cached_property
+    def _scalar(self) -> Callable[..., list[float]]:
+        return compile_scalar(list(self.rhs.values()), self.names)
+
+    @cached_property
     def _partial(self) -> tuple[list[tuple[int, int]], Rows]:
         """Non-zero entries (i, j) of the Jacobian to states, then constants; and their values."""
         if self.probes:
@@ -245,14 +249,17 @@ class Flow:
         at = self._columns(windows, constants, pace)
         nodes, slopes = (np.empty((len(h) + 1, *start.shape)) for _ in range(2))
         nodes[0] = start
+        slope, states, rates = self._slope_only, nodes, slopes
+        if start.shape[1] == 1:
+            slope, states, rates = self._slope_alone, nodes[..., 0], slopes[..., 0]
         with np.errstate(all="ignore"):
             for n, stages in enumerate(places.tolist()):
                 inner = [at[place] for place in stages]
-                slopes[n] = k1 = self._slope_only(nodes[n], inner[0])
-                nodes[n + 1] = pace.step(self._slope_only, nodes[n], h[n], inner, k1)
+                rates[n] = k1 = slope(states[n], inner[0])
+                states[n + 1] = pace.step(slope, states[n], h[n], inner, k1)
             if not self._strides(pace):
                 return Track(nodes, nodes[:: pace.substeps])
-            slopes[-1] = self._slope_only(nodes[-1], at[-1])
+            rates[-1] = slope(states[-1], at[-1])
             found = np.empty((len(windows.t), *start.shape))
             found[0] = start
             for some, rows in self._groups(windows, pace, len(h)):
@@ -358,11 +365,14 @@ class Flow:
     def _columns(
         self, windows: Windows, constants: np.ndarray, pace: Pace
     ) -> Sequence[tuple[Any, ...]]:
-        """Arguments after the states at every node, and at the end."""
+        """Arguments after the states at every node, and at the end; floats of a lane alone."""
+        known = np.asarray(constants, dtype=float).tolist()
         if not self._is_driven:
             count = len(pace.nodes) * (len(windows.t) - 1) + 1
-            return [(*self._unused, *constants)] * count
-        return [(*row, *constants) for row in windows.driven_at(pace)]
+            return [(*self._unused, *known)] * count
+        driven = windows.driven_at(pace)
+        rows = driven[..., 0].tolist() if driven.shape[2] == 1 else driven
+        return [(*row, *known) for row in rows]
 
     def _driven_lanes(self, windows: Windows, pace: Pace, places: np.ndarray) -> Iterable[Any]:
         """Driven columns (d, n W) at n nodes."""
@@ -376,6 +386,14 @@ class Flow:
         out = np.empty(x.shape)
         self._slope((*x, *rest), out)
         return out
+
+    def _slope_alone(self, x: np.ndarray, rest: Sequence[float]) -> np.ndarray:
+        """The slope (k,) of a lane alone: floats take a quarter of the time of arrays of one."""
+        try:
+            return np.array(self._scalar(*x.tolist(), *rest), dtype=float)
+        except (ArithmeticError, ValueError, TypeError):
+            # Beside its domain: NaN in what has no value there.
+            return self._slope_only(x[:, None], rest)[:, 0]
 
     def _slope_joint(self, joint: np.ndarray, rest: Sequence[Any]) -> np.ndarray:
         entries, evaluate = self._partial
