@@ -305,3 +305,21 @@ def test_what_is_left_to_do_is_counted_to_its_end():
     named = dict.fromkeys(step.what for step in steps if step.what)
     assert list(named)[-1] == "choice of y'"
     assert steps[-1].done == steps[-1].total == len(named)
+
+
+@pytest.mark.slow
+def test_a_spring_that_swings_round_keeps_its_momentum_and_is_no_other_law():
+    """Along one run r^2 w stays the same, so that 1.584 w / r, 2.509 / r^3 and r w^2 are one.
+
+    What has whole coefficients is taken, and none of the others is called a law.
+    """
+    r, u, w = sympy.symbols("r u w")
+    laws = (u, w, r * w**2 - 3.1 * (r - 1.4), -2 * u * w / r)
+    rhs = sympy.lambdify([r, sympy.Symbol("a"), u, w], laws)
+    whole = run(rhs, (1.2, 0.0, 0.3, 1.1), 10.0, 300, ("r", "a", "u", "w"), 1e-11)
+    kept = np.sort(np.random.default_rng(0).choice(300, 150, replace=False))
+    found = dynsr.discover(dynsr.Trajectory(whole.t[kept], whole.x[kept], whole.states), jobs=1)
+    assert found.equations["u"] == r * w**2 - 3.1 * r + 4.34
+    assert found.equations["w"] == -2 * u * w / r
+    assert found.verdict.states["u"].level == "approximation"
+    assert "keep a relation" in found.verdict.states["u"].reason

@@ -1,13 +1,16 @@
-"""Relations: columns that lie on a curve of the second degree all along exact data.
+"""Relations: columns that lie on a curve of the second degree, or keep a product of powers.
 
 There a ratio is many ratios: above and below its line any multiple of what vanishes can be added.
-A polynomial of the third degree is many as well, by such multiples of every column. So where the
-columns keep such a relation, the data say what these are along them and leave open what they are
-beside them.
+A polynomial of the third degree is many as well, by such multiples of every column. Where a product
+of powers stays the same, as an angular momentum r^2 w does, a term is many terms: it may be
+multiplied by any power of that product, which changes its coefficient alone. So where the columns
+keep such a relation, the data say what these are along them and leave open what they are beside
+them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import combinations_with_replacement
 
@@ -21,10 +24,19 @@ _VANISHES, _FALLS = 1e-6, 100.0
 _CUBIC = 3
 # Rows that are enough.
 _ROWS = 400
+# The smallest value of a column, as a share of its largest, from which on it has a logarithm; whole
+# coefficients up to this one, and the share by which they may differ, are no chance.
+_POSITIVE, _LARGEST, _WHOLE = 1e-3, 12, 1e-6
+# Powers of a product that are looked at.
+_WAYS = 7
 
 
 def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
-    """Whether a formula is a ratio, or cubic, in columns that keep a relation of degree two.
+    """Whether a formula is one of many that are the same along columns that keep a relation.
+
+    A ratio or a cubic is, in columns that keep one of the second degree. In columns of which a
+    product of powers stays the same so is a term that is no plain product of two: unless its
+    coefficient is a whole number, and those of all the others are none.
 
     Parameters
     ----------
@@ -36,9 +48,17 @@ def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
     >>> x, y, s = sympy.symbols("x y t")
     >>> [is_left_open(expr, circle) for expr in (y / (3 + x), y / (3 + s), x * y**2, x * y)]
     [True, False, True, False]
+    >>> orbit = {"x": 2 + np.cos(t), "y": 1.3 / (2 + np.cos(t)) ** 2, "s": np.sin(t)}
+    >>> [is_left_open(expr, orbit) for expr in (1.3 * s * y / x, s * y / x, 0.3 * x, 0.3 * s**3)]
+    [True, False, False, False]
     """
     clock = {"t"} - {str(symbol) for symbol in expr.free_symbols}
-    bound = _bound([name for name in columns if name not in clock], columns)
+    names = [name for name in columns if name not in clock]
+    tied = _tied(names, columns)
+    terms = sympy.Add.make_args(sympy.expand(expr)) if tied else ()
+    if any(_may_be_multiplied(term, tied) for term in terms):
+        return True
+    bound = _bound(names, columns)
     if not bound:
         return False
     line = sympy.denom(sympy.together(expr))
@@ -52,6 +72,50 @@ def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
     if not under or not line.is_polynomial(*line.free_symbols):
         return False
     return bool(under & bound)
+
+
+def _may_be_multiplied(term: sympy.Expr, tied: Mapping[str, bool]) -> bool:
+    """Whether a product of powers that stays the same may stand in a term or not."""
+    coefficient, body = term.as_coeff_Mul()
+    symbols = body.free_symbols
+    held = [tied[str(symbol)] for symbol in symbols if str(symbol) in tied]
+    if not held or (body.is_polynomial(*symbols) and sympy.total_degree(body) < _CUBIC):
+        return False
+    return not (all(held) and _is_whole(float(coefficient)))
+
+
+def _is_whole(value: float) -> bool:
+    size = abs(value)
+    return bool(0 < round(size) <= _LARGEST and abs(size - round(size)) <= _WHOLE * size)
+
+
+def _tied(names: list[str], columns: Mapping[str, np.ndarray]) -> dict[str, bool]:
+    """Name the columns of which a product of powers stays the same.
+
+    With each goes whether powers of that product are no whole numbers, so that these tell.
+    """
+    sizes = {name: np.abs(np.asarray(columns[name], dtype=float)) for name in names}
+    sizes = {name: own[:: max(1, len(own) // _ROWS)] for name, own in sizes.items()}
+    logs = {
+        name: np.log(own)
+        for name, own in sizes.items()
+        if np.all(np.isfinite(own)) and np.min(own) > _POSITIVE * np.max(own)
+    }
+    rows = np.array([own - own.mean() for own in logs.values()])
+    if len(rows) < 2 or not np.all(np.std(rows, axis=1) > 0):
+        return {}
+    lengths = np.linalg.norm(rows, axis=1)
+    directions, found, _ = np.linalg.svd(rows / lengths[:, None], full_matrices=False)
+    floor = max(found[-1], 1e-15 * found[0])
+    if found[-1] > _VANISHES * found[0] or found[-2] <= _FALLS * floor:
+        return {}
+    weights = directions[:, -1]
+    kept = np.abs(weights) > 1e-3
+    powers = np.where(kept, weights / lengths, 0.0)
+    product = float(powers @ [own.mean() for own in logs.values()]) / float(np.max(np.abs(powers)))
+    # The smallest whole powers are not known: those of the product to the first few are looked at.
+    tell = not any(_is_whole(math.exp(abs(n * product))) for n in range(1, _WAYS))
+    return {name: tell for name, own in zip(logs, kept, strict=True) if own}
 
 
 def _bound(names: list[str], columns: Mapping[str, np.ndarray]) -> set[str]:

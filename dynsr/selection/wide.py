@@ -555,7 +555,7 @@ def _of_one(place: int, values: np.ndarray) -> Iterator[_Part]:
         yield _Part(_root, own, (), both)
         yield _Part(_logarithm, own)
     if np.min(values) > _APART * size:
-        yield _Part(_reciprocal, own, (), both)
+        yield _Part(_reciprocal, own, (), (*both, _PAIRS))
         yield from (_Part(make, own) for make in (_reciprocal_square, _reciprocal_cube))
     for share in _SPREADS:
         for at in _MIDDLES:
