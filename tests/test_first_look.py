@@ -3,22 +3,13 @@
 import numpy as np
 import pytest
 import sympy
-from scipy.integrate import solve_ivp
+from measured_systems import run
 
 import dynsr
 from dynsr.data import choose_samples, join_samples
 from dynsr.expression import evaluate, parse, ratio_forms
 from dynsr.fit import confirm, simplest_form
 from dynsr.selection import look, look_again
-
-
-def run(rhs, start, end, rows, names, rtol=1e-10, every_row=False):
-    """Integrate closely, with a step for every row if asked."""
-    t = np.linspace(0, end, rows)
-    tight = {"rtol": rtol, "atol": 1e-12, "max_step": t[1] if every_row else np.inf}
-    solved = solve_ivp(lambda _, x: rhs(*x), (0, end), start, "DOP853", t, **tight)
-    return dynsr.Trajectory(t, solved.y.T, names)
-
 
 LAWS = {
     "two species": (

@@ -13,7 +13,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.expression import evaluate
+from dynsr.expression import evaluate, expand_terms
 from dynsr.fit import structure_bits
 
 # Share of the spread by which a sum that rests may move; largest weight of a state in it.
@@ -118,7 +118,7 @@ def _follow(
     """Give the systems in which one equation follows from the others."""
     for state in weights:
         rest = sympy.Add(*[-w * exprs[s] for s, w in weights.items() if s != state])
-        yield {**exprs, state: sympy.expand(rest / weights[state])}
+        yield {**exprs, state: expand_terms(rest / weights[state])}
 
 
 def _vanishes(

@@ -15,6 +15,7 @@ import sympy
 from dynsr.data import Trajectory
 from dynsr.discovery.prediction import predict
 from dynsr.errors import DynsrError
+from dynsr.expression import expand_terms
 
 # Of longer systems the terms are not tried one by one.
 _MOST_TERMS = 16
@@ -70,7 +71,7 @@ def cross_layers(
     spread = np.maximum(np.std(measured, axis=0), 1e-300)
     whole = _rms(gaps) / spread
     late = _rms([gap[-max(1, len(gap) // 4) :] for gap in gaps]) / spread
-    terms = {s: sympy.Add.make_args(sympy.expand(e)) for s, e in equations.items()}
+    terms = {s: sympy.Add.make_args(expand_terms(e)) for s, e in equations.items()}
     idle: dict[str, list[sympy.Expr]] | None = None
     if sum(map(len, terms.values())) <= _MOST_TERMS:
         idle = {state: [] for state in equations}

@@ -20,7 +20,7 @@ from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
 from dynsr.engines import DEFAULT_ENGINE, start_engine
 from dynsr.errors import InputError
-from dynsr.expression import counting, read_own_bits
+from dynsr.expression import counting, expand_terms, read_own_bits
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
 
 # Columns and spans of these sizes are searched as they are.
@@ -98,7 +98,7 @@ class Units:
 
     def restore_slope(self, state: str, expr: sympy.Expr) -> sympy.Expr:
         """Give an expression for a slope in the units of the data."""
-        return sympy.expand(self._inside(expr, -1) * self.columns[state] / self.time)
+        return expand_terms(self._inside(expr, -1) * self.columns[state] / self.time)
 
     def _inside(self, expr: sympy.Expr, power: int) -> sympy.Expr:
         named = {**self.columns, "t": self.time}

@@ -21,7 +21,7 @@ import sympy
 from dynsr.data import Trajectory, weak_form
 from dynsr.discovery.result import Discovery, Inclusion
 from dynsr.errors import InputError
-from dynsr.expression import ByText, compile_numpy, counting, shown
+from dynsr.expression import ByText, compile_numpy, counting, expand_terms, shown
 from dynsr.fit import (
     Noise,
     ParetoFront,
@@ -139,10 +139,10 @@ def _terms(
 ) -> tuple[tuple[sympy.Expr, ...], sympy.Expr]:
     """Terms of the equation and, where it is a sum, of the alternatives; and its denominator."""
     top, bottom = sympy.fraction(sympy.together(expr)) if _is_ratio(expr) else (expr, sympy.S.One)
-    found = list(sympy.Add.make_args(sympy.expand(top)))
+    found = list(sympy.Add.make_args(expand_terms(top)))
     if bottom == 1:
         for other in alternatives:
-            found += [] if _is_ratio(other) else sympy.Add.make_args(sympy.expand(other))
+            found += [] if _is_ratio(other) else sympy.Add.make_args(expand_terms(other))
     bare = dict.fromkeys(term.as_coeff_Mul()[1] for term in found if term != 0)
     return tuple(bare), bottom
 
@@ -234,8 +234,8 @@ def check_ensemble(ensemble: bool | int, runs: Sequence[Trajectory], discrete: b
 
 def _rivals(expr: sympy.Expr, front: ParetoFront) -> ParetoFront:
     """Give the formulas of a front that have few more terms than the equation."""
-    most = len(sympy.Add.make_args(sympy.expand(expr))) + _MORE_TERMS
-    return ParetoFront(c for c in front if len(sympy.Add.make_args(sympy.expand(c.expr))) <= most)
+    most = len(sympy.Add.make_args(expand_terms(expr))) + _MORE_TERMS
+    return ParetoFront(c for c in front if len(sympy.Add.make_args(expand_terms(c.expr))) <= most)
 
 
 def with_ensemble(found: Discovery, members: int, seed: int) -> Discovery:

@@ -21,7 +21,7 @@ from .parsing import check_name, parse
 from .plausibility import Prior, plausibility_bits
 from .poles import has_pole, lines_below
 from .program import Program, compile_columns
-from .ratios import ratio_forms
+from .ratios import expand_terms, ratio_forms
 from .vocabulary import NAMED_FUNCTIONS, Vocabulary
 from .writing import ByText, as_float_tree, round_constants, to_text
 
@@ -51,6 +51,7 @@ __all__ = [
     "complexity",
     "counting",
     "evaluate",
+    "expand_terms",
     "has_pole",
     "lines_below",
     "number_bits",

@@ -7,6 +7,30 @@ from collections.abc import Iterator, Sequence
 import sympy
 
 
+def expand_terms(expr: sympy.Expr) -> sympy.Expr:
+    """Multiply a formula out, but for powers of sums that are no whole ones.
+
+    SymPy writes (1 - x)^(8/5) as (1 - x)^(3/5) - x (1 - x)^(3/5).
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x = sympy.Symbol("x")
+    >>> expand_terms(x * (2 - x) * (1 - x) ** sympy.Rational(8, 5))
+    -x**2*(1 - x)**(8/5) + 2*x*(1 - x)**(8/5)
+    """
+    held = {
+        power: sympy.Dummy()
+        for power in expr.atoms(sympy.Pow)
+        if power.base.is_Add and power.exp.is_Number and not power.exp.is_Integer
+    }
+    if not held:
+        return sympy.expand(expr)
+    found = sympy.expand(expr.xreplace(held))
+    return found.xreplace({own: power for power, own in held.items()})
+
+
 def ratio_forms(expr: sympy.Expr) -> Iterator[sympy.Expr]:
     """Give a formula, and where it is a ratio its other forms, which are the same function.
 

@@ -6,7 +6,8 @@ approximation, whatever the errors of slopes between distant rows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -117,42 +118,66 @@ def _simplify(
 
 
 def simplest_form(
-    expr: sympy.Expr, columns: Mapping[str, np.ndarray], settings: FitSettings = FIT
+    expr: sympy.Expr,
+    columns: Mapping[str, np.ndarray],
+    settings: FitSettings = FIT,
+    share: float | None = None,
 ) -> sympy.Expr:
     """Write a formula of exact data as it is shortest, with simple numbers where they are such.
 
     Parameters
     ----------
-    expr : the formula, its constants sure to the share ``settings.confirmed``.
-    columns : the values at which it holds; what adds less than that share to it is left out.
+    expr : the formula.
+    columns : the values at which it holds; what adds less than ``settings.confirmed`` is left out.
     settings : the numbers that decide.
+    share : of themselves to which its constants are sure; ``settings.confirmed`` by default.
 
     >>> v = sympy.Symbol("v")
     >>> simplest_form((4.0 * v + 1e-12) / (1 + 2.0 * v), {"v": np.linspace(0, 3, 9)})
     2*v/(v + 1/2)
+    >>> simplest_form(sympy.exp(-2.5 * v + 0.3), {"v": np.linspace(0, 3, 9)})
+    exp(3/10 - 5*v/2)
     """
     best: tuple[int, float, str] | None = None
     found = expr
+    share = settings.confirmed if share is None else share
     for form in ratio_forms(expr):
         left = _without_nothing(form, columns, settings.confirmed)
-        template, values = free_constants(left, "constant ")
-        numbers = {
-            symbol: simple_value(value, settings.confirmed * abs(value), settings)
-            if settings.snap
-            else None
-            for symbol, value in values.items()
-        }
-        odd = sum(number is None for number in numbers.values())
         length = structure_bits(left)
-        length += sum(number_bits(number) for number in numbers.values() if number is not None)
-        order = (odd, length, str(left))
-        if best is None or order < best:
-            put = {
-                symbol: sympy.Float(values[symbol]) if number is None else number
-                for symbol, number in numbers.items()
+        for template, values in _with_shifts(*free_constants(left, "constant ")):
+            numbers = {
+                symbol: simple_value(value, share * abs(value), settings) if settings.snap else None
+                for symbol, value in values.items()
             }
-            best, found = order, template.xreplace(put)
+            odd = sum(number is None for number in numbers.values())
+            simple = sum(number_bits(number) for number in numbers.values() if number is not None)
+            order = (odd, length + simple, str(left))
+            if best is None or order < best:
+                put = {
+                    symbol: sympy.Float(values[symbol]) if number is None else number
+                    for symbol, number in numbers.items()
+                }
+                best, found = order, template.xreplace(put)
     return found
+
+
+def _with_shifts(
+    template: sympy.Expr, values: Mapping[sympy.Symbol, float]
+) -> Iterator[tuple[sympy.Expr, Mapping[sympy.Symbol, float]]]:
+    """Give a formula, and with the factors of its exponentials in their exponents, if there are.
+
+    SymPy takes every float out of an exponent, and 1/(1 + exp(0.3 - 5.2 v)) loses its 0.3.
+    """
+    yield template, values
+    shifted, logs = {}, dict(values)
+    for product in template.atoms(sympy.Mul):
+        factors = [f for f in product.args if values.get(f, 0.0) > 0]
+        waves = [f for f in product.args if isinstance(f, sympy.exp)]
+        if len(product.args) == 2 and len(factors) == len(waves) == 1:
+            shifted[product] = sympy.exp(waves[0].args[0] + factors[0])
+            logs[factors[0]] = math.log(values[factors[0]])
+    if shifted:
+        yield template.xreplace(shifted), logs
 
 
 def _without_nothing(

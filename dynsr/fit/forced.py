@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import sympy
 
-from dynsr.expression import bare_term
+from dynsr.expression import bare_term, expand_terms
 from dynsr.fit.constants import skeleton
 
 
@@ -26,6 +26,6 @@ def missing_terms(expr: sympy.Expr, terms: Iterable[sympy.Expr]) -> list[sympy.E
     if not wanted:
         return []
     held = {
-        skeleton(bare_term(term)) for term in sympy.Add.make_args(sympy.expand(expr)) if term != 0
+        skeleton(bare_term(term)) for term in sympy.Add.make_args(expand_terms(expr)) if term != 0
     }
     return [term for term in wanted if skeleton(term) not in held]

@@ -22,6 +22,7 @@ from dynsr.expression import (
     LARGEST_IN_FRACTION,
     ByText,
     complexity,
+    expand_terms,
     number_bits,
     round_constants,
 )
@@ -231,7 +232,7 @@ def normal_forms(expr: sympy.Expr) -> list[sympy.Expr]:
     top, bottom = sympy.fraction(expr)
     if not bottom.is_Add:
         return [expr]
-    top_terms = sympy.Add.make_args(sympy.expand(top))
+    top_terms = sympy.Add.make_args(expand_terms(top))
     forms = [expr]
     for term in bottom.args:
         divisor = term.as_coeff_Mul()[0]

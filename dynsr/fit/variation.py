@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import ByText, Vocabulary, complexity
+from dynsr.expression import ByText, Vocabulary, complexity, expand_terms
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import refit
 from dynsr.fit.description import description_length
@@ -95,7 +95,7 @@ def loosen(expr: sympy.Expr) -> sympy.Expr:
     ((1.0*x - 3.0*y)/(2.0 - x), 2.0*y/(x + 0.666666666666667))
     """
     top, bottom = sympy.fraction(expr)
-    above = [_loose_term(t) for t in sympy.Add.make_args(sympy.expand(top))]
+    above = [_loose_term(t) for t in sympy.Add.make_args(expand_terms(top))]
     if bottom == 1:
         return sympy.Add(*above)
     terms = sorted(sympy.Add.make_args(bottom), key=lambda t: (len(t.free_symbols) > 0, ByText(t)))

@@ -12,10 +12,20 @@ from functools import cached_property
 
 import numpy as np
 import sympy
+from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError
 
 from dynsr.expression import ByText, compile_columns, evaluate
-from dynsr.fit import Collocation, Linearised, Measurements, constant_bits, skeleton, structure_bits
+from dynsr.fit import (
+    Collocation,
+    Linearised,
+    Measurements,
+    Mesh,
+    constant_bits,
+    free_constants,
+    skeleton,
+    structure_bits,
+)
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import (
     ComparisonSettings,
@@ -34,12 +44,16 @@ from dynsr.selection.costs import (
     term_bodies,
     unusual_bits,
 )
+from dynsr.selection.several import Goal, SeveralInside
 from dynsr.selection.subsets import Subset, best_subsets
 from dynsr.selection.terms import Joint, Terms, move_inside, slopes_inside, weighted_sum
 from dynsr.selection.twins import exchanged
 
 # Terms of other equations, and plain ones, that are offered to one together.
-_OFFERED, _PLAINEST = 12, 40
+_OFFERED, _PLAINEST = 24, 40
+# Rows at which functions of several constants are evaluated, the share of the largest direction
+# below which one says nothing, and the bits of a term beside those of its constant.
+_SPREAD, _SAID, _TERM_BITS = 160, 1e-9, 6.0
 
 
 @dataclass(frozen=True)
@@ -220,6 +234,34 @@ class Alone:
         found.sort(key=lambda pair: (pair[0], ByText(pair[1])))
         return [expr for _, expr in found[: self.comparison.settings.sums]]
 
+    def sums_inside(self) -> list[sympy.Expr]:
+        """Give sums with a function of several constants that are expected to take fewest bits.
+
+        Terms are evaluated at some times, between which they are interpolated, and what their
+        integrals leave of the measured states says what they are worth.
+        """
+        mesh, settings = self.comparison.mesh, self.comparison.settings
+        nodes, spread = _spread_over(mesh)
+        normal = self._normal(spread)
+        if normal is None:
+            return []
+        values, directions = np.linalg.eigh(normal.information)
+        told = values > _SAID * values[-1]
+        roots = np.sqrt(values[told])
+        maps = roots[:, None] * directions[:, told].T
+        y = -(directions[:, told].T @ normal.pull) / roots
+        beside = max(normal.squares - float(y @ y), 0.0)
+        goal = Goal(self.comparison.names, self._points[:-1, nodes], self.state, y, maps)
+        rows, angles = self._rows, self.comparison.angles
+        each = constant_bits(rows)
+
+        def bits(expr: sympy.Expr) -> float:
+            return shape_bits(expr) + unusual_bits(expr, angles) + each * constants(expr)
+
+        allow = settings.demands.limits(self.state).allow
+        several = SeveralInside(goal, allow)
+        return several.likely_sums(beside, rows, bits, each + _TERM_BITS)
+
     @cached_property
     def _points(self) -> np.ndarray:
         """Values of all columns, the time the last, at the rows and between them."""
@@ -294,6 +336,39 @@ class Alone:
         sums = expected_sums(normal, terms, tiers, costs, self._rows, settings.sums, curved=curved)
         others = [sympy.Symbol(n) for n in self.comparison.names if n != self.state]
         return [sympy.S.Zero, *others, *sums]
+
+
+def constants(expr: sympy.Expr) -> int:
+    """Count the constants of a formula that are fitted.
+
+    Parameters
+    ----------
+    expr : the formula.
+    """
+    return len(free_constants(expr, "c")[1])
+
+
+def _spread_over(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Give rows (N,) of a mesh, and (N, n + m) what a value at each is at its rows and between.
+
+    What lies between the rows that are taken is interpolated by cubic splines, run by run.
+    """
+    count, first = len(mesh.t), np.setdiff1d(np.arange(len(mesh.t)), mesh.left + 1)
+    nodes: list[np.ndarray] = []
+    places = np.concatenate([np.arange(count), mesh.left])
+    times = np.concatenate([mesh.t, (mesh.t[mesh.left] + mesh.t[mesh.left + 1]) / 2])
+    blocks = []
+    for begin, end in zip(first, [*first[1:], count], strict=True):
+        most = max(4, round(_SPREAD * (end - begin) / count))
+        own = np.unique(np.linspace(begin, end - 1, min(end - begin, most)).astype(int))
+        inside = (places >= begin) & (places < end)
+        block = np.zeros((len(own), len(times)))
+        if len(own) > 1:
+            spline = CubicSpline(mesh.t[own], np.eye(len(own)))
+            block[:, inside] = spline(times[inside]).T
+        nodes.append(own)
+        blocks.append(block)
+    return np.concatenate(nodes), np.concatenate(blocks)
 
 
 def _places_of(tiers: Sequence[np.ndarray]) -> np.ndarray:

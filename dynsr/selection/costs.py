@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Sequence
 
 import sympy
 
-from dynsr.expression import added_bits, bits_in_force, plausibility_bits
+from dynsr.expression import added_bits, bits_in_force, expand_terms, plausibility_bits
 from dynsr.fit import skeleton, structure_bits
 
 # Bits of saying that a variable is an angle.
@@ -307,7 +307,7 @@ def bare_terms(expr: sympy.Expr) -> set[sympy.Expr]:
     ----------
     expr : the sum.
     """
-    return set(map(skeleton, bodies_of(sympy.expand(expr))))
+    return set(map(skeleton, bodies_of(expand_terms(expr))))
 
 
 def rounded(expr: sympy.Expr) -> sympy.Expr:

@@ -37,6 +37,7 @@ from dynsr.selection.few import FewTerms
 from dynsr.selection.likeness import Likeness, cited_terms, fit_to
 from dynsr.selection.profiles import sums_beside
 from dynsr.selection.relations import is_left_open
+from dynsr.selection.several import SeveralInside
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import (
     Joint,
@@ -60,6 +61,8 @@ _WRITTEN = 6
 # Shares of their size that exact slopes err by, whatever they say of themselves: those of states
 # of a strict solver, and of a loose one.
 _STRICT, _LOOSE = 1e-8, 1e-6
+# Shares of themselves to which constants of exact slopes are sure, one by one and all together.
+_SURE, _SURER_TOGETHER = 3e-6, 5e-5
 # The same share for single rows, that rest where others move.
 _ROW = 0.1
 # Constants of a formula to each that is no simple number.
@@ -258,7 +261,7 @@ class _Search:
     trust: np.ndarray
     cited: np.ndarray | None = None
     fitted: dict[frozenset[int], _Choice | None] = field(default_factory=dict)
-    simple: dict[_Choice, sympy.Expr] = field(default_factory=dict)
+    simple: dict[_Choice, list[sympy.Expr]] = field(default_factory=dict)
     open: dict[_Choice, bool] = field(default_factory=dict)
     # What formulas have for terms, which are no columns.
     numbers: Iterator[int] = field(default_factory=lambda: counting(-1, -1))
@@ -419,7 +422,7 @@ class _Search:
         ]
 
     def further_sums(self, limits: Limits) -> Iterator[list[sympy.Expr]]:
-        """Give sums of few terms, with one function and with two, and then those of wide terms.
+        """Give sums of few terms, of functions with constants inside, and then of wide terms.
 
         Parameters
         ----------
@@ -442,6 +445,8 @@ class _Search:
         most = self.settings.within * max(self.error, _LOOSE * self.size)
         yield self._refitted(few.plain_sums(most))
         yield self._refitted(few.with_one(most))
+        several = SeveralInside.of(few.samples, limits.allow)
+        yield self._refitted(several.sums([self.settings.within * self.error, most]))
         yield self._refitted(few.with_two(most, self.settings.within * self.error))
         yield self.wide_sums(limits)
 
@@ -573,10 +578,16 @@ class _Search:
     def _simplest(self, choice: _Choice, most: float) -> sympy.Expr | None:
         """Write a choice in simple numbers; None where that misses by more than allowed."""
         if choice not in self.simple:
-            self.simple[choice] = simplest_form(choice.expr, self.samples.columns)
-        simple = self.simple[choice]
-        misses = np.abs(self.samples.y - evaluate(simple, self.samples.columns)) * self.trust
-        return simple if np.median(misses) <= most else None
+            shares = (_SURE, _SURER_TOGETHER)
+            forms = (simplest_form(choice.expr, self.samples.columns, share=s) for s in shares)
+            self.simple[choice] = list(dict.fromkeys(forms))
+        near = [simple for simple in self.simple[choice] if self._median(simple) <= most]
+        # What all constants are at once they are not by chance, though each may err by more.
+        return next((simple for simple in near if _is_simple(simple)), near[0] if near else None)
+
+    def _median(self, expr: sympy.Expr) -> float:
+        misses = np.abs(self.samples.y - evaluate(expr, self.samples.columns)) * self.trust
+        return float(np.median(misses))
 
     def _stands_out(self, best: _Choice, found: Sequence[_Choice]) -> bool:
         """Whether every other function of the states misses far more.

@@ -17,6 +17,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 import sympy
 
+from dynsr.expression import expand_terms
+
 # Share of the largest direction that one which vanishes may be, and how far below the last that
 # does not: along any short arc the directions become small one after another.
 _VANISHES, _FALLS = 1e-6, 100.0
@@ -55,7 +57,7 @@ def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
     clock = {"t"} - {str(symbol) for symbol in expr.free_symbols}
     names = [name for name in columns if name not in clock]
     tied = _tied(names, columns)
-    terms = sympy.Add.make_args(sympy.expand(expr)) if tied else ()
+    terms = sympy.Add.make_args(expand_terms(expr)) if tied else ()
     if any(_may_be_multiplied(term, tied) for term in terms):
         return True
     bound = _bound(names, columns)
@@ -66,7 +68,7 @@ def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
     sums = [part for part in line.atoms(sympy.Add) if part.is_polynomial(*part.free_symbols)]
     if expr.is_polynomial(*expr.free_symbols):
         sums = [
-            t for t in sympy.Add.make_args(sympy.expand(expr)) if sympy.total_degree(t) >= _CUBIC
+            t for t in sympy.Add.make_args(expand_terms(expr)) if sympy.total_degree(t) >= _CUBIC
         ]
     under = {str(symbol) for part in sums for symbol in part.free_symbols}
     if not under or not line.is_polynomial(*line.free_symbols):

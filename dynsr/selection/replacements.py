@@ -35,7 +35,9 @@ from dynsr.selection.twins import exchanged
 # Sums of every kind that are looked at, and that are fitted.
 _COUNT, _TRIED = 2, 8
 # Of sums with wide terms or terms of other equations, and of twins of these, those fitted.
-_WIDE, _CITED, _TWINS = 8, 4, 2
+_WIDE, _CITED, _TWINS = 8, 4, 8
+# Times that equations are found anew at most, each time along a better system.
+_ROUNDS = 6
 # Systems close to the best one from which the other equations are found anew.
 _NEAR = 2
 # Rows along which an equation is compared with sums.
@@ -92,7 +94,7 @@ def try_replacements(
             for fit in list(dict.fromkeys(near))[:_NEAR]:
                 yield from cited(fit, best)
 
-    return climb_while_better(both, best, climb, comparison.settings.again)
+    return climb_while_better(both, best, climb, _ROUNDS)
 
 
 def replacements(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
@@ -193,16 +195,22 @@ class Replaceable:
         return self._expected(self.like.cited_sums(self.values, self.most, written))[:_CITED]
 
     def twins(self) -> list[sympy.Expr]:
-        """Give the other equations with names exchanged so that they are this one."""
-        states = self.along.comparison.mesh.states
-        each = constant_bits(float(self.along.comparison.mesh.rows.max()))
-        found = [
-            (expr, each * len(expr.atoms(sympy.Float)))
-            for other, own in self.along.fit.exprs.items()
+        """Give the other equations with names exchanged so that they are this one.
+
+        All are fitted: where one equation of two bodies is wrong, the states are bent beside it,
+        and along them its twin looks far behind.
+        """
+        states, equations = self.along.comparison.mesh.states, self.along.fit.exprs
+        found = {
+            skeleton(expr): expr
+            for other, own in equations.items()
             if other != self.state and not own.is_Symbol
             for expr in exchanged(own, other, self.state, states)
-        ]
-        return self._expected(found)[:_TWINS]
+        }
+        found.pop(skeleton(equations[self.state]), None)
+        allow = self.like.allow
+        fine = [e for e in found.values() if all(allow(body) for body in bodies_of(e))]
+        return fine[:_TWINS]
 
     def _expected(self, likely: Sequence[tuple[sympy.Expr, float]]) -> list[sympy.Expr]:
         """Fit sums to what is known, and put those first that the data are expected to like best.

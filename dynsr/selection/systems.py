@@ -49,7 +49,7 @@ from dynsr.selection.stand_ins import try_stand_ins
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0
 # Leaders of each other equation whose terms are offered to one.
-_CITED = 3
+_CITED = 8
 # Leaders of each state that others are put beside by their rates, and systems fitted and climbed
 # from.
 _HUBS, _COMPOSED, _CLIMBED = 8, 6, 1
@@ -286,7 +286,8 @@ def explore(
 
     The terms are evaluated along the smoothed states, and their integrals are fitted to the
     measured ones (the weak form of Schaeffer and McCalla 2017, with windows of all lengths); the
-    best subsets take the fewest bits. Their exact fits put them in order.
+    best subsets take the fewest bits. Beside them stand functions of several constants. Exact fits
+    put all in order.
 
     Parameters
     ----------
@@ -297,6 +298,9 @@ def explore(
     """
     alone = Alone.of(state, data, settings)
     found = alone.rank_sums()
+    if alone.is_clear():
+        return found
+    found = alone.rank(alone.sums_inside())
     best = alone.best()
     if not ratios or (best and is_plain(best.exprs[state]) and leaves_noise(best, settings)):
         return found
