@@ -51,9 +51,9 @@ from dynsr.selection.twins import exchanged
 
 # Terms of other equations, and plain ones, that are offered to one together.
 _OFFERED, _PLAINEST = 24, 40
-# Rows at which functions of several constants are evaluated, the share of the largest direction
-# below which one says nothing, and the bits of a term beside those of its constant.
-_SPREAD, _SAID, _TERM_BITS = 160, 1e-9, 6.0
+# Rows at which functions of several constants are evaluated, and the share of the largest direction
+# below which one says nothing.
+_SPREAD, _SAID = 160, 1e-9
 
 
 @dataclass(frozen=True)
@@ -260,7 +260,7 @@ class Alone:
 
         allow = settings.demands.limits(self.state).allow
         several = SeveralInside(goal, allow)
-        return several.likely_sums(beside, rows, bits, each + _TERM_BITS)
+        return several.likely_sums(beside, rows, bits, each)
 
     @cached_property
     def _points(self) -> np.ndarray:

@@ -35,20 +35,22 @@ _FAR, _STEEPEST = 10.0, 8.0
 _TURNS = np.deg2rad(np.arange(0.0, 180.0, 22.5) + 11.25)
 # Columns that a line is drawn through at most.
 _LINED = 3
-# Steps that all starts make, that the likeliest make then, and how many these are.
-_FIRST, _THEN, _LIKELIEST = 4, 25, 12
+# Steps that all starts make, that the likeliest make in noise and then, and how many these are.
+_FIRST, _NEXT, _THEN, _LIKELIEST = 4, 6, 25, 12
 # How far a constant may go in one step, in its own units; the step by which slopes are measured;
 # what damps a step, from first to last.
 _FARTHEST, _NUDGE, _DAMPED = 2.0, 1e-6, (1e-2, 1e-12)
 # Plain terms at most, rows for each constant at least, and the share of a column that is its own.
 _MOST, _ROWS_EACH, _OWN = 15, 3, 1e-9
 # What keeps products of alike columns from being singular.
-_RIDGE = 1e-10
+_RIDGE = 1e-9
 # Share by which a step must be better to be followed by another.
 _BETTER = 1e-4
 # Sums that are given; in noise, plain terms up to which products are there, terms of a sum at most,
 # sums of each number of these, those of all functions whose constants are rounded, those given.
-_GIVEN, _FEW, _TOGETHER, _KEPT, _ROUNDED, _GIVEN_IN_NOISE = 6, 6, 4, 3, 9, 15
+_GIVEN, _FEW, _TOGETHER, _KEPT, _ROUNDED, _GIVEN_IN_NOISE = 6, 6, 4, 4, 9, 15
+# Sums of each number of terms that hold a function twice.
+_KEPT_OF_TWO = 2
 
 
 @dataclass(frozen=True)
@@ -372,7 +374,7 @@ class SeveralInside:
         beside : sum of squares that is left of the states whatever the slopes are.
         rows : measured rows, m of the bits m / 2 log2(squares / m).
         bits : gives those of a sum and its constants.
-        each : bits of a term or a constant that is not worth it.
+        each : bits of a constant.
         """
 
         def misses(left: float) -> float:
@@ -400,10 +402,11 @@ class SeveralInside:
             sizes = {len(end.chosen) for _, _, end in found}
             alike = ([end for *_, end in found if len(end.chosen) == size] for size in sizes)
             for end in (end for own in alike for end in own[:_ROUNDED]):
-                rounded = end.round(may_leave)
-                expr = rounded.write()
-                if expr is not None:
-                    ranked[expr] = misses(rounded.left) + bits(expr)
+                settled = end.settled()
+                for one in (settled, settled.round(may_leave)):
+                    expr = one.write()
+                    if expr is not None:
+                        ranked[expr] = misses(one.left) + bits(expr)
         return sorted(ranked, key=lambda expr: (ranked[expr], ByText(expr)))[:_GIVEN_IN_NOISE]
 
     def _few_of(
@@ -416,7 +419,7 @@ class SeveralInside:
         search = _Projection.of(self.goal, family, before, plain)
         found = []
         for begun, chosen in search.likeliest(kept, functions):
-            inside, left = search.move(family.starts[begun], chosen, _FIRST)
+            inside, left = search.move(family.starts[begun], chosen, _NEXT)
             found += [_End(search, *one) for one in zip(chosen, inside, left.tolist(), strict=True)]
         return found
 
@@ -457,6 +460,22 @@ class SeveralInside:
         search = _Projection.of(self.goal, family, before, plain)
         inside, left = search.descend(kept)
         return _End(search, kept, inside, left)
+
+
+def _nudged(inside: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Give constants (B, c) with one of them moved a little, and by how much (B,), one by one."""
+    for i in range(inside.shape[1]):
+        moved = inside.copy()
+        moved[:, i] += _NUDGE * np.maximum(np.abs(inside[:, i]), 0.1)
+        yield moved, moved[:, i] - inside[:, i]
+
+
+def _gains(gram: np.ndarray, pull: np.ndarray, sets: np.ndarray, fine: np.ndarray) -> np.ndarray:
+    """(B, s) squares that sets (s, q) of unit columns explain, by their products; -inf for none."""
+    own = gram[:, sets[:, :, None], sets[:, None]] + _RIDGE * np.eye(sets.shape[1])
+    told = pull[:, sets]
+    gains = np.einsum("bsi,bsi->bs", told, np.linalg.solve(own, told[..., None])[..., 0])
+    return np.where(np.all(fine[:, sets], axis=2), gains, -np.inf)
 
 
 def _both_sides(families: Iterable[Family]) -> Iterator[Family]:
@@ -534,24 +553,32 @@ class _Projection:
         kept : places of the terms, the functions first.
         functions : how many places are of functions.
         """
-        columns = self.columns(self.family.starts)[:, kept]
-        fine = np.all(np.isfinite(columns), axis=2)
-        columns = np.where(fine[:, :, None], columns, 0.0)
-        sizes = np.maximum(np.linalg.norm(columns, axis=2), 1e-300)
-        unit = columns / sizes[:, :, None]
+        starts = self.family.starts
+        columns = self.columns(starts)[:, kept]
+        own = int(np.count_nonzero(kept < functions))
+        turned = [
+            (self.columns(moved)[:, kept[:own]] - columns[:, :own]) / gap[:, None, None]
+            for moved, gap in _nudged(starts)
+        ]
+        # One function's slopes by its constants say what others of them would do.
+        block = np.concatenate([columns, *turned], axis=1)
+        fine = np.all(np.isfinite(block), axis=2)
+        block = np.where(fine[:, :, None], block, 0.0)
+        unit = block / np.maximum(np.linalg.norm(block, axis=2), 1e-300)[:, :, None]
         gram, pull = unit @ unit.swapaxes(1, 2), unit @ self.goal.y
+        slopes = len(kept) + own * np.arange(len(turned))
         for size in range(1, _TOGETHER + 1):
             sets = np.array([*combinations(range(len(kept)), size)], dtype=int).reshape(-1, size)
-            sets = sets[np.any(kept[sets] < functions, axis=1)]
-            if not len(sets):
-                continue
-            own = gram[:, sets[:, :, None], sets[:, None]] + _RIDGE * np.eye(size)
-            told = pull[:, sets]
-            gains = np.einsum("bsi,bsi->bs", told, np.linalg.solve(own, told[..., None])[..., 0])
-            gains[~np.all(fine[:, sets], axis=2)] = -np.inf
-            starts = np.argmax(gains, axis=0)
-            best = np.argsort(-gains[starts, np.arange(len(sets))], kind="stable")[:_KEPT]
-            yield starts[best], kept[sets[best]]
+            held = np.count_nonzero(sets < own, axis=1)
+            for alone, count in ((True, _KEPT), (False, _KEPT_OF_TWO)):
+                few = sets[(held == 1) if alone else (held > 1)]
+                if not len(few):
+                    continue
+                bent = few[:, :1] + slopes if alone else few[:, :0]
+                gains = _gains(gram, pull, np.concatenate([few, bent], axis=1), fine)
+                begun = np.argmax(gains, axis=0)
+                best = np.argsort(-gains[begun, np.arange(len(few))], kind="stable")[:count]
+                yield begun[best], kept[few[best]]
 
     def move(
         self,
@@ -607,11 +634,9 @@ class _Projection:
         told = basis.swapaxes(1, 2) @ self.goal.y
         values, rest = values / sizes, self.goal.y - (basis @ told[..., None])[..., 0]
         slopes = np.empty((*inside.shape, len(self.goal.y)))
-        for i in range(inside.shape[1]):
-            moved = inside.copy()
-            moved[:, i] += _NUDGE * np.maximum(np.abs(inside[:, i]), 0.1)
+        for i, (moved, gap) in enumerate(_nudged(inside)):
             shifted = np.take_along_axis(self.columns(moved), chosen[:, :, None], axis=1)
-            turned = (shifted - columns) / (moved[:, i] - inside[:, i])[:, None, None]
+            turned = (shifted - columns) / gap[:, None, None]
             own = np.einsum("bq,bqn->bn", values, np.nan_to_num(turned))
             slopes[:, i] = own - (basis @ (basis.swapaxes(1, 2) @ own[..., None]))[..., 0]
         rest[~fine] = np.inf
@@ -673,7 +698,12 @@ class _End:
         most : root mean square that may be left for what leaves so much now.
         """
         for side in self.sides():
-            yield side.thin(most).round(most)
+            yield side.thin(most).settled().round(most)
+
+    def settled(self) -> _End:
+        """Give the same with the constants where they leave least."""
+        inside, left = self.search.move(self.inside[None], self.chosen[None], _THEN)
+        return replace(self, inside=inside[0], left=float(left[0]))
 
     def sides(self) -> Iterator[_End]:
         """Give the same with either of two functions whose sum is 1."""
@@ -716,9 +746,8 @@ class _End:
         ----------
         most : root mean square that may be left for what leaves so much now.
         """
-        moved, left = self.search.move(self.inside[None], self.chosen[None], _THEN)
-        end = replace(self, inside=moved[0], left=float(left[0]))
-        for i, value in enumerate(end.inside.tolist()):
+        end = self
+        for i, value in enumerate(self.inside.tolist()):
             for near in dict.fromkeys((0.0, round(2 * value) / 2)):
                 held = (*end.held, i)
                 inside, which = end.inside[None].copy(), np.zeros((1, len(end.inside)), dtype=bool)
