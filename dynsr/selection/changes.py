@@ -22,7 +22,13 @@ from dynsr.fit import (
     skeleton,
     without_flat_line,
 )
-from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, owners_of
+from dynsr.selection.comparison import (
+    Change,
+    Equations,
+    SystemComparison,
+    SystemFit,
+    owners_of,
+)
 from dynsr.selection.costs import bodies_of, citing_bits, shape_bits, term_bodies, unusual_bits
 from dynsr.selection.terms import Terms
 
@@ -34,15 +40,6 @@ _LIKE = 0.3
 _LIKE_ONE, _KNOWN = 2.0, 0.3
 # Below this share of its size a direction is only rounding away from the others.
 _NOTHING = 1e-9
-
-
-@dataclass(frozen=True)
-class Change:
-    """One equation otherwise, and the bits that it is expected to take more (or less, below 0)."""
-
-    state: str
-    expr: sympy.Expr
-    bits: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +76,20 @@ class _Moves:
 
 
 def promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Change]:
-    """Give the changes of one equation that the linearised fit expects most of, the best first."""
+    """Give the changes of one equation that the linearised fit expects most of, the best first.
+
+    Parameters
+    ----------
+    comparison : fits the systems.
+    fit : the system.
+    """
+    # Searches from different systems end at the same one.
+    if fit not in comparison.expected:
+        comparison.expected[fit] = _promising_changes(comparison, fit)
+    return comparison.expected[fit]
+
+
+def _promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Change]:
     settings, mesh, found = comparison.settings, comparison.mesh, fit.fit
     points = fit.points
     moves = _make_moves(comparison, fit, points)
