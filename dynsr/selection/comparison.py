@@ -28,13 +28,13 @@ from dynsr.fit import (
 )
 from dynsr.methods import Demands, MonomialLibrary
 from dynsr.selection.costs import (
-    as_written,
     cited_bits,
     in_coordinates,
     saturating,
     shape_bits,
     unusual_bits,
     unwritten_bits,
+    written_length,
 )
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.rates import shared_bits
@@ -328,8 +328,7 @@ class SystemComparison:
         said += sum(unusual_bits(e, self.angles) for e in flat)
         said += sum(self.settings.unseen * self._far_off(e) for e in exprs.values())
         said += sum(map(unwritten_bits, flat))
-        named = [as_written(e) for e in flat]
-        length = information_criterion(squares, self.mesh.rows, named, constants)
+        length = information_criterion(squares, self.mesh.rows, flat, constants, written_length)
         return length + said - self.common_bits(exprs, flat, _doubtful(fit))
 
     def common_bits(
