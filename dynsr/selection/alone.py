@@ -15,7 +15,15 @@ import sympy
 from scipy.linalg import LinAlgError
 
 from dynsr.expression import ByText, compile_columns, evaluate
-from dynsr.fit import Collocation, Linearised, Measurements, constant_bits, skeleton, structure_bits
+from dynsr.fit import (
+    Collocation,
+    Linearised,
+    Measurements,
+    Probes,
+    constant_bits,
+    skeleton,
+    structure_bits,
+)
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import (
     ComparisonSettings,
@@ -241,11 +249,11 @@ class Alone:
     def _normal(self, values: np.ndarray) -> Linearised | None:
         """Give the normal equations of terms with these values; None where they do not tell."""
         mesh = self.comparison.mesh
-        slopes = np.zeros((len(mesh.states), len(values), values.shape[1]))
-        slopes[-1] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        slopes = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        probes = Probes(np.full(len(values), len(mesh.states) - 1), slopes)
         softness = self.comparison.settings.softness
         try:
-            return self._still.normal(mesh.start, np.zeros(0), slopes, softness)
+            return self._still.normal(mesh.start, np.zeros(0), probes, softness)
         except LinAlgError:
             return None
 

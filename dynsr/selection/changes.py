@@ -16,6 +16,7 @@ from scipy.linalg import LinAlgError
 
 from dynsr.expression import compile_columns
 from dynsr.fit import (
+    Probes,
     constant_bits,
     neighbours,
     shift_bits,
@@ -95,10 +96,8 @@ def _promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Cha
     moves = _make_moves(comparison, fit, points)
     if not moves.moves:
         return []
-    slopes = np.zeros((len(mesh.states), len(moves.rows), points.shape[1]))
-    for i, (row, slope) in enumerate(zip(moves.rows, moves.slopes, strict=True)):
-        slopes[row, i] = slope
-    gram = gram_of(fit, slopes)
+    slopes = np.array(moves.slopes).reshape(-1, points.shape[1])
+    gram = gram_of(fit, Probes(np.array(moves.rows, dtype=int), slopes))
     if gram is None:
         return []
     per_square = shift_bits(1.0) / max(float(np.mean(found.mean_squares)), 1e-12)
@@ -455,20 +454,18 @@ def _add_swaps(
             moves.moves.append(_Move(state, _always(other), cost, whole=(place,)))
 
 
-def gram_of(
-    fit: SystemFit, slopes: np.ndarray, stiffness: float | None = None
-) -> np.ndarray | None:
+def gram_of(fit: SystemFit, probes: Probes, stiffness: float | None = None) -> np.ndarray | None:
     """Products of the slopes by constants and probes, and of the misses as the last column.
 
     Parameters
     ----------
     fit : the system.
-    slopes : (k, Q, n + m) of Q probes, at the rows and in the middle of the intervals.
+    probes : Q constants that the system might have.
     stiffness : weight of the defects; by default that of the fit.
     """
     found = fit.fit
     try:
-        normal = fit.problem.normal(found.states, found.constants, slopes, stiffness)
+        normal = fit.problem.normal(found.states, found.constants, probes, stiffness)
     except (LinAlgError, ValueError):
         return None
     pull = normal.pull[:, None]
