@@ -53,7 +53,10 @@ def _free_constants(
             return node
         if node.is_Pow and node.exp.is_Float and float(node.exp).is_integer():
             return node.func(replaced(node.base), sympy.Integer(int(node.exp)))
-        return node.func(*[replaced(argument) for argument in node.args])
+        found = [replaced(argument) for argument in node.args]
+        # SymPy builds a node anew in a hundred times the time that this takes.
+        kept = all(new is old for new, old in zip(found, node.args, strict=True))
+        return node if kept else node.func(*found)
 
     return replaced(expr), tuple(values.items())
 
