@@ -325,7 +325,8 @@ class Collocation:
     @cached_property
     def _owners(self) -> tuple[np.ndarray, np.ndarray]:
         """(P,) place of the equation that holds each constant, and its place among those there."""
-        counts = [len(free_constants(self.exprs[state], "c")[1]) for state in self.mesh.states]
+        states = self.mesh.states
+        counts = [len(free_constants(self.exprs[s], f"constant {s} ")[1]) for s in states]
         ranks = np.concatenate([np.arange(count) for count in counts])
         return np.repeat(np.arange(len(counts)), counts), ranks
 
@@ -650,10 +651,10 @@ def _add_up(defects: np.ndarray) -> np.ndarray:
 
     Small defects of one sign lead far away.
     """
-    found = np.empty_like(defects)
-    for first in range(0, defects.shape[1], _APART):
-        part = slice(first, first + _APART)
-        found[:, part] = np.cumsum(defects[:, part], axis=1)
+    k, m = defects.shape
+    parts = np.zeros((k, -(-m // _APART), _APART))
+    parts.reshape(k, -1)[:, :m] = defects
+    found: np.ndarray = np.cumsum(parts, axis=2).reshape(k, -1)[:, :m]
     return found
 
 
