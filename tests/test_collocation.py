@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from dynsr.data import Trajectory
 from dynsr.expression import parse
-from dynsr.fit import Collocation, CollocationSettings, Measurements, Mesh
+from dynsr.fit import Collocation, CollocationSettings, Measurements, Mesh, Probes
 
 
 def mesh_of(runs, deviation, states, start=None, inputs=None):
@@ -231,6 +231,25 @@ def test_relaxation_is_fitted_through_its_jumps():
     found = fit(exprs, mesh_of([(t, x)], sd, ("x", "y"), start=clean))
     assert found is not None
     assert coefficients(found.exprs["y"])["x"] == pytest.approx(0.05, rel=0.01)
+
+
+def test_a_constant_and_a_probe_along_it_are_one_direction():
+    """What the data say of constants in several equations they say of probes in their places."""
+    t = np.linspace(0, 4, 60)
+    x = solved(lambda _, z: [-0.5 * z[0] + 0.8 * z[1], -0.9 * z[0]], t, [1.0, 0.3])
+    mesh = mesh_of([(t, x)], 0.05, ("x", "y"))
+    found = fit({"x": "-0.5*x + 0.8*y", "y": "-0.9*x"}, mesh)
+    problem = Collocation(found.exprs, mesh)
+    first, second = problem.points(found.states, found.constants)[:2]
+    along = {"x": first, "y": second}
+    slopes = [along[str(term)] for e in problem.exprs.values() for term in e.free_symbols]
+    owners = [place for place, e in enumerate(problem.exprs.values()) for _ in e.free_symbols]
+    probes = Probes(np.array(owners), np.array(slopes))
+    both = problem.normal(found.states, found.constants, probes).information
+    alone = Collocation({"x": sympy.S.Zero, "y": sympy.S.Zero}, mesh)
+    own = np.sort(np.linalg.eigvalsh(both[:3, :3]))
+    np.testing.assert_allclose(np.sort(np.linalg.eigvalsh(both[3:, 3:])), own, rtol=1e-4)
+    assert alone.normal(found.states, np.zeros(0), probes).information.shape == (3, 3)
 
 
 def test_information_is_the_curvature_of_the_profile():

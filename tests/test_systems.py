@@ -222,6 +222,19 @@ def test_the_linearised_fit_foresees_the_fit():
     assert after.bits < fit.bits - 50
 
 
+def test_the_same_question_is_answered_once(monkeypatch):
+    """A second prune of the same system fits nothing, and ends as the first one did."""
+    comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
+    fit = comparison.fit({"S": parse("-0.4*S*J"), "J": parse("0.4*S*J - 0.1*J + 0.01*S")})
+    pruned = prune(comparison, fit, "J")
+    changes = promising_changes(comparison, pruned)
+    ended = prune(comparison, pruned, "J")
+    monkeypatch.setattr(Collocation, "fit", None)
+    monkeypatch.setattr(Collocation, "normal", None)
+    assert prune(comparison, pruned, "J") is ended
+    assert promising_changes(comparison, pruned) == changes
+
+
 def test_what_the_misses_feel_least_is_dropped_first():
     """Of the true terms and a needless one the needless one goes."""
     comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)

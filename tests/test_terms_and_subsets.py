@@ -17,7 +17,13 @@ from dynsr.fit import Measurements, skeleton, structure_bits
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings
 from dynsr.selection.comparison import SystemComparison
-from dynsr.selection.costs import cited_bits, in_coordinates, shape_bits, unusual_bits
+from dynsr.selection.costs import (
+    cited_bits,
+    in_coordinates,
+    shape_bits,
+    unusual_bits,
+    written_length,
+)
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.systems import explore
 from dynsr.selection.terms import Terms, TermSettings, find_turning, slopes_inside
@@ -31,6 +37,14 @@ BOTH_SIGNS = RNG.uniform(-2, 2, (2, 200))
 def grow(points, names=("x", "y"), angles=(), own=(), **changed):
     """Make terms in variables that take these values."""
     return Terms.grow(names, points, TermSettings(**changed), angles, own)
+
+
+def terms_of_many_kinds():
+    """Give terms whose constants matter by their signs, by their sizes, or not at all."""
+    lines = (X + 1.5, Y - 0.7, X**2 + 1.5, 0.3 * X + Y)
+    yield from (X / line for line in lines)
+    yield from (X * Y / (X + 1.5), 1 / (Y + 2.25), X * Y, X**1.5, X**0.7, Y**-0.5)
+    yield from (sympy.sin(X), sympy.sin(1.7 * Y), sympy.exp(-0.3 * X), sympy.log(X) * Y)
 
 
 def bare(terms):
@@ -308,6 +322,18 @@ def test_a_bracket_saves_no_bits_of_the_users_own():
     plain = shape_bits(growth)
     with counting({"**": 100.0}):
         assert shape_bits(growth) == pytest.approx(plain + 100)
+
+
+@given(st.permutations(list(terms_of_many_kinds())), st.integers(2, 4), st.randoms())
+def test_bits_known_of_one_formula_are_those_of_another_of_its_kind(terms, count, random):
+    """Whatever was counted before, sums cost what they do when nothing is known."""
+    bodies = terms[:count]
+    for _ in range(3):
+        numbers = [random.choice([-2, -1, -0.5, 0.5, 1, 1.5]) for _ in bodies]
+        expr = sympy.Add(*[sympy.Float(c) * body for c, body in zip(numbers, bodies, strict=True)])
+        expr = expr.xreplace({c: c * random.choice([1, 1.25]) for c in expr.atoms(sympy.Float)})
+        assert written_length(expr) == pytest.approx(written_length.__wrapped__(expr))
+        assert unusual_bits(expr, ["x"]) == unusual_bits.__wrapped__(expr, ["x"])
 
 
 def test_what_all_terms_share_is_written_once():

@@ -31,7 +31,14 @@ from dynsr.discovery.verdict import (
     Verdict,
     VerdictSettings,
 )
-from dynsr.expression import ByText, compile_numpy, evaluate, plausibility_bits, shown
+from dynsr.expression import (
+    ByText,
+    compile_numpy,
+    differentiate,
+    evaluate,
+    plausibility_bits,
+    shown,
+)
 from dynsr.fit import ParetoFront, constant_bits, structure_bits, tidy
 
 # Share of a state's size below which a miss is the rounding of numbers alone.
@@ -112,7 +119,10 @@ class _Step:
         opened, places = open_constants({state: expr})
         put = {symbol: sympy.Float(place.value) for symbol, place in places.items()}
         columns = {**samples.columns, "t": samples.t}
-        slopes = [evaluate(opened[state].diff(symbol).xreplace(put), columns) for symbol in places]
+        slopes = [
+            evaluate(differentiate(opened[state], symbol).xreplace(put), columns)
+            for symbol in places
+        ]
         rows = len(samples)
         jacobian = np.array([np.broadcast_to(s, rows) for s in slopes]).reshape(-1, rows).T
         misses = samples.y - np.broadcast_to(evaluate(expr, columns), rows)

@@ -11,7 +11,15 @@ import sympy
 
 from dynsr.data import Samples, Trajectory, sample_input
 from dynsr.errors import EngineError, InputError
-from dynsr.expression import arguments_of, compile_numpy, evaluate, parse, to_latex, to_mathml
+from dynsr.expression import (
+    arguments_of,
+    compile_numpy,
+    differentiate,
+    evaluate,
+    parse,
+    to_latex,
+    to_mathml,
+)
 from dynsr.fit import free_constants, loosen, rmse
 
 # Rows of the short free runs that a score looks at: chaos makes longer ones say nothing.
@@ -83,7 +91,7 @@ def measure_step_errors(
         return (), ()
     put = {symbol: sympy.Float(value) for symbol, value in values.items()}
     columns = {**samples.columns, "t": samples.t}
-    slopes = [evaluate(template.diff(symbol).xreplace(put), columns) for symbol in values]
+    slopes = [evaluate(differentiate(template, symbol).xreplace(put), columns) for symbol in values]
     jacobian = np.column_stack([np.broadcast_to(s, samples.y.shape) for s in slopes])
     misses = samples.y - evaluate(template.xreplace(put), columns)
     shift, *_ = np.linalg.lstsq(jacobian, misses, rcond=None)

@@ -16,7 +16,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.discovery.following import Course, Followed, Place
-from dynsr.expression import ByText, evaluate
+from dynsr.expression import ByText, differentiate, evaluate
 from dynsr.fit import (
     Candidate,
     constant_bits,
@@ -179,7 +179,7 @@ def _make_probes(
         probes.append((row, expr - equations[state]))
         template, values = free_constants(expr, "inner ")
         numbers = {symbol: sympy.Float(value) for symbol, value in values.items()}
-        by = [sympy.diff(template, symbol).xreplace(numbers) for symbol in values]
+        by = [differentiate(template, symbol).xreplace(numbers) for symbol in values]
         groups.append((main, list(range(main + 1, main + 1 + len(by)))))
         probes += [(row, slope) for slope in by]
     return probes, groups

@@ -1,6 +1,13 @@
 from .bits import LARGEST_IN_FRACTION, REAL_RESOLUTION, complexity, number_bits
 from .dimensions import Units, bare_term, read_units
-from .evaluation import Rows, compile_numpy, compile_rows, compile_scalar, evaluate
+from .evaluation import (
+    Rows,
+    compile_numpy,
+    compile_rows,
+    compile_scalar,
+    differentiate,
+    evaluate,
+)
 from .export import (
     arguments_of,
     call_names,
@@ -50,6 +57,7 @@ __all__ = [
     "compile_scalar",
     "complexity",
     "counting",
+    "differentiate",
     "evaluate",
     "expand_terms",
     "has_pole",

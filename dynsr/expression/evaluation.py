@@ -33,6 +33,27 @@ def _dummies(count: int) -> list[sympy.Dummy]:
     return [sympy.Dummy(f"Dummy_{place:08}") for place in range(count)]
 
 
+def differentiate(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
+    """Give the derivative of a formula of real variables, whose sizes have one too.
+
+    Parameters
+    ----------
+    expr : the formula.
+    by : the variable.
+
+    >>> v, k = sympy.symbols("v k")
+    >>> differentiate(abs(v - k), k)
+    sign(k - v)
+    """
+    if not expr.has(sympy.Abs, sympy.sign):
+        return sympy.diff(expr, by)
+    real = {s: sympy.Symbol(s.name, real=True) for s in (*expr.free_symbols, by)}
+    slope = sympy.diff(expr.xreplace(real), real[by])
+    # A jump has no slope to follow.
+    slope = slope.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
+    return slope.xreplace({own: symbol for symbol, own in real.items()})
+
+
 def compile_numpy(
     exprs: Sequence[sympy.Expr], names: Sequence[str]
 ) -> Callable[[np.ndarray], np.ndarray]:

@@ -6,6 +6,7 @@ from .collocation import (
     Linearised,
     Measurements,
     Mesh,
+    Probes,
     fit_along,
 )
 from .constants import free_constants, one_of_each_shape, refit, skeleton
@@ -77,6 +78,7 @@ __all__ = [
     "Noise",
     "Pace",
     "ParetoFront",
+    "Probes",
     "RatioFit",
     "Shooting",
     "Windows",

@@ -239,6 +239,21 @@ class Linearised:
 
 
 @dataclass(frozen=True, eq=False)
+class Probes:
+    """Constants that a system might have: what each would move.
+
+    Parameters
+    ----------
+    owners : (Q,) place of the equation that each is in.
+    slopes : (Q, n + m) slopes of that equation by it, at the rows and in the middle of the
+        intervals.
+    """
+
+    owners: np.ndarray
+    slopes: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class _Point:
     """Defects (k, m) at a trial point, and their derivatives: (k, k, m) twice and (k, P, m)."""
 
@@ -307,6 +322,14 @@ class Collocation:
         """(P,) values that the constants have in the equations."""
         return np.array(list(self._template[1].values()))
 
+    @cached_property
+    def _owners(self) -> tuple[np.ndarray, np.ndarray]:
+        """(P,) place of the equation that holds each constant, and its place among those there."""
+        states = self.mesh.states
+        counts = [len(free_constants(self.exprs[s], f"constant {s} ")[1]) for s in states]
+        ranks = np.concatenate([np.arange(count) for count in counts])
+        return np.repeat(np.arange(len(counts)), counts), ranks
+
     def put(self, numbers: Sequence[sympy.Expr]) -> dict[str, sympy.Expr]:
         """Give the equations with P numbers in the places of the constants.
 
@@ -350,22 +373,29 @@ class Collocation:
     def _slopes(
         self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray, steps: np.ndarray
     ) -> np.ndarray:
-        """(k, 1 + k + P, points): the right-hand sides, then with each argument moved a little."""
-        k, moved = len(states), np.arange(len(steps))
-        rows = np.repeat(states[:, None], 1 + len(steps), axis=1)
-        rows[moved[:k], 1 + moved[:k]] += steps[:k, None]
-        shifts = np.repeat(constants[:, None], 1 + len(steps), axis=1)
-        shifts[moved[: len(constants)], 1 + moved[k:]] += steps[k:]
+        """(k, 1 + k + most, points): the right-hand sides, then with arguments moved a little.
+
+        These are each state, then the first constant of every equation, the second, ...: a constant
+        moves its own equation alone (Curtis, Powell and Reid 1974).
+        """
+        k, own = len(states), np.arange(len(steps))
+        ranks = self._owners[1]
+        count = 1 + k + int(ranks.max(initial=-1)) + 1
+        rows = np.repeat(states[:, None], count, axis=1)
+        rows[own[:k], 1 + own[:k]] += steps[:k, None]
+        shifts = np.repeat(constants[:, None], count, axis=1)
+        shifts[own[: len(constants)], 1 + k + ranks] += steps[k:]
         return self.slope(*rows, *driven[:, None], *shifts[..., None])
 
     def _split(
         self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray, steps: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes (k, points), their derivatives by states (k, k, points), constants (k, P, ..)."""
+        """Slopes (k, points), their derivatives by states (k, k, points), own constants (P, ..)."""
         found = self._slopes(states, constants, driven, steps)
-        base, k = found[:, 0], len(states)
-        by_each = (found[:, 1:] - base[:, None]) / steps[:, None]
-        return base, by_each[:, :k], by_each[:, k:]
+        base, k, (owners, ranks) = found[:, 0], len(states), self._owners
+        by_states = (found[:, 1 : 1 + k] - base[:, None]) / steps[:k, None]
+        by_constants = (found[owners, 1 + k + ranks] - base[owners]) / steps[k:, None]
+        return base, by_states, by_constants
 
     def _middle(self, states: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         left, right = self.mesh.ends
@@ -392,24 +422,30 @@ class Collocation:
         return found
 
     def _linearise(
-        self, states: np.ndarray, constants: np.ndarray, probes: np.ndarray | None = None
+        self, states: np.ndarray, constants: np.ndarray, probes: Probes | None = None
     ) -> _Point:
-        """Defects and their derivatives; ``probes`` (k, Q, n + m) are slopes by more constants."""
+        """Defects and their derivatives, by more constants too where ``probes`` are given."""
         n, sixth, eighth = len(self.mesh.t), self.mesh.sixth, self.mesh.eighth
         (left, right), steps = self.mesh.ends, self._steps(constants)
         f, by_x, by_c = self._split(states, constants, self.mesh.driven[:, :n], steps)
         middle = self._middle(states, f)
         fm, mid_x, mid_c = self._split(middle, constants, self.mesh.driven[:, n:], steps)
+        owners = self._owners[0]
         if probes is not None:
-            by_c = np.concatenate([by_c, probes[..., :n]], axis=1)
-            mid_c = np.concatenate([mid_c, probes[..., n:]], axis=1)
+            owners = np.concatenate([owners, probes.owners])
+            by_c = np.concatenate([by_c, probes.slopes[:, :n]])
+            mid_c = np.concatenate([mid_c, probes.slopes[:, n:]])
         one = np.eye(len(states))[..., None]
         low, high = by_x[..., left], by_x[..., right]
         by_left = -one - sixth * (low + 4 * _times(mid_x, one / 2 + eighth * low))
         by_right = one - sixth * (high + 4 * _times(mid_x, one / 2 - eighth * high))
-        low, high = by_c[..., left], by_c[..., right]
-        inside = mid_c + _times(mid_x, eighth * (low - high))
-        by_constant = -sixth * (low + 4 * inside + high)
+        low, high, own = by_c[:, left], by_c[:, right], (owners, np.arange(len(owners)))
+        # What moves the middle of a step moves all equations there, what moves a slope its own.
+        inside = mid_x[:, owners] * (eighth * (low - high))
+        inside[own] += mid_c
+        inside *= 4
+        inside[own] = low + inside[own] + high
+        by_constant = -sixth * inside
         step = sixth * (f[:, left] + 4 * fm + f[:, right])
         unit = self.mesh.by_state[2]
         return _Point(
@@ -581,7 +617,7 @@ class Collocation:
         self,
         states: np.ndarray,
         constants: np.ndarray,
-        probes: np.ndarray | None = None,
+        probes: Probes | None = None,
         stiffness: float | None = None,
     ) -> Linearised:
         """Give the normal equations with the states eliminated.
@@ -590,8 +626,7 @@ class Collocation:
         ----------
         states : (n, k) where.
         constants : (P,) where.
-        probes : (k, Q, n + m) slopes of the right-hand sides by Q more constants, at the rows and
-            in the middle of the intervals; they come after the system's own.
+        probes : more constants; they come after the system's own.
         stiffness : weight of the defects; the last one by default.
 
         Raises LinAlgError when the system does not tell.
@@ -616,10 +651,10 @@ def _add_up(defects: np.ndarray) -> np.ndarray:
 
     Small defects of one sign lead far away.
     """
-    found = np.empty_like(defects)
-    for first in range(0, defects.shape[1], _APART):
-        part = slice(first, first + _APART)
-        found[:, part] = np.cumsum(defects[:, part], axis=1)
+    k, m = defects.shape
+    parts = np.zeros((k, -(-m // _APART), _APART))
+    parts.reshape(k, -1)[:, :m] = defects
+    found: np.ndarray = np.cumsum(parts, axis=2).reshape(k, -1)[:, :m]
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import compile_numpy
+from dynsr.expression import compile_numpy, differentiate
 from dynsr.fit.linear import cauchy_weights
 
 # A residual that is not a finite number counts as this many times the size of the target.
@@ -53,7 +53,10 @@ def _free_constants(
             return node
         if node.is_Pow and node.exp.is_Float and float(node.exp).is_integer():
             return node.func(replaced(node.base), sympy.Integer(int(node.exp)))
-        return node.func(*[replaced(argument) for argument in node.args])
+        found = [replaced(argument) for argument in node.args]
+        # SymPy builds a node anew in a hundred times the time that this takes.
+        kept = all(new is old for new, old in zip(found, node.args, strict=True))
+        return node if kept else node.func(*found)
 
     return replaced(expr), tuple(values.items())
 
@@ -123,7 +126,7 @@ class Template:
 
     @cached_property
     def _sensitive(self) -> Callable[[np.ndarray], np.ndarray]:
-        slopes = [sympy.diff(self.shape, parameter) for parameter in self.parameters]
+        slopes = [differentiate(self.shape, parameter) for parameter in self.parameters]
         return compile_numpy(slopes, self._names)
 
     @cached_property

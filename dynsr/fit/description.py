@@ -17,7 +17,7 @@ Bayesian information criterion (Schwarz 1978) in the same unit, :func:`informati
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 import sympy
@@ -94,7 +94,11 @@ def constant_bits(rows: float) -> float:
 
 
 def information_criterion(
-    mean_squares: np.ndarray, rows: np.ndarray, exprs: Iterable[sympy.Expr], constants: int
+    mean_squares: np.ndarray,
+    rows: np.ndarray,
+    exprs: Iterable[sympy.Expr],
+    constants: int,
+    structure: Callable[[sympy.Expr], float] = structure_bits,
 ) -> float:
     """Bits of a system fitted to its states: the Bayesian information criterion over 2 ln 2.
 
@@ -107,9 +111,10 @@ def information_criterion(
     rows : (k,) independent rows of every state, :func:`dynsr.fit.independent_rows`.
     exprs : the k equations.
     constants : how many constants were fitted.
+    structure : bits of an equation without its constants.
     """
     data = float(np.sum(rows / 2 * np.log2(mean_squares)))
-    terms = sum(map(structure_bits, exprs))
+    terms = sum(map(structure, exprs))
     return data + terms + constant_bits(float(np.max(rows))) * constants
 
 

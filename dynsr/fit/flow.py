@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 from scipy.integrate import DOP853
 
-from dynsr.expression import Rows, compile_rows, compile_scalar
+from dynsr.expression import Rows, compile_rows, compile_scalar, differentiate
 
 # Where the twelve stages of a step of order 8 are, as shares of it; the last one is its end.
 _NODES = DOP853.C[: len(DOP853.B)]
@@ -169,18 +169,15 @@ class Flow:
         """Non-zero entries (i, j) of the Jacobian to states, then constants; and their values."""
         if self.probes:
             return self._partial_of_probes()
-        real = {sympy.Symbol(n): sympy.Symbol(n, real=True) for n in self.names}
-        back = {v: k for k, v in real.items()}
-        columns = [sympy.Symbol(n, real=True) for n in (*self.rhs, *map(str, self.constants))]
+        columns = [sympy.Symbol(n) for n in (*self.rhs, *map(str, self.constants))]
         entries, found = [], []
         for i, expr in enumerate(self.rhs.values()):
             for j, column in enumerate(columns):
-                slope = sympy.diff(expr.xreplace(real), column)
-                # A jump has no slope to follow; the step itself stays in the states.
-                slope = slope.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
+                # The step itself of what jumps stays in the states.
+                slope = differentiate(expr, column)
                 if slope != 0:
                     entries.append((i, j))
-                    found.append(slope.xreplace(back))
+                    found.append(slope)
         return entries, compile_rows([*self.rhs.values(), *found], self.names)
 
     def _partial_of_probes(self) -> tuple[list[tuple[int, int]], Rows]:

@@ -21,6 +21,7 @@ from dynsr.fit import (
     Linearised,
     Measurements,
     Mesh,
+    Probes,
     constant_bits,
     free_constants,
     skeleton,
@@ -283,11 +284,11 @@ class Alone:
     def _normal(self, values: np.ndarray) -> Linearised | None:
         """Give the normal equations of terms with these values; None where they do not tell."""
         mesh = self.comparison.mesh
-        slopes = np.zeros((len(mesh.states), len(values), values.shape[1]))
-        slopes[-1] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        slopes = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        probes = Probes(np.full(len(values), len(mesh.states) - 1), slopes)
         softness = self.comparison.settings.softness
         try:
-            return self._still.normal(mesh.start, np.zeros(0), slopes, softness)
+            return self._still.normal(mesh.start, np.zeros(0), probes, softness)
         except LinAlgError:
             return None
 

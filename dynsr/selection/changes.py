@@ -16,13 +16,20 @@ from scipy.linalg import LinAlgError
 
 from dynsr.expression import compile_columns
 from dynsr.fit import (
+    Probes,
     constant_bits,
     neighbours,
     shift_bits,
     skeleton,
     without_flat_line,
 )
-from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, owners_of
+from dynsr.selection.comparison import (
+    Change,
+    Equations,
+    SystemComparison,
+    SystemFit,
+    owners_of,
+)
 from dynsr.selection.costs import bodies_of, citing_bits, shape_bits, term_bodies, unusual_bits
 from dynsr.selection.terms import Terms
 
@@ -34,15 +41,6 @@ _LIKE = 0.3
 _LIKE_ONE, _KNOWN = 2.0, 0.3
 # Below this share of its size a direction is only rounding away from the others.
 _NOTHING = 1e-9
-
-
-@dataclass(frozen=True)
-class Change:
-    """One equation otherwise, and the bits that it is expected to take more (or less, below 0)."""
-
-    state: str
-    expr: sympy.Expr
-    bits: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,16 +77,27 @@ class _Moves:
 
 
 def promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Change]:
-    """Give the changes of one equation that the linearised fit expects most of, the best first."""
+    """Give the changes of one equation that the linearised fit expects most of, the best first.
+
+    Parameters
+    ----------
+    comparison : fits the systems.
+    fit : the system.
+    """
+    # Searches from different systems end at the same one.
+    if fit not in comparison.expected:
+        comparison.expected[fit] = _promising_changes(comparison, fit)
+    return comparison.expected[fit]
+
+
+def _promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Change]:
     settings, mesh, found = comparison.settings, comparison.mesh, fit.fit
     points = fit.points
     moves = _make_moves(comparison, fit, points)
     if not moves.moves:
         return []
-    slopes = np.zeros((len(mesh.states), len(moves.rows), points.shape[1]))
-    for i, (row, slope) in enumerate(zip(moves.rows, moves.slopes, strict=True)):
-        slopes[row, i] = slope
-    gram = gram_of(fit, slopes)
+    slopes = np.array(moves.slopes).reshape(-1, points.shape[1])
+    gram = gram_of(fit, Probes(np.array(moves.rows, dtype=int), slopes))
     if gram is None:
         return []
     per_square = shift_bits(1.0) / max(float(np.mean(found.mean_squares)), 1e-12)
@@ -445,20 +454,18 @@ def _add_swaps(
             moves.moves.append(_Move(state, _always(other), cost, whole=(place,)))
 
 
-def gram_of(
-    fit: SystemFit, slopes: np.ndarray, stiffness: float | None = None
-) -> np.ndarray | None:
+def gram_of(fit: SystemFit, probes: Probes, stiffness: float | None = None) -> np.ndarray | None:
     """Products of the slopes by constants and probes, and of the misses as the last column.
 
     Parameters
     ----------
     fit : the system.
-    slopes : (k, Q, n + m) of Q probes, at the rows and in the middle of the intervals.
+    probes : Q constants that the system might have.
     stiffness : weight of the defects; by default that of the fit.
     """
     found = fit.fit
     try:
-        normal = fit.problem.normal(found.states, found.constants, slopes, stiffness)
+        normal = fit.problem.normal(found.states, found.constants, probes, stiffness)
     except (LinAlgError, ValueError):
         return None
     pull = normal.pull[:, None]

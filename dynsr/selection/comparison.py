@@ -28,13 +28,13 @@ from dynsr.fit import (
 )
 from dynsr.methods import Demands, MonomialLibrary
 from dynsr.selection.costs import (
-    as_written,
     cited_bits,
     in_coordinates,
     saturating,
     shape_bits,
     unusual_bits,
     unwritten_bits,
+    written_length,
 )
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.rates import shared_bits
@@ -164,6 +164,15 @@ class SystemFit:
         return self.problem.points(self.fit.states, self.fit.constants)
 
 
+@dataclass(frozen=True)
+class Change:
+    """One equation otherwise, and the bits that it is expected to take more (or less, below 0)."""
+
+    state: str
+    expr: sympy.Expr
+    bits: float
+
+
 @dataclass(frozen=True, eq=False)
 class SystemComparison:
     """Fits systems to the states of a mesh and counts their bits.
@@ -172,12 +181,15 @@ class SystemComparison:
     ----------
     mesh : the data, with the states whose equations are compared.
     settings : the numbers that decide.
+    expected : system -> the changes that :func:`dynsr.selection.changes.promising_changes` gave.
     """
 
     mesh: Mesh
     settings: ComparisonSettings = COMPARISON
+    expected: dict[SystemFit, list[Change]] = field(default_factory=dict)
     _cache: dict[tuple[sympy.Expr, ...], SystemFit | None] = field(default_factory=dict)
     _starts: dict[tuple[sympy.Expr, ...], list[np.ndarray]] = field(default_factory=dict)
+    _tried: set[tuple[tuple[sympy.Expr, ...], SystemFit | None, bool]] = field(default_factory=set)
 
     def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
         """Fit every constant and start; None where the system cannot be fitted."""
@@ -188,10 +200,7 @@ class SystemComparison:
         problem = Collocation(exprs, self.mesh, self._held)
         if key not in self._cache or self._may_do_better(key, problem, before):
             self._starts.setdefault(key, []).append(problem.inside)
-            found = problem.fit(None if near is None else near.fit)
-            if found is None and near is not None:
-                found = problem.fit()
-            fit = self._count(problem, found)
+            fit = self._solve(problem, near)
             if before is None or (fit is not None and fit.bits < before.bits):
                 self._cache[key] = fit
         return self._cache[key]
@@ -208,6 +217,19 @@ class SystemComparison:
             if before.bits <= best + self.settings.near:
                 return False
         return all(np.any(np.abs(problem.inside - own) > _APART * np.abs(own)) for own in tried)
+
+    def _solve(
+        self, problem: Collocation, near: SystemFit | None, *, strict: bool = False
+    ) -> SystemFit | None:
+        """Fit from a start; None too where that was done before: the better fit was kept then."""
+        key = (tuple(problem.exprs.values()), near, strict)
+        if key in self._tried:
+            return None
+        self._tried.add(key)
+        found = problem.fit(None if near is None else near.fit, strict)
+        if found is None and near is not None and not strict:
+            found = problem.fit()
+        return self._count(problem, found)
 
     def _count(self, problem: Collocation, found: CollocationFit | None) -> SystemFit | None:
         """Give a fit with its bits; None for none, and for one that is no system."""
@@ -244,7 +266,7 @@ class SystemComparison:
         if before is not None and before.bits < near.bits:
             return before
         problem = Collocation(exprs, self.mesh, self._held)
-        fit = self._count(problem, problem.fit(near.fit, strict=True))
+        fit = self._solve(problem, near, strict=True)
         if fit is not None and (before is None or fit.bits < before.bits):
             self._cache[key] = before = fit
         # What misses by far does not come close from another start either.
@@ -306,8 +328,7 @@ class SystemComparison:
         said += sum(unusual_bits(e, self.angles) for e in flat)
         said += sum(self.settings.unseen * self._far_off(e) for e in exprs.values())
         said += sum(map(unwritten_bits, flat))
-        named = [as_written(e) for e in flat]
-        length = information_criterion(squares, self.mesh.rows, named, constants)
+        length = information_criterion(squares, self.mesh.rows, flat, constants, written_length)
         return length + said - self.common_bits(exprs, flat, _doubtful(fit))
 
     def common_bits(

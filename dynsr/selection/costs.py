@@ -8,7 +8,10 @@ cosine.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, wraps
+from typing import Any
 
 import sympy
 
@@ -38,6 +41,54 @@ FUNCTION_BITS = {
 }
 
 
+@dataclass(frozen=True)
+class _Kind:
+    """Formulas that cost the same: they are ``alike`` in all but the sizes of their constants."""
+
+    alike: Hashable
+    expr: sympy.Expr = field(compare=False)
+
+    @classmethod
+    def of(cls, expr: sympy.Expr) -> _Kind:
+        sizes: list[float] = []
+        alike = _alike(expr, sizes)
+        # Terms that hold the same constant may become one.
+        return cls(alike if len(set(sizes)) == len(sizes) else expr, expr)
+
+
+def _alike(node: sympy.Basic, sizes: list[float]) -> Hashable:
+    """Give a formula with the signs alone of its constants, whose sizes are put in a list.
+
+    What is whole, in an exponent or in a function is kept: its size may be unusual.
+    """
+    if node.is_Float:
+        value = float(node)
+        if value.is_integer():
+            return node
+        sizes.append(abs(value))
+        return "positive" if value > 0 else "negative"
+    if node.is_Add:
+        return node.func, frozenset(Counter(_alike(a, sizes) for a in node.args).items())
+    if node.is_Mul:
+        return node.func, *(_alike(a, sizes) for a in node.args)
+    return (node.func, _alike(node.base, sizes), node.exp) if node.is_Pow else node
+
+
+def _once_a_kind(cost: Callable[..., float]) -> Callable[..., float]:
+    """Count a formula's bits once for all that are of its kind, and for each of the user's own."""
+
+    @lru_cache(maxsize=20_000)
+    def counted(kind: _Kind, own: tuple[tuple[str, float], ...], *more: Hashable) -> float:
+        return cost(kind.expr, *more)
+
+    @wraps(cost)
+    def count(expr: sympy.Expr, *more: Any) -> float:
+        return counted(_Kind.of(expr), bits_in_force(), *map(tuple, more))
+
+    return count
+
+
+@_once_a_kind
 def unusual_bits(expr: sympy.Expr, angles: Collection[str]) -> float:
     """Give the bits that the functions of a formula cost beside its length.
 
@@ -81,7 +132,18 @@ def shape_bits(expr: sympy.Expr) -> float:
     >>> shape_bits(0.5 * x) == structure_bits(0.5 * x)
     True
     """
-    return structure_bits(as_written(expr)) + unwritten_bits(expr)
+    return written_length(expr) + unwritten_bits(expr)
+
+
+@_once_a_kind
+def written_length(expr: sympy.Expr) -> float:
+    """Give the bits of the length of a formula as :func:`as_written` has it.
+
+    Parameters
+    ----------
+    expr : the formula.
+    """
+    return structure_bits(as_written(expr))
 
 
 def unwritten_bits(expr: sympy.Expr) -> float:

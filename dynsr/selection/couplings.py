@@ -13,7 +13,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import ByText, compile_columns
-from dynsr.fit import constant_bits, structure_bits
+from dynsr.fit import Probes, constant_bits, structure_bits
 from dynsr.selection.changes import climb_while_better, gram_of, prune
 from dynsr.selection.comparison import SystemComparison, SystemFit, owners_of
 from dynsr.selection.mass_matrix import FACTORS, Ratio, read_ratio, slope_of
@@ -67,11 +67,10 @@ def _say(
     joint = Joint.of(str(ratio.main.args[0]), comparison.names)
     terms = [e for e in joint.above if limits.allow(e)]
     waves = [ratio.main**main * ratio.other**other for main, other in FACTORS]
-    probes = [-fit.exprs[state], *(wave * fit.exprs[by] for wave in waves), *terms]
-    points = fit.points
-    slopes = np.zeros((len(mesh.states), len(probes), points.shape[1]))
-    slopes[mesh.states.index(state)] = compile_columns(probes, comparison.columns)(*points)
-    gram = gram_of(fit, slopes) if np.all(np.isfinite(slopes)) else None
+    exprs = [-fit.exprs[state], *(wave * fit.exprs[by] for wave in waves), *terms]
+    slopes = compile_columns(exprs, comparison.columns)(*fit.points)
+    probes = Probes(np.full(len(exprs), mesh.states.index(state)), slopes)
+    gram = gram_of(fit, probes) if np.all(np.isfinite(slopes)) else None
     if gram is None:
         return
     rows, each = float(mesh.rows.sum()), constant_bits(float(mesh.rows.max()))

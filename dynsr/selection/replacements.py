@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import ByText, compile_columns
-from dynsr.fit import Linearised, constant_bits, skeleton
+from dynsr.fit import Linearised, Probes, constant_bits, skeleton
 from dynsr.selection.alone import columns_of, expected_sums
 from dynsr.selection.changes import climb_while_better, gram_of, prune
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise, owners_of
@@ -262,13 +262,13 @@ def _gram_in_place(
     """Give the products of columns in the place of one equation, and of the misses as the last."""
     mesh, points = comparison.mesh, fit.points
     own = compile_columns([fit.exprs[state]], comparison.columns)(*points)
-    slopes = np.zeros((len(mesh.states), 1 + len(columns), points.shape[1]))
     values = np.concatenate([-own, columns])
-    slopes[mesh.states.index(state)] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+    slopes = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+    probes = Probes(np.full(len(values), mesh.states.index(state)), slopes)
     # The states of a system that misses them are not quite those of another.
     settings = comparison.settings
     weight = None if leaves_noise(fit, settings) else settings.softness
-    gram = gram_of(fit, slopes, weight)
+    gram = gram_of(fit, probes, weight)
     if gram is None:
         return None
     owners = owners_of(fit.exprs)

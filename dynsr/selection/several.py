@@ -125,7 +125,7 @@ def _falling_step_of_three(m: Any, v: Any, w: Any, u: Any, at: Any, a: Any, b: A
     return (1 / (1 + m.exp(a * v + b * w + c * u - at)),)
 
 
-_FALLING = {
+_FALLING: dict[Written, Written] = {
     _step: _falling_step,
     _step_of_two: _falling_step_of_two,
     _step_of_three: _falling_step_of_three,
@@ -265,11 +265,10 @@ def _of_two(first: int, second: int, rows: np.ndarray) -> Iterator[Family]:
         cores = [share * length for share in (0.1, 1.0)]
         starts = np.array([*product(cores, (-0.5, 0.5, 1.0, 1.5, 2.0))])
         yield Family(_softened, pair, starts, reach=(_FAR * length, _STEEPEST))
-    ways = [
-        k for k in (-1.0, 1.0) if np.min(rows[0] - k * rows[1]) < 0 < np.max(rows[0] - k * rows[1])
-    ]
-    if ways:
-        yield Family(_apart, pair, np.array(ways)[:, None])
+    gaps = ((k, rows[0] - k * rows[1]) for k in (-1.0, 1.0))
+    passing = [[k] for k, gap in gaps if np.min(gap) < 0 < np.max(gap)]
+    if passing:
+        yield Family(_apart, pair, np.array(passing))
 
 
 def _lined(make: Written, places: tuple[int, ...], rows: np.ndarray, ways: np.ndarray) -> Family:

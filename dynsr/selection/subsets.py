@@ -71,7 +71,7 @@ def best_subsets(
     # What else is free may leave nothing of a term but rounding, below 0 too.
     scale = np.where(own > 0, np.sqrt(np.maximum(own, 1e-300)), np.inf)
     gram, target = information / np.outer(scale, scale), pull / scale
-    known: list[Subset] = []
+    known: list[tuple[float, tuple[int, ...], _Layer, int]] = []
     layer = _Layer.of(gram, target, squares, [()], slopes)
     for size in range(most):
         gains = layer.gains(slopes, scale)
@@ -91,19 +91,21 @@ def best_subsets(
             break
         ranked = sorted(grown, key=lambda p: (grown[p], p))
         layer = _Layer.of(gram, target, squares, ranked, slopes)
-        known += [
-            _subset(places, grown[places], layer.coefficients[i] / scale, layer.left[i], slopes)
-            for i, places in enumerate(layer.places)
-        ]
-    return sorted(known, key=lambda s: (s.bits, s.places))[:keep]
+        known += [(grown[places], places, layer, i) for i, places in enumerate(layer.places)]
+    known.sort(key=lambda found: found[:2])
+    return [
+        _subset(places, bits, layer.coefficients[i] / scale, layer.left[i], slopes)
+        for bits, places, layer, i in known[:keep]
+    ]
 
 
 def _subset(
     places: tuple[int, ...], bits: float, found: np.ndarray, left: float, slopes: np.ndarray
 ) -> Subset:
-    own = slopes[list(places)]
+    own, values = slopes[list(places)], found[list(places)]
+    if np.all(own < 0):
+        return Subset(places, values, float(left), bits, np.zeros(len(own)))
     moved = np.where(own >= 0, found[own], 0.0)
-    values = found[list(places)]
     with np.errstate(all="ignore"):
         shifts = np.nan_to_num(np.clip(moved / values, -_FARTHEST, _FARTHEST))
     return Subset(places, values, float(left), bits, shifts)
@@ -116,7 +118,7 @@ class _Layer:
     ``coefficients`` (b, c) of all columns, 0 for those that are not their own; ``left`` (b,) sums
     of squares; ``rest`` (b, c) products of the target, and ``diagonal`` (b, c) squares, of what is
     left of each column, 0 for their own; ``beside`` (b, p) products of what is left of each term
-    and of its slope.
+    and of its slope, where any has one.
     """
 
     places: list[tuple[int, ...]]
@@ -140,19 +142,47 @@ class _Layer:
         rest, diagonal = np.tile(target, (len(places), 1)), np.tile(np.diag(gram), (len(places), 1))
         terms = np.arange(len(slopes))
         beside = np.tile(gram[terms, slopes], (len(places), 1))
+        found = cls(places, coefficients, left, rest, diagonal, beside)
+        alone = [i for i, own in enumerate(places) if len(own) == 1 and slopes[own[0]] < 0]
+        if alone:
+            found._take_out_one(np.array(alone), gram, target, slopes)
+        sides = np.column_stack([target, gram])
         for i, own in enumerate(places):
             mine = [*own, *(int(slopes[p]) for p in own if slopes[p] >= 0)]
-            if not mine:
-                continue
-            sides = np.column_stack([target[mine], gram[mine]])
-            solved = np.linalg.lstsq(gram[np.ix_(mine, mine)], sides, rcond=1e-12)[0]
-            coefficients[i, mine] = solved[:, 0]
-            rest[i] -= solved[:, 0] @ gram[mine]
-            diagonal[i] -= np.einsum("sc,sc->c", gram[mine], solved[:, 1:])
-            diagonal[i, mine] = 0.0
-            beside[i] -= np.einsum("sp,sp->p", gram[mine][:, terms], solved[:, 1:][:, slopes])
-            left[i] -= target[mine] @ solved[:, 0]
-        return cls(places, coefficients, left, rest, diagonal, beside)
+            if len(mine) > 1:
+                found._take_out(i, mine, gram, sides, slopes)
+        return found
+
+    def _take_out_one(
+        self, rows: np.ndarray, gram: np.ndarray, target: np.ndarray, slopes: np.ndarray
+    ) -> None:
+        """Take one column out in each of some rows."""
+        own = np.array([self.places[row][0] for row in rows])
+        mine, inverse = gram[own], 1 / gram[own, own]
+        value, solved = target[own] * inverse, mine * inverse[:, None]
+        self.coefficients[rows, own] = value
+        self.rest[rows] -= value[:, None] * mine
+        self.diagonal[rows] -= mine * solved
+        self.diagonal[rows, own] = 0.0
+        self.beside[rows] -= mine[:, : len(slopes)] * solved[:, slopes]
+        self.left[rows] -= target[own] * value
+
+    def _take_out(
+        self, row: int, mine: list[int], gram: np.ndarray, sides: np.ndarray, slopes: np.ndarray
+    ) -> None:
+        """Take columns out in one row; ``sides`` (c, 1 + c) are their products with all."""
+        own = sides[mine]
+        solved = np.linalg.lstsq(own[:, 1:][:, mine], own, rcond=1e-12)[0]
+        gained, left = solved[:, 0], own[:, 1:]
+        self.coefficients[row, mine] = gained
+        self.rest[row] -= gained @ left
+        self.diagonal[row] -= np.einsum("sc,sc->c", left, solved[:, 1:])
+        self.diagonal[row, mine] = 0.0
+        if np.any(slopes >= 0):
+            terms = np.arange(len(slopes))
+            both = left[:, terms], solved[:, 1:][:, slopes]
+            self.beside[row] -= np.einsum("sp,sp->p", *both)
+        self.left[row] -= own[:, 0] @ gained
 
     def gains(self, slopes: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """(b, p) what each term takes off the sums of squares, its constant inside set free.
@@ -162,6 +192,8 @@ class _Layer:
         terms = np.arange(len(slopes))
         own, rest = self.diagonal[:, terms], self.rest[:, terms]
         alone = np.where(own > _NOTHING, rest**2 / np.maximum(own, 1e-12), 0.0)
+        if not np.any(slopes >= 0):
+            return alone
         other, pull = self.diagonal[:, slopes], self.rest[:, slopes]
         with np.errstate(all="ignore"):
             whole = own * other - self.beside**2

@@ -142,20 +142,16 @@ class Terms:
     @cached_property
     def tiers(self) -> tuple[np.ndarray, ...]:
         """Places of the quadratic, polynomial, rational and all terms, each once."""
-        symbols, degrees = [sympy.Symbol(name) for name in self.names], self._degrees
-        rational = np.array([e.is_rational_function(*symbols) for e in self.exprs], dtype=bool)
+        degrees, rational = _degrees(self.exprs, self.names), _are_rational(self.exprs, self.names)
         kinds = (degrees <= 2, degrees < _NO_POLYNOMIAL, rational, np.ones_like(rational))
         found = {int(kind.sum()): np.flatnonzero(kind) for kind in kinds if kind.any()}
         return tuple(found.values())
 
-    @cached_property
-    def _degrees(self) -> np.ndarray:
-        return np.array([degree_of(e, self.names) for e in self.exprs])
-
     @property
     def powers(self) -> tuple[np.ndarray, ...]:
         """Places of the quadratic and of all polynomial terms."""
-        own = (self._degrees <= 2, self._degrees < _NO_POLYNOMIAL)
+        degrees = _degrees(self.exprs, self.names)
+        own = (degrees <= 2, degrees < _NO_POLYNOMIAL)
         return tuple(np.flatnonzero(kind) for kind in own)
 
     def divisible_by(self, name: str) -> np.ndarray:
@@ -197,9 +193,26 @@ def slopes_inside(
     """
     if not exprs:
         return np.zeros((0, points.shape[1]))
-    up, down = ([move_inside(e, way) for e in exprs] for way in (_NUDGE, -_NUDGE))
-    both = compile_columns([*up, *down], names)(*points)
+    both = _moved_both_ways(tuple(exprs), tuple(names))(*points)
     return np.asarray((both[: len(exprs)] - both[len(exprs) :]) / (2 * _NUDGE))
+
+
+# Every comparison of the same data has the same terms.
+@lru_cache(maxsize=64)
+def _moved_both_ways(exprs: tuple[sympy.Expr, ...], names: tuple[str, ...]) -> Program:
+    up, down = ([move_inside(e, way) for e in exprs] for way in (_NUDGE, -_NUDGE))
+    return compile_columns([*up, *down], names)
+
+
+@lru_cache(maxsize=64)
+def _degrees(exprs: tuple[sympy.Expr, ...], names: tuple[str, ...]) -> np.ndarray:
+    return np.array([degree_of(e, names) for e in exprs])
+
+
+@lru_cache(maxsize=64)
+def _are_rational(exprs: tuple[sympy.Expr, ...], names: tuple[str, ...]) -> np.ndarray:
+    symbols = [sympy.Symbol(name) for name in names]
+    return np.array([e.is_rational_function(*symbols) for e in exprs], dtype=bool)
 
 
 def move_inside(term: sympy.Expr, shift: float) -> sympy.Expr:
