@@ -418,6 +418,25 @@ def test_half_of_the_rows_are_measured_in_a_half():
     assert all(np.array_equal(h.start, whole.start) for h in halves)
 
 
+def test_functions_that_part_beyond_a_short_arc_are_rivals_on_it():
+    """tanh and a sine are one function over half a radian, and part beyond it; sin(2 q) written
+    otherwise is the same everywhere, and a formula of more constants may be any function.
+    """
+    q = np.linspace(0.4, 1.2, 100)
+    mesh = SimpleNamespace(states=("q",), columns={"q": q})
+    mine, other = parse("6.41*tanh(q) - 5.0*q"), parse("1.6*sin(2.0*q) - 1.98*sin(q)")
+    off = np.polynomial.Polynomial.fit(q, 6.41 * np.tanh(q) - 5.0 * q, 6).convert().coef
+    longer = parse(" + ".join(f"{c:.9f}*q^{i}" for i, c in enumerate(off)).replace("+ -", "- "))
+    same = parse("5.0*q*(1.282*tanh(q)/q - 1)")
+    others = {"q": tuple((expr, 1.0) for expr in (other, longer, same))}
+    problem = SimpleNamespace(mesh=mesh)
+    fit = SimpleNamespace(
+        problem=problem, fit=SimpleNamespace(states=q[:, None]), exprs={"q": mine}
+    )
+    rivals = SystemChoice({"q": mine}, fit, others).different(0.02)["q"]
+    assert [expr for expr, _ in rivals] == [other]
+
+
 @pytest.mark.slow
 def test_columns_that_move_as_one_hold_no_law_apart():
     """Two decays of one start and rate: x' = -x/2 and x' = -y/2 are one function along them, and

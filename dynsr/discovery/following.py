@@ -14,6 +14,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
+from dynsr.expression import expand_terms
 from dynsr.fit import (
     Flow,
     Pace,
@@ -76,7 +77,7 @@ def open_constants(
                 factor, over = loose.as_coeff_Mul()
                 lines[bottom] = factor, _open_floats(over, state, places)
             factor, over = lines[bottom]
-            for term in sympy.Add.make_args(sympy.expand(top, power_exp=False)):
+            for term in sympy.Add.make_args(expand_terms(top, powers=False)):
                 coefficient, rest = term.as_coeff_Mul()
                 symbol = sympy.Symbol(f"constant {state} {len(places)}")
                 # The line of all that there is goes without saying.

@@ -28,7 +28,7 @@ from dynsr.fit import (
     skeleton,
     with_floats,
 )
-from dynsr.selection.alone import Alone, Leader
+from dynsr.selection.alone import Alone, Leader, constants
 from dynsr.selection.changes import promising_changes, prune
 from dynsr.selection.comparison import (
     COMPARISON,
@@ -48,6 +48,8 @@ from dynsr.selection.stand_ins import try_stand_ins
 
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0
+# The same where they are twice as far from their mean.
+_FURTHER = 2.0
 # Leaders of each other equation whose terms are offered to one.
 _CITED = 8
 # Leaders of each state that others are put beside by their rates, and systems fitted and climbed
@@ -103,26 +105,42 @@ class SystemChoice:
         Parameters
         ----------
         share : rms difference, as a share of the slopes' spread, from which on they are, along the
-            fitted states; beside these it is five times as large, since constants are not sure.
+            fitted states; beside these it is five times as large, since constants are not sure, and
+            twice as far from their mean as they go it is as large again, for formulas of no more
+            constants.
         """
         assert self.fit is not None
         mesh = self.fit.problem.mesh
         columns = {**mesh.columns, **dict(zip(mesh.states, self.fit.fit.states.T, strict=True))}
-        beside = _shuffle(columns)
+        beside, wider = _shuffle(columns), _widen(columns)
         found: dict[str, list[tuple[sympy.Expr, float]]] = {}
         for state, others in self.others.items():
             mine = self.fit.exprs[state]
-            own, aside = evaluate(mine, columns), evaluate(mine, beside)
+            own, aside, far = (evaluate(mine, c) for c in (columns, beside, wider))
+            count = constants(mine)
             near = found[state] = []
             terms = bare_terms(mine)
             # What has one term more than the law, and a small one, is no other law, and neither is
             # one with a constant that the law has as 1.
             for expr, more in [o for o in others[:60] if not terms <= bare_terms(rounded(o[0]))]:
                 apart = apart_by(own, expr, columns)
-                if apart > share or apart_by(aside, expr, beside) > _ASIDE * share:
+                told = apart > share or apart_by(aside, expr, beside) > _ASIDE * share
+                # Two functions of a short arc may be one there, and part where a run goes further.
+                if not told and constants(expr) <= count:
+                    told = apart_by(far, expr, wider) > _FURTHER * share
+                if told:
                     near.append((expr, more))
             del near[3:]
         return found
+
+
+def _widen(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Give the columns twice as far from their mean; those above 0 stay above it."""
+    wider = {n: 2 * v - np.mean(v) for n, v in columns.items()}
+    return {
+        n: np.maximum(w, np.min(columns[n]) / 2) if np.min(columns[n]) > 0 else w
+        for n, w in wider.items()
+    }
 
 
 def _shuffle(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
