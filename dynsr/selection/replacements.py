@@ -37,7 +37,7 @@ _COUNT, _TRIED = 2, 8
 # Of sums with wide terms or terms of other equations, and of twins of these, those fitted.
 _WIDE, _CITED, _TWINS = 8, 4, 8
 # Times that equations are found anew at most, each time along a better system.
-_ROUNDS = 6
+_ROUNDS = 4
 # Systems close to the best one from which the other equations are found anew.
 _NEAR = 2
 # Rows along which an equation is compared with sums.

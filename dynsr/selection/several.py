@@ -33,6 +33,8 @@ _BEYOND = (0.03, 0.3, 2.0)
 _FAR, _STEEPEST = 10.0, 8.0
 # Directions of a line of two columns.
 _TURNS = np.deg2rad(np.arange(0.0, 180.0, 22.5) + 11.25)
+# Share of the second column in a difference that is nothing.
+_LITTLE = 0.05
 # Columns that a line is drawn through at most.
 _LINED = 3
 # Steps that all starts make, that the likeliest make in noise and then, and how many these are.
@@ -186,7 +188,9 @@ def _softened(_: Any, v: Any, w: Any, core: Any, n: Any) -> tuple[Any, ...]:
     return v * falls, w * falls
 
 
-def _apart(_: Any, v: Any, w: Any, k: Any) -> tuple[Any, ...]:
+def _apart(m: Any, v: Any, w: Any, k: Any) -> tuple[Any, ...]:
+    # With next to nothing of the other it is the size of one.
+    k = np.where(np.abs(k) > _LITTLE, k, np.nan) if m is np else k
     return (abs(v - k * w),)
 
 

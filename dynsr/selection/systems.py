@@ -106,8 +106,8 @@ class SystemChoice:
         ----------
         share : rms difference, as a share of the slopes' spread, from which on they are, along the
             fitted states; beside these it is five times as large, since constants are not sure, and
-            twice as far from their mean as they go it is as large again, for formulas of no more
-            constants.
+            twice as far from their mean as they go it is twice as large, for formulas of no more
+            constants than one with a function has.
         """
         assert self.fit is not None
         mesh = self.fit.problem.mesh
@@ -117,7 +117,7 @@ class SystemChoice:
         for state, others in self.others.items():
             mine = self.fit.exprs[state]
             own, aside, far = (evaluate(mine, c) for c in (columns, beside, wider))
-            count = constants(mine)
+            count, curved = constants(mine), bool(mine.atoms(sympy.Function))
             near = found[state] = []
             terms = bare_terms(mine)
             # What has one term more than the law, and a small one, is no other law, and neither is
@@ -126,7 +126,7 @@ class SystemChoice:
                 apart = apart_by(own, expr, columns)
                 told = apart > share or apart_by(aside, expr, beside) > _ASIDE * share
                 # Two functions of a short arc may be one there, and part where a run goes further.
-                if not told and constants(expr) <= count:
+                if curved and not told and constants(expr) <= count:
                     told = apart_by(far, expr, wider) > _FURTHER * share
                 if told:
                     near.append((expr, more))
