@@ -77,7 +77,7 @@ def open_constants(
                 factor, over = loose.as_coeff_Mul()
                 lines[bottom] = factor, _open_floats(over, state, places)
             factor, over = lines[bottom]
-            for term in sympy.Add.make_args(expand_terms(top, powers=False)):
+            for term in sympy.Add.make_args(expand_terms(top)):
                 coefficient, rest = term.as_coeff_Mul()
                 symbol = sympy.Symbol(f"constant {state} {len(places)}")
                 # The line of all that there is goes without saying.

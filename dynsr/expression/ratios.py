@@ -7,15 +7,14 @@ from collections.abc import Iterator, Sequence
 import sympy
 
 
-def expand_terms(expr: sympy.Expr, *, powers: bool = True) -> sympy.Expr:
-    """Multiply a formula out, but for powers of sums that are no whole ones.
+def expand_terms(expr: sympy.Expr) -> sympy.Expr:
+    """Multiply a formula out, but for powers of sums that are no whole ones, and exponents.
 
-    SymPy writes (1 - x)^(8/5) as (1 - x)^(3/5) - x (1 - x)^(3/5).
+    SymPy writes (1 - x)^(8/5) as (1 - x)^(3/5) - x (1 - x)^(3/5), and exp(x + y) as exp(x) exp(y).
 
     Parameters
     ----------
     expr : the formula.
-    powers : whether x^(a + b) becomes x^a x^b.
 
     >>> x = sympy.Symbol("x")
     >>> expand_terms(x * (2 - x) * (1 - x) ** sympy.Rational(8, 5))
@@ -26,7 +25,7 @@ def expand_terms(expr: sympy.Expr, *, powers: bool = True) -> sympy.Expr:
         for power in expr.atoms(sympy.Pow)
         if power.base.is_Add and power.exp.is_Number and not power.exp.is_Integer
     }
-    found = sympy.expand(expr.xreplace(held), power_exp=powers)
+    found = sympy.expand(expr.xreplace(held), power_exp=False)
     return found.xreplace({own: power for power, own in held.items()})
 
 
