@@ -44,6 +44,7 @@ from dynsr.selection.costs import (
     shape_bits,
     term_bodies,
     unusual_bits,
+    wide_factors,
 )
 from dynsr.selection.several import Goal, SeveralInside
 from dynsr.selection.subsets import Subset, best_subsets
@@ -112,17 +113,26 @@ class Alone:
         ----------
         own, others : what leads here, and in the equations of the other states.
         """
+        terms = [term for one in others for term in bodies_of(one.expr)]
         bodies: dict[sympy.Expr, sympy.Expr] = {}
-        for one in others:
-            for term in bodies_of(one.expr):
-                for body in _ways_to_write(term):
-                    if not body.is_Symbol and body.free_symbols and citing_bits(body) > 0:
-                        bodies.setdefault(skeleton(body), body)
+        saved: dict[sympy.Expr, float] = {}
+        for body in (body for term in terms for body in _ways_to_write(term)):
+            if not body.is_Symbol and body.free_symbols and citing_bits(body) > 0:
+                bodies.setdefault(skeleton(body), body)
+                saved.setdefault(skeleton(body), citing_bits(body))
+        own_state = sympy.Symbol(self.state)
+        for factor in (f for term in terms for f in sympy.Mul.make_args(term)):
+            # The speed that one axis is slowed down by slows down the other.
+            if wide_factors(factor):
+                bodies.setdefault(skeleton(factor * own_state), factor * own_state)
+                saved.setdefault(skeleton(factor * own_state), citing_bits(factor))
         new = list(bodies.values())
         if not own or not new:
             return own
-        self.rank(self._sums_citing(new[:_OFFERED]))
-        return self._leaders({shape: citing_bits(body) for shape, body in bodies.items()})
+        # Those of functions of several columns are few, and offered first.
+        new.sort(key=lambda body: saved[skeleton(body)] == citing_bits(body))
+        self.rank(self._sums_citing({body: saved[skeleton(body)] for body in new[:_OFFERED]}))
+        return self._leaders(saved)
 
     def lead_twins(
         self, own: list[Leader], others: Mapping[str, Sequence[Leader]], states: Sequence[str]
@@ -169,7 +179,7 @@ class Alone:
             if bits - found[0][0] <= settings.behind
         ]
 
-    def _sums_citing(self, bodies: Sequence[sympy.Expr]) -> list[sympy.Expr]:
+    def _sums_citing(self, bodies: Mapping[sympy.Expr, float]) -> list[sympy.Expr]:
         """Give the sums of cheap terms and of those of other equations that are expected best."""
         settings, terms = self.comparison.settings, self.comparison.terms
         allow = settings.demands.limits(self.state).allow
@@ -189,7 +199,7 @@ class Alone:
             [
                 shape_bits(sympy.Float(0.5) * e)
                 + unusual_bits(e, angles)
-                - (citing_bits(e) if e in bodies else 0.0)
+                - bodies.get(e, 0.0)
                 + constant_bits(rows) * (1 + len(e.atoms(sympy.Float)))
                 for e in exprs
             ]

@@ -266,7 +266,8 @@ def cited_bits(exprs: Iterable[sympy.Expr]) -> float:
     """Give the bits that equations save by the terms that they have in common.
 
     What leaves one species enters another: x' = a x - b x y and y' = c x y - d y. A term that was
-    written out in one equation costs another no more than a variable of its own does.
+    written out in one equation costs another no more than a variable of its own does. Neither does
+    a function of several columns that stands in other terms, such as a speed or a distance.
 
     Parameters
     ----------
@@ -274,6 +275,9 @@ def cited_bits(exprs: Iterable[sympy.Expr]) -> float:
 
     >>> x, y = sympy.symbols("x y")
     >>> cited_bits([2.0 * x - 1.5 * x * y, 0.5 * x * y - y]) > cited_bits([2.0 * x, -y])
+    True
+    >>> speed = sympy.sqrt(x**2 + y**2)
+    >>> cited_bits([-0.2 * x * speed, -0.2 * y * speed]) == citing_bits(speed)
     True
     """
     exprs = list(exprs)
@@ -283,7 +287,29 @@ def cited_bits(exprs: Iterable[sympy.Expr]) -> float:
         first, *others = map(skeleton, bodies_of(expr))
         # Where one ratio is all of an equation and another has it too, its line is not said again.
         times.update([first] if whole[first] > 1 and not others else term_bodies(expr))
-    return sum((n - 1) * citing_bits(body) for body, n in times.items() if n > 1)
+    saved = sum((n - 1) * citing_bits(body) for body, n in times.items() if n > 1)
+    terms = {skeleton(body) for expr in exprs for body in bodies_of(expr)}
+    shared = Counter(factor for body in terms for factor in wide_factors(body))
+    return saved + sum((n - 1) * citing_bits(factor) for factor, n in shared.items() if n > 1)
+
+
+def wide_factors(body: sympy.Expr) -> set[sympy.Expr]:
+    """Give the shapes of the functions of several columns, and powers of their sums, in a term.
+
+    Parameters
+    ----------
+    body : the term.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> wide_factors(x**2 * sympy.exp(y) * abs(x - y))
+    {Abs(x - y)}
+    """
+    return {
+        skeleton(factor)
+        for factor in sympy.Mul.make_args(body)
+        if len(factor.free_symbols) > 1
+        and (factor.is_Function or (factor.is_Pow and factor.base.is_Add))
+    }
 
 
 def citing_bits(body: sympy.Expr) -> float:
