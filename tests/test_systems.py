@@ -7,12 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import sympy
+from measured_systems import measured as noisy
 from scipy.integrate import solve_ivp
 
 from dynsr.data import Trajectory
 from dynsr.discovery import discover
 from dynsr.expression import parse
-from dynsr.fit import Collocation, Measurements, skeleton
+from dynsr.fit import Collocation, Measurements, skeleton, with_floats
 from dynsr.methods.demands import read_demands
 from dynsr.selection import (
     Compared,
@@ -22,6 +23,7 @@ from dynsr.selection import (
     explore,
     other_in_halves,
 )
+from dynsr.selection.alone import Alone, Leader
 from dynsr.selection.changes import (
     drop_least,
     promising_changes,
@@ -30,6 +32,7 @@ from dynsr.selection.changes import (
     toggle_factors,
 )
 from dynsr.selection.comparison import SystemComparison
+from dynsr.selection.costs import bodies_of, cited_bits, citing_bits
 from dynsr.selection.systems import _prefer_reproducing as prefer_reproducing
 from dynsr.selection.systems import distinct_shapes, integrate
 
@@ -320,6 +323,19 @@ def test_what_leaves_one_state_enters_another():
             term.free_symbols == {food, cells} and sympy.fraction(term)[1].free_symbols == {food}
             for term in sympy.Add.make_args(expr)
         )
+
+
+def test_a_flow_that_carries_one_carries_the_other():
+    """Two boxes exchange water at |h - s|, which costs once, and is offered to each of them."""
+    boxes = {"h": "1.2 - h - h*abs(h - s)", "s": "0.5 - 0.4*s - s*abs(h - s)"}
+    data = noisy(tuple(boxes.items()), (0.1, 0.9), 8.0, 100, 0.01)
+    alone = Alone.of("s", data, SETTINGS)
+    own = alone.lead([parse("2.5*h - 1.5*h^2 - 0.8")])
+    flow = with_floats(parse(boxes["h"]))
+    led = alone.lead_citing(own, [Leader(flow, 0.0)])
+    assert parse("s*abs(h - s)") in {body for one in led for body in bodies_of(one.expr)}
+    both = [flow, with_floats(parse(boxes["s"]))]
+    assert cited_bits(both) >= citing_bits(parse("abs(h - s)"))
 
 
 def test_bits_are_those_of_the_information_criterion():
