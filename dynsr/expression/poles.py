@@ -65,7 +65,7 @@ def has_pole(expr: sympy.Expr, columns: Mapping[str, np.ndarray], beside: float 
                 values = evaluate(line, {names[0]: across})
             else:
                 values = evaluate(line, columns)
-        if not np.min(values) * np.max(values) > 0:
+        if not (np.min(values) > 0 or np.max(values) < 0):
             return True
     bare = (p.base for p in expr.atoms(sympy.Pow) if p.base.is_Symbol and p.exp.is_negative)
     return any(_crosses(columns[str(symbol)]) for symbol in bare if str(symbol) in columns)

@@ -10,6 +10,7 @@ one is kept while the misses stay of the same size.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -89,7 +90,7 @@ def without_flat_line(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> sy
         return None
     line = np.asarray(evaluate(bottom, columns), dtype=float)
     middle = float(np.mean(line))
-    if not np.all(np.abs(line - middle) <= _FLAT * abs(middle)):
+    if not math.isfinite(middle) or not np.all(np.abs(line - middle) <= _FLAT * abs(middle)):
         return None
     return sympy.expand(sympy.expand(top) / sympy.Float(middle))
 

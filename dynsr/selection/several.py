@@ -48,6 +48,8 @@ _MOST, _ROWS_EACH, _OWN = 15, 3, 1e-9
 _RIDGE = 1e-9
 # Share by which a step must be better to be followed by another.
 _BETTER = 1e-4
+# Constants of a sum up to which it may be a law, and no curve that follows another.
+_LONGEST = 9
 # Sums that are given; in noise, plain terms up to which products are there, terms of a sum at most,
 # sums of each number of these, those of all functions whose constants are rounded, those given.
 _GIVEN, _FEW, _TOGETHER, _KEPT, _ROUNDED, _GIVEN_IN_NOISE = 6, 6, 4, 4, 9, 15
@@ -362,6 +364,7 @@ class SeveralInside:
                 enough = [end for end in ended if end.left <= limit]
                 if enough:
                     thin = [short for end in enough for short in end.thinned(_always(limit))]
+                    thin = [short for short in thin if short.count <= _LONGEST]
                     thin.sort(key=lambda end: (end.count, end.left))
                     written = dict.fromkeys(end.write() for end in thin)
                     return [expr for expr in written if expr is not None][:_GIVEN]
