@@ -114,25 +114,22 @@ class Alone:
         own, others : what leads here, and in the equations of the other states.
         """
         terms = [term for one in others for term in bodies_of(one.expr)]
-        bodies: dict[sympy.Expr, sympy.Expr] = {}
-        saved: dict[sympy.Expr, float] = {}
+        whole: dict[sympy.Expr, tuple[sympy.Expr, float]] = {}
         for body in (body for term in terms for body in _ways_to_write(term)):
             if not body.is_Symbol and body.free_symbols and citing_bits(body) > 0:
-                bodies.setdefault(skeleton(body), body)
-                saved.setdefault(skeleton(body), citing_bits(body))
-        own_state = sympy.Symbol(self.state)
-        for factor in (f for term in terms for f in sympy.Mul.make_args(term)):
-            # The speed that one axis is slowed down by slows down the other.
-            if wide_factors(factor):
-                bodies.setdefault(skeleton(factor * own_state), factor * own_state)
-                saved.setdefault(skeleton(factor * own_state), citing_bits(factor))
-        new = list(bodies.values())
-        if not own or not new:
+                whole.setdefault(skeleton(body), (body, citing_bits(body)))
+        # The speed that one axis is slowed down by slows down the other.
+        shared: dict[sympy.Expr, tuple[sympy.Expr, float]] = {}
+        for factor in (f for term in terms for f in sympy.Mul.make_args(term) if wide_factors(f)):
+            body = factor * sympy.Symbol(self.state)
+            if skeleton(body) not in whole:
+                shared.setdefault(skeleton(body), (body, citing_bits(factor)))
+        # Functions of several columns are few, and offered first.
+        offered = shared | whole
+        if not own or not offered:
             return own
-        # Those of functions of several columns are few, and offered first.
-        new.sort(key=lambda body: saved[skeleton(body)] == citing_bits(body))
-        self.rank(self._sums_citing({body: saved[skeleton(body)] for body in new[:_OFFERED]}))
-        return self._leaders(saved)
+        self.rank(self._sums_citing(dict([*offered.values()][:_OFFERED])))
+        return self._leaders({shape: bits for shape, (_, bits) in offered.items()})
 
     def lead_twins(
         self, own: list[Leader], others: Mapping[str, Sequence[Leader]], states: Sequence[str]

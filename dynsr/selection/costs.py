@@ -288,8 +288,7 @@ def cited_bits(exprs: Iterable[sympy.Expr]) -> float:
         # Where one ratio is all of an equation and another has it too, its line is not said again.
         times.update([first] if whole[first] > 1 and not others else term_bodies(expr))
     saved = sum((n - 1) * citing_bits(body) for body, n in times.items() if n > 1)
-    terms = {skeleton(body) for expr in exprs for body in bodies_of(expr)}
-    shared = Counter(factor for body in terms for factor in wide_factors(body))
+    shared = Counter(factor for body in whole for factor in wide_factors(body))
     return saved + sum((n - 1) * citing_bits(factor) for factor, n in shared.items() if n > 1)
 
 

@@ -61,8 +61,8 @@ _WRITTEN = 6
 # Shares of their size that exact slopes err by, whatever they say of themselves: those of states
 # of a strict solver, and of a loose one.
 _STRICT, _LOOSE = 1e-8, 1e-6
-# Shares of themselves to which constants of exact slopes are sure, one by one and all together.
-_SURE, _SURER_TOGETHER = 3e-6, 5e-5
+# Share of themselves to which constants of exact slopes are sure where all are simple at once.
+_TOGETHER = 5e-5
 # The same share for single rows, that rest where others move.
 _ROW = 0.1
 # Constants of a formula to each that is no simple number.
@@ -261,7 +261,7 @@ class _Search:
     trust: np.ndarray
     cited: np.ndarray | None = None
     fitted: dict[frozenset[int], _Choice | None] = field(default_factory=dict)
-    simple: dict[_Choice, list[sympy.Expr]] = field(default_factory=dict)
+    simple: dict[tuple[_Choice, float | None], sympy.Expr] = field(default_factory=dict)
     open: dict[_Choice, bool] = field(default_factory=dict)
     # What formulas have for terms, which are no columns.
     numbers: Iterator[int] = field(default_factory=lambda: counting(-1, -1))
@@ -577,17 +577,22 @@ class _Search:
 
     def _simplest(self, choice: _Choice, most: float) -> sympy.Expr | None:
         """Write a choice in simple numbers; None where that misses by more than allowed."""
-        if choice not in self.simple:
-            shares = (_SURE, _SURER_TOGETHER)
-            forms = (simplest_form(choice.expr, self.samples.columns, share=s) for s in shares)
-            self.simple[choice] = list(dict.fromkeys(forms))
-        near = [simple for simple in self.simple[choice] if self._median(simple) <= most]
+        near: list[sympy.Expr] = []
         # What all constants are at once they are not by chance, though each may err by more.
-        return next((simple for simple in near if _is_simple(simple)), near[0] if near else None)
+        for share in (None, _TOGETHER):
+            simple = self._in_simple_numbers(choice, share)
+            misses = np.abs(self.samples.y - evaluate(simple, self.samples.columns)) * self.trust
+            if np.median(misses) <= most:
+                if _is_simple(simple):
+                    return simple
+                near.append(simple)
+        return near[0] if near else None
 
-    def _median(self, expr: sympy.Expr) -> float:
-        misses = np.abs(self.samples.y - evaluate(expr, self.samples.columns)) * self.trust
-        return float(np.median(misses))
+    def _in_simple_numbers(self, choice: _Choice, share: float | None) -> sympy.Expr:
+        if (choice, share) not in self.simple:
+            columns = self.samples.columns
+            self.simple[choice, share] = simplest_form(choice.expr, columns, share=share)
+        return self.simple[choice, share]
 
     def _stands_out(self, best: _Choice, found: Sequence[_Choice]) -> bool:
         """Whether every other function of the states misses far more.

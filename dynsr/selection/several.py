@@ -8,7 +8,7 @@ noise the same is done on what the integrals of the slopes leave of the measured
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import Any
@@ -75,6 +75,12 @@ class Family:
     starts: np.ndarray
     mirrored: Written | None = None
     reach: tuple[float, ...] = ()
+
+    def sides(self) -> Iterator[Family]:
+        """Give it, and what gives 1 without the function."""
+        yield self
+        if self.mirrored is not None:
+            yield replace(self, make=self.mirrored)
 
     def rows(self, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
         """(B, f, n) values at points (names, n) with constants (B, c)."""
@@ -363,7 +369,7 @@ class SeveralInside:
             for limit in most:
                 enough = [end for end in ended if end.left <= limit]
                 if enough:
-                    thin = [short for end in enough for short in end.thinned(_always(limit))]
+                    thin = [short for end in enough for short in end.thinned(limit)]
                     thin = [short for short in thin if short.count <= _LONGEST]
                     thin.sort(key=lambda end: (end.count, end.left))
                     written = dict.fromkeys(end.write() for end in thin)
@@ -396,11 +402,12 @@ class SeveralInside:
         short = [sympy.S.One, *products(names, 1)]
         plain = [sympy.S.One, *products(names, 2)]
         plain = plain if len(plain) <= _FEW else short
+        families = [f for own in find_families(self.goal.points) for f in own.sides()]
         ranked: dict[sympy.Expr, float] = {}
         with np.errstate(all="ignore"):
             found = [
                 (misses(end.left) + each * end.count, i, end)
-                for i, family in enumerate(_both_sides(find_families(self.goal.points)))
+                for i, family in enumerate(families)
                 for end in self._few_of(family, short, plain)
             ]
             found.sort(key=lambda one: one[:2])
@@ -482,18 +489,6 @@ def _gains(gram: np.ndarray, pull: np.ndarray, sets: np.ndarray, fine: np.ndarra
     told = pull[:, sets]
     gains = np.einsum("bsi,bsi->bs", told, np.linalg.solve(own, told[..., None])[..., 0])
     return np.where(np.all(fine[:, sets], axis=2), gains, -np.inf)
-
-
-def _both_sides(families: Iterable[Family]) -> Iterator[Family]:
-    """Give families, and those that give 1 without the function."""
-    for family in families:
-        yield family
-        if family.mirrored is not None:
-            yield replace(family, make=family.mirrored)
-
-
-def _always(limit: float) -> Callable[[float], float]:
-    return lambda _: limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -610,28 +605,32 @@ class _Projection:
         open_ = np.arange(len(inside))
         for number in range(steps + 1):
             tried = best[open_] + step[open_]
-            rest, slopes = self._project(tried, chosen[open_])
+            rest, slopes = self._project(tried, chosen[open_], sloped=number < steps)
             left = np.sqrt(np.mean(rest**2, axis=1))
             left = np.where(np.isfinite(left), left, np.inf)
             better = left < least[open_]
             slow = better & (left > (1 - _BETTER) * least[open_])
             now = open_[better]
             best[now], least[now] = tried[better], left[better]
+            if number == steps:
+                break
             missed[now], jacobian[now] = rest[better], slopes[better]
             if held is not None:
                 jacobian[held] = 0.0
             damped[now] = np.maximum(damped[now] / 10, _DAMPED[1])
             damped[open_[~better]] *= 10
             open_ = open_[~slow & np.isfinite(least[open_]) & (damped[open_] < 1e6)]
-            if number == steps or not len(open_):
+            if not len(open_):
                 break
             step[open_] = _damped_step(jacobian[open_], missed[open_], damped[open_])
             size = np.maximum(np.abs(best[open_]), 0.1)
             step[open_] = np.clip(step[open_], -_FARTHEST * size, _FARTHEST * size)
         return best, least
 
-    def _project(self, inside: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(B, n) what is left of the slopes, and (B, c, n) its slopes by the constants."""
+    def _project(
+        self, inside: np.ndarray, chosen: np.ndarray, *, sloped: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(B, n) what is left of the slopes, and, if asked, (B, c, n) by the constants."""
         columns = np.take_along_axis(self.columns(inside), chosen[:, :, None], axis=1)
         fine = np.all(np.isfinite(columns), axis=(1, 2))
         columns = np.where(fine[:, None, None], columns, 0.0)
@@ -640,7 +639,7 @@ class _Projection:
         told = basis.swapaxes(1, 2) @ self.goal.y
         values, rest = values / sizes, self.goal.y - (basis @ told[..., None])[..., 0]
         slopes = np.empty((*inside.shape, len(self.goal.y)))
-        for i, (moved, gap) in enumerate(_nudged(inside)):
+        for i, (moved, gap) in enumerate(_nudged(inside) if sloped else ()):
             shifted = np.take_along_axis(self.columns(moved), chosen[:, :, None], axis=1)
             turned = (shifted - columns) / gap[:, None, None]
             own = np.einsum("bq,bqn->bn", values, np.nan_to_num(turned))
@@ -696,35 +695,28 @@ class _End:
         """Constants of the sum that are no whole or half numbers."""
         return len(self.chosen) + len(self.inside) - len(self.held)
 
-    def thinned(self, most: Callable[[float], float]) -> Iterator[_End]:
-        """Give the same without what is not needed.
+    def thinned(self, limit: float) -> Iterator[_End]:
+        """Give the same without what is not needed, with either of two functions whose sum is 1.
 
         Parameters
         ----------
-        most : root mean square that may be left for what leaves so much now.
+        limit : root mean square that may be left.
         """
-        for side in self.sides():
-            yield side.thin(most).settled().round(most)
+        for family in self.search.family.sides():
+            side = replace(self, search=replace(self.search, family=family))
+            yield side.thin(limit).settled().round(lambda _: limit)
 
     def settled(self) -> _End:
         """Give the same with the constants where they leave least."""
         inside, left = self.search.move(self.inside[None], self.chosen[None], _THEN)
         return replace(self, inside=inside[0], left=float(left[0]))
 
-    def sides(self) -> Iterator[_End]:
-        """Give the same with either of two functions whose sum is 1."""
-        yield self
-        family = self.search.family
-        if family.mirrored is not None:
-            other = replace(family, make=family.mirrored)
-            yield replace(self, search=replace(self.search, family=other))
-
-    def thin(self, most: Callable[[float], float]) -> _End:
+    def thin(self, limit: float) -> _End:
         """Take out the terms that are not needed, each time the one that is missed least.
 
         Parameters
         ----------
-        most : root mean square that may be left for what leaves so much now.
+        limit : root mean square that may be left.
         """
         search, end = self.search, self
         functions = len(search.columns(self.inside[None])[0]) - len(search.plain)
@@ -735,7 +727,6 @@ class _End:
                 break
             inside, left = np.repeat(end.inside[None], len(fewer), axis=0), np.array([np.inf])
             # Without a term the constants may go far.
-            limit = most(end.left)
             for steps in (_FIRST, _THEN):
                 if not np.min(left) <= limit:
                     inside, left = search.move(inside, fewer, steps)
