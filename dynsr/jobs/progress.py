@@ -321,8 +321,11 @@ class Watch:
 
     def skip(self, tasks: Iterable[str]) -> None:
         """Take tasks out of the plan that are not needed any more; what has ended stays in it."""
-        gone = set(tasks) - self.records.keys()
+        gone = set(tasks) & self.plan.keys() - self.records.keys()
         self.plan = {name: usual for name, usual in self.plan.items() if name not in gone}
+        # Nothing may come after it that would tell.
+        if gone and self.progress is not None:
+            self._tell()
 
     def running(self) -> tuple[Running, ...]:
         """Give what the tasks that have not ended last said, by name."""
