@@ -58,6 +58,7 @@ from .shooting import (
 )
 from .simple import simplicity_bits
 from .snapping import one_a_shape, score_snapped, snap_best, tidy
+from .ties import Names, exchanges, ways_alike
 from .variation import improve, loosen, neighbours, with_floats
 
 __all__ = [
@@ -75,6 +76,7 @@ __all__ = [
     "Match",
     "Measurements",
     "Mesh",
+    "Names",
     "Noise",
     "Pace",
     "ParetoFront",
@@ -94,6 +96,7 @@ __all__ = [
     "description_length",
     "drives_of",
     "eliminate",
+    "exchanges",
     "explained_shares",
     "finer_paces",
     "fit_along",
@@ -136,6 +139,7 @@ __all__ = [
     "structure_bits",
     "tidy",
     "untouched_match",
+    "ways_alike",
     "with_floats",
     "without_flat_line",
 ]

@@ -21,6 +21,7 @@ from dynsr.fit.settings import FIT, FitSettings
 from dynsr.fit.shooting import Match, fitted_values, match_trajectories, measure_errors, prepare
 from dynsr.fit.simple import reach, simple_value
 from dynsr.fit.snapping import snap, tidy, usable_numbers
+from dynsr.fit.ties import Ties, find_ties
 from dynsr.fit.variation import loosen, with_floats
 from dynsr.fit.whole import StatesFit, fit_states, interval_reach
 
@@ -321,14 +322,15 @@ def _simple_numbers(
 ) -> list[sympy.Expr]:
     """Give each constant its simple number where one by one and jointly the data allow it.
 
-    Those in ``whole`` have theirs.
-    Constants that have none are fitted again and written with the digits their errors support.
+    Those in ``whole`` have theirs, and constants that are one have the same.
+    Those that have none are fitted again and written with the digits their errors support.
     """
     base = fit
     if whole:
         held = [whole.get(i, number) for i, number in enumerate(as_floats(fit.constants))]
         base = _fit(fit.put(held), runs, inputs, settings, near=fit) or fit
-    taken = {**whole, **_simple_together(fit, whole, settings)}
+    ties = _ties(fit, list(whole), settings)
+    taken = {**whole, **_simple_together(fit, whole, ties, settings)}
     while True:
         floats = as_floats(fit.constants)
         numbers = [taken.get(i, number) for i, number in enumerate(floats)]
@@ -338,15 +340,53 @@ def _simple_numbers(
         if again is None and not more:
             again, taken = fit, {}
         elif again is None or base.ratio(again) > allowed:
-            del taken[max(more, key=lambda i: _distance(fit, i, taken[i]))]
+            worst = max(more, key=lambda i: _distance(fit, i, taken[i]))
+            taken = {i: number for i, number in taken.items() if i not in ties.partners[worst]}
             continue
         break
-    order = range(len(fit.constants)) if again is fit else _places(fit, numbers)
-    rest = dict(zip(order, zip(again.constants, again.errors, strict=True), strict=True))
+    order = list(range(len(fit.constants)) if again is fit else _places(fit, numbers))
+    rest = _tied(fit, again, order, runs, inputs, settings)
     return [
         taken[i] if i in taken else sympy.Float(written_constant(*rest.get(i, own)))
         for i, own in enumerate(zip(fit.constants, fit.errors, strict=True))
     ]
+
+
+def _ties(fit: Fit, held: Sequence[int], settings: FitSettings) -> Ties:
+    """Give the constants of a fit that are one; those that are known stand alone."""
+    # The space keeps these names apart from any name of a column.
+    symbols = [sympy.Symbol(f"constant {i}") for i in range(len(fit.constants))]
+    shapes, known = fit.put(symbols), frozenset(held)
+    return find_ties(shapes, symbols, fit.constants, fit.covariance, settings, known)
+
+
+def _tied(
+    fit: Fit,
+    again: Fit,
+    order: Sequence[int],
+    runs: Data,
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> dict[int, tuple[float, float]]:
+    """Give the constants that are no simple numbers, with their errors; those that are one alike.
+
+    Parameters
+    ----------
+    fit : the fit of all constants.
+    again : the fit of those left.
+    order : their places in the first.
+    """
+    rest = dict(zip(order, zip(again.constants, again.errors, strict=True), strict=True))
+    ties = _ties(again, (), settings)
+    if not ties.count:
+        return rest
+    numbers = [sympy.Rational(float(v)) for v in ties.values]
+    held = _fit(again.put(numbers), runs, inputs, settings, near=again)
+    # The others rest where the linearised fit has them, which may cost as much as one more.
+    if held is None or again.ratio(held) > chdtri(ties.count + 1, 1 - settings.joint):
+        return rest
+    errors = np.sqrt(np.maximum(np.diag(ties.covariance), 0.0))
+    return dict(zip(order, zip(ties.values, errors, strict=True), strict=True))
 
 
 def _places(fit: Fit, numbers: Sequence[sympy.Expr]) -> list[int]:
@@ -377,17 +417,17 @@ def _distance(fit: Fit, index: int, number: sympy.Expr) -> float:
 
 
 def _simple_together(
-    fit: Fit, whole: Mapping[int, sympy.Expr], settings: FitSettings
+    fit: Fit, whole: Mapping[int, sympy.Expr], ties: Ties, settings: FitSettings
 ) -> dict[int, sympy.Expr]:
     """Give the constants that stand for simple numbers, as the linearised fit allows together.
 
-    The surest first: once it is known, the others are surer, by their covariance with it.
+    Those that are one, as one. The surest first: once it is known, the others are surer, by their covariance with it.
     """
-    values, covariance = fit.constants.copy(), fit.covariance.copy()
+    values, covariance = ties.values.copy(), ties.covariance.copy()
     for i, number in whole.items():
         values, covariance = _know(values, covariance, i, number)
     taken: dict[int, sympy.Expr] = {}
-    distance = 0.0
+    distance, count = ties.distance, ties.count
     while np.all(np.isfinite(covariance)):
         options = []
         for i in range(len(values)):
@@ -400,13 +440,14 @@ def _simple_together(
             if number is None or _distance(fit, i, number) > most:
                 continue
             z = (float(number) - values[i]) / max(error, 1e-300)
-            if distance + z**2 <= chdtri(len(taken) + 1, 1 - settings.joint):
+            if distance + z**2 <= chdtri(count + 1, 1 - settings.joint):
                 options.append((number_bits(number) + shift_bits(z), i, number, z))
         if not options:
             break
         _, i, number, z = min(options, key=lambda option: option[:2])
         values, covariance = _know(values, covariance, i, number)
-        taken[i], distance = number, distance + z**2
+        taken |= {j: sign * number for j, sign in ties.partners[i].items()}
+        distance, count = distance + z**2, count + 1
     return taken
 
 

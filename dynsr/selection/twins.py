@@ -6,22 +6,12 @@ obeys one law. Once such an equation is written, its twins are said by whose the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
-from itertools import permutations
 
 import sympy
 
-from dynsr.fit import one_of_each_shape, skeleton, with_floats
+from dynsr.fit import Names, exchanges, one_of_each_shape, skeleton, ways_alike, with_floats
 from dynsr.selection.costs import bodies_of
-
-# Ways of exchanging the names of columns that are looked through at most.
-_MOST = 120
-# Stands for every constant: skeletons have no signs, and names that change places may turn one.
-_ANY = sympy.Float(1.5)
-
-Names = dict[sympy.Symbol, sympy.Symbol]
 
 
 def exchanged(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) -> list[sympy.Expr]:
@@ -37,7 +27,7 @@ def exchanged(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) 
     >>> exchanged(2.5 * x * y - 0.5 * x, "x", "y", ["x", "y", "z"])
     [2.5*x*y - 0.5*y, 2.5*y*z - 0.5*y]
     """
-    ways = _ways(expr, state, other, columns)
+    ways = exchanges(expr, state, other, columns)
     return one_of_each_shape(expr.xreplace(names) for names in ways)
 
 
@@ -131,35 +121,5 @@ def _terms(expr: sympy.Expr) -> Iterator[tuple[sympy.Expr, sympy.Expr]]:
 def _find(
     expr: sympy.Expr, state: str, twin: sympy.Expr, other: str, columns: Sequence[str]
 ) -> Names | None:
-    """Give the names by which one equation is another; None where it is not its twin."""
-    if expr.is_Symbol or twin.is_Symbol or len(expr.args) != len(twin.args):
-        return None
-    if len(expr.free_symbols) != len(twin.free_symbols):
-        return None
-    alike = expr.xreplace(dict.fromkeys(expr.atoms(sympy.Float), _ANY))
-    return _find_alike(alike, state, skeleton(twin), other, tuple(columns))
-
-
-@lru_cache(maxsize=20_000)
-def _find_alike(
-    expr: sympy.Expr, state: str, twin: sympy.Expr, other: str, columns: tuple[str, ...]
-) -> Names | None:
-    ways = _ways(expr, state, other, columns)
-    return next((names for names in ways if skeleton(expr.xreplace(names)) == twin), None)
-
-
-def _ways(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) -> Iterator[Names]:
-    """Exchange names so that one state is another; what is not in the equation stays if it can."""
-    own, theirs = sympy.Symbol(state), sympy.Symbol(other)
-    names = [sympy.Symbol(name) for name in columns]
-    beside = [name for name in names if name in expr.free_symbols and name != own]
-    free = [name for name in names if name != theirs]
-    if math.perm(len(free), len(beside)) > _MOST:
-        return
-    for places in permutations(free, len(beside)):
-        found = dict(zip([own, *beside], [theirs, *places], strict=True))
-        left = [name for name in names if name not in found.values()]
-        for name in (n for n in names if n not in found):
-            found[name] = name if name in left else left[0]
-            left.remove(found[name])
-        yield found
+    """Give the first names by which one equation is another; None where it is not its twin."""
+    return next(iter(ways_alike(expr, state, twin, other, columns)), None)
