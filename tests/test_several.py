@@ -47,6 +47,18 @@ LAWS = {
         25.0,
         200,
     ),
+    "a pendulum whose angle is in other units": (
+        {"p": "-2.7*sin(1.83*q) - 0.21*p", "q": "p"},
+        (0.2, 1.1),
+        14.0,
+        150,
+    ),
+    "rotors that pull each other along, in other units": (
+        {"a": "0.9 + 0.7*sin(2.4*(b - a))", "b": "1.4 - 0.3*sin(2.4*(b - a))"},
+        (0.1, 0.9),
+        6.0,
+        150,
+    ),
 }
 
 
@@ -73,13 +85,18 @@ def test_exact_slopes_show_functions_of_several_constants(name):
 
 
 DRAG = {"u": "-0.21*u*sqrt(u^2 + v^2)", "v": "-9.81 - 0.21*v*sqrt(u^2 + v^2)"}
+SWING = {"p": "-2.7*sin(1.83*q) - 0.21*p", "q": "p"}
 SWITCH = {"a": "2.1/(1 + b^3) - 0.8*a", "b": "1.7/(1 + a^2) - 0.6*b"}
 
 
 @pytest.mark.parametrize(
     ("texts", "start", "end", "state"),
-    [(DRAG, (12.0, 15.0), 3.0, "u"), (SWITCH, (0.1, 0.3), 12.0, "a")],
-    ids=["drag of a thrown ball", "a switch of two genes"],
+    [
+        (DRAG, (12.0, 15.0), 3.0, "u"),
+        (SWITCH, (0.1, 0.3), 12.0, "a"),
+        (SWING, (0.2, 1.1), 14.0, "p"),
+    ],
+    ids=["drag of a thrown ball", "a switch of two genes", "a pendulum in other units"],
 )
 def test_noisy_states_show_them_too(texts, start, end, state):
     """Of the sums that are expected best in 1 % noise the law is one of the first three.

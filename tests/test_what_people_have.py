@@ -11,6 +11,7 @@ import dynsr
 from dynsr.data import Trajectory
 from dynsr.discovery.map_verdict import judge_map
 from dynsr.discovery.verdict import judge
+from dynsr.expression import evaluate, parse
 from dynsr.methods import RationalSearch
 
 # Sums and ratios of two terms compete with the law; more of them only take longer.
@@ -230,6 +231,24 @@ def test_exact_rows_far_apart_are_no_noise():
     assert found.verdict.level == "law"
     assert coefficients(found.equations["x"]) == {"1": 1.1, "x": -3.9, "x**2*y": 1.0}
     assert coefficients(found.equations["y"]) == {"x": 2.9, "x**2*y": -1.0}
+
+
+@pytest.mark.slow
+def test_what_slopes_of_few_exact_rows_leave_open_the_states_decide():
+    """A cyclic flow of sines of scaled columns (after Thomas 1999), twenty rows a turn: the law."""
+    t = np.linspace(0, 50, 100)
+    run = solve(lambda _, s: _ring(*s), [0.4, 1.2, -0.7], t, ("x", "y", "z"))
+    found = dynsr.discover(run, jobs=1)
+    assert found.verdict.level == "law"
+    laws = {"x": "sin(1.37*y) - 0.23*x", "y": "sin(1.37*z) - 0.23*y", "z": "sin(1.37*x) - 0.23*z"}
+    columns = dict(zip("xyz", np.random.default_rng(0).uniform(-2, 2, (3, 50)), strict=True))
+    for state, law in laws.items():
+        true = evaluate(parse(law), columns)
+        assert evaluate(found.equations[state], columns) == pytest.approx(true, abs=1e-6)
+
+
+def _ring(x, y, z):
+    return [np.sin(1.37 * y) - 0.23 * x, np.sin(1.37 * z) - 0.23 * y, np.sin(1.37 * x) - 0.23 * z]
 
 
 def _turn(x, y):

@@ -70,6 +70,8 @@ from dynsr.selection import (
 Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 # Misses in units of the noise below which there may be none.
 _FAR_BELOW_NOISE = 0.2
+# Share of the spread up to which what looks like noise may be all of rows far apart.
+_MAY_BE_EXACT = 1e-3
 # Times the loss of the likeliest formula up to which others may be as good on slopes.
 _AS_NEAR = 10.0
 
@@ -240,7 +242,7 @@ class Problem:
         if data is None or not len(fitted.misses):
             return None
         close = float(np.sqrt(np.mean(fitted.misses**2))) < _FAR_BELOW_NOISE
-        if not close and data.parts == 1:
+        if not close and data.parts == 1 and data.noise_share > _MAY_BE_EXACT:
             return None
         return self._confirmed(loosen_all(fitted.exprs))
 
@@ -378,7 +380,7 @@ class Problem:
             return None
         comparison = self.settings.selection.comparison
         data = Measurements.of(self.runs, self.inputs, comparison.rows, self.form.known)
-        return data if data.noise_share >= comparison.noisy else None
+        return data if comparison.ask(data) else None
 
     def split(self) -> tuple[Sequence[Trajectory], Sequence[Trajectory]]:
         """Give the trajectories to search in, and those held back to choose by forecasts."""

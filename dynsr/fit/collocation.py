@@ -718,19 +718,28 @@ class Measurements:
         return float(np.median(noise[np.isfinite(noise)]))
 
     @cached_property
-    def parts(self) -> int:
-        """Parts that the time between two rows is cut into for a fit.
+    def period(self) -> float:
+        """Rows that an oscillation of the fastest state takes.
 
-        So many that the fastest state takes twenty rows an oscillation: its steps are 2 pi / p of
-        its amplitude over p rows, so that 1 - cos(2 pi / p) is half their mean square (von Neumann
-        1941).
+        Its steps are 2 pi / p of its amplitude over p rows, so that 1 - cos(2 pi / p) is half their
+        mean square (von Neumann 1941).
         """
         x = np.concatenate([smoothed.x for smoothed in self.smoothed])
         steps = np.concatenate([np.diff(smoothed.x, axis=0) for smoothed in self.smoothed])
         rough = np.mean(steps**2, axis=0) / np.maximum(2 * np.var(x, axis=0), 1e-300)
-        period = 2 * np.pi / np.arccos(1 - min(float(np.max(rough)), 1.0))
-        most = max(1, min(_PARTS, _NODES // len(x)))
-        return int(np.clip(math.ceil(_TURN / period), 1, most))
+        # Rows at rest have no turn.
+        turn = float(np.arccos(1 - min(float(np.max(rough)), 1.0)))
+        return 2 * math.pi / max(turn, 1e-9)
+
+    @cached_property
+    def parts(self) -> int:
+        """Parts that the time between two rows is cut into for a fit.
+
+        So many that the fastest state takes twenty rows an oscillation.
+        """
+        rows = sum(len(smoothed.x) for smoothed in self.smoothed)
+        most = max(1, min(_PARTS, _NODES // rows))
+        return int(np.clip(math.ceil(_TURN / self.period), 1, most))
 
     def _nodes(self, t: np.ndarray) -> np.ndarray:
         """Times of the rows, those between them included."""

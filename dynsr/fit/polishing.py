@@ -421,7 +421,8 @@ def _simple_together(
 ) -> dict[int, sympy.Expr]:
     """Give the constants that stand for simple numbers, as the linearised fit allows together.
 
-    Those that are one, as one. The surest first: once it is known, the others are surer, by their covariance with it.
+    Those that are one, as one. The surest first: once it is known, the others are surer, by their
+    covariance with it.
     """
     values, covariance = ties.values.copy(), ties.covariance.copy()
     for i, number in whole.items():

@@ -194,9 +194,7 @@ def _own(term: sympy.Expr, places: Mapping[sympy.Symbol, int]) -> list[int]:
 
 
 def _powers(term: sympy.Expr, places: Mapping[sympy.Symbol, int]) -> list[float]:
-    found = [
-        factor.as_base_exp() for factor in sympy.Mul.make_args(term) if factor not in places
-    ]
+    found = [factor.as_base_exp() for factor in sympy.Mul.make_args(term) if factor not in places]
     return sorted(float(power) for base, power in found if base.is_Symbol and power.is_number)
 
 
@@ -261,7 +259,7 @@ def _tie(
     across = covariance @ apart.T
     moved = values - across @ pull
     known = covariance - across @ np.linalg.solve(spread, across.T)
-    for place, own in partners.items():
+    for place, alike in partners.items():
         # The tied differ by rounding alone.
-        moved[place] = own[min(own)] * moved[min(own)]
+        moved[place] = alike[min(alike)] * moved[min(alike)]
     return gain, Ties(moved, known, partners, distance, count)

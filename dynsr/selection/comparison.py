@@ -20,6 +20,7 @@ from dynsr.fit import (
     Collocation,
     CollocationFit,
     CollocationSettings,
+    Measurements,
     Mesh,
     free_constants,
     information_criterion,
@@ -64,6 +65,8 @@ class ComparisonSettings:
     noisy : systems are compared only where the median noise is above this share of the spread.
         Smaller noise is no larger than errors that a solver at a loose tolerance leaves in its
         states; those have a pattern, and terms would be found for it.
+    coarse, dense : the same where an oscillation takes fewer rows than ``dense``: what is between
+        rows so far apart looks like noise, and slopes are rough.
     loose : noise, as a share of the spread, below which a system is held to its own solution no
         more strictly in units of the spread.
     alone : formulas of each state that are fitted with the other states read off their curves.
@@ -109,6 +112,8 @@ class ComparisonSettings:
     terms: TermSettings = TermSettings()
     factors: MonomialLibrary = MonomialLibrary()
     noisy: float = 5e-4
+    coarse: float = 5e-5
+    dense: float = 50.0
     loose: float = 1e-2
     alone: int = 40
     sums: int = 15
@@ -140,6 +145,15 @@ class ComparisonSettings:
     rows: int = 2000
     demands: Demands = Demands()
     fit: CollocationSettings = CollocationSettings()
+
+    def ask(self, data: Measurements) -> bool:
+        """Whether states are asked, and not their slopes alone.
+
+        Parameters
+        ----------
+        data : the states.
+        """
+        return data.noise_share >= (self.coarse if data.period < self.dense else self.noisy)
 
 
 COMPARISON: ComparisonSettings = ComparisonSettings()

@@ -31,6 +31,8 @@ _SIZES, _POWERS = (0.2, 0.7, 2.0, 6.0), (0.5, 1.0, 2.0, 4.0)
 _BEYOND = (0.03, 0.3, 2.0)
 # Times the span of a column that an end may be off it, and largest power.
 _FAR, _STEEPEST = 10.0, 8.0
+# Turns that a wave makes over the range of its column, in radians.
+_WAVES = (1.5, 3.0, 6.0, 12.0, 24.0)
 # Directions of a line of two columns.
 _TURNS = np.deg2rad(np.arange(0.0, 180.0, 22.5) + 11.25)
 # Share of the second column in a difference that is nothing.
@@ -48,8 +50,9 @@ _MOST, _ROWS_EACH, _OWN = 15, 3, 1e-9
 _RIDGE = 1e-9
 # Share by which a step must be better to be followed by another.
 _BETTER = 1e-4
-# Constants of a sum up to which it may be a law, and no curve that follows another.
-_LONGEST = 9
+# Constants of a sum up to which it may be a law, and no curve that follows another; waves follow
+# any.
+_LONGEST, _LONGEST_WAVES = 9, 6
 # Sums that are given; in noise, plain terms up to which products are there, terms of a sum at most,
 # sums of each number of these, those of all functions whose constants are rounded, those given.
 _GIVEN, _FEW, _TOGETHER, _KEPT, _ROUNDED, _GIVEN_IN_NOISE = 6, 6, 4, 4, 9, 15
@@ -68,6 +71,7 @@ class Family:
     starts : (S, c) constants that are begun with.
     mirrored : gives 1 without the function, where that is as usual.
     reach : most that each constant may be off 0.
+    longest : constants of a sum up to which it may be a law.
     """
 
     make: Written
@@ -75,6 +79,7 @@ class Family:
     starts: np.ndarray
     mirrored: Written | None = None
     reach: tuple[float, ...] = ()
+    longest: int = _LONGEST
 
     def sides(self) -> Iterator[Family]:
         """Give it, and what gives 1 without the function."""
@@ -144,6 +149,14 @@ _FALLING: dict[Written, Written] = {
 
 def _bump(m: Any, v: Any, at: Any, steep: Any) -> tuple[Any, ...]:
     return (m.exp(-steep * (v - at) ** 2),)
+
+
+def _wave(m: Any, v: Any, k: Any) -> tuple[Any, ...]:
+    return m.sin(k * v), m.cos(k * v)
+
+
+def _wave_of_two(m: Any, v: Any, w: Any, a: Any, b: Any) -> tuple[Any, ...]:
+    return m.sin(a * v + b * w), m.cos(a * v + b * w)
 
 
 def _activates(_: Any, v: Any, half: Any, n: Any) -> tuple[Any, ...]:
@@ -236,6 +249,8 @@ def _of_one(place: int, row: np.ndarray) -> Iterator[Family]:
         (mean + at * spread, 1 / (2 * wide * spread) ** 2) for at in _MIDDLES for wide in _WIDTHS
     ]
     yield Family(_bump, own, np.array(bumps))
+    turns = np.array([[turn / (high - low)] for turn in _WAVES])
+    yield Family(_wave, own, turns, longest=_LONGEST_WAVES)
     ends = [share * (high - low) for share in _BEYOND]
     far = (max(abs(low), abs(high)) + _FAR * (high - low), _STEEPEST)
     from_, to = (
@@ -277,6 +292,9 @@ def _of_two(first: int, second: int, rows: np.ndarray) -> Iterator[Family]:
         cores = [share * length for share in (0.1, 1.0)]
         starts = np.array([*product(cores, (-0.5, 0.5, 1.0, 1.5, 2.0))])
         yield Family(_softened, pair, starts, reach=(_FAR * length, _STEEPEST))
+    lines = [(a, float(np.ptp(rows[0] + a * rows[1]))) for a in (-1.0, 1.0)]
+    turns = [(t / wide, a * t / wide) for t in _WAVES for a, wide in lines if wide > 0]
+    yield Family(_wave_of_two, pair, np.array(turns), longest=_LONGEST_WAVES)
     gaps = ((k, rows[0] - k * rows[1]) for k in (-1.0, 1.0))
     passing = [[k] for k, gap in gaps if np.min(gap) < 0 < np.max(gap)]
     if passing:
@@ -370,7 +388,7 @@ class SeveralInside:
                 enough = [end for end in ended if end.left <= limit]
                 if enough:
                     thin = [short for end in enough for short in end.thinned(limit)]
-                    thin = [short for short in thin if short.count <= _LONGEST]
+                    thin = [short for short in thin if short.count <= short.search.family.longest]
                     thin.sort(key=lambda end: (end.count, end.left))
                     written = dict.fromkeys(end.write() for end in thin)
                     return [expr for expr in written if expr is not None][:_GIVEN]

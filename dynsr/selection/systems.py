@@ -181,9 +181,9 @@ def compare_systems(
 
     An equation that nothing beats comes back as it was given, and so does one that is one bare
     column, such as q' = v. All come back so where the data cannot be followed, and where their
-    noise is below ``noisy``: there slopes are good enough.
+    noise is so small that slopes are good enough.
     """
-    if data.noise_share < settings.noisy:
+    if not settings.ask(data):
         return SystemChoice(dict(exprs))
     states = tuple(exprs)
     force = settings.demands.force
