@@ -65,6 +65,8 @@ _APART = 10
 _FACTOR, _EXPONENT = 3.0, 1.0
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
 _TURN, _PARTS, _NODES = 20.0, 4, 2000
+# Noise, as a share of the spread, that hides the errors of so many rows.
+_HIDES = 5e-3
 # Share of its spread in which the defects of a state that is not measured are counted.
 _UNMEASURED = 0.01
 
@@ -735,11 +737,13 @@ class Measurements:
     def parts(self) -> int:
         """Parts that the time between two rows is cut into for a fit.
 
-        So many that the fastest state takes twenty rows an oscillation.
+        So many that the fastest state takes twenty rows an oscillation, and more where noise is so
+        small that it does not hide the errors of the rule, which are of order four.
         """
         rows = sum(len(smoothed.x) for smoothed in self.smoothed)
         most = max(1, min(_PARTS, _NODES // rows))
-        return int(np.clip(math.ceil(_TURN / self.period), 1, most))
+        finer = max(_HIDES / max(self.noise_share, 1e-12), 1.0) ** 0.25
+        return int(np.clip(math.ceil(_TURN * finer / self.period), 1, most))
 
     def _nodes(self, t: np.ndarray) -> np.ndarray:
         """Times of the rows, those between them included."""
