@@ -716,8 +716,10 @@ class Measurements:
     def noise_share(self) -> float:
         """Median over the measured states of the noise as a share of the spread."""
         spread = np.std(np.concatenate([run.x for run in self.runs]), axis=0)
-        noise = np.median(np.concatenate(self.deviations), axis=0) / np.maximum(spread, 1e-300)
-        return float(np.median(noise[np.isfinite(noise)]))
+        noise = np.concatenate(self.deviations)
+        measured = np.any(np.isfinite(noise), axis=0)
+        own = [np.median(column[np.isfinite(column)]) for column in noise.T[measured]]
+        return float(np.median(own / np.maximum(spread[measured], 1e-300)))
 
     @cached_property
     def period(self) -> float:
@@ -737,12 +739,12 @@ class Measurements:
     def parts(self) -> int:
         """Parts that the time between two rows is cut into for a fit.
 
-        So many that the fastest state takes twenty rows an oscillation, and more where noise is so
-        small that it does not hide the errors of the rule, which are of order four.
+        So many that the fastest state takes twenty rows an oscillation, and up to forty where noise
+        is so small that it does not hide the errors of the rule, which are of order four.
         """
         rows = sum(len(smoothed.x) for smoothed in self.smoothed)
         most = max(1, min(_PARTS, _NODES // rows))
-        finer = max(_HIDES / max(self.noise_share, 1e-12), 1.0) ** 0.25
+        finer = float(np.clip((_HIDES / max(self.noise_share, 1e-12)) ** 0.25, 1.0, 2.0))
         return int(np.clip(math.ceil(_TURN * finer / self.period), 1, most))
 
     def _nodes(self, t: np.ndarray) -> np.ndarray:
