@@ -14,6 +14,7 @@ from command_line import run
 
 from dynsr.cli.results import flatten
 from dynsr.data.system import LOTKA_VOLTERRA
+from dynsr.errors import InputError
 from dynsr.paper.protocol import paper_method
 
 T = np.linspace(0.0, 3.0, 151)
@@ -244,15 +245,28 @@ def test_a_terminal_gets_the_equations_in_a_frame(monkeypatch, capsys):
     from rich.console import Console
 
     from dynsr.cli import output
-    from dynsr.cli.discovery import show_discovery
+    from dynsr.cli.discovery import show_equations, show_reasons
 
     wide = Console(force_terminal=True, width=80, highlight=False, color_system=None)
     monkeypatch.setattr(output, "console", lambda stderr=False: wide)
     told = {"guessed": ["time 't'"], "warned": ["columns are identical"]}
-    show_discovery(Found({}), {"data": Found({}).score(None)}, told)
+    show_equations(Found({}))
+    show_reasons(Found({}), {"data": Found({}).score(None)}, told)
     shown = capsys.readouterr().out
     assert "─ Equations ─" in shown and "│ x' = -0.5*x" in shown
     assert "warned: columns are identical" in shown and "guessed: time 't'" in shown
+
+
+def test_equations_are_shown_before_files_are_made(tmp_path, monkeypatch, seen):
+    """The report takes longer than many a search; a disk that is full then hides no result."""
+    monkeypatch.chdir(tmp_path)
+
+    def full(found, folder):
+        raise InputError("no space left on the device; choose another folder with --out")
+
+    monkeypatch.setattr("dynsr.cli.discovery.keep", full)
+    result = run("discover", decay(tmp_path / "data.csv"), code=2)
+    assert "x' = -0.5*x" in result.stdout and "no space left" in result.stderr
 
 
 def test_quiet_leaves_the_equations_alone(tmp_path, monkeypatch, seen):
@@ -264,12 +278,12 @@ def test_quiet_leaves_the_equations_alone(tmp_path, monkeypatch, seen):
 
 def test_long_fractions_are_shown_as_decimals(capsys):
     """981/100 is written 9.81; 8/3 stays."""
-    from dynsr.cli.discovery import show_discovery
+    from dynsr.cli.discovery import show_equations
 
     found = Found({})
     x = sympy.Symbol("x")
     found.equations = {"x": sympy.Rational(981, 100) * x - sympy.Rational(8, 3) * x**2 / 1}
-    show_discovery(found, {}, {}, quiet=True)
+    show_equations(found, quiet=True)
     assert capsys.readouterr().out in ("x' = -8*x**2/3 + 9.81*x\n", "x' = 9.81*x - 8*x**2/3\n")
 
 

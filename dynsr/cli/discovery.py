@@ -46,24 +46,27 @@ _FRAMES = {
 }
 
 
-def show_discovery(
-    found: Discovery,
-    scores: Mapping[str, Any],
-    told: Mapping[str, Sequence[str]],
-    quiet: bool = False,
-    details: bool = False,
-) -> None:
-    """Print the verdict, the equations and constants, reasons, scores and what was assumed.
-
-    Quiet, the equations are all there is; with details, how formulas compared in bits comes too.
-    """
+def show_equations(found: Discovery, quiet: bool = False) -> None:
+    """Print the verdict and the equations; quiet, the equations alone."""
     from dynsr.discovery import write_lines
 
     lines = write_lines(found.equations, found.settings)
     if quiet:
         typer.echo("\n".join(lines))
-        return
-    _print_equations(found, lines)
+    else:
+        _print_equations(found, lines)
+
+
+def show_reasons(
+    found: Discovery,
+    scores: Mapping[str, Any],
+    told: Mapping[str, Sequence[str]],
+    details: bool = False,
+) -> None:
+    """Print reasons, constants, scores and what was assumed.
+
+    With details, how formulas compared in bits comes too.
+    """
     for state, words in found.explanation.items():
         _say(words.strip() if words.startswith((f"{state}' =", " ")) else f"{state}: {words}")
     _print_constants(found)
@@ -338,12 +341,15 @@ def discover(
                 jobs=jobs,
                 engine=engine,
             )
+        # The report takes longer than many a search.
+        if not json:
+            show_equations(found, quiet)
         saved = keep(found, folder)
         scores = score_discovery(found, data, system, engine) if found.complete else {}
     if json:
         output.print_json({**summarise(found), "scores": scores, "files": saved, **notes.told})
-    else:
-        show_discovery(found, scores, notes.told, quiet, details)
+    elif not quiet:
+        show_reasons(found, scores, notes.told, details)
     if not quiet:
         show_files(found, saved, folder)
 
