@@ -1,5 +1,8 @@
 """Twins: equations that are one another's with the names of columns exchanged."""
 
+import os
+import subprocess
+import sys
 from itertools import permutations
 
 import numpy as np
@@ -170,3 +173,30 @@ def test_a_twin_is_tried_though_the_states_are_bent_beside_it():
     found = try_replacements(comparison, begun, lambda fit: fit)
     for state in ("u", "v"):
         assert skeleton(found.exprs[state]) == skeleton(floats(PLANET)[state])
+
+
+def test_bits_that_equations_share_are_the_same_in_every_process():
+    """Python orders sets of symbols anew in each process; sums of bits are rounded alike all the
+    same, so that equal systems tie in all of them.
+    """
+    rest = "0.7*y*exp(-z)-0.2*x**3+0.4*y**2*z"
+    texts = [
+        f"1.5*x*y/(x+0.3)-0.4*x*y*z/(1.0+z**2)-{rest}",
+        f"-0.3*x*y/(x+0.5)+1.4*x*y*z/(1.0+z**2)-{rest}",
+        f"0.3*x*y/(x+0.5)+1.4*x*y*z/(1.0+z**2)+{rest}",
+    ]
+    code = (
+        "import sympy; from dynsr.selection.costs import cited_bits;"
+        f"print(repr(cited_bits(map(sympy.sympify, {texts}))))"
+    )
+    printed = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in "05"
+    }
+    assert len(printed) == 1

@@ -292,7 +292,7 @@ def cited_bits(exprs: Iterable[sympy.Expr]) -> float:
     return saved + sum((n - 1) * citing_bits(factor) for factor, n in shared.items() if n > 1)
 
 
-def wide_factors(body: sympy.Expr) -> set[sympy.Expr]:
+def wide_factors(body: sympy.Expr) -> list[sympy.Expr]:
     """Give the shapes of the functions of several columns, and powers of their sums, in a term.
 
     Parameters
@@ -301,14 +301,15 @@ def wide_factors(body: sympy.Expr) -> set[sympy.Expr]:
 
     >>> x, y = sympy.symbols("x y")
     >>> wide_factors(x**2 * sympy.exp(y) * abs(x - y))
-    {Abs(x - y)}
+    [Abs(x - y)]
     """
-    return {
+    wide = (
         skeleton(factor)
         for factor in sympy.Mul.make_args(body)
         if len(factor.free_symbols) > 1
         and (factor.is_Function or (factor.is_Pow and factor.base.is_Add))
-    }
+    )
+    return list(dict.fromkeys(wide))
 
 
 def citing_bits(body: sympy.Expr) -> float:
@@ -336,7 +337,7 @@ def bodies_of(expr: sympy.Expr) -> list[sympy.Expr]:
     return [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]
 
 
-def term_bodies(expr: sympy.Expr) -> set[sympy.Expr]:
+def term_bodies(expr: sympy.Expr) -> list[sympy.Expr]:
     """Give the terms of a sum without their coefficients, one of each shape.
 
     Of one ratio these are it, the terms above its line, and the line.
@@ -348,7 +349,8 @@ def term_bodies(expr: sympy.Expr) -> set[sympy.Expr]:
     above, below = sympy.fraction(expr)
     bodies = list(map(skeleton, bodies_of(above)))
     bodies += [skeleton(below), *map(skeleton, bodies_of(expr))] if below.is_Add else []
-    return {b for b in bodies if b.free_symbols and not b.is_Symbol}
+    # Sums of bits in the order of a set would be rounded anew in every process.
+    return list(dict.fromkeys(b for b in bodies if b.free_symbols and not b.is_Symbol))
 
 
 def in_coordinates(
