@@ -146,3 +146,12 @@ def test_what_the_data_say_nothing_of_has_no_error_bars():
     x, none = sympy.Symbol("x"), np.empty((0, 1))
     fit = CollocationFit({"x": x}, np.ones(2), none, none, np.ones(1), np.diag([4.0, 0.0]))
     assert fit.errors.tolist() == [0.5, np.inf]
+
+
+def test_a_function_that_is_seen_as_a_line_is_no_function(swings):
+    """`1e6 tanh(1e-7 v)` is `0.1 v`, and no system that holds it is fitted."""
+    comparison = SystemComparison(swings.mesh(("theta1", "theta2")))
+    bare = {"theta1": parse("theta2"), "theta2": parse("-9.8*sin(theta1) - 1e6*tanh(1e-7*theta2)")}
+    assert comparison.fit(bare) is None
+    seen = {**bare, "theta2": parse("-9.8*sin(theta1) - 0.2*tanh(0.5*theta2)")}
+    assert comparison.fit(seen) is not None

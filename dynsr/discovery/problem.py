@@ -62,6 +62,7 @@ from dynsr.selection import (
     Pick,
     SelectionSettings,
     SystemChoice,
+    SystemFit,
     compare_systems,
     families,
     other_in_halves,
@@ -72,6 +73,8 @@ Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 _FAR_BELOW_NOISE = 0.2
 # Share of the spread up to which what looks like noise may be all of rows far apart.
 _MAY_BE_EXACT = 1e-3
+# Mean squared miss of a state, in units of its noise, that noise does not leave.
+_TOO_CLOSE = 0.3
 # Times the loss of the likeliest formula up to which others may be as good on slopes.
 _AS_NEAR = 10.0
 
@@ -503,16 +506,27 @@ class Problem:
     def settle(self, explored: Sequence[Found]) -> SystemChoice | None:
         """Give the best system of these alone where other methods could not do better; else None.
 
-        They cannot where it leaves nothing but noise, or where noise makes slopes too unsure.
+        They cannot where it leaves nothing but noise, or where noise makes slopes too unsure; nor
+        where exact states confirm it, which had looked noisy.
         """
-        assert self.measurements is not None
+        data = self.measurements
+        assert data is not None
         pools = {f.target: [c.expr for c in f.candidates] for f in explored}
         names = self.form.complete(tuple(pools))
         given = self.form.known
         exprs = {s: given[s] if s in given else pools[s][0] for s in names}
         comparison = self.settings.selection.comparison
-        choice = compare_systems(exprs, pools, self.measurements, comparison, self._compared)
-        if self.measurements.noise_share > comparison.doubtful or choice.explains(comparison):
+
+        def ends(fit: SystemFit) -> bool:
+            # What is followed far closer than noise allows has none.
+            least = float(np.min(fit.fit.mean_squares))
+            exact = data.noise_share <= _MAY_BE_EXACT or least < _TOO_CLOSE
+            return exact and self._confirmed(loosen_all(fit.exprs)) is not None
+
+        choice = compare_systems(exprs, pools, data, comparison, self._compared, ends)
+        if self.confirmed or (choice.fit is not None and ends(choice.fit)):
+            return SystemChoice(self.confirmed[-1].exprs)
+        if data.noise_share > comparison.doubtful or choice.explains(comparison):
             return choice
         return None
 

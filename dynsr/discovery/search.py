@@ -389,6 +389,14 @@ def _claim(
     return key
 
 
+
+def _with_equations(
+    explored: Sequence[Found], exprs: Mapping[str, sympy.Expr]
+) -> dict[str, Candidate]:
+    """Give the candidates of each state's exploration with the equations that were confirmed."""
+    return {f.target: replace(f.candidates[0], expr=exprs[f.target]) for f in explored}
+
+
 def _left_to_us(method: str | AbstractMethod | Sequence[str | AbstractMethod], preset: str) -> bool:
     """Whether other ways than those of the methods named may be gone."""
     asked = [method] if isinstance(method, (str, AbstractMethod)) else method
@@ -455,6 +463,9 @@ class _Steps:
                 if settled is not None:
                     record["methods"] = [EXPLORATION]
                     watch.skip(tasks_of(states, self.methods, picked=False))
+                    if problem.confirmed:
+                        final = _with_equations(explored, settled.exprs)
+                        settled = None
                 training, held_back = problem.split()
                 samples |= {s: problem.samples(s, training) for s in states}
                 rest = {s: own for s, own in samples.items() if s not in final}

@@ -1,4 +1,4 @@
-from .comparison import ComparisonSettings
+from .comparison import ComparisonSettings, SystemFit
 from .first_look import Look, LookSettings, look, look_again
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
@@ -25,6 +25,7 @@ __all__ = [
     "Pick",
     "SelectionSettings",
     "SystemChoice",
+    "SystemFit",
     "Trail",
     "compare_systems",
     "explains_all",

@@ -439,7 +439,7 @@ def _add_swaps(
         for f, *_ in comparison.settings.factors.factors(comparison.names)
         if f.is_Symbol or f.free_symbols <= angles
     ]
-    others = [*sum_series(expr, angles), *toggle_factors(expr, factors)]
+    others = [*sum_series(expr, map(sympy.Symbol, names)), *toggle_factors(expr, factors)]
     if expr.free_symbols & angles or expr.has(sympy.sin):
         others = [*neighbours(expr), *swap_everywhere(expr), *others]
     changed = list({skeleton(e): e for e in others}.values())
@@ -497,13 +497,13 @@ def _expected_squares(gram: np.ndarray, values: np.ndarray, moves: Sequence[_Mov
     return [float(squares) for squares in found]
 
 
-def sum_series(expr: sympy.Expr, angles: Collection[sympy.Symbol]) -> list[sympy.Expr]:
+def sum_series(expr: sympy.Expr, columns: Iterable[sympy.Symbol]) -> list[sympy.Expr]:
     """Put sin(v) for the first two terms of its series.
 
     Parameters
     ----------
     expr : the formula.
-    angles : variables that may be angles.
+    columns : variables that may be angles; one that takes no other sign may be one too.
 
     >>> x, v = sympy.symbols("x v")
     >>> sum_series(0.2 * x**3 - 1.2 * x - v, [x])
@@ -512,7 +512,7 @@ def sum_series(expr: sympy.Expr, angles: Collection[sympy.Symbol]) -> list[sympy
     terms = dict(zip(bodies_of(expr), sympy.Add.make_args(expr), strict=True))
     return [
         expr - terms[v] - terms[v**3] + terms[v].subs(v, sympy.sin(v))
-        for v in sorted(angles, key=str)
+        for v in sorted(columns, key=str)
         if v in terms and v**3 in terms and (terms[v] / v) * (terms[v**3] / v**3) < 0
     ]
 

@@ -48,10 +48,25 @@ Equations = dict[str, sympy.Expr]
 _STARTS, _APART = 2, 0.5
 # Half-saturation, as a multiple of the largest value, from which on nothing is seen of it.
 _NEAR = 4.0
+# Range of the argument of a function below which the function is seen as no more than a line.
+_BARE = 1e-4
 # Bits of saying whose twin an equation is.
 _TWIN = 4.0
 # Standard errors from 0 from which on a constant is told from it.
 _TOLD = 3.0
+
+
+class _Ranges(dict[sympy.Expr, float]):
+    """How far the values of formulas go on some columns, evaluated once."""
+
+    def __init__(self, columns: Mapping[str, np.ndarray]) -> None:
+        super().__init__()
+        self.columns = columns
+
+    def __missing__(self, expr: sympy.Expr) -> float:
+        with np.errstate(all="ignore"):
+            self[expr] = found = float(np.ptp(evaluate(expr, self.columns)))
+        return found
 
 
 @dataclass(frozen=True)
@@ -247,9 +262,21 @@ class SystemComparison:
 
     def _count(self, problem: Collocation, found: CollocationFit | None) -> SystemFit | None:
         """Give a fit with its bits; None for none, and for one that is no system."""
-        if found is None or self._has_pole(found):
+        if found is None or self._has_pole(found) or any(map(self._is_bare, found.exprs.values())):
             return None
         return SystemFit(problem, found, self.bits(found))
+
+    def _is_bare(self, expr: sympy.Expr) -> bool:
+        """Whether a function takes so little of its argument that it is a line or a constant."""
+        for function in expr.atoms(sympy.Function):
+            factor, rest = function.args[0].as_coeff_Mul()
+            if factor.is_Float and abs(float(factor)) * self._ranges[rest] < _BARE:
+                return True
+        return False
+
+    @cached_property
+    def _ranges(self) -> dict[sympy.Expr, float]:
+        return _Ranges(self.mesh.columns)
 
     @cached_property
     def _held(self) -> CollocationSettings:

@@ -53,6 +53,8 @@ _BETTER = 1e-4
 # Constants of a sum up to which it may be a law, and no curve that follows another; waves follow
 # any.
 _LONGEST, _LONGEST_WAVES = 9, 6
+# Constants of an exact sum up to which no longer ones are looked for.
+_SURELY = 4
 # Sums that are given; in noise, plain terms up to which products are there, terms of a sum at most,
 # sums of each number of these, those of all functions whose constants are rounded, those given.
 _GIVEN, _FEW, _TOGETHER, _KEPT, _ROUNDED, _GIVEN_IN_NOISE = 6, 6, 4, 4, 9, 15
@@ -382,17 +384,23 @@ class SeveralInside:
         >>> sorted({round(float(a), 6) for a in found.atoms(sympy.Float)})
         [0.3, 0.8, 1.4, 1.6]
         """
+        ended: list[_End] = []
+        exact: list[_End] = []
         with np.errstate(all="ignore"):
-            ended = self._ends()
-            for limit in most:
-                enough = [end for end in ended if end.left <= limit]
-                if enough:
-                    thin = [short for end in enough for short in end.thinned(limit)]
-                    thin = [short for short in thin if short.count <= short.search.family.longest]
-                    thin.sort(key=lambda end: (end.count, end.left))
-                    written = dict.fromkeys(end.write() for end in thin)
-                    return [expr for expr in written if expr is not None][:_GIVEN]
-        return []
+            for level in self._levels():
+                ended += level
+                exact += [short for end in level for short in end.thinned_to(most[0])]
+                # What so few constants say exactly, more terms say no better.
+                if any(short.count <= _SURELY for short in exact):
+                    break
+            limit = next((l for l in most if any(end.left <= l for end in ended)), most[-1])
+            thin = exact
+            if limit != most[0]:
+                thin = [short for end in ended for short in end.thinned_to(limit)]
+            thin = [short for short in thin if short.count <= short.search.family.longest]
+            thin.sort(key=lambda end: (end.count, end.left))
+            written = dict.fromkeys(end.write() for end in thin)
+            return [expr for expr in written if expr is not None][:_GIVEN]
 
     def likely_sums(
         self, beside: float, rows: float, bits: Callable[[sympy.Expr], float], each: float
@@ -463,20 +471,21 @@ class SeveralInside:
         kept = np.array(sorted(i for term, i in first.items() if self.allowed(term)), dtype=int)
         return kept, len(terms) - len(plain)
 
-    def _ends(self) -> list[_End]:
-        """Give where the constants of all functions end beside terms, from few of these to many."""
+    def _levels(self) -> Iterator[list[_End]]:
+        """Give where the constants of all functions end beside few terms, then beside more."""
         names = self.goal.names
         short, own = [sympy.S.One, *products(names, 1)], sympy.Symbol(self.goal.target)
         near = [sympy.S.One, own] if own in short else short
         richer = [sympy.S.One, *products(names, 2)]
-        levels = (([sympy.S.One], near), (near, short), (short, short), (short, richer))
         families = find_families(self.goal.points)
-        return [
-            end
-            for before, plain in levels
-            for family in families
-            if (end := self._end_of(family, before, plain)) is not None
-        ]
+        for before, plain in (
+            ([sympy.S.One], near),
+            (near, short),
+            (short, short),
+            (short, richer),
+        ):
+            ends = (self._end_of(family, before, plain) for family in families)
+            yield [end for end in ends if end is not None]
 
     def _end_of(
         self, family: Family, before: Sequence[sympy.Expr], plain: Sequence[sympy.Expr]
@@ -713,13 +722,15 @@ class _End:
         """Constants of the sum that are no whole or half numbers."""
         return len(self.chosen) + len(self.inside) - len(self.held)
 
-    def thinned(self, limit: float) -> Iterator[_End]:
+    def thinned_to(self, limit: float) -> Iterator[_End]:
         """Give the same without what is not needed, with either of two functions whose sum is 1.
 
         Parameters
         ----------
-        limit : root mean square that may be left.
+        limit : root mean square that may be left; nothing is given where more is.
         """
+        if not self.left <= limit:
+            return
         for family in self.search.family.sides():
             side = replace(self, search=replace(self.search, family=family))
             yield side.thin(limit).settled().round(lambda _: limit)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -168,6 +168,7 @@ def compare_systems(
     data: Measurements,
     settings: ComparisonSettings = COMPARISON,
     known: Compared | None = None,
+    ends: Callable[[SystemFit], bool] = lambda _: False,
 ) -> SystemChoice:
     """Give the equations whose terms the states support best, climbing from ``exprs``.
 
@@ -178,6 +179,7 @@ def compare_systems(
     data : the measured states, their noise and smoothed curves.
     settings : the numbers that decide.
     known : what an earlier comparison of the same data by the same settings learnt.
+    ends : whether a system leaves no doubt, so that nothing more is looked for.
 
     An equation that nothing beats comes back as it was given, and so does one that is one bare
     column, such as q' = v. All come back so where the data cannot be followed, and where their
@@ -195,25 +197,30 @@ def compare_systems(
     known = Compared() if known is None else known
     comparison = known.together.get(states) or SystemComparison(data.mesh(states), settings)
     known.together[states] = comparison
-    ends = _search(pools, data, comparison, known.alone)
-    if not ends:
+    found = _search(pools, data, comparison, known.alone)
+    if not found:
         return SystemChoice(dict(exprs))
-    ends = ends[: settings.ends]
-    best = known.refined.get(tuple(ends)) or _refine(ends, data, comparison)
-    known.refined[tuple(ends)] = best
+    found = found[: settings.ends]
+    best = known.refined.get(tuple(found)) or _refine(found, data, comparison, ends)
+    known.refined[tuple(found)] = best
     same = {s: skeleton(best.exprs[s]) == skeleton(with_floats(exprs[s])) for s in states}
     chosen = {s: exprs[s] if same[s] else best.exprs[s] for s in states}
     return SystemChoice(chosen, best, _closest(comparison, best))
 
 
 def _refine(
-    ends: Sequence[SystemFit], data: Measurements, comparison: SystemComparison
+    begun: Sequence[SystemFit],
+    data: Measurements,
+    comparison: SystemComparison,
+    ends: Callable[[SystemFit], bool],
 ) -> SystemFit:
     """Look for terms along the ends of a search, and for other functions in their equations."""
-    settings, states = comparison.settings, tuple(ends[0].exprs)
-    best = ends[0]
+    settings, states = comparison.settings, tuple(begun[0].exprs)
+    best = begun[0]
     # A system that follows the data is the best smoother: terms are looked for along it again.
     for number in range(settings.again):
+        if ends(best):
+            return best
         if (number or data.noise_share < settings.doubtful) and leaves_noise(best, settings):
             break
         follower = data.along(best.fit.states, states)
@@ -236,13 +243,13 @@ def _refine(
             fit = attempt(comparison, fit, climb)
         return fit
 
-    begun = best
+    refined = best
     best = refine(best)
     # Where that leaves more than noise, another end of the search may lead further.
-    for end in ends:
+    for end in begun:
         if leaves_noise(best, settings):
             break
-        if end is not begun and end.bits < best.bits + settings.behind:
+        if end is not refined and end.bits < best.bits + settings.behind:
             best = min(best, refine(end), key=lambda f: f.bits)
     for state in states:
         best = prune(comparison, best, state)
