@@ -389,7 +389,6 @@ def _claim(
     return key
 
 
-
 def _with_equations(
     explored: Sequence[Found], exprs: Mapping[str, sympy.Expr]
 ) -> dict[str, Candidate]:
