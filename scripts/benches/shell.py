@@ -1,4 +1,4 @@
-"""Seconds of `dynsr discover FILE` from the shell, beside pysindy on the same rows in the same script.
+"""Seconds of `dynsr discover FILE` from the shell, beside pysindy on the same file.
 
 Lotka-Volterra, the damped pendulum and the cart-pole with its force without noise, 1001 rows of ten
 seconds, and Lorenz' flow with 1 % noise. "Shown" is when the last of the right equations stands on
@@ -37,7 +37,7 @@ for state, equation in answer_stlsq(data).equations.items():
 
 @dataclass(frozen=True)
 class Case:
-    """A system as the shell is asked for it: equations, start, noise, inputs, and what is wanted."""
+    """A system as the shell is asked for it, and the seconds that are wanted."""
 
     name: str
     equations: dict[str, str]
