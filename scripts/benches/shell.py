@@ -163,7 +163,7 @@ def time_case(case: Case, folder: Path, runs: int) -> list[object]:
 def main() -> None:
     """Time all cases and print the table."""
     options = read_options()
-    heads = ("data", "right law shown (s)", "asked", "finished (s)", "asked", "pysindy (s)")
+    heads = ("data", "right law shown (s)", "at most", "finished (s)", "at most", "pysindy (s)")
     heads += ("right law", "times pysindy's")
     lines = ["| " + " | ".join(heads) + " |", "| :--- |" + " ---: |" * (len(heads) - 1)]
     with tempfile.TemporaryDirectory() as folder:
