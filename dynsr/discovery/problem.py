@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -517,6 +517,7 @@ class Problem:
         exprs = {s: given[s] if s in given else pools[s][0] for s in names}
         comparison = self.settings.selection.comparison
 
+        @cache
         def ends(fit: SystemFit) -> bool:
             # What is followed far closer than noise allows has none.
             least = float(np.min(fit.fit.mean_squares))

@@ -390,10 +390,12 @@ def _claim(
 
 
 def _with_equations(
-    explored: Sequence[Found], exprs: Mapping[str, sympy.Expr]
+    found: Sequence[Found], exprs: Mapping[str, sympy.Expr]
 ) -> dict[str, Candidate]:
-    """Give the candidates of each state's exploration with the equations that were confirmed."""
-    return {f.target: replace(f.candidates[0], expr=exprs[f.target]) for f in explored}
+    """Give the likeliest candidate of each state with the equation that was confirmed for it."""
+    return {
+        f.target: replace(f.candidates[0], expr=exprs[f.target]) for f in found if f.target in exprs
+    }
 
 
 def _left_to_us(method: str | AbstractMethod | Sequence[str | AbstractMethod], preset: str) -> bool:
@@ -557,8 +559,7 @@ class _Steps:
             and problem.is_allowed(f.target, best[f.target].expr)
         }
         if len(final) < len(looked):
-            confirmed = problem.confirm(looked)
-            final |= {s: replace(best[s], expr=expr) for s, expr in confirmed.items()}
+            final |= _with_equations(looked, problem.confirm(looked))
         if final and len(final) == len(looked):
             written = problem.conserve({s: c.expr for s, c in final.items()})
             final = {s: replace(c, expr=written[s]) for s, c in final.items()}

@@ -56,19 +56,6 @@ _TWIN = 4.0
 _TOLD = 3.0
 
 
-class _Ranges(dict[sympy.Expr, float]):
-    """How far the values of formulas go on some columns, evaluated once."""
-
-    def __init__(self, columns: Mapping[str, np.ndarray]) -> None:
-        super().__init__()
-        self.columns = columns
-
-    def __missing__(self, expr: sympy.Expr) -> float:
-        with np.errstate(all="ignore"):
-            self[expr] = found = float(np.ptp(evaluate(expr, self.columns)))
-        return found
-
-
 @dataclass(frozen=True)
 class ComparisonSettings:
     """Settings of a comparison of whole systems; they stand in a run's record.
@@ -219,6 +206,7 @@ class SystemComparison:
     _cache: dict[tuple[sympy.Expr, ...], SystemFit | None] = field(default_factory=dict)
     _starts: dict[tuple[sympy.Expr, ...], list[np.ndarray]] = field(default_factory=dict)
     _tried: set[tuple[tuple[sympy.Expr, ...], SystemFit | None, bool]] = field(default_factory=set)
+    _ranges: dict[sympy.Expr, float] = field(default_factory=dict)
 
     def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
         """Fit every constant and start; None where the system cannot be fitted."""
@@ -270,13 +258,15 @@ class SystemComparison:
         """Whether a function takes so little of its argument that it is a line or a constant."""
         for function in expr.atoms(sympy.Function):
             factor, rest = function.args[0].as_coeff_Mul()
-            if factor.is_Float and abs(float(factor)) * self._ranges[rest] < _BARE:
+            if factor.is_Float and abs(float(factor)) * self._range_of(rest) < _BARE:
                 return True
         return False
 
-    @cached_property
-    def _ranges(self) -> dict[sympy.Expr, float]:
-        return _Ranges(self.mesh.columns)
+    def _range_of(self, expr: sympy.Expr) -> float:
+        if expr not in self._ranges:
+            with np.errstate(all="ignore"):
+                self._ranges[expr] = float(np.ptp(evaluate(expr, self.mesh.columns)))
+        return self._ranges[expr]
 
     @cached_property
     def _held(self) -> CollocationSettings:

@@ -22,6 +22,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import evaluate, parse
+from dynsr.report import Table
 
 DYNSR = Path(sys.executable).with_name("dynsr")
 BEGIN, END = "<!-- shell -->\n", "<!-- end of shell -->\n"
@@ -135,7 +136,7 @@ def time_command(words: list[object], case: Case, path: Path) -> tuple[float | N
     return (max(right.values()) if right.keys() == case.equations.keys() else None), ended
 
 
-def time_case(case: Case, folder: Path, runs: int) -> list[object]:
+def time_case(case: Case, folder: Path, runs: int) -> list[str]:
     """Give the row of one case."""
     path = write_data(case, folder)
     ours, theirs = [], []
@@ -165,18 +166,14 @@ def main() -> None:
     options = read_options()
     heads = ("data", "right law shown (s)", "at most", "finished (s)", "at most", "pysindy (s)")
     heads += ("right law", "times pysindy's")
-    lines = ["| " + " | ".join(heads) + " |", "| :--- |" + " ---: |" * (len(heads) - 1)]
     with tempfile.TemporaryDirectory() as folder:
-        for case in CASES:
-            row = time_case(case, Path(folder), options.runs)
-            lines.append("| " + " | ".join(map(str, row)) + " |")
-            print(lines[-1], flush=True)
-    table = "\n".join(lines) + "\n"
-    print(table)
-    if options.page:
-        text = options.page.read_text()
-        before, rest = text.split(BEGIN)
-        options.page.write_text(before + BEGIN + "\n" + table + "\n" + END + rest.split(END)[1])
+        rows = [tuple(time_case(case, Path(folder), options.runs)) for case in CASES]
+    text = Table("shell", "Seconds from the shell", heads, tuple(rows)).to_markdown()
+    if options.page is not None:
+        from zoo import write_page
+
+        write_page(options.page, text, (BEGIN, END))
+    print(text)
 
 
 if __name__ == "__main__":
