@@ -7,7 +7,10 @@ short, and is found as short sums are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import combinations, permutations, product
 
 import numpy as np
 import sympy
@@ -15,8 +18,8 @@ import sympy
 from dynsr.expression import ByText, compile_columns
 from dynsr.fit import Probes, constant_bits, structure_bits
 from dynsr.selection.changes import climb_while_better, gram_of, prune
-from dynsr.selection.comparison import SystemComparison, SystemFit, owners_of
-from dynsr.selection.mass_matrix import FACTORS, Ratio, read_ratio, slope_of
+from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, owners_of
+from dynsr.selection.mass_matrix import FACTORS, read_ratio, slope_of
 from dynsr.selection.subsets import best_subsets, solve_scaled, taken_whole, without
 from dynsr.selection.terms import Joint
 
@@ -39,46 +42,108 @@ def try_couplings(
     """
 
     def coupled(best: SystemFit) -> Iterator[SystemFit]:
-        for state, expr in _couple(comparison, best):
-            fit = comparison.fit({**best.exprs, state: expr}, best)
+        for exprs in _couple(comparison, best):
+            fit = comparison.fit({**best.exprs, **exprs}, best)
+            for state in exprs if fit is not None else ():
+                fit = prune(comparison, fit, state)
             if fit is not None:
-                yield prune(comparison, fit, state)
+                yield fit
 
     return climb_while_better(coupled, best, climb, comparison.settings.again)
 
 
-def _couple(comparison: SystemComparison, fit: SystemFit) -> Iterator[tuple[str, sympy.Expr]]:
-    """Give the equations that another one and a few terms are expected to say best."""
-    ratios = {by: read_ratio(expr) for by, expr in fit.exprs.items()}
-    for by, ratio in ratios.items():
-        for state, expr in fit.exprs.items():
-            if ratio is not None and state != by and not expr.is_Symbol:
-                said = list(_say(comparison, fit, state, by, ratio))
-                said.sort(key=lambda pair: (pair[0], ByText(pair[1])))
-                yield from ((state, other) for _, other in said[:_TRIED])
+def _couple(comparison: SystemComparison, fit: SystemFit) -> Iterator[Equations]:
+    """Give equations that one another and a few terms are expected to say best.
+
+    One is said by another as it is, over its line, or two are said by each other.
+    """
+    speeds = {s: e.as_coeff_Mul()[1] for s, e in fit.exprs.items()}
+    own = [state for state, expr in speeds.items() if not expr.is_Symbol]
+    for state, by in permutations(own, 2):
+        ratio = read_ratio(fit.exprs[by])
+        if ratio is not None:
+            said = _say(comparison, fit, state, by, (ratio.main, ratio.other))
+            for one in said[:_TRIED]:
+                expr = ratio.put_in(fit.exprs[by], one.size, one.factor, one.beside)
+                yield {state: expr}
+    joints = [s for s, e in speeds.items() if e.is_Symbol and s in comparison.angles]
+    pairs = [
+        pair
+        for angle in map(sympy.Symbol, joints)
+        for two in combinations(own, 2)
+        for pair in _say_both(comparison, fit, two, (sympy.sin(angle), sympy.cos(angle)))
+    ]
+    pairs.sort(key=lambda pair: (pair[0], *map(ByText, pair[1].values())))
+    yield from (exprs for _, exprs in pairs[:_TRIED])
+
+
+@dataclass(frozen=True)
+class _Said:
+    """One equation said by another one: ``size`` times waves times it, and what is ``beside`` it.
+
+    ``factor`` are the powers of the two waves, ``bits`` what is expected of it.
+    """
+
+    bits: float
+    size: float
+    factor: tuple[int, int]
+    beside: sympy.Expr
+
+
+def _say_both(
+    comparison: SystemComparison,
+    fit: SystemFit,
+    states: tuple[str, str],
+    waves: tuple[sympy.Expr, sympy.Expr],
+) -> Iterator[tuple[float, Equations]]:
+    """Give two equations that are said by each other, solved for, with the bits expected of both.
+
+    Masses are positive: of y' = a c z' + f and z' = b c y' + g, c a wave, a b is between 0 and 1.
+    """
+    one, other = (_say(comparison, fit, s, by, waves) for s, by in (states, states[::-1]))
+    for own, its in product(one, other):
+        tie = own.size * its.size
+        if own.factor == its.factor != (0, 0) and 0 < tie < 1:
+            wave = math.prod(w**power for w, power in zip(waves, own.factor, strict=True))
+            # Over 1 - a b and what is 1 less the square of the wave, nothing can be 0.
+            line = 1 + sympy.Float(tie / (1 - tie)) * math.prod(
+                w ** (2 - 2 * power) for w, power in zip(waves, own.factor, strict=True)
+            )
+            tops = (
+                own.beside + sympy.Float(own.size) * wave * its.beside,
+                its.beside + sympy.Float(its.size) * wave * own.beside,
+            )
+            share = sympy.Float(1 / (1 - tie))
+            exprs = {s: sympy.expand(share * t) / line for s, t in zip(states, tops, strict=True)}
+            yield own.bits + its.bits, exprs
 
 
 def _say(
-    comparison: SystemComparison, fit: SystemFit, state: str, by: str, ratio: Ratio
-) -> Iterator[tuple[float, sympy.Expr]]:
-    """Give one equation said by another one, with the bits that are expected of it."""
+    comparison: SystemComparison,
+    fit: SystemFit,
+    state: str,
+    by: str,
+    both: tuple[sympy.Expr, sympy.Expr],
+) -> list[_Said]:
+    """Give one equation said by another one and few terms, the best first."""
     mesh, found = comparison.mesh, fit.fit
     limits = comparison.settings.demands.limits(state)
-    joint = Joint.of(str(ratio.main.args[0]), comparison.names)
+    joint = Joint.of(str(both[0].args[0]), comparison.names)
     terms = [e for e in joint.above if limits.allow(e)]
-    waves = [ratio.main**main * ratio.other**other for main, other in FACTORS]
+    waves = [both[0] ** first * both[1] ** second for first, second in FACTORS]
     exprs = [-fit.exprs[state], *(wave * fit.exprs[by] for wave in waves), *terms]
     slopes = compile_columns(exprs, comparison.columns)(*fit.points)
     probes = Probes(np.full(len(exprs), mesh.states.index(state)), slopes)
     gram = gram_of(fit, probes) if np.all(np.isfinite(slopes)) else None
     if gram is None:
-        return
+        return []
     rows, each = float(mesh.rows.sum()), constant_bits(float(mesh.rows.max()))
     costs = each + np.array([structure_bits(sympy.Float(0.5) * e) for e in terms])
     others = [i for i, owner in enumerate(owners_of(fit.exprs)) if owner != state]
     gone = len(found.constants)
     first = gone + 1 + len(waves)
     gram = taken_whole(gram, gone)
+    said = []
     for place, (wave, factor) in enumerate(zip(waves, FACTORS, strict=True), gone + 1):
         loose = [*others, place]
         rest = without(gram, loose, first)
@@ -89,6 +154,6 @@ def _say(
             free = [place, *(first + i for i in subset.places), *others]
             size, *sizes = -solve_scaled(gram, free, gram[free, -1:])[: 1 + len(subset.places), 0]
             bodies = [terms[i] for i in subset.places]
-            beside = [sympy.Float(c) * e for c, e in zip(sizes, bodies, strict=True)]
-            expr = ratio.put_in(fit.exprs[by], float(size), factor, sympy.Add(*beside))
-            yield subset.bits + written, expr
+            beside = sympy.Add(*[sympy.Float(c) * e for c, e in zip(sizes, bodies, strict=True)])
+            said.append(_Said(subset.bits + written, float(size), factor, beside))
+    return sorted(said, key=lambda one: (one.bits, ByText(one.beside)))

@@ -239,9 +239,12 @@ def _refine(
         return _climb(comparison, fit, {})
 
     def refine(fit: SystemFit) -> SystemFit:
-        for attempt in (try_replacements, try_stand_ins, try_couplings):
+        first = fit
+        # What belongs together is passed by where one equation at a time is changed.
+        fit = try_couplings(comparison, fit, climb)
+        for attempt in (try_replacements, try_stand_ins):
             fit = attempt(comparison, fit, climb)
-        return fit
+        return fit if fit is first else try_couplings(comparison, fit, climb)
 
     refined = best
     best = refine(best)
