@@ -7,6 +7,7 @@ that they explain. Causes that were found, such as a missing state, stay in the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -70,7 +71,10 @@ def follow_anyway(
     best = _rounded(best, trail)
     match = untouched_match(best.exprs, runs, problem.inputs, problem.settings.selection.fit)
     changed = _put(problem, found, match)
-    judged = _approximate(problem.judge(changed, None), trail, match.exprs, least)
+    judged = problem.judge(changed, None)
+    if verdict.level == APPROXIMATION and not whole and not _closer(judged, verdict):
+        return None
+    judged = _approximate(judged, trail, match.exprs, least)
     if LEVELS.index(judged.level) > LEVELS.index(verdict.level):
         return None
     return changed, judged
@@ -85,6 +89,18 @@ def _leaves_noise(problem: Problem, verdict: Verdict) -> bool:
     return all(
         own.chi_square < judge.excess and own.r2 >= judge.follows for own in verdict.states.values()
     )
+
+
+def _closer(judged: Verdict, verdict: Verdict) -> bool:
+    """Whether equations keep closer than others over parts as long, where no whole run is followed.
+
+    All states count together: what one misses less, another may miss more.
+    """
+    own, others = (
+        sum(math.log(max(1 - state.r2, 1e-12)) for state in one.states.values())
+        for one in (judged, verdict)
+    )
+    return judged.span >= verdict.span and own < others
 
 
 def _make_trail(problem: Problem, states: tuple[str, ...]) -> Trail:

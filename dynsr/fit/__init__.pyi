@@ -30,6 +30,7 @@ from .linear import (
     fit_ratio,
     fit_robustly,
     linearly_independent,
+    solve_each,
 )
 from .losses import LOSSES, Loss, LossFunction, judge_by_loss, read_loss
 from .noise import (
@@ -136,6 +137,7 @@ __all__ = [
     "skeleton",
     "slope_size",
     "snap_best",
+    "solve_each",
     "structure_bits",
     "tidy",
     "untouched_match",

@@ -239,6 +239,19 @@ class Linearised:
     pull: np.ndarray
     squares: float
 
+    def left(self, places: np.ndarray) -> float:
+        """Sum of squares that is left where the constants of some places move too.
+
+        Parameters
+        ----------
+        places : theirs; what others say as well counts once.
+        """
+        own = self.information[np.ix_(places, places)]
+        units = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        pull = self.pull[places] / units
+        moved = np.linalg.lstsq(own / np.outer(units, units), pull, rcond=_SILENT)[0]
+        return float(self.squares - pull @ moved)
+
 
 @dataclass(frozen=True, eq=False)
 class Probes:

@@ -6,6 +6,7 @@ terms of other equations are fitted to one state and put in the order of their b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -56,6 +57,8 @@ _OFFERED, _PLAINEST = 24, 40
 # Rows at which functions of several constants are evaluated, and the share of the largest direction
 # below which one says nothing.
 _SPREAD, _SAID = 160, 1e-9
+# Standard deviations of what noise leaves, up to which it is noise.
+_SIGMA = 3.0
 
 
 @dataclass(frozen=True)
@@ -318,12 +321,34 @@ class Alone:
             return False
         best, *others = ranked
         settings, expr = self.comparison.settings, best.exprs[self.state]
-        if not (is_plain(expr) and leaves_noise(best, settings)):
+        if not (is_plain(expr) and (leaves_noise(best, settings) or self._needs_no_more(best))):
             return False
         columns = self.comparison.mesh.columns
         own = evaluate(expr, columns)
         near = (f for f in others if f.bits <= best.bits + settings.clear)
         return all(apart_by(own, f.exprs[self.state], columns) <= settings.different for f in near)
+
+    def _needs_no_more(self, fit: SystemFit) -> bool:
+        """Whether the sum of all powers explains no more than noise does of what a few leave.
+
+        The curves of the others are off by their own noise, so that what is read off them leaves
+        more than noise where it is held to its own solution strictly.
+        """
+        normal, settings = self._of_powers, self.comparison.settings
+        used = [self.comparison.terms.exprs[i] for i in _places_of(self.comparison.terms.powers)]
+        own = bodies_of(fit.exprs[self.state])
+        if normal is None or not set(own) <= set(used):
+            return False
+        few = normal.left(np.array([used.index(body) for body in own]))
+        gain, count = few - normal.left(np.arange(len(used))), len(used) - len(own)
+        rows = self._rows
+        most = rows * (1 + settings.excess + _SIGMA * math.sqrt(2 / rows))
+        return few <= most and gain <= count + _SIGMA * math.sqrt(2 * count)
+
+    @cached_property
+    def _of_powers(self) -> Linearised | None:
+        terms = self.comparison.terms
+        return self._normal(columns_of(terms, terms.powers, self._points[:-1], curved=False))
 
     def sums_of_terms(self, *, powers: bool = False) -> list[sympy.Expr]:
         """Give the sums that a linear fit expects most of, the best first.
@@ -335,7 +360,9 @@ class Alone:
         settings, terms = self.comparison.settings, self.comparison.terms
         tiers = terms.powers if powers else (*terms.tiers, terms.divisible_by(self.state))
         curved = not powers
-        normal = self._normal(columns_of(terms, tiers, self._points[:-1], curved=curved))
+        normal = self._of_powers
+        if curved:
+            normal = self._normal(columns_of(terms, tiers, self._points[:-1], curved=True))
         if normal is None:
             return [sympy.S.Zero]
         costs = terms.bits + constant_bits(self._rows) * (1 + terms.inside)

@@ -16,6 +16,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.expression import Program, compile_columns
+from dynsr.fit import solve_each
 from dynsr.selection.profiles import INSIDE, find_profiles, write_sum
 from dynsr.selection.terms import products
 
@@ -33,7 +34,7 @@ _LONGER = 4
 _LIKELY, _MOVED, _EACH = 3, 120, 20
 # Sums of as many terms with one function, and of the same plain ones with two, whose constants are
 # moved roughly, how often that is done, and the share of a column that others must not say.
-_ROUGH, _SHARPENED, _SHARPER, _LITTLE = 4000, 400, 5, 1e-10
+_ROUGH, _SHARPENED, _SHARPER = 4000, 400, 5
 # Sums that are given.
 _GIVEN = 6
 # Steps that constants inside make, and the share of a step that is still tried.
@@ -305,7 +306,8 @@ class FewTerms:
     def _move_alike(self, sums: Sequence[_Sum], steps: int) -> list[_Sum]:
         plain = self.values[np.array([one.plain for one in sums], dtype=int)]
         basis = np.linalg.qr(np.swapaxes(plain, 1, 2))[0]
-        goal = _rest(np.broadcast_to(self.samples.y, (len(sums), 1, len(self.samples))), basis)
+        whole = np.broadcast_to(self.samples.y, (len(sums), 1, len(self.samples)))
+        goal = _rest(whole, basis)[:, 0]
         functions = np.array([one.functions for one in sums], dtype=int)
         count = functions.shape[1]
         best = np.array([one.inside for one in sums], dtype=float)
@@ -318,15 +320,15 @@ class FewTerms:
             rows = self._bent(functions[own], inside)
             fine = np.all(np.isfinite(rows), axis=(1, 2))
             rows = _rest(np.where(fine[:, None, None], rows, 0.0), basis[own])
-            values = _solve_all(rows[:, :count], goal[own])
-            missed = goal[own, 0] - np.einsum("mc,mcn->mn", values, rows[:, :count])
+            values = solve_each(rows[:, :count], goal[own])[1]
+            missed = goal[own] - np.einsum("mc,mcn->mn", values, rows[:, :count])
             left = np.where(fine, np.mean(missed**2, axis=1), np.inf)
             better = left < least[own]
             settled = better & (left > (1 - _LEAST) * least[own])
             now = own[better]
             rows[:, count:] *= values[:, :, None]
             least[now], best[now] = left[better], inside[better]
-            step[now] = _solve_all(rows[better], goal[now])[:, count:]
+            step[now] = solve_each(rows[better], goal[now])[1][:, count:]
             share[now] = 1.0
             share[own[~better]] /= 4
             own = own[~settled]
@@ -427,21 +429,6 @@ def _unit(whole: np.ndarray, rest: np.ndarray) -> np.ndarray:
     sizes = np.linalg.norm(rest, axis=1)
     told = sizes > _OWN * np.linalg.norm(whole, axis=1)
     return rest * np.where(told, 1 / np.maximum(sizes, 1e-300), 0.0)[:, None]
-
-
-def _solve_all(columns: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Give the coefficients (m, c) of each of many sets of columns (m, c, n) for (m, 1, n).
-
-    A column that others say all but a little of says nothing.
-    """
-    sizes = np.linalg.norm(columns, axis=2)
-    unit = np.where(sizes > 0, 1 / np.maximum(sizes, 1e-300), 0.0)
-    basis, upper = np.linalg.qr(np.swapaxes(columns * unit[:, :, None], 1, 2))
-    diagonal = np.einsum("mcc->mc", upper)
-    little = np.abs(diagonal) < _LITTLE
-    diagonal[little] = 1.0
-    told = np.where(little[..., None], 0.0, np.swapaxes(basis, 1, 2) @ np.swapaxes(goal, 1, 2))
-    return np.asarray(np.linalg.solve(upper, told)[..., 0] * unit)
 
 
 def _solve(columns: np.ndarray, y: np.ndarray) -> np.ndarray:

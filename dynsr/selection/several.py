@@ -18,6 +18,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.expression import ByText, compile_columns
+from dynsr.fit import solve_each
 from dynsr.selection.profiles import write_sum
 from dynsr.selection.terms import never_negative, products
 
@@ -44,8 +45,8 @@ _FIRST, _NEXT, _THEN, _LIKELIEST = 4, 6, 25, 12
 # How far a constant may go in one step, in its own units; the step by which slopes are measured;
 # what damps a step, from first to last.
 _FARTHEST, _NUDGE, _DAMPED = 2.0, 1e-6, (1e-2, 1e-12)
-# Plain terms at most, rows for each constant at least, and the share of a column that is its own.
-_MOST, _ROWS_EACH, _OWN = 15, 3, 1e-9
+# Plain terms at most, and rows for each constant at least.
+_MOST, _ROWS_EACH = 15, 3
 # What keeps products of alike columns from being singular.
 _RIDGE = 1e-9
 # Share by which a step must be better to be followed by another.
@@ -661,10 +662,9 @@ class _Projection:
         columns = np.take_along_axis(self.columns(inside), chosen[:, :, None], axis=1)
         fine = np.all(np.isfinite(columns), axis=(1, 2))
         columns = np.where(fine[:, None, None], columns, 0.0)
-        sizes = np.maximum(np.linalg.norm(columns, axis=2), 1e-300)
-        basis, values = _solve_all(columns / sizes[:, :, None], self.goal.y)
+        basis, values = solve_each(columns, self.goal.y)
         told = basis.swapaxes(1, 2) @ self.goal.y
-        values, rest = values / sizes, self.goal.y - (basis @ told[..., None])[..., 0]
+        rest = self.goal.y - (basis @ told[..., None])[..., 0]
         slopes = np.empty((*inside.shape, len(self.goal.y)))
         for i, (moved, gap) in enumerate(_nudged(inside) if sloped else ()):
             shifted = np.take_along_axis(self.columns(moved), chosen[:, :, None], axis=1)
@@ -673,28 +673,6 @@ class _Projection:
             slopes[:, i] = own - (basis @ (basis.swapaxes(1, 2) @ own[..., None]))[..., 0]
         rest[~fine] = np.inf
         return rest, slopes
-
-
-def _solve_all(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give orthonormal bases (B, n, q) of columns (B, q, n), and the coefficients (B, q) of y.
-
-    What the columns before it say already, in whatever order, has neither.
-    """
-    basis, upper = np.linalg.qr(columns.swapaxes(1, 2))
-    little = np.abs(np.einsum("bqq->bq", upper)) < _OWN
-    order = np.argsort(little, axis=1, kind="stable")
-    again = np.flatnonzero(little.any(axis=1))
-    if len(again):
-        # A column that says nothing takes a direction from those behind it.
-        last = np.take_along_axis(columns[again], order[again, :, None], axis=1)
-        basis[again], upper[again] = np.linalg.qr(last.swapaxes(1, 2))
-    little = np.abs(np.einsum("bqq->bq", upper)) < _OWN
-    basis = np.where(little[:, None], 0.0, basis)
-    upper = np.where(little[:, :, None], np.eye(upper.shape[1]), upper)
-    told = basis.swapaxes(1, 2) @ y
-    values = np.empty_like(told)
-    np.put_along_axis(values, order, np.linalg.solve(upper, told[..., None])[..., 0], axis=1)
-    return basis, values
 
 
 def _damped_step(jacobian: np.ndarray, missed: np.ndarray, damped: np.ndarray) -> np.ndarray:
