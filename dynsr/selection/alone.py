@@ -210,6 +210,18 @@ class Alone:
         told = [s for s in subsets if any(exprs[i] in bodies for i in s.places)]
         return [_sum_of(exprs, s) for s in told[: settings.sums]]
 
+    def fitted(self, bodies: Sequence[sympy.Expr]) -> sympy.Expr | None:
+        """Give the sum of all of some terms that a linear fit expects; None where that fails.
+
+        Parameters
+        ----------
+        bodies : the terms; what others of them say as well has a share of it.
+        """
+        normal = self._normal(compile_columns(bodies, self.comparison.columns)(*self._points))
+        if normal is None:
+            return None
+        return weighted_sum((-normal.moved(np.arange(len(bodies)))).tolist(), bodies)
+
     def sums_around(self, angle: str) -> list[sympy.Expr]:
         """Give sums of what hangs from a joint that a linear fit expects most of.
 

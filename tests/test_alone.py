@@ -1,0 +1,47 @@
+"""One state alone, the others read off their curves: when a short polynomial is known to be all."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from measured_systems import measured
+
+from dynsr.fit import Linearised
+from dynsr.selection.alone import Alone
+from dynsr.selection.comparison import COMPARISON, leaves_noise
+
+FLOW = (("x", "10*(y - x)"), ("y", "28*x - y - x*z"), ("z", "x*y - 8*z/3"))
+# The same with a drag on y that no power is.
+DRAGGED = (FLOW[0], ("y", "28*x - y - x*z - 60*tanh(y/4)"), FLOW[2])
+
+
+@lru_cache
+def ranked(system):
+    """Sums of powers for y of a flow in 1 % noise, ranked."""
+    data = measured(system, (-8.0, 7.0, 27.0), 10.0, 1001, 0.01, 1)
+    alone = Alone.of("y", data, COMPARISON)
+    alone.rank(alone.sums_of_terms(powers=True))
+    return alone
+
+
+def test_what_curves_are_off_by_is_no_doubt():
+    """Lorenz's y' is known for sure, though x z read off noisy curves leaves more than noise."""
+    alone = ranked(FLOW)
+    assert not leaves_noise(alone.best(), alone.comparison.settings)
+    assert alone.is_clear()
+
+
+def test_what_no_power_says_is_a_doubt():
+    """Where a function is left over, no sum of powers is taken for all there is."""
+    assert not ranked(DRAGGED).is_clear()
+
+
+@pytest.mark.parametrize("few", [1, 4])
+def test_squares_that_are_left_are_those_of_least_squares(few):
+    """What some terms leave is what the fitted minimum of the quadratic form is."""
+    rng = np.random.default_rng(few)
+    design, y = rng.normal(size=(50, 5)), rng.normal(size=50)
+    normal = Linearised(design.T @ design, design.T @ y, float(y @ y))
+    places = np.arange(few)
+    left = np.linalg.lstsq(design[:, places], y, rcond=None)[1][0]
+    assert normal.left(places) == pytest.approx(left, rel=1e-9)
