@@ -44,9 +44,9 @@ def try_couplings(
     def coupled(best: SystemFit) -> Iterator[SystemFit]:
         for exprs in _couple(comparison, best):
             fit = comparison.fit({**best.exprs, **exprs}, best)
-            for state in exprs if fit is not None else ():
-                fit = prune(comparison, fit, state)
             if fit is not None:
+                for state in exprs:
+                    fit = prune(comparison, fit, state)
                 yield fit
 
     return climb_while_better(coupled, best, climb, comparison.settings.again)

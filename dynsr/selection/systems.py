@@ -42,6 +42,7 @@ from dynsr.selection.comparison import (
 from dynsr.selection.costs import bare_terms, is_plain, rounded
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.first_look import look
+from dynsr.selection.polynomials import fit_polynomials
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.replacements import try_replacements
 from dynsr.selection.stand_ins import try_stand_ins
@@ -200,6 +201,9 @@ def compare_systems(
     found = _search(pools, data, comparison, known.alone)
     if not found:
         return SystemChoice(dict(exprs))
+    if not leaves_noise(found[0], settings):
+        begun = fit_polynomials(comparison, data, {s: pool[0] for s, pool in pools.items()})
+        found = sorted(dict.fromkeys([*found, *begun]), key=lambda fit: fit.bits)
     found = found[: settings.ends]
     best = known.refined.get(tuple(found)) or _refine(found, data, comparison, ends)
     known.refined[tuple(found)] = best
