@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from measured_systems import measured
 
-from dynsr.fit import Linearised
+from dynsr.expression import parse
+from dynsr.fit import Linearised, skeleton, with_floats
 from dynsr.selection.alone import Alone
 from dynsr.selection.comparison import COMPARISON, leaves_noise
 
@@ -45,3 +46,18 @@ def test_squares_that_are_left_are_those_of_least_squares(few):
     places = np.arange(few)
     left = np.linalg.lstsq(design[:, places], y, rcond=None)[1][0]
     assert normal.left(places) == pytest.approx(left, rel=1e-9)
+
+
+def test_forces_of_long_sums_are_found():
+    """The six forces on a swinging joint with a partner are the best of all sums that are fitted."""
+    texts = {
+        "x": "v",
+        "v": "-2.2*sin(x) + 0.8*cos(x) + 0.6*v - 0.6*x^2*v + 0.7*y - 0.7*x",
+        "y": "w",
+        "w": "-1.6*sin(y) - 0.2*w*abs(w) + 0.7*x - 0.7*y",
+    }
+    data = measured(tuple(texts.items()), (0.8, 0.3, -0.5, 0.9), 22.0, 150, 0.01)
+    alone = Alone.of("v", data, COMPARISON)
+    found = alone.rank(alone.sums_of_terms())
+    law = alone.comparison.fit({**alone.beside, "v": with_floats(parse(texts["v"]))})
+    assert skeleton(found[0]) == skeleton(law.exprs["v"])

@@ -194,7 +194,7 @@ class Alone:
         normal = self._normal(np.concatenate([compile_columns(exprs, names)(*points), moved]))
         if normal is None:
             return []
-        rows, angles = self._rows, self.comparison.angles
+        rows, angles = self.rows, self.comparison.angles
         costs = np.array(
             [
                 shape_bits(sympy.Float(0.5) * e)
@@ -209,6 +209,30 @@ class Alone:
         )
         told = [s for s in subsets if any(exprs[i] in bodies for i in s.places)]
         return [_sum_of(exprs, s) for s in told[: settings.sums]]
+
+    def gram(self, bodies: Sequence[sympy.Expr], plain: Sequence[sympy.Expr]) -> np.ndarray | None:
+        """Products of terms, of their slopes by the constant inside each, and of plain terms.
+
+        As many slopes as terms; the last are products with the misses. None where these do not
+        tell.
+
+        Parameters
+        ----------
+        bodies : terms with one constant inside or none, whose slopes are 0 then.
+        plain : terms without.
+        """
+        names, points = self.comparison.columns, self._points
+        values = compile_columns([*bodies, *plain], names)(*points)
+        curved = [i for i, body in enumerate(bodies) if body.atoms(sympy.Float)]
+        slopes = np.zeros_like(values[: len(bodies)])
+        slopes[curved] = slopes_inside([bodies[i] for i in curved], names, points)
+        normal = self._normal(
+            np.concatenate([values[: len(bodies)], slopes, values[len(bodies) :]])
+        )
+        if normal is None:
+            return None
+        pull = normal.pull[:, None]
+        return np.block([[normal.information, pull], [pull.T, np.array([[normal.squares]])]])
 
     def fitted(self, bodies: Sequence[sympy.Expr]) -> sympy.Expr | None:
         """Give the sum of all of some terms that a linear fit expects; None where that fails.
@@ -236,7 +260,7 @@ class Alone:
         exprs = [e for e in joint.above if allow(e)]
         bits = np.array([structure_bits(0.5 * e) for e in exprs])
         values = compile_columns(exprs, self.comparison.columns)(*self._points)
-        rows, found = self._rows, []
+        rows, found = self.rows, []
         for below in joint.below:
             line = 1 + below
             normal = None
@@ -275,7 +299,7 @@ class Alone:
         y = -(directions[:, told].T @ normal.pull) / roots
         beside = max(normal.squares - float(y @ y), 0.0)
         goal = Goal(self.comparison.names, self._points[:-1, nodes], self.state, y, maps)
-        rows, angles = self._rows, self.comparison.angles
+        rows, angles = self.rows, self.comparison.angles
         each = constant_bits(rows)
 
         def bits(expr: sympy.Expr) -> float:
@@ -300,7 +324,8 @@ class Alone:
         return Collocation(exprs, self.comparison.mesh, self.comparison.settings.fit)
 
     @property
-    def _rows(self) -> float:
+    def rows(self) -> float:
+        """Measured rows of the state."""
         return float(np.max(self.comparison.mesh.rows))
 
     def _normal(self, values: np.ndarray) -> Linearised | None:
@@ -353,7 +378,7 @@ class Alone:
             return False
         few = normal.left(np.array([used.index(body) for body in own]))
         gain, count = few - normal.left(np.arange(len(used))), len(used) - len(own)
-        rows = self._rows
+        rows = self.rows
         most = rows * (1 + settings.excess + _SIGMA * math.sqrt(2 / rows))
         return few <= most and gain <= count + _SIGMA * math.sqrt(2 * count)
 
@@ -377,10 +402,10 @@ class Alone:
             normal = self._normal(columns_of(terms, tiers, self._points[:-1], curved=True))
         if normal is None:
             return [sympy.S.Zero]
-        costs = terms.bits + constant_bits(self._rows) * (1 + terms.inside)
+        costs = terms.bits + constant_bits(self.rows) * (1 + terms.inside)
         limits = settings.demands.limits(self.state)
         costs[[not limits.allow(term) for term in terms.exprs]] = np.inf
-        sums = expected_sums(normal, terms, tiers, costs, self._rows, settings.sums, curved=curved)
+        sums = expected_sums(normal, terms, tiers, costs, self.rows, settings.sums, curved=curved)
         others = [sympy.Symbol(n) for n in self.comparison.names if n != self.state]
         return [sympy.S.Zero, *others, *sums]
 

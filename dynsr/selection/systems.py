@@ -45,6 +45,7 @@ from dynsr.selection.first_look import look
 from dynsr.selection.polynomials import fit_polynomials
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.replacements import try_replacements
+from dynsr.selection.shared import share_rates
 from dynsr.selection.stand_ins import try_stand_ins
 
 # How much further apart different functions are where columns take any of their values.
@@ -301,7 +302,11 @@ def _search(
 
     ends = [finish(fit) for fit in dict.fromkeys(fits)]
     least = min((fit.bits for fit in ends), default=math.inf)
-    close = (fit for fit in _compose_related(together, related) if fit not in ends)
+    close = (
+        fit
+        for fit in (*_compose_related(together, related), *share_rates(alone, together, first))
+        if fit not in ends
+    )
     ends += [finish(fit) for fit in close if fit.bits < least + settings.near]
     return sorted(dict.fromkeys(ends), key=lambda fit: fit.bits)
 

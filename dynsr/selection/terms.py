@@ -141,9 +141,17 @@ class Terms:
 
     @cached_property
     def tiers(self) -> tuple[np.ndarray, ...]:
-        """Places of the quadratic, polynomial, rational and all terms, each once."""
+        """Places of the quadratic, polynomial, rational and all terms, each once.
+
+        And of the polynomial ones and those of one column that hold no constant, as forces on what
+        swings are: beside all others a beam passes their longer sums by.
+        """
         degrees, rational = _degrees(self.exprs, self.names), _are_rational(self.exprs, self.names)
-        kinds = (degrees <= 2, degrees < _NO_POLYNOMIAL, rational, np.ones_like(rational))
+        polynomial = degrees < _NO_POLYNOMIAL
+        bare = [
+            not i and len(e.free_symbols) == 1 for e, i in zip(self.exprs, self.inside, strict=True)
+        ]
+        kinds = (degrees <= 2, polynomial, polynomial | bare, rational, np.ones_like(rational))
         found = {int(kind.sum()): np.flatnonzero(kind) for kind in kinds if kind.any()}
         return tuple(found.values())
 
