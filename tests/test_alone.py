@@ -49,7 +49,7 @@ def test_squares_that_are_left_are_those_of_least_squares(few):
 
 
 def test_forces_of_long_sums_are_found():
-    """The six forces on a swinging joint with a partner are the best of all sums that are fitted."""
+    """The six forces on a joint with a partner are the best of all sums that are fitted."""
     texts = {
         "x": "v",
         "v": "-2.2*sin(x) + 0.8*cos(x) + 0.6*v - 0.6*x^2*v + 0.7*y - 0.7*x",

@@ -1,6 +1,5 @@
 """Rates that leave one equation and enter another are looked for in both at once."""
 
-import pytest
 import sympy
 from measured_systems import floats, measured
 
