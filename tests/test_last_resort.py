@@ -35,6 +35,14 @@ def give_up(problem, equations):
     return found, problem.judge(found, None)
 
 
+def in_noise(truth, start, end, step):
+    """Give a run of equations with 1 % of noise in every column."""
+    system = System.from_strings(truth, x0=start, train=(0, end), test=(0, end), step=step)
+    run = simulate(system, start, np.arange(0, end, step), 1e-10, 1e-12)
+    noise = 0.01 * run.x.std(axis=0) * np.random.default_rng(0).standard_normal(run.x.shape)
+    return Trajectory(run.t, run.x + noise, run.states)
+
+
 @pytest.fixture(scope="module")
 def prey():
     """Predators that are sated, over four turns: no sum of a few terms is their law."""
@@ -89,12 +97,7 @@ def test_a_chaotic_run_that_leaves_noise_alone_keeps_its_equations(monkeypatch):
     though it is no law for sure.
     """
     truth = {"x": "10*(y - x)", "y": "x*(28 - z) - y", "z": "x*y - 8*z/3"}
-    system = System.from_strings(
-        truth, x0=(1.0, 2.0, 20.0), name="lorenz", train=(0, 12), test=(0, 12), step=0.02
-    )
-    run = simulate(system, (1.0, 2.0, 20.0), np.arange(0, 12, 0.02), 1e-10, 1e-12)
-    noise = 0.01 * run.x.std(axis=0) * np.random.default_rng(0).standard_normal(run.x.shape)
-    problem = pose(Trajectory(run.t, run.x + noise, run.states))
+    problem = pose(in_noise(truth, (1.0, 2.0, 20.0), 12, 0.02))
     found, verdict = give_up(problem, {s: parse(e) for s, e in truth.items()})
     assert verdict.span < 12
     unsure = {s: replace(own, level="approximation") for s, own in verdict.states.items()}
@@ -118,12 +121,7 @@ def test_what_follows_a_chaotic_run_by_chance_is_turned_down(monkeypatch):
     """
     truth = {"x": "-y - z", "y": "x + 0.2*y", "z": "0.2 + z*(x - 5.7)"}
     beside = {"x": "-1.02*y - z", "y": "0.99*x + 0.204*y", "z": "0.2 + z*(x - 5.8)"}
-    system = System.from_strings(
-        truth, x0=(1.0, 1.0, 0.0), name="rossler", train=(0, 90), test=(0, 90), step=0.1
-    )
-    run = simulate(system, (1.0, 1.0, 0.0), np.arange(0, 90, 0.1), 1e-10, 1e-12)
-    noise = 0.01 * run.x.std(axis=0) * np.random.default_rng(0).standard_normal(run.x.shape)
-    problem = pose(Trajectory(run.t, run.x + noise, run.states))
+    problem = pose(in_noise(truth, (1.0, 1.0, 0.0), 90, 0.1))
     law, other = ({s: parse(e) for s, e in own.items()} for own in (truth, beside))
     for found, offered, taken in ((law, other, False), (other, law, True)):
         begun, verdict = give_up(problem, found)

@@ -7,6 +7,7 @@ the shortest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -76,7 +77,8 @@ def share_rates(
         moved = move_inside(body.expr, float(np.mean([own.shift for own in both])))
         exprs = {state: pool[0].expr for state, pool in leaders.items()}
         for state, own in zip((one, other), both, strict=True):
-            exprs[state] = sympy.Float(own.size) * moved + own.beside
+            told = sympy.Float(own.size) * moved + own.beside
+            exprs[state] = comparison.settings.demands.force(state, told)
         fits.append(comparison.fit(exprs))
     return sorted((f for f in fits if f is not None), key=lambda f: f.bits)[:_GIVEN]
 
@@ -128,21 +130,24 @@ def _sum_with(
     """Give the best sum of one term, and of its slope by the constant in it, and plain ones."""
     first = len(gram) - 1 - len(plain)
     rest = without(gram, loose, first)
-    subset = best_subsets(
+    left = max(float(rest[-1, -1]), 1e-300)
+    best = best_subsets(
         rest[:-1, :-1],
         -rest[:-1, -1],
-        rest[-1, -1],
+        left,
         costs,
         alone.rows,
         beam=_BEAM,
         most=_BESIDE,
         keep=1,
-    )[0]
-    free = [*loose, *(first + place for place in subset.places)]
+    )
+    places = best[0].places if best else ()
+    bits = best[0].bits if best else alone.rows / 2 * math.log2(left / alone.rows)
+    free = [*loose, *(first + place for place in places)]
     sizes = -solve_scaled(gram, free, gram[free, -1:])[:, 0]
     shift = sizes[1] / sizes[0] if len(loose) > 1 else 0.0
     if not abs(shift) <= _FARTHEST:
         # A linear step says nothing of what is far away.
         return _sum_with(gram, loose[:1], plain, costs, alone)
-    beside = weighted_sum(sizes[len(loose) :].tolist(), [plain[i] for i in subset.places])
-    return _Sum(subset.bits, float(sizes[0]), float(shift), beside)
+    beside = weighted_sum(sizes[len(loose) :].tolist(), [plain[i] for i in places])
+    return _Sum(bits, float(sizes[0]), float(shift), beside)
