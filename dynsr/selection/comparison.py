@@ -30,6 +30,7 @@ from dynsr.fit import (
 from dynsr.methods import Demands, MonomialLibrary
 from dynsr.selection.costs import (
     cited_bits,
+    count_free_powers,
     in_coordinates,
     saturating,
     shape_bits,
@@ -50,6 +51,8 @@ _STARTS, _APART = 2, 0.5
 _NEAR = 4.0
 # Range of the argument of a function below which the function is seen as no more than a line.
 _BARE = 1e-4
+# Bits of an exponent that is no whole or half number, where a column is not the only one.
+_ANY_POWER = 5.0
 # Bits of saying whose twin an equation is.
 _TWIN = 4.0
 # Standard errors from 0 from which on a constant is told from it.
@@ -359,6 +362,9 @@ class SystemComparison:
         said += sum(unusual_bits(e, self.angles) for e in flat)
         said += sum(self.settings.unseen * self._far_off(e) for e in exprs.values())
         said += sum(map(unwritten_bits, flat))
+        # A lone state grows by any power; what several states do to each other seldom has one.
+        if len(self.names) > 1:
+            said += _ANY_POWER * sum(map(count_free_powers, flat))
         length = information_criterion(squares, self.mesh.rows, flat, constants, written_length)
         return length + said - self.common_bits(exprs, flat, _doubtful(fit))
 

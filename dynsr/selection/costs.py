@@ -111,6 +111,27 @@ def unusual_bits(expr: sympy.Expr, angles: Collection[str]) -> float:
     return functions + plausibility_bits(expr, angles)
 
 
+def count_free_powers(expr: sympy.Expr) -> int:
+    """Count the factors of terms that are powers with an exponent to be fitted.
+
+    Those in what saturates do not count: steepness is what such functions have.
+
+    Parameters
+    ----------
+    expr : the formula.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> count_free_powers(0.5 * y * x**1.7 - x**2), count_free_powers(x**1.7 / (x**1.7 + 2.5))
+    (1, 0)
+    """
+    factors = (
+        factor
+        for term in sympy.Add.make_args(in_saturations(expr))
+        for factor in sympy.Mul.make_args(term)
+    )
+    return sum(factor.is_Pow and factor.exp.is_Float for factor in factors)
+
+
 class saturation(sympy.Function):  # noqa: N801
     """What v^n / (v^n + k) and 1 / (v^n + k) are to who writes them often: one function."""
 
