@@ -4,6 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+import sympy
 from measured_systems import measured
 
 from dynsr.expression import parse
@@ -61,3 +62,17 @@ def test_forces_of_long_sums_are_found():
     found = alone.rank(alone.sums_of_terms())
     law = alone.comparison.fit({**alone.beside, "v": with_floats(parse(texts["v"]))})
     assert skeleton(found[0]) == skeleton(law.exprs["v"])
+
+
+def test_a_sum_of_whole_powers_goes_before_any_exponent():
+    """A fan's friction and drag are found, not one power between them; a lone state may have one."""
+    texts = {"i": "-1.4*i - 0.6*w + 5", "w": "1.2*i - 0.1*w - 0.07*w^2"}
+    data = measured(tuple(texts.items()), (0.1, 0.1), 8.0, 300, 0.01)
+    alone = Alone.of("w", data, COMPARISON)
+    found = alone.rank(alone.sums_of_terms())
+    law = alone.comparison.fit({"w": with_floats(parse(texts["w"]))})
+    assert skeleton(found[0]) == skeleton(law.exprs["w"])
+    grown = (("n", "1.3*n - 0.4*n^1.7"),)
+    alone = Alone.of("n", measured(grown, (0.1,), 6.0, 300, 0.01), COMPARISON)
+    (best, *_) = alone.rank(alone.sums_of_terms())
+    assert best.atoms(sympy.Pow).pop().exp == pytest.approx(1.7, abs=0.15)
