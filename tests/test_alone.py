@@ -65,7 +65,7 @@ def test_forces_of_long_sums_are_found():
 
 
 def test_a_sum_of_whole_powers_goes_before_any_exponent():
-    """A fan's friction and drag are found, not one power between them; a lone state may have one."""
+    """A fan's friction and drag are found, no power between them; a lone state may have one."""
     texts = {"i": "-1.4*i - 0.6*w + 5", "w": "1.2*i - 0.1*w - 0.07*w^2"}
     data = measured(tuple(texts.items()), (0.1, 0.1), 8.0, 300, 0.01)
     alone = Alone.of("w", data, COMPARISON)
