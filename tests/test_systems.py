@@ -468,3 +468,19 @@ def test_columns_that_move_as_one_hold_no_law_apart():
         mine = found.equations[state].free_symbols
         named = other if mine == {sympy.Symbol(state)} else state
         assert "cannot be told apart" in own.reason and named in own.rivals[0].equation
+
+
+def test_what_vanished_from_a_fit_is_no_system():
+    """A fit that left a constant at exactly 0 holds a term less than it has constants: it is none."""
+    comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
+    exprs = {"S": parse("-0.4*S*J"), "J": parse("0.4*S*J - 0.1*J + 0.01*J^2")}
+    whole = comparison.fit(exprs)
+    none = [0 * c if abs(c) < 0.05 else c for c in map(sympy.Float, whole.fit.constants)]
+    fewer = replace(whole.fit, exprs=whole.problem.put(none))
+    assert len(constants_in(fewer)) < len(whole.fit.constants)
+    assert comparison._count(whole.problem, fewer) is None
+
+
+def constants_in(fit):
+    """Floats of the equations of a fit."""
+    return [number for expr in fit.exprs.values() for number in expr.atoms(sympy.Float)]

@@ -255,6 +255,9 @@ class SystemComparison:
         """Give a fit with its bits; None for none, and for one that is no system."""
         if found is None or self._has_pole(found) or any(map(self._is_bare, found.exprs.values())):
             return None
+        # Terms whose constants came to be 0 or alike are no more in it.
+        if len(owners_of(found.exprs)) < len(found.constants):
+            return None
         return SystemFit(problem, found, self.bits(found))
 
     def _is_bare(self, expr: sympy.Expr) -> bool:
