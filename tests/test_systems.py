@@ -471,7 +471,7 @@ def test_columns_that_move_as_one_hold_no_law_apart():
 
 
 def test_what_vanished_from_a_fit_is_no_system():
-    """A fit that left a constant at exactly 0 holds a term less than it has constants: it is none."""
+    """A fit that left a constant at exactly 0 has fewer terms than constants: it is none."""
     comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
     exprs = {"S": parse("-0.4*S*J"), "J": parse("0.4*S*J - 0.1*J + 0.01*J^2")}
     whole = comparison.fit(exprs)
