@@ -5,6 +5,7 @@ import sympy
 from measured_systems import floats, measured
 
 from dynsr.fit import skeleton
+from dynsr.selection.alone import Alone
 from dynsr.selection.comparison import COMPARISON, SystemComparison
 from dynsr.selection.polynomials import fit_polynomials
 
@@ -20,7 +21,8 @@ def fitted(equations, start, end, rows):
     """Systems of products for rows with 1 % noise, and the law's own fit."""
     data = measured(tuple(equations.items()), start, end, rows, 0.01)
     mesh, begun = data.mesh(tuple(equations)), floats(equations)
-    found = fit_polynomials(SystemComparison(mesh), data, begun)
+    alone = {s: Alone.of(s, data, COMPARISON) for s in equations}
+    found = fit_polynomials(SystemComparison(mesh), alone, begun)
     return found, SystemComparison(mesh).fit(begun), data
 
 
@@ -52,4 +54,5 @@ def test_many_rows_and_few_numbers_are_left_alone():
     for rows, end in ((400, 8.0), (12, 2.0)):
         data = measured(tuple(RING.items()), (-4.1, -3.9, 0.5), end, rows, 0.01)
         comparison = SystemComparison(data.mesh(tuple(RING)), COMPARISON)
-        assert fit_polynomials(comparison, data, floats(RING)) == []
+        alone = {s: Alone.of(s, data, COMPARISON) for s in RING}
+        assert fit_polynomials(comparison, alone, floats(RING)) == []

@@ -57,8 +57,6 @@ class CollocationSettings:
 COLLOCATION = CollocationSettings()
 # Share of the largest eigenvalue of the scaled information below which a direction is rounding.
 _SILENT = 1e-12
-# The same for directions in which constants are not moved.
-_SHARED = 1e-9
 # Simple numbers are judged by differences of some units in a sum of squares of thousands.
 _CLOSELY = replace(COLLOCATION, steps=40, gain=1e-8)
 # Intervals after which a solution begins anew where it is asked how far states are off it.
@@ -241,27 +239,11 @@ class Linearised:
     pull: np.ndarray
     squares: float
 
-    def moved(self, places: np.ndarray) -> np.ndarray:
-        """How far the constants of some places move against the pull when no others do.
-
-        Parameters
-        ----------
-        places : theirs; of what others of them say as well each has a share.
-        """
-        own = self.information[np.ix_(places, places)]
-        units = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        scaled = own / np.outer(units, units)
-        found = np.linalg.lstsq(scaled, self.pull[places] / units, rcond=_SHARED)[0]
-        return np.asarray(found / units)
-
-    def left(self, places: np.ndarray) -> float:
-        """Sum of squares that is left where the constants of some places move too.
-
-        Parameters
-        ----------
-        places : theirs.
-        """
-        return float(self.squares - self.pull[places] @ self.moved(places))
+    @property
+    def gram(self) -> np.ndarray:
+        """(P + 1, P + 1) products of the slopes by all constants, and of the misses as the last."""
+        pull = self.pull[:, None]
+        return np.block([[self.information, pull], [pull.T, np.array([[self.squares]])]])
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,12 +30,14 @@ from dynsr.fit import (
 )
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import (
+    SIGMA,
     ComparisonSettings,
     Equations,
     SystemComparison,
     SystemFit,
     apart_by,
     leaves_noise,
+    most_of_noise,
 )
 from dynsr.selection.costs import (
     bodies_of,
@@ -48,7 +50,7 @@ from dynsr.selection.costs import (
     wide_factors,
 )
 from dynsr.selection.several import Goal, SeveralInside
-from dynsr.selection.subsets import Subset, best_subsets
+from dynsr.selection.subsets import Subset, best_subsets, solve_scaled, without
 from dynsr.selection.terms import Joint, Terms, move_inside, slopes_inside, weighted_sum
 from dynsr.selection.twins import exchanged
 
@@ -57,8 +59,6 @@ _OFFERED, _PLAINEST = 24, 40
 # Rows at which functions of several constants are evaluated, and the share of the largest direction
 # below which one says nothing.
 _SPREAD, _SAID = 160, 1e-9
-# Standard deviations of what noise leaves, up to which it is noise.
-_SIGMA = 3.0
 
 
 @dataclass(frozen=True)
@@ -194,21 +194,22 @@ class Alone:
         normal = self._normal(np.concatenate([compile_columns(exprs, names)(*points), moved]))
         if normal is None:
             return []
-        rows, angles = self.rows, self.comparison.angles
-        costs = np.array(
-            [
-                shape_bits(sympy.Float(0.5) * e)
-                + unusual_bits(e, angles)
-                - bodies.get(e, 0.0)
-                + constant_bits(rows) * (1 + len(e.atoms(sympy.Float)))
-                for e in exprs
-            ]
-        )
+        costs = np.array([self.term_bits(e) - bodies.get(e, 0.0) for e in exprs])
         subsets = best_subsets(
-            normal.information, -normal.pull, normal.squares, costs, rows, slopes=slopes
+            normal.information, -normal.pull, normal.squares, costs, self.rows, slopes=slopes
         )
         told = [s for s in subsets if any(exprs[i] in bodies for i in s.places)]
         return [_sum_of(exprs, s) for s in told[: settings.sums]]
+
+    def term_bits(self, body: sympy.Expr) -> float:
+        """Give the bits of a term with its coefficient and the constants inside it.
+
+        Parameters
+        ----------
+        body : the term.
+        """
+        written = shape_bits(sympy.Float(0.5) * body) + unusual_bits(body, self.comparison.angles)
+        return written + constant_bits(self.rows) * (1 + len(body.atoms(sympy.Float)))
 
     def gram(self, bodies: Sequence[sympy.Expr], plain: Sequence[sympy.Expr]) -> np.ndarray | None:
         """Products of terms, of their slopes by the constant inside each, and of plain terms.
@@ -229,10 +230,7 @@ class Alone:
         normal = self._normal(
             np.concatenate([values[: len(bodies)], slopes, values[len(bodies) :]])
         )
-        if normal is None:
-            return None
-        pull = normal.pull[:, None]
-        return np.block([[normal.information, pull], [pull.T, np.array([[normal.squares]])]])
+        return None if normal is None else normal.gram
 
     def fitted(self, bodies: Sequence[sympy.Expr]) -> sympy.Expr | None:
         """Give the sum of all of some terms that a linear fit expects; None where that fails.
@@ -244,7 +242,8 @@ class Alone:
         normal = self._normal(compile_columns(bodies, self.comparison.columns)(*self._points))
         if normal is None:
             return None
-        return weighted_sum((-normal.moved(np.arange(len(bodies)))).tolist(), bodies)
+        gram, places = normal.gram, list(range(len(bodies)))
+        return weighted_sum((-solve_scaled(gram, places, gram[places, -1:])[:, 0]).tolist(), bodies)
 
     def sums_around(self, angle: str) -> list[sympy.Expr]:
         """Give sums of what hangs from a joint that a linear fit expects most of.
@@ -376,11 +375,13 @@ class Alone:
         own = bodies_of(fit.exprs[self.state])
         if normal is None or not set(own) <= set(used):
             return False
-        few = normal.left(np.array([used.index(body) for body in own]))
-        gain, count = few - normal.left(np.arange(len(used))), len(used) - len(own)
-        rows = self.rows
-        most = rows * (1 + settings.excess + _SIGMA * math.sqrt(2 / rows))
-        return few <= most and gain <= count + _SIGMA * math.sqrt(2 * count)
+        few, every = (
+            float(without(normal.gram, places, len(used))[0, 0])
+            for places in ([used.index(body) for body in own], list(range(len(used))))
+        )
+        count = len(used) - len(own)
+        most = self.rows * float(most_of_noise(np.array(self.rows), settings))
+        return few <= most and few - every <= count + SIGMA * math.sqrt(2 * count)
 
     @cached_property
     def _of_powers(self) -> Linearised | None:

@@ -465,11 +465,9 @@ def gram_of(fit: SystemFit, probes: Probes, stiffness: float | None = None) -> n
     """
     found = fit.fit
     try:
-        normal = fit.problem.normal(found.states, found.constants, probes, stiffness)
+        gram = fit.problem.normal(found.states, found.constants, probes, stiffness).gram
     except (LinAlgError, ValueError):
         return None
-    pull = normal.pull[:, None]
-    gram = np.block([[normal.information, pull], [pull.T, np.array([[normal.squares]])]])
     return gram if np.all(np.isfinite(gram)) else None
 
 

@@ -53,6 +53,8 @@ _NEAR = 4.0
 _BARE = 1e-4
 # Bits of an exponent that is no whole or half number, where a column is not the only one.
 _ANY_POWER = 5.0
+# Standard deviations of what noise leaves, up to which it is noise.
+SIGMA = 3.0
 # Bits of saying whose twin an equation is.
 _TWIN = 4.0
 # Standard errors from 0 from which on a constant is told from it.
@@ -490,8 +492,18 @@ def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
     settings : the numbers that decide.
     """
     rows = fit.problem.mesh.rows
-    most = 1 + settings.excess + 3 * np.sqrt(2 / np.maximum(rows, 1.0))
-    return bool(np.all((fit.fit.mean_squares <= most) | (rows == 0)))
+    return bool(np.all((fit.fit.mean_squares <= most_of_noise(rows, settings)) | (rows == 0)))
+
+
+def most_of_noise(rows: np.ndarray, settings: ComparisonSettings) -> np.ndarray:
+    """Mean square of normal misses of some rows, in units of their noise, up to which it is noise.
+
+    Parameters
+    ----------
+    rows : measured rows, an array of any shape.
+    settings : the numbers that decide.
+    """
+    return np.asarray(1 + settings.excess + SIGMA * np.sqrt(2 / np.maximum(rows, 1.0)))
 
 
 def apart_by(own: np.ndarray, other: sympy.Expr, columns: Mapping[str, np.ndarray]) -> float:

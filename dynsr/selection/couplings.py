@@ -7,7 +7,6 @@ short, and is found as short sums are.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations, permutations, product
@@ -104,11 +103,9 @@ def _say_both(
     for own, its in product(one, other):
         tie = own.size * its.size
         if own.factor == its.factor != (0, 0) and 0 < tie < 1:
-            wave = math.prod(w**power for w, power in zip(waves, own.factor, strict=True))
+            wave, rest = waves if own.factor == (1, 0) else waves[::-1]
             # Over 1 - a b and what is 1 less the square of the wave, nothing can be 0.
-            line = 1 + sympy.Float(tie / (1 - tie)) * math.prod(
-                w ** (2 - 2 * power) for w, power in zip(waves, own.factor, strict=True)
-            )
+            line = 1 + sympy.Float(tie / (1 - tie)) * rest**2
             tops = (
                 own.beside + sympy.Float(own.size) * wave * its.beside,
                 its.beside + sympy.Float(its.size) * wave * own.beside,

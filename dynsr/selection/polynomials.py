@@ -9,12 +9,11 @@ data do not need are gone is a start for the search along them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import sympy
 
-from dynsr.fit import Measurements
 from dynsr.selection.alone import Alone
 from dynsr.selection.changes import drop_least
 from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, owners_of
@@ -28,7 +27,7 @@ _BEYOND = 60.0
 
 
 def fit_polynomials(
-    comparison: SystemComparison, data: Measurements, exprs: Equations
+    comparison: SystemComparison, alone: Mapping[str, Alone], exprs: Equations
 ) -> list[SystemFit]:
     """Fit all products of low degree in every equation; gives the best thinned system of each.
 
@@ -37,18 +36,18 @@ def fit_polynomials(
     Parameters
     ----------
     comparison : fits the systems.
-    data : the measured states, their noise and smoothed curves.
+    alone : each state whose equation is no bare column, by itself.
     exprs : state -> equation; that of a bare column, such as q' = v, stays as it is.
     """
     if comparison.mesh.rows.max() > _ROWS or len(comparison.names) < 2:
         return []
-    begun = (_all_products(comparison, data, exprs, degree) for degree in _DEGREES)
+    begun = (_all_products(comparison, alone, exprs, degree) for degree in _DEGREES)
     fits = (comparison.fit(system) for system in begun if system is not None)
     return [min(_thin(comparison, f), key=lambda f: f.bits) for f in fits if f is not None]
 
 
 def _all_products(
-    comparison: SystemComparison, data: Measurements, exprs: Equations, degree: int
+    comparison: SystemComparison, alone: Mapping[str, Alone], exprs: Equations, degree: int
 ) -> Equations | None:
     """Put all products into every equation, as they follow the curves; None where too many."""
     bodies = [sympy.S.One, *products(comparison.names, degree)]
@@ -58,7 +57,7 @@ def _all_products(
     settings, found = comparison.settings, dict(exprs)
     for state in own:
         allow = settings.demands.limits(state).allow
-        told = Alone.of(state, data, settings).fitted([b for b in bodies if allow(b)])
+        told = alone[state].fitted([b for b in bodies if allow(b)])
         if told is None:
             return None
         found[state] = settings.demands.force(state, told)

@@ -16,19 +16,16 @@ import numpy as np
 import sympy
 
 from dynsr.expression import ByText
-from dynsr.fit import constant_bits
 from dynsr.selection.alone import Alone, Leader
 from dynsr.selection.comparison import SystemComparison, SystemFit
-from dynsr.selection.costs import citing_bits, shape_bits, unusual_bits
-from dynsr.selection.subsets import best_subsets, solve_scaled, without
+from dynsr.selection.costs import citing_bits
+from dynsr.selection.subsets import FARTHEST, best_subsets, solve_scaled, without
 from dynsr.selection.terms import move_inside, weighted_sum
 
 # Terms that may be shared, plain ones beside them, and how many of these at most.
 _OFFERED, _PLAINEST, _BESIDE = 160, 40, 3
 # Subsets of each size that are grown, systems that are fitted, and those that are given.
 _BEAM, _FITTED, _GIVEN = 8, 8, 2
-# Logarithm of a constant inside by which a linear fit may move it.
-_FARTHEST = 1.0
 
 
 @dataclass(frozen=True)
@@ -104,20 +101,13 @@ def _sums_with(
     gram = alone.gram(bodies, plain) if plain else None
     if gram is None:
         return {}
-    each = constant_bits(alone.rows)
-    costs = np.array([each + _written(expr, comparison) for expr in plain])
+    costs = np.array([alone.term_bits(expr) for expr in plain])
     found = {}
     for place, body in enumerate(bodies):
-        curved = bool(body.atoms(sympy.Float))
-        own = _sum_with(
-            gram, [place, len(bodies) + place] if curved else [place], plain, costs, alone
-        )
-        found[body] = replace(own, bits=own.bits + _written(body, comparison) + each * (1 + curved))
+        loose = [place, len(bodies) + place] if body.atoms(sympy.Float) else [place]
+        own = _sum_with(gram, loose, plain, costs, alone)
+        found[body] = replace(own, bits=own.bits + alone.term_bits(body))
     return found
-
-
-def _written(expr: sympy.Expr, comparison: SystemComparison) -> float:
-    return shape_bits(sympy.Float(0.5) * expr) + unusual_bits(expr, comparison.angles)
 
 
 def _sum_with(
@@ -146,7 +136,7 @@ def _sum_with(
     free = [*loose, *(first + place for place in places)]
     sizes = -solve_scaled(gram, free, gram[free, -1:])[:, 0]
     shift = sizes[1] / sizes[0] if len(loose) > 1 else 0.0
-    if not abs(shift) <= _FARTHEST:
+    if not abs(shift) <= FARTHEST:
         # A linear step says nothing of what is far away.
         return _sum_with(gram, loose[:1], plain, costs, alone)
     beside = weighted_sum(sizes[len(loose) :].tolist(), [plain[i] for i in places])

@@ -17,7 +17,7 @@ _NOTHING = 1e-7
 # Below this share of its size a free direction is only rounding away from the others.
 _SINGULAR = 1e-9
 # Logarithm of a constant inside by which a linear fit may move it.
-_FARTHEST = 1.0
+FARTHEST = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ def _subset(
         return Subset(places, values, float(left), bits, np.zeros(len(own)))
     moved = np.where(own >= 0, found[own], 0.0)
     with np.errstate(all="ignore"):
-        shifts = np.nan_to_num(np.clip(moved / values, -_FARTHEST, _FARTHEST))
+        shifts = np.nan_to_num(np.clip(moved / values, -FARTHEST, FARTHEST))
     return Subset(places, values, float(left), bits, shifts)
 
 
@@ -202,7 +202,7 @@ class _Layer:
             shift = moved / mine * (scale[terms] / scale[slopes])
             both = mine * rest + moved * pull
         fine = (slopes >= 0) & (own > _NOTHING) & (whole > _NOTHING * own)
-        return np.where(fine & (np.abs(shift) <= _FARTHEST), both, alone)
+        return np.where(fine & (np.abs(shift) <= FARTHEST), both, alone)
 
 
 def solve_scaled(gram: np.ndarray, loose: Sequence[int], sides: np.ndarray) -> np.ndarray:

@@ -203,7 +203,7 @@ def compare_systems(
     if not found:
         return SystemChoice(dict(exprs))
     if not leaves_noise(found[0], settings):
-        begun = fit_polynomials(comparison, data, {s: pool[0] for s, pool in pools.items()})
+        begun = fit_polynomials(comparison, known.alone, {s: pool[0] for s, pool in pools.items()})
         found = sorted(dict.fromkeys([*found, *begun]), key=lambda fit: fit.bits)
     found = found[: settings.ends]
     best = known.refined.get(tuple(found)) or _refine(found, data, comparison, ends)

@@ -148,10 +148,8 @@ class Terms:
         """
         degrees, rational = _degrees(self.exprs, self.names), _are_rational(self.exprs, self.names)
         polynomial = degrees < _NO_POLYNOMIAL
-        bare = [
-            not i and len(e.free_symbols) == 1 for e, i in zip(self.exprs, self.inside, strict=True)
-        ]
-        kinds = (degrees <= 2, polynomial, polynomial | bare, rational, np.ones_like(rational))
+        forces = polynomial | _are_bare(self.exprs)
+        kinds = (degrees <= 2, polynomial, forces, rational, np.ones_like(rational))
         found = {int(kind.sum()): np.flatnonzero(kind) for kind in kinds if kind.any()}
         return tuple(found.values())
 
@@ -221,6 +219,12 @@ def _degrees(exprs: tuple[sympy.Expr, ...], names: tuple[str, ...]) -> np.ndarra
 def _are_rational(exprs: tuple[sympy.Expr, ...], names: tuple[str, ...]) -> np.ndarray:
     symbols = [sympy.Symbol(name) for name in names]
     return np.array([e.is_rational_function(*symbols) for e in exprs], dtype=bool)
+
+
+@lru_cache(maxsize=64)
+def _are_bare(exprs: tuple[sympy.Expr, ...]) -> np.ndarray:
+    """Whether each term holds one column and no constant to be fitted."""
+    return np.array([len(e.free_symbols) == 1 and not e.atoms(sympy.Float) for e in exprs])
 
 
 def move_inside(term: sympy.Expr, shift: float) -> sympy.Expr:
