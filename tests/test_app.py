@@ -64,6 +64,33 @@ def test_two_pages_have_two_tokens(page):
         assert other.end() == (0, "")
 
 
+def test_a_page_ends_without_a_word_while_its_worker_still_loads(tmp_path):
+    """A worker that is to leave before it has loaded leaves at once, and interrupts no import."""
+    # A compiled module says what interrupts the imports of its own as an ImportError.
+    script = f"""
+        import multiprocessing, sys, time
+        from pathlib import Path
+        from dynsr.app.worker import LEAVE, run
+
+        class Compiled:
+            def find_spec(self, name, *_):
+                if name == "dynsr.app.work":
+                    ours.send((0, LEAVE, {{}}))
+                    try:
+                        time.sleep(30)
+                    except KeyboardInterrupt:
+                        raise ImportError("could not import module") from None
+
+        ours, theirs = multiprocessing.Pipe()
+        sys.meta_path.insert(0, Compiled())
+        run(theirs, Path({str(tmp_path)!r}), 1)
+    """
+    command = [sys.executable, "-c", inspect.cleandoc(script)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=20)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
+    assert tmp_path.exists()
+
+
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:{}", "127.0.0.1", "[::1]:{}", ""])
 def test_another_name_for_this_machine_is_refused(page, host):
     """A name that was made to point here (DNS rebinding) is answered with nothing."""

@@ -69,7 +69,7 @@ class _Worker:
         self._jobs: SimpleQueue[tuple[int, str, dict[str, Any]]] = SimpleQueue()
         self.said: SimpleQueue[tuple[str, Any] | None] = SimpleQueue()
         self._current = self._taken = 0
-        self._leaving = False
+        self._loaded = self._leaving = False
 
     def listen(self) -> None:
         """Take jobs, and requests to stop, until nobody is there any more."""
@@ -85,11 +85,16 @@ class _Worker:
             elif verb not in (STOP, LEAVE):
                 self._jobs.put((number, verb, arguments))
         self._leaving = True
-        _interrupt()
-        self._jobs.put((0, LEAVE, {}))
+        loaded = self._loaded
+        if loaded:
+            _interrupt()
+            self._jobs.put((0, LEAVE, {}))
         if verb != LEAVE:
             # Who made the folder is gone without a word, and data are not left behind.
             shutil.rmtree(self._folder, ignore_errors=True)
+        if not loaded:
+            # Compiled modules tell an interrupt of their import as an error of their own.
+            os._exit(0)
         # Of itself the process ends before that, with all that it started.
         time.sleep(_SECONDS_TO_LEAVE)
         os._exit(1)
@@ -104,6 +109,7 @@ class _Worker:
         """Do jobs, one after the other."""
         from dynsr.app.work import Work
 
+        self._loaded = True
         work = Work(self._folder, lambda name, content: self.said.put((name, content)), jobs)
         work.offer()
         while not self._leaving:
