@@ -8,7 +8,7 @@ from measured_systems import run
 import dynsr
 from dynsr.data import choose_samples, join_samples
 from dynsr.expression import evaluate, parse, ratio_forms
-from dynsr.fit import confirm, simplest_form
+from dynsr.fit import Shooting, approach, confirm, simplest_form, skeleton
 from dynsr.selection import look, look_again
 
 LAWS = {
@@ -86,6 +86,44 @@ def test_a_short_arc_is_not_final():
     rhs = lambda x: (-np.sqrt(1.7 + x**2) * np.exp(-x),)  # noqa: E731
     data = run(rhs, (1.0,), 0.3, 60, ("x",))
     assert not look(choose_samples([data], "x")).final
+
+
+def test_exact_states_are_met_from_far_off():
+    """Twelve wrong constants are led to the law of exact rows, and what is nothing is left out;
+    in noise of a thousandth nothing is met, nor by what lacks a term.
+    """
+    rhs, start, _, names, law = LAWS["two species"]
+    exact = run(rhs, start, 12.0, 60, names)
+    rng = np.random.default_rng(1)
+    products = [parse(text) for text in ("1", "x", "y", "x*y", "x^2", "y^2")]
+    true = {"x": (0, 0.7, 0, -0.4, 0, 0), "y": (0, 0, -0.9, 0.3, 0, 0)}
+    wrong = {state: own + 0.2 * rng.normal(size=6) for state, own in true.items()}
+
+    def summed(numbers, count=6):
+        return sum(sympy.Float(c) * b for c, b in zip(numbers[:count], products, strict=False))
+
+    far = {state: summed(own) for state, own in wrong.items()}
+    met = approach(far, [exact], {})
+    for state, own in law.items():
+        assert skeleton(met[state]) == skeleton(parse(own))
+        assert evaluate(met[state] - parse(own), exact.by_name) == pytest.approx(0, abs=1e-5)
+    noise = 1e-3 * exact.x.std(axis=0) * rng.standard_normal(exact.x.shape)
+    assert approach(far, [dynsr.Trajectory(exact.t, exact.x + noise, names)], {}) is None
+    assert approach({s: summed(own, 3) for s, own in wrong.items()}, [exact], {}) is None
+
+
+def test_what_exact_states_do_not_confirm_is_given_up_soon(monkeypatch):
+    """Of a law each step leaves a small part of the misses; where steps creep no more are taken."""
+    rhs, start, _, names, _ = LAWS["two species"]
+    exact = run(rhs, start, 30.0, 60, names)
+    steps = []
+    linearise = Shooting.linearise
+    monkeypatch.setattr(
+        Shooting, "linearise", lambda self, *given: steps.append(1) or linearise(self, *given)
+    )
+    creeping = {"x": parse("0.9*sqrt(x) - 0.5*x*y/(x + 0.3)"), "y": parse("0.4*x - 0.8*y")}
+    assert confirm(creeping, [exact], {}) is None
+    assert 0 < len(steps) < 15
 
 
 def test_noise_is_never_final():

@@ -234,6 +234,21 @@ def test_exact_rows_far_apart_are_no_noise():
 
 
 @pytest.mark.slow
+def test_sums_of_products_are_confirmed_between_distant_exact_rows():
+    """Eight rows a turn, most of which is a jump that none of them sees: the law at the first look,
+    though curves through such rows tell nothing of the fast state.
+    """
+    t = np.linspace(0, 45, 50)
+    run = solve(lambda _, s: _jumps(*s), [4.0, 1.1, 4.0], t, ("x", "y", "z"))
+    found = dynsr.discover(run, jobs=1)
+    assert found.settings["first_look"] == ["x", "y", "z"]
+    assert found.verdict.level == "law"
+    assert coefficients(found.equations["x"]) == {"x": 30.0, "y": 30.0, "x*y": -30.0, "x**2": -0.9}
+    assert coefficients(found.equations["y"]) == {"z": 0.24, "y": -0.2, "x*y": -0.2}
+    assert coefficients(found.equations["z"]) == {"x": 0.3, "z": -0.3}
+
+
+@pytest.mark.slow
 def test_what_slopes_of_few_exact_rows_leave_open_the_states_decide():
     """A cyclic flow of sines of scaled columns (after Thomas 1999), twenty rows a turn: the law."""
     t = np.linspace(0, 50, 100)
@@ -249,6 +264,10 @@ def test_what_slopes_of_few_exact_rows_leave_open_the_states_decide():
 
 def _ring(x, y, z):
     return [np.sin(1.37 * y) - 0.23 * x, np.sin(1.37 * z) - 0.23 * y, np.sin(1.37 * x) - 0.23 * z]
+
+
+def _jumps(x, y, z):
+    return [30 * (x + y - x * y) - 0.9 * x**2, (1.2 * z - y - x * y) / 5, 0.3 * (x - z)]
 
 
 def _turn(x, y):

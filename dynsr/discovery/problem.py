@@ -37,6 +37,7 @@ from dynsr.fit import (
     Measurements,
     Noise,
     ParetoFront,
+    approach,
     confirm,
     description_length,
     is_noisy,
@@ -65,16 +66,14 @@ from dynsr.selection import (
     SystemFit,
     compare_systems,
     families,
+    follow_anything,
+    may_be_exact,
     other_in_halves,
 )
 
 Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 # Misses in units of the noise below which there may be none.
 _FAR_BELOW_NOISE = 0.2
-# Share of the spread up to which what looks like noise may be all of rows far apart.
-_MAY_BE_EXACT = 1e-3
-# Mean squared miss of a state, in units of its noise, that noise does not leave.
-_TOO_CLOSE = 0.3
 # Times the loss of the likeliest formula up to which others may be as good on slopes.
 _AS_NEAR = 10.0
 
@@ -245,7 +244,7 @@ class Problem:
         if data is None or not len(fitted.misses):
             return None
         close = float(np.sqrt(np.mean(fitted.misses**2))) < _FAR_BELOW_NOISE
-        if not close and data.parts == 1 and data.noise_share > _MAY_BE_EXACT:
+        if not close and data.parts == 1 and not data.may_be_exact:
             return None
         return self._confirmed(loosen_all(fitted.exprs))
 
@@ -417,7 +416,31 @@ class Problem:
             found = self._confirmed(whole)
             if found is not None:
                 return {s: found[s] - self.known.get(s, sympy.S.Zero) for s in exprs}
-        return {}
+        found = self._confirm_polynomials({s: pool[0] for s, pool in near.items()})
+        return {s: found[s] for s in near} if found else {}
+
+    def _confirm_polynomials(
+        self, exprs: Mapping[str, sympy.Expr]
+    ) -> Mapping[str, sympy.Expr] | None:
+        """Give the sums of products that exact states between distant rows leave no doubt of."""
+        data, comparison = self.measurements, self.settings.selection.comparison
+        if data is None or data.parts == 1 or data.noise_share > comparison.doubtful:
+            return None
+        given, fit = self.form.known, self.settings.selection.fit
+        exprs = {s: given.get(s, exprs.get(s)) for s in self.form.complete(tuple(exprs))}
+
+        def confirmed() -> Mapping[str, sympy.Expr] | None:
+            for whole in follow_anything(exprs, data, comparison):
+                left = approach(whole.exprs, self.runs, self.inputs, fit)
+                found = None if left is None else self._confirmed(left)
+                if found is not None:
+                    return found
+            return None
+
+        until = self.budget.until(self.settings.shares.searches)
+        found, cut = finish_by(until, confirmed, lambda: None)
+        self.cut.extend(["first look"] if cut else [])
+        return found
 
     def _confirmed(self, whole: Mapping[str, sympy.Expr]) -> Mapping[str, sympy.Expr] | None:
         found, cut = finish_by(
@@ -519,9 +542,7 @@ class Problem:
 
         @cache
         def ends(fit: SystemFit) -> bool:
-            # What is followed far closer than noise allows has none.
-            least = float(np.min(fit.fit.mean_squares))
-            exact = data.noise_share <= _MAY_BE_EXACT or least < _TOO_CLOSE
+            exact = may_be_exact(fit, data)
             return exact and self._confirmed(loosen_all(fit.exprs)) is not None
 
         choice = compare_systems(exprs, pools, data, comparison, self._compared, ends)

@@ -20,7 +20,7 @@ from .description import (
     shift_bits,
     structure_bits,
 )
-from .exact import confirm, simplest_form
+from .exact import approach, confirm, simplest_form
 from .flow import Flow, Pace, Windows, cut_windows, runge_kutta_step
 from .forced import missing_terms
 from .linear import (
@@ -85,6 +85,7 @@ __all__ = [
     "RatioFit",
     "Shooting",
     "Windows",
+    "approach",
     "build_shooting",
     "cauchy_weights",
     "choose",

@@ -65,6 +65,8 @@ _APART = 10
 _FACTOR, _EXPONENT = 3.0, 1.0
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
 _TURN, _PARTS, _NODES = 20.0, 4, 2000
+# Noise, as a share of the spread, up to which it may be none.
+_MAY_BE_EXACT = 1e-3
 # Noise, as a share of the spread, that hides the errors of so many rows.
 _HIDES = 5e-3
 # Share of its spread in which the defects of a state that is not measured are counted.
@@ -677,6 +679,7 @@ class Measurements:
     smoothed : the runs made smooth, with the noise of every row.
     derived : state -> its slope, a column that was made from it and is not measured itself.
     finest : share of a state's spread below which no noise is believed.
+    fineness : times as many parts between rows as noise asks for.
     """
 
     runs: Sequence[Trajectory]
@@ -684,6 +687,7 @@ class Measurements:
     smoothed: Sequence[SmoothedTrajectory]
     derived: Mapping[str, sympy.Symbol] = field(default_factory=dict)
     finest: float = 1e-5
+    fineness: int = 1
 
     @classmethod
     def of(
@@ -727,6 +731,11 @@ class Measurements:
         own = [np.median(column[np.isfinite(column)]) for column in noise.T[measured]]
         return float(np.median(own / np.maximum(spread[measured], 1e-300)))
 
+    @property
+    def may_be_exact(self) -> bool:
+        """Whether noise is so little that it may be none, and all of rows far apart."""
+        return self.noise_share <= _MAY_BE_EXACT
+
     @cached_property
     def period(self) -> float:
         """Rows that an oscillation of the fastest state takes.
@@ -751,7 +760,7 @@ class Measurements:
         rows = sum(len(smoothed.x) for smoothed in self.smoothed)
         most = max(1, min(_PARTS, _NODES // rows))
         finer = float(np.clip((_HIDES / max(self.noise_share, 1e-12)) ** 0.25, 1.0, 2.0))
-        return int(np.clip(math.ceil(_TURN * finer / self.period), 1, most))
+        return self.fineness * int(np.clip(math.ceil(_TURN * finer / self.period), 1, most))
 
     def _nodes(self, t: np.ndarray) -> np.ndarray:
         """Times of the rows, those between them included."""

@@ -1,4 +1,4 @@
-from .comparison import ComparisonSettings, SystemFit
+from .comparison import ComparisonSettings, SystemFit, may_be_exact
 from .first_look import Look, LookSettings, look, look_again
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
@@ -12,7 +12,14 @@ from .pick import (
     trivial_candidates,
 )
 from .relations import is_left_open
-from .systems import Compared, SystemChoice, compare_systems, explore, other_in_halves
+from .systems import (
+    Compared,
+    SystemChoice,
+    compare_systems,
+    explore,
+    follow_anything,
+    other_in_halves,
+)
 from .twins import families
 
 __all__ = [
@@ -32,11 +39,13 @@ __all__ = [
     "explore",
     "families",
     "find_followers",
+    "follow_anything",
     "forecast_miss",
     "is_left_open",
     "lead_with",
     "look",
     "look_again",
+    "may_be_exact",
     "other_in_halves",
     "pick_equation",
     "rank_by_length",

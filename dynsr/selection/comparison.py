@@ -55,6 +55,8 @@ _BARE = 1e-4
 _ANY_POWER = 5.0
 # Standard deviations of what noise leaves, up to which it is noise.
 SIGMA = 3.0
+# Mean squared miss of a state, in units of its noise, that noise does not leave.
+_TOO_CLOSE = 0.3
 # Bits of saying whose twin an equation is.
 _TWIN = 4.0
 # Standard errors from 0 from which on a constant is told from it.
@@ -493,6 +495,19 @@ def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
     """
     rows = fit.problem.mesh.rows
     return bool(np.all((fit.fit.mean_squares <= most_of_noise(rows, settings)) | (rows == 0)))
+
+
+def may_be_exact(fit: SystemFit, data: Measurements) -> bool:
+    """Whether there may be no noise at all, but rows far apart that look like it.
+
+    What is followed far closer than noise allows has none.
+
+    Parameters
+    ----------
+    fit : a system.
+    data : the measured states that it was fitted to.
+    """
+    return data.may_be_exact or float(np.min(fit.fit.mean_squares)) < _TOO_CLOSE
 
 
 def most_of_noise(rows: np.ndarray, settings: ComparisonSettings) -> np.ndarray:

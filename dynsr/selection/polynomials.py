@@ -39,11 +39,26 @@ def fit_polynomials(
     alone : each state whose equation is no bare column, by itself.
     exprs : state -> equation; that of a bare column, such as q' = v, stays as it is.
     """
+    whole = whole_polynomials(comparison, alone, exprs)
+    return [min(_thin(comparison, fit), key=lambda f: f.bits) for fit in whole]
+
+
+def whole_polynomials(
+    comparison: SystemComparison, alone: Mapping[str, Alone], exprs: Equations
+) -> Iterator[SystemFit]:
+    """Fit all products of low degree in every equation, as :func:`fit_polynomials` begins.
+
+    Parameters
+    ----------
+    comparison, alone, exprs : as there.
+    """
     if comparison.mesh.rows.max() > _ROWS or len(comparison.names) < 2:
-        return []
-    begun = (_all_products(comparison, alone, exprs, degree) for degree in _DEGREES)
-    fits = (comparison.fit(system) for system in begun if system is not None)
-    return [min(_thin(comparison, f), key=lambda f: f.bits) for f in fits if f is not None]
+        return
+    for degree in _DEGREES:
+        system = _all_products(comparison, alone, exprs, degree)
+        fit = None if system is None else comparison.fit(system)
+        if fit is not None:
+            yield fit
 
 
 def _all_products(

@@ -13,6 +13,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -38,11 +39,12 @@ from dynsr.selection.comparison import (
     SystemFit,
     apart_by,
     leaves_noise,
+    may_be_exact,
 )
 from dynsr.selection.costs import bare_terms, is_plain, rounded
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.first_look import look
-from dynsr.selection.polynomials import fit_polynomials
+from dynsr.selection.polynomials import fit_polynomials, whole_polynomials
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.replacements import try_replacements
 from dynsr.selection.shared import share_rates
@@ -213,6 +215,28 @@ def compare_systems(
     return SystemChoice(chosen, best, _closest(comparison, best))
 
 
+def follow_anything(
+    exprs: Equations, data: Measurements, settings: ComparisonSettings
+) -> Iterator[SystemFit]:
+    """Fit systems of all products of the columns, of degree two and then three.
+
+    Exact rows that are far apart show no slopes, but what integrates to all of them shows which of
+    the products are nothing.
+
+    Parameters
+    ----------
+    exprs : state -> equation; that of a bare column, such as q' = v, stays as it is.
+    data : the measured states, their noise and smoothed curves.
+    settings : the numbers that decide.
+    """
+    own = [state for state, expr in exprs.items() if not expr.is_Symbol]
+    # There is no noise that would hide the errors of the rule.
+    finer = replace(data, fineness=2 * data.fineness)
+    comparison = SystemComparison(finer.mesh(tuple(exprs)), settings)
+    alone = {state: Alone.of(state, finer, settings) for state in own}
+    yield from whole_polynomials(comparison, alone, exprs)
+
+
 def _refine(
     begun: Sequence[SystemFit],
     data: Measurements,
@@ -221,28 +245,11 @@ def _refine(
 ) -> SystemFit:
     """Look for terms along the ends of a search, and for other functions in their equations."""
     settings, states = comparison.settings, tuple(begun[0].exprs)
-    best = begun[0]
-    # A system that follows the data is the best smoother: terms are looked for along it again.
-    for number in range(settings.again):
-        if ends(best):
-            return best
-        if (number or data.noise_share < settings.doubtful) and leaves_noise(best, settings):
-            break
-        follower = data.along(best.fit.states, states)
-        found = {
-            s: [best.exprs[s]]
-            if best.exprs[s].is_Symbol
-            else [best.exprs[s], *explore(s, follower, settings, ratios=False)]
-            for s in states
-        }
-        others = _search(found, follower, comparison, {})
-        if not others or others[0].bits >= best.bits - settings.gain:
-            break
-        best = others[0]
 
     def climb(fit: SystemFit) -> SystemFit:
         return _climb(comparison, fit, {})
 
+    @cache
     def refine(fit: SystemFit) -> SystemFit:
         first = fit
         # What belongs together is passed by where one equation at a time is changed.
@@ -250,6 +257,23 @@ def _refine(
         for attempt in (try_replacements, try_stand_ins):
             fit = attempt(comparison, fit, climb)
         return fit if fit is first else try_couplings(comparison, fit, climb)
+
+    best = begun[0]
+    # A system that follows the data is the best smoother: terms are looked for along it again.
+    for number in range(settings.again):
+        if ends(best):
+            return best
+        if number and may_be_exact(best, data):
+            # What exact states confirm is often but one function away.
+            refined = refine(best)
+            if refined is not best and ends(refined):
+                return refined
+        if (number or data.noise_share < settings.doubtful) and leaves_noise(best, settings):
+            break
+        follower = _search_along(best, data, comparison)
+        if follower is None:
+            break
+        best = follower
 
     refined = best
     best = refine(best)
@@ -262,6 +286,28 @@ def _refine(
     for state in states:
         best = prune(comparison, best, state)
     return _prefer_reproducing(comparison, best)
+
+
+def _search_along(
+    fit: SystemFit, data: Measurements, comparison: SystemComparison
+) -> SystemFit | None:
+    """Look for terms along the states of a system; None where no others take fewer bits."""
+    settings, exprs = comparison.settings, fit.exprs
+    follower = data.along(fit.fit.states, tuple(exprs))
+    alone = {s: Alone.of(s, follower, settings) for s, e in exprs.items() if not e.is_Symbol}
+    found = {s: [e, *(alone[s].rank_sums() if s in alone else ())] for s, e in exprs.items()}
+
+    def searched() -> SystemFit | None:
+        others = _search(found, follower, comparison, alone)
+        return others[0] if others and others[0].bits < fit.bits - settings.gain else None
+
+    # Along exact states sums alone may lead to the law, and are quickly found.
+    better = searched() if may_be_exact(fit, data) else None
+    if better is None:
+        for s, one in alone.items():
+            found[s] = [exprs[s], *one.rank(() if one.is_clear() else one.sums_inside())]
+        better = searched()
+    return better
 
 
 def _search(
@@ -316,9 +362,7 @@ def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
     return one_of_each_shape(map(with_floats, pool))
 
 
-def explore(
-    state: str, data: Measurements, settings: ComparisonSettings, *, ratios: bool = True
-) -> list[sympy.Expr]:
+def explore(state: str, data: Measurements, settings: ComparisonSettings) -> list[sympy.Expr]:
     """Give sums of terms that follow one state best, the others read off their curves.
 
     The terms are evaluated along the smoothed states, and their integrals are fitted to the
@@ -331,7 +375,6 @@ def explore(
     state : whose equation is sought.
     data : the measured states, their noise and smoothed curves.
     settings : the numbers that decide.
-    ratios : whether ratios that follow the smoothed slopes are tried too.
     """
     alone = Alone.of(state, data, settings)
     found = alone.rank_sums()
@@ -339,7 +382,7 @@ def explore(
         return found
     found = alone.rank(alone.sums_inside())
     best = alone.best()
-    if not ratios or (best and is_plain(best.exprs[state]) and leaves_noise(best, settings)):
+    if best and is_plain(best.exprs[state]) and leaves_noise(best, settings):
         return found
     seen = look(data.samples(state), settings.demands.limits(state))
     angles = [a for a in alone.comparison.angles if _turns(a, data)]
