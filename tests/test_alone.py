@@ -9,8 +9,10 @@ from measured_systems import measured
 
 from dynsr.expression import parse
 from dynsr.fit import Linearised, skeleton, with_floats
+from dynsr.selection import explore
 from dynsr.selection.alone import Alone
 from dynsr.selection.comparison import COMPARISON, leaves_noise
+from dynsr.selection.costs import count_inverses
 from dynsr.selection.subsets import without
 
 FLOW = (("x", "10*(y - x)"), ("y", "28*x - y - x*z"), ("z", "x*y - 8*z/3"))
@@ -77,3 +79,14 @@ def test_a_sum_of_whole_powers_goes_before_any_exponent():
     alone = Alone.of("n", measured(grown, (0.1,), 6.0, 300, 0.01), COMPARISON)
     (best, *_) = alone.rank(alone.sums_of_terms())
     assert best.atoms(sympy.Pow).pop().exp == pytest.approx(1.7, abs=0.15)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_gene_that_is_repressed_has_a_limit(seed):
+    """Where repression is strong throughout, no number over a power of the other column leads."""
+    texts = {"a": "1.1/(1 + b^4) - 0.64*a", "b": "0.8*a - 0.5*b + 0.9"}
+    data = measured(tuple(texts.items()), (3.0, 1.5), 14.0, 100, 0.01, seed)
+    best, *_ = explore("a", data, COMPARISON)
+    assert count_inverses(best, "a") == 0
+    # Of a column's own power no limit is asked: what falls has none where it comes to 0.
+    assert count_inverses(parse("2/a^2 - 3/a^3"), "a") == 0

@@ -31,6 +31,7 @@ from dynsr.methods import Demands, MonomialLibrary
 from dynsr.selection.costs import (
     cited_bits,
     count_free_powers,
+    count_inverses,
     in_coordinates,
     saturating,
     shape_bits,
@@ -53,6 +54,8 @@ _NEAR = 4.0
 _BARE = 1e-4
 # Bits of an exponent that is no whole or half number, where a column is not the only one.
 _ANY_POWER = 5.0
+# Bits of a number over a power of another column.
+_INVERSE = 5.0
 # Standard deviations of what noise leaves, up to which it is noise.
 SIGMA = 3.0
 # Mean squared miss of a state, in units of its noise, that noise does not leave.
@@ -372,6 +375,7 @@ class SystemComparison:
         # A lone state grows by any power; what several states do to each other seldom has one.
         if len(self.names) > 1:
             said += _ANY_POWER * sum(map(count_free_powers, flat))
+            said += _INVERSE * sum(count_inverses(e, s) for s, e in exprs.items())
         length = information_criterion(squares, self.mesh.rows, flat, constants, written_length)
         return length + said - self.common_bits(exprs, flat, _doubtful(fit))
 

@@ -132,6 +132,28 @@ def count_free_powers(expr: sympy.Expr) -> int:
     return sum(factor.is_Pow and factor.exp.is_Float for factor in factors)
 
 
+def count_inverses(expr: sympy.Expr, state: str) -> int:
+    """Count the terms that are a number over powers of other columns than a state's own.
+
+    They are without limit where those columns come to 0, which what one does to another seldom is.
+
+    Parameters
+    ----------
+    expr : the state's equation.
+    state : its name.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> count_inverses(2.5 / y - 0.3 * x / y + 1 / x**2 + 1 / (y + 0.5), "x")
+    1
+    """
+    over = (sympy.Mul.make_args(term) for term in sympy.Add.make_args(expr) if term.free_symbols)
+    return sum(
+        all(f.is_number or (f.is_Pow and f.base.is_Symbol and f.exp.is_negative) for f in factors)
+        and all(str(f.base) != state for f in factors if f.is_Pow)
+        for factors in over
+    )
+
+
 class saturation(sympy.Function):  # noqa: N801
     """What v^n / (v^n + k) and 1 / (v^n + k) are to who writes them often: one function."""
 
