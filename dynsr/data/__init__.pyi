@@ -16,7 +16,7 @@ from .slopes import SMOOTHERS, SlopeSettings, choose_samples, smooth_column
 from .smoothing import SmoothedTrajectory, estimate_noise, smooth
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .times import check_time_unit
-from .trajectory import Trajectory
+from .trajectory import Trajectory, columns_of
 from .velocity import add_velocities, choose_second_samples
 from .weak import weak_form
 from .writing import (
@@ -52,6 +52,7 @@ __all__ = [
     "choose_samples",
     "choose_second_samples",
     "column_units",
+    "columns_of",
     "diagnose",
     "estimate_noise",
     "find_definition",

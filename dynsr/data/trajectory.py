@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
@@ -202,6 +202,21 @@ class Trajectory:
             self.input_names,
             self.origin,
         )
+
+
+def columns_of(runs: Sequence[Trajectory]) -> dict[str, np.ndarray]:
+    """Name -> (n,) values of every column of all runs, one below the other, and the times as t.
+
+    Parameters
+    ----------
+    runs : trajectories of the same columns.
+
+    >>> runs = [Trajectory(np.arange(2.0), np.ones((2, 1)), ("x",))] * 2
+    >>> columns_of(runs)["t"]
+    array([0., 1., 0., 1.])
+    """
+    named = [run.by_name for run in runs]
+    return {name: np.concatenate([own[name] for own in named]) for name in named[0]}
 
 
 def _check_times(t: np.ndarray) -> None:

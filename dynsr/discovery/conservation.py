@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory
+from dynsr.data import Trajectory, columns_of
 from dynsr.expression import evaluate, expand_terms
 from dynsr.fit import structure_bits
 
@@ -125,10 +125,8 @@ def _vanishes(
     exprs: Mapping[str, sympy.Expr], weights: Mapping[str, int], runs: Sequence[Trajectory]
 ) -> bool:
     """Whether equations add up to nothing where each column takes any of its values."""
-    rows = np.concatenate([run.columns for run in runs]).T
-    rng = np.random.default_rng(0)
-    columns = {n: rng.permutation(row) for n, row in zip(runs[0].names, rows, strict=True)}
-    columns["t"] = np.concatenate([run.t for run in runs])
+    rng, columns = np.random.default_rng(0), columns_of(runs)
+    columns |= {name: rng.permutation(columns[name]) for name in runs[0].names}
     with np.errstate(all="ignore"):
         parts = [w * evaluate(exprs[s], columns) for s, w in weights.items()]
         total, size = np.abs(np.sum(parts, axis=0)), np.sum(np.abs(parts), axis=0)

@@ -14,6 +14,7 @@ from dynsr.data import (
     Samples,
     SlopeSettings,
     Trajectory,
+    columns_of,
     split_held_back,
 )
 from dynsr.discovery.asking import (
@@ -337,9 +338,7 @@ class Problem:
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """Name -> (n,) values of all columns of the data, and the times."""
-        values = np.concatenate([run.columns for run in self.runs]).T
-        times = np.concatenate([run.t for run in self.runs])
-        return {**dict(zip(self.runs[0].names, values, strict=True)), "t": times}
+        return columns_of(self.runs)
 
     def without_poles(self, pools: Mapping[str, list[Candidate]]) -> dict[str, list[Candidate]]:
         """Leave out what divides by 0 along the runs, where that leaves anything.

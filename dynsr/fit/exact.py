@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory
+from dynsr.data import Trajectory, columns_of
 from dynsr.errors import InputError
 from dynsr.expression import compile_columns, number_bits, ratio_forms
 from dynsr.fit.constants import free_constants
@@ -102,10 +102,10 @@ def approach(
     >>> t = np.linspace(0, 4, 81)
     >>> x = sympy.Symbol("x")
     >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
-    >>> approach({"x": -3.0 * x + 2.0 * x**2}, [decay], {})["x"].round(6)
+    >>> approach({"x": -3.0 * x + 2.0 * x**2}, [decay], {})["x"].n(6)
     -0.5*x
     """
-    columns = _columns_of(runs)
+    columns = columns_of(runs)
     try:
         with np.errstate(all="ignore"):
             for window in _SHORT:
@@ -147,13 +147,6 @@ def _way(runs: Sequence[Trajectory], states: Sequence[str]) -> float:
     return float(np.min(np.sqrt(np.mean(way[:, moving] ** 2, axis=0)) / spread[moving]))
 
 
-def _columns_of(runs: Sequence[Trajectory]) -> dict[str, np.ndarray]:
-    """Name -> (n,) values of all columns of the runs, and the times."""
-    rows = np.concatenate([run.columns for run in runs])
-    times = np.concatenate([run.t for run in runs])
-    return {**dict(zip(runs[0].names, rows.T, strict=True)), "t": times}
-
-
 def _simplify(
     match: Match,
     runs: Sequence[Trajectory],
@@ -162,7 +155,7 @@ def _simplify(
     most: float,
 ) -> Match:
     """Leave out what is 0 and write simple numbers, all at once, where misses stay as small."""
-    columns = _columns_of(runs)
+    columns = columns_of(runs)
     # A fit without what was nothing shows what else is nothing.
     for _ in range(settings.variation_rounds):
         simple = {s: simplest_form(e, columns, settings) for s, e in match.exprs.items()}
