@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import sympy
@@ -72,6 +72,7 @@ from dynsr.selection import (
     other_in_halves,
 )
 
+T = TypeVar("T")
 Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 # Misses in units of the noise below which there may be none.
 _FAR_BELOW_NOISE = 0.2
@@ -408,11 +409,9 @@ class Problem:
         if not all(found.candidates for found in looked):
             return {}
         near = {f.target: _as_near(f.candidates)[: 1 if f.final else None] for f in looked}
-        given = self.form.known
         for exprs in families(near, self.form.complete(tuple(near))):
             whole = {s: self.known.get(s, sympy.S.Zero) + e for s, e in exprs.items()}
-            whole = {s: given.get(s, whole.get(s)) for s in self.form.complete(tuple(exprs))}
-            found = self._confirmed(whole)
+            found = self._confirmed(self._with_known(whole))
             if found is not None:
                 return {s: found[s] - self.known.get(s, sympy.S.Zero) for s in exprs}
         found = self._confirm_polynomials({s: pool[0] for s, pool in near.items()})
@@ -425,29 +424,33 @@ class Problem:
         data, comparison = self.measurements, self.settings.selection.comparison
         if data is None or data.parts == 1 or data.noise_share > comparison.doubtful:
             return None
-        given, fit = self.form.known, self.settings.selection.fit
-        exprs = {s: given.get(s, exprs.get(s)) for s in self.form.complete(tuple(exprs))}
+        whole, fit = self._with_known(exprs), self.settings.selection.fit
 
         def confirmed() -> Mapping[str, sympy.Expr] | None:
-            for whole in follow_anything(exprs, data, comparison):
-                left = approach(whole.exprs, self.runs, self.inputs, fit)
+            for begun in follow_anything(whole, data, comparison):
+                left = approach(begun.exprs, self.runs, self.inputs, fit)
                 found = None if left is None else self._confirmed(left)
                 if found is not None:
                     return found
             return None
 
+        return self._in_time(confirmed)
+
+    def _with_known(self, exprs: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
+        """Put equations such as q' = v, which nobody searches, beside the others."""
+        whole = {**exprs, **self.form.known}
+        return {state: whole[state] for state in self.form.complete(tuple(exprs))}
+
+    def _in_time(self, look: Callable[[], T | None]) -> T | None:
+        """Give what a look finds in the time that searches have; None where it finds no end."""
         until = self.budget.until(self.settings.shares.searches)
-        found, cut = finish_by(until, confirmed, lambda: None)
+        found, cut = finish_by(until, look, lambda: None)
         self.cut.extend(["first look"] if cut else [])
         return found
 
     def _confirmed(self, whole: Mapping[str, sympy.Expr]) -> Mapping[str, sympy.Expr] | None:
-        found, cut = finish_by(
-            self.budget.until(self.settings.shares.searches),
-            lambda: confirm(whole, self.runs, self.inputs, self.settings.selection.fit),
-            lambda: None,
-        )
-        self.cut.extend(["first look"] if cut else [])
+        fit = self.settings.selection.fit
+        found = self._in_time(lambda: confirm(whole, self.runs, self.inputs, fit))
         if found is None or not all(self.is_allowed(s, e) for s, e in found.exprs.items()):
             return None
         self.confirmed.append(found)
@@ -534,9 +537,7 @@ class Problem:
         data = self.measurements
         assert data is not None
         pools = {f.target: [c.expr for c in f.candidates] for f in explored}
-        names = self.form.complete(tuple(pools))
-        given = self.form.known
-        exprs = {s: given[s] if s in given else pools[s][0] for s in names}
+        exprs = self._with_known({state: pool[0] for state, pool in pools.items()})
         comparison = self.settings.selection.comparison
 
         @cache
