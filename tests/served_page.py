@@ -78,10 +78,10 @@ class Asked:
 class Page(Asked):
     """A page that is served in a process of its own, as a shell would start it."""
 
-    def __init__(self, *words, folder=None):
+    def __init__(self, *words, folder=None, program=("-m", "dynsr")):
         environment = {**os.environ, "TMPDIR": str(folder)} if folder else None
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "dynsr", "app", "--no-browser", "--json", "-j", "1", *words],
+            [sys.executable, *program, "app", "--no-browser", "--json", "-j", "1", *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -91,7 +91,10 @@ class Page(Asked):
         super().__init__(json.loads("".join(lines) + "}")["address"])
 
     def end(self, number=None):
-        """End it by its own Quit, or by a signal; gives the exit code and what it said."""
+        """End it by its own Quit, or by a signal; gives the exit code and what it said.
+
+        The signal 0 waits for the end that something else has caused.
+        """
         if self.process.poll() is None:
             if number is None:
                 self.post("quit")

@@ -392,6 +392,42 @@ def test_its_end_in_a_search_leaves_nothing_behind(tmp_path, name, code, line):
     assert list(tmp_path.glob("dynsr-app-*")) == []
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_signal_between_two_steps_of_the_server_ends_it(tmp_path):
+    """SIGTERM that comes just as the loop calls something ends the page, whatever that was."""
+    script = tmp_path / "ended.py"
+    script.write_text(
+        inspect.cleandoc(
+            """
+            import asyncio, signal, sys
+
+            called, step = 0, asyncio.events.Handle._run.__code__
+
+            def look(frame, event, argument):
+                global called
+                asked = frame.f_code.co_name == "get" and "serving" in frame.f_code.co_filename
+                if event == "call" and (asked or called and frame.f_code is step):
+                    called += 1
+                    if called == which:
+                        sys.setprofile(None)
+                        signal.raise_signal(signal.SIGTERM)
+
+            if __name__ == "__main__":
+                which = int(sys.argv.pop(1))
+                sys.setprofile(look)
+                from dynsr.cli import main
+                main()
+            """
+        )
+    )
+    pages = [Page(folder=tmp_path, program=(str(script), str(k))) for k in range(2, 9)]
+    for served in pages:
+        with contextlib.suppress(OSError, http.client.HTTPException):
+            for _ in range(3):
+                served.ask("changes?after=0")
+        assert served.end(0) == (143, "error: terminated\n")
+
+
 def descendants(pid):
     """Give the processes below one, by their ids."""
     import psutil

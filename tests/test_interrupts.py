@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 
 import pytest
 
@@ -30,9 +31,11 @@ class Slow:
             pass
 
 
-def work(thing: Slow) -> None:
-    """Remove the thing, then work for ten seconds."""
+def work(thing: Slow, act: Callable[[float], None] | None = None) -> None:
+    """Remove the thing, then work for ten seconds, or have something else take them."""
     del thing
+    if act:
+        act(10)
     until = time.monotonic() + 10
     while time.monotonic() < until:
         pass
@@ -60,6 +63,14 @@ def test_a_command_hears_ctrl_c_once_where_it_was_lost() -> None:
     with pytest.raises(KeyboardInterrupt), _noted_interrupts() as noted:
         work(Slow(0.1, signal.SIGINT))
     assert noted == [signal.SIGINT]
+
+
+def test_what_was_lost_is_heard_by_who_waits() -> None:
+    """Repeated in the midst of a wait, it ends the wait too."""
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), _noted_interrupts():
+        work(Slow(0.0, signal.SIGINT), time.sleep)
+    assert time.monotonic() - began < 5
 
 
 def test_a_command_hears_sigterm_where_it_was_lost(capfd) -> None:

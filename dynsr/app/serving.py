@@ -15,11 +15,13 @@ import os
 import re
 import secrets
 import shutil
+import signal
+import sys
 import tempfile
 import threading
 import webbrowser
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -90,9 +92,12 @@ def serve(
     logging.getLogger("tornado").setLevel(logging.CRITICAL)
     folder = Path(tempfile.mkdtemp(prefix="dynsr-app-"))
     try:
-        asyncio.run(_serve(folder, data and data.absolute(), port, jobs, megabytes, browse, say))
+        own = data and data.absolute()
+        ended_by = asyncio.run(_serve(folder, own, port, jobs, megabytes, browse, say))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+    if ended_by:
+        signal.raise_signal(ended_by)
 
 
 async def _serve(
@@ -103,7 +108,8 @@ async def _serve(
     megabytes: float,
     browse: bool,
     say: Callable[[str], None],
-) -> None:
+) -> int:
+    """Serve until the end; gives the number of the signal that ended it, or 0."""
     try:
         sockets = bind_sockets(port, HOST)
     except (OSError, OverflowError):
@@ -112,28 +118,64 @@ async def _serve(
     token, over = secrets.token_urlsafe(_TOKEN_BYTES), asyncio.Event()
     desk = Desk(folder, jobs)
     try:
-        largest = int(megabytes * _MEGABYTE)
-        desk.show("about", {"largest": largest, "tables": _TABLES})
-        site = _make_site(token, port, largest, desk, over.set)
-        server = HTTPServer(
-            site,
-            max_body_size=_LARGEST_REQUEST,
-            max_header_size=_LARGEST_HEADER,
-        )
-        server.add_sockets(sockets)
-        if data is not None:
-            desk.ask(READ, path=str(data))
-        address = f"http://{HOST}:{port}/{token}/"
-        say(address)
-        if browse:
-            # A browser of the terminal lets nothing else go on.
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-        await over.wait()
+        with _noted_signals(over.set) as heard:
+            largest = int(megabytes * _MEGABYTE)
+            desk.show("about", {"largest": largest, "tables": _TABLES})
+            site = _make_site(token, port, largest, desk, over.set)
+            server = HTTPServer(
+                site,
+                max_body_size=_LARGEST_REQUEST,
+                max_header_size=_LARGEST_HEADER,
+            )
+            server.add_sockets(sockets)
+            if data is not None:
+                desk.ask(READ, path=str(data))
+            address = f"http://{HOST}:{port}/{token}/"
+            say(address)
+            if browse:
+                # A browser of the terminal lets nothing else go on.
+                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+            await over.wait()
         # The answer to Quit is on its way.
         await asyncio.sleep(0.1)
         server.stop()
     finally:
         desk.close()
+    return heard[0] if heard else 0
+
+
+@contextmanager
+def _noted_signals(end: Callable[[], None]) -> Iterator[list[int]]:
+    """Have the first Ctrl-C or SIGTERM call ``end``; gives the list of what came.
+
+    A handler that raises does so wherever the loop is. What the loop was about to call would be
+    lost, and who waits for that, as tasks that are cancelled do, would wait forever.
+    """
+    loop, heard = asyncio.get_running_loop(), []
+    before: dict[int, Any] = {}
+
+    def give_back() -> None:
+        while before:
+            number, handler = before.popitem()
+            loop.remove_signal_handler(number)
+            signal.signal(number, handler)
+
+    def note(number: int) -> None:
+        # Whoever sends a second one has no more patience.
+        give_back()
+        heard.append(number)
+        end()
+
+    if threading.current_thread() is threading.main_thread() and sys.platform != "win32":
+        for number in (signal.SIGINT, signal.SIGTERM):
+            handler = signal.getsignal(number)
+            if handler not in (None, signal.SIG_IGN):
+                loop.add_signal_handler(number, note, number)
+                before[number] = handler
+    try:
+        yield heard
+    finally:
+        give_back()
 
 
 def _make_site(

@@ -10,7 +10,6 @@ import shutil
 import signal
 import threading
 import time
-from _thread import interrupt_main
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -18,6 +17,7 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from dynsr.errors import in_words
+from dynsr.jobs import signal_main
 
 if TYPE_CHECKING:
     from dynsr.app.work import Work
@@ -81,13 +81,13 @@ class _Worker:
                 verb = ""
                 break
             if verb == STOP and number == self._current:
-                _interrupt()
+                signal_main(signal.SIGINT)
             elif verb not in (STOP, LEAVE):
                 self._jobs.put((number, verb, arguments))
         self._leaving = True
         loaded = self._loaded
         if loaded:
-            _interrupt()
+            signal_main(signal.SIGINT)
             self._jobs.put((0, LEAVE, {}))
         if verb != LEAVE:
             # Who made the folder is gone without a word, and data are not left behind.
@@ -123,16 +123,6 @@ class _Worker:
             with suppress(KeyboardInterrupt):
                 self._current = 0
             self.said.put((END, (self._taken, error)))
-
-
-def _interrupt() -> None:
-    """Raise KeyboardInterrupt in the main thread, also where it waits for something."""
-    if hasattr(signal, "pthread_kill"):
-        main = threading.main_thread().ident
-        assert main is not None
-        signal.pthread_kill(main, signal.SIGINT)
-    else:
-        interrupt_main()
 
 
 def _do(work: Work, verb: str, arguments: dict[str, Any]) -> str:

@@ -1,7 +1,7 @@
 from .budget import Budget, TimeUp, Turn, finish_by, time_limit
 from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_notebook, say_left
 from .garbage import let_garbage_wait
-from .interrupts import heard_again, interrupt_again, is_repeated, signal_again
+from .interrupts import heard_again, interrupt_again, is_repeated, signal_again, signal_main
 from .pool import Task, check_jobs, check_seed, run_tasks, spread
 from .progress import Step, Watch, best_equation
 from .store import (
@@ -52,6 +52,7 @@ __all__ = [
     "run_tasks",
     "say_left",
     "signal_again",
+    "signal_main",
     "spread",
     "time_limit",
     "to_json",

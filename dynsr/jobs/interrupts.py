@@ -17,6 +17,20 @@ _RECENT = 2.0
 _repeats: list[float] = []
 
 
+def signal_main(number: int) -> None:
+    """Have the main thread handle a signal, also where it waits for something.
+
+    Parameters
+    ----------
+    number : of the signal.
+    """
+    main = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main is not None:
+        signal.pthread_kill(main, number)
+    else:
+        interrupt_main(signal.Signals(number))
+
+
 def signal_again(number: int) -> None:
     """Have the main thread handle a signal, one that was lost, a little later.
 
@@ -24,7 +38,7 @@ def signal_again(number: int) -> None:
     ----------
     number : of the signal.
     """
-    threading.Timer(_SECONDS_UNTIL_AGAIN, interrupt_main, (number,)).start()
+    threading.Timer(_SECONDS_UNTIL_AGAIN, signal_main, (number,)).start()
 
 
 def interrupt_again() -> None:
