@@ -434,6 +434,39 @@ def test_few_rows_an_oscillation_bend_no_constant():
     assert abs(rough["y"] - 1.5) > 0.015
 
 
+def test_lost_rows_bend_no_constant():
+    """Van der Pol's oscillator with half of its rows lost: where many are missing in a row, the
+    time between two is cut into more parts, and the damping comes out to 1e-3, by SciPy's own
+    integration. Even rows are not cut otherwise than before.
+    """
+    t = np.linspace(0.0, 30.0, 121)
+    t = np.sort(np.random.default_rng(3).choice(t, 60, replace=False))
+    x = solved(lambda _, s: [s[1], 1.5 * (1 - s[0] ** 2) * s[1] - s[0]], t, [2.0, 0.0])
+    data = Measurements.of([Trajectory(t, x, ("x", "y"))], {}, 2000)
+    mesh = data.mesh(("x", "y"))
+    rows = np.flatnonzero(mesh.measured)
+    parts, steps = np.diff(rows), np.diff(t)
+    assert mesh.t[rows] == pytest.approx(t, abs=1e-12)
+    assert mesh.x[rows] == pytest.approx(x, abs=1e-12)
+    assert parts[np.argmax(steps)] > parts[np.argmin(steps)]
+    assert np.max(steps / parts) < 2 * np.median(steps / parts)
+    equations = {"x": parse("1.0*y"), "y": parse("1.2*y - 1.2*x**2*y - 0.9*x")}
+    found = Collocation(equations, mesh).fit()
+    assert coefficients(found.exprs["y"])["y"] == pytest.approx(1.5, abs=1.5e-3)
+    # What is smoothed along the fit is read at the measured rows.
+    along = data.along(found.states, ("x", "y")).smoothed[0]
+    assert along.x == pytest.approx(x, abs=1e-2)
+
+
+def test_a_long_pause_is_cut_no_further_than_others_at_ten_times_the_usual():
+    """A pause of a thousand times the time between rows has more parts than that, yet not many."""
+    t = np.concatenate([np.linspace(0.0, 6.0, 40), 160 + np.linspace(0.0, 6.0, 40)])
+    x = np.column_stack([np.sin(t), np.cos(t)])
+    data = Measurements.of([Trajectory(t, x, ("x", "y"))], {}, 2000)
+    parts = np.diff(np.flatnonzero(data.mesh(("x", "y")).measured))
+    assert 2 * parts[0] < parts[39] == parts.max() <= 40
+
+
 def test_a_step_takes_a_constant_inside_not_far():
     """Growth without end has no half-saturation: one step makes it at most four times as large.
 

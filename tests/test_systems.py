@@ -12,8 +12,11 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data import Trajectory
 from dynsr.discovery import discover
+from dynsr.discovery.orders import Form
+from dynsr.discovery.problem import DISCOVERY, Problem
 from dynsr.expression import parse
 from dynsr.fit import Collocation, Measurements, skeleton, with_floats
+from dynsr.jobs import Budget
 from dynsr.methods.demands import read_demands
 from dynsr.selection import (
     Compared,
@@ -365,6 +368,23 @@ def test_a_law_that_empties_a_store_below_zero_costs_more():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("times", [1.0, 8.0])
+def test_noise_is_as_little_as_a_law_leaves(times):
+    """Noise of the prey that was taken for eight times itself is believed to be what the law
+    leaves; noise that was estimated well stays as it is.
+    """
+    data = measured("Lotka-Volterra")
+    demands = read_demands(("x", "y"), ("x", "y"))
+    problem = Problem(data.runs, {}, "auto", {}, {}, Form(), DISCOVERY, demands, Budget(None))
+    problem.__dict__["_noisy_measurements"] = data.with_noise({"x": times})
+    problem.compare({s: parse(e) for s, e in TRUTHS["Lotka-Volterra"].items()}, {})
+    before, after = data.deviations[0], problem.measurements.deviations[0]
+    if times == 1:
+        assert np.array_equal(before, after)
+    else:
+        assert after == pytest.approx(before, rel=0.2)
+
+
 def test_demands_are_obeyed():
     """Signs, terms that must not be, functions and length bind all that is found and compared."""
     name = "Lotka-Volterra"

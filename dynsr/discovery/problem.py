@@ -64,11 +64,13 @@ from dynsr.selection import (
     Pick,
     SelectionSettings,
     SystemChoice,
+    SystemComparison,
     SystemFit,
     compare_systems,
     families,
     follow_anything,
     may_be_exact,
+    noise_shown,
     other_in_halves,
 )
 
@@ -78,6 +80,8 @@ Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 _FAR_BELOW_NOISE = 0.2
 # Times the loss of the likeliest formula up to which others may be as good on slopes.
 _AS_NEAR = 10.0
+# How often noise is believed to be as little as a system leaves.
+_BELIEVED = 3
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,7 @@ class Problem:
     budget : the seconds that all may take.
     cut : names of the steps that the budget ended.
     confirmed : the fit of the equations that exact states leave no doubt of, once there is one.
+    believed : the states with their noise as a system that follows them shows it, once one does.
     """
 
     runs: Sequence[Trajectory]
@@ -143,6 +148,7 @@ class Problem:
     budget: Budget
     cut: list[str] = field(default_factory=list)
     confirmed: list[Match] = field(default_factory=list)
+    believed: list[Measurements] = field(default_factory=list)
 
     def counting(self, loss: Loss | None) -> Problem:
         """Give the same problem, in which the choice of a formula counts misses by a loss."""
@@ -372,7 +378,9 @@ class Problem:
     @property
     def measurements(self) -> Measurements | None:
         """The states with their noise and smoothed curves; None where slopes are good enough."""
-        return None if self.confirmed else self._noisy_measurements
+        if self.confirmed:
+            return None
+        return self.believed[-1] if self.believed else self._noisy_measurements
 
     @cached_property
     def _noisy_measurements(self) -> Measurements | None:
@@ -545,7 +553,7 @@ class Problem:
             exact = may_be_exact(fit, data)
             return exact and self._confirmed(loosen_all(fit.exprs)) is not None
 
-        choice = compare_systems(exprs, pools, data, comparison, self._compared, ends)
+        choice = self._compare(exprs, pools, ends)
         if self.confirmed or (choice.fit is not None and ends(choice.fit)):
             return SystemChoice(self.confirmed[-1].exprs)
         if data.noise_share > comparison.doubtful or choice.explains(comparison):
@@ -558,8 +566,28 @@ class Problem:
         """Let whole systems compete on the states where noise makes slopes unsure."""
         if self.measurements is None:
             return SystemChoice(dict(picked))
-        comparison = self.settings.selection.comparison
-        return compare_systems(picked, pools, self.measurements, comparison, self._compared)
+        return self._compare(picked, pools)
+
+    def _compare(
+        self,
+        exprs: Mapping[str, sympy.Expr],
+        pools: Mapping[str, Sequence[sympy.Expr]],
+        ends: Callable[[SystemFit], bool] = lambda _: False,
+    ) -> SystemChoice:
+        """Compare systems, and believe the best where it shows far less noise than was thought."""
+        comparison, data = self.settings.selection.comparison, self._noisy_measurements
+        assert data is not None
+        self.believed.clear()
+        choice = compare_systems(exprs, pools, data, comparison, self._compared, ends)
+        fit = choice.fit if choice.explains(comparison) else None
+        for _ in range(_BELIEVED):
+            less = None if fit is None else noise_shown(fit)
+            if fit is None or less is None or self.confirmed:
+                break
+            data = data.with_noise(less)
+            self.believed.append(data)
+            fit = SystemComparison(data.mesh(tuple(fit.exprs)), comparison).fit(fit.exprs)
+        return choice
 
     @cached_property
     def _compared(self) -> Compared:

@@ -65,6 +65,8 @@ _APART = 10
 _FACTOR, _EXPONENT = 3.0, 1.0
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
 _TURN, _PARTS, _NODES = 20.0, 4, 2000
+# Times the usual one from which on a time between rows is cut no further.
+_LONGEST = 10.0
 # Noise, as a share of the spread, up to which it may be none.
 _MAY_BE_EXACT = 1e-3
 # Noise, as a share of the spread, that hides the errors of so many rows.
@@ -750,22 +752,44 @@ class Measurements:
         turn = float(np.arccos(1 - min(float(np.max(rough)), 1.0)))
         return 2 * math.pi / max(turn, 1e-9)
 
-    @cached_property
+    @property
     def parts(self) -> int:
-        """Parts that the time between two rows is cut into for a fit.
+        """Parts that the time between two rows is cut into for a fit, where it is the usual one.
 
         So many that the fastest state takes twenty rows an oscillation, and up to forty where noise
         is so small that it does not hide the errors of the rule, which are of order four.
         """
+        return int(self._cut(np.ones(1))[0])
+
+    def _cut(self, lengths: np.ndarray) -> np.ndarray:
+        """(m,) parts of times between rows, which are given as multiples of the usual one."""
         rows = sum(len(smoothed.x) for smoothed in self.smoothed)
         most = max(1, min(_PARTS, _NODES // rows))
         finer = float(np.clip((_HIDES / max(self.noise_share, 1e-12)) ** 0.25, 1.0, 2.0))
-        return self.fineness * int(np.clip(math.ceil(_TURN * finer / self.period), 1, most))
+        wanted = np.ceil(_TURN * finer / self.period * lengths)
+        found: np.ndarray = np.clip(wanted, 1, np.ceil(most * lengths)).astype(int)
+        return self.fineness * found
 
-    def _nodes(self, t: np.ndarray) -> np.ndarray:
-        """Times of the rows, those between them included."""
-        rows = np.arange(len(t))
-        return np.interp(np.arange(self.parts * (len(t) - 1) + 1) / self.parts, rows, t)
+    @cached_property
+    def _places(self) -> list[np.ndarray]:
+        """(n,) where the rows of each run are among those that are put between them too.
+
+        Where rows were lost the time between two is cut into more parts, so that these are as long
+        as elsewhere.
+        """
+        steps = [np.diff(run.t) for run in self.runs]
+        longest = _LONGEST * float(np.median(np.concatenate(steps)))
+        # The period counts rows by the mean square of what happens between two.
+        usual = np.sqrt(np.mean(np.minimum(np.concatenate(steps), longest) ** 2))
+        # Even times are so but for rounding.
+        lengths = [np.round(np.minimum(own, longest) / usual, 6) for own in steps]
+        return [np.concatenate([[0], np.cumsum(self._cut(own))]) for own in lengths]
+
+    @cached_property
+    def _nodes(self) -> list[np.ndarray]:
+        """Times of the rows of each run, those between them included."""
+        pairs = zip(self.runs, self._places, strict=True)
+        return [np.interp(np.arange(rows[-1] + 1), rows, run.t) for run, rows in pairs]
 
     def samples(self, state: str) -> Samples:
         """Give the smoothed states and slopes of one state as samples.
@@ -804,6 +828,17 @@ class Measurements:
             halved.append(replace(smoothed, noise=noise))
         return replace(self, smoothed=halved)
 
+    def with_noise(self, shares: Mapping[str, float]) -> Measurements:
+        """Give the same data with other noise.
+
+        Parameters
+        ----------
+        shares : state -> its noise, as a multiple of what it was.
+        """
+        factors = np.array([shares.get(state, 1.0) for state in self.runs[0].states])
+        smoothed = [replace(own, noise=own.noise * factors) for own in self.smoothed]
+        return replace(self, smoothed=smoothed)
+
     def along(self, states: np.ndarray, names: Sequence[str]) -> Measurements:
         """Give the same data with other smoothed states: those of a system that follows them.
 
@@ -814,11 +849,12 @@ class Measurements:
         """
         own = [self.runs[0].index(name) for name in names]
         first, smoothed = 0, []
-        for run, smooth_run in zip(self.runs, self.smoothed, strict=True):
+        for run, smooth_run, rows, nodes in zip(
+            self.runs, self.smoothed, self._places, self._nodes, strict=True
+        ):
             x, slope = smooth_run.x.copy(), smooth_run.slope.copy()
-            nodes = self._nodes(run.t)
             found = states[first : first + len(nodes)]
-            x[:, own] = found[:: self.parts]
+            x[:, own] = found[rows]
             slope[:, own] = CubicSpline(nodes, found)(run.t, 1)
             smoothed.append(replace(smooth_run, x=x, slope=slope))
             first += len(nodes)
@@ -846,15 +882,20 @@ class Measurements:
         drives = drives_of(inputs, self.runs, self.inputs)
         beside = [self.runs[0].index(state) for state in others]
         pieces, first = [], 0
-        for run, deviation, smoothed, drive in zip(
-            self.runs, self.deviations, self.smoothed, drives, strict=True
+        for run, deviation, smoothed, drive, rows, t in zip(
+            self.runs,
+            self.deviations,
+            self.smoothed,
+            drives,
+            self._places,
+            self._nodes,
+            strict=True,
         ):
-            t = self._nodes(run.t)
             both = np.concatenate([t, (t[1:] + t[:-1]) / 2])
             curve = smoothed.curve(both)
             driven = np.concatenate([curve[beside], drive(both)])
             x, weights = np.zeros((2, len(t), len(own)))
-            x[:: self.parts], weights[:: self.parts] = run.x[:, own], 1 / deviation[:, own]
+            x[rows], weights[rows] = run.x[:, own], 1 / deviation[:, own]
             pieces.append(
                 (
                     t,

@@ -1,4 +1,4 @@
-from .comparison import ComparisonSettings, SystemFit, may_be_exact
+from .comparison import ComparisonSettings, SystemComparison, SystemFit, may_be_exact, noise_shown
 from .first_look import Look, LookSettings, look, look_again
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
@@ -32,6 +32,7 @@ __all__ = [
     "Pick",
     "SelectionSettings",
     "SystemChoice",
+    "SystemComparison",
     "SystemFit",
     "Trail",
     "compare_systems",
@@ -46,6 +47,7 @@ __all__ = [
     "look",
     "look_again",
     "may_be_exact",
+    "noise_shown",
     "other_in_halves",
     "pick_equation",
     "rank_by_length",

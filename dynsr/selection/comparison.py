@@ -514,6 +514,26 @@ def may_be_exact(fit: SystemFit, data: Measurements) -> bool:
     return data.may_be_exact or float(np.min(fit.fit.mean_squares)) < _TOO_CLOSE
 
 
+def noise_shown(fit: SystemFit) -> dict[str, float] | None:
+    """State -> what a system leaves of its noise, as a share; None where none is far too large.
+
+    Noise is estimated from how rows differ from their neighbours, which tells little where few rows
+    are an oscillation. The misses of few rows are less than noise by what was fitted to them.
+
+    Parameters
+    ----------
+    fit : the system.
+    """
+    mesh, squares = fit.problem.mesh, fit.fit.mean_squares
+    starts = (len(mesh.t) - len(mesh.left)) * np.count_nonzero(mesh.rows)
+    freedom = mesh.rows.sum() - len(fit.fit.constants) - starts
+    shown = np.where(mesh.rows > 0, squares * mesh.rows.sum() / max(freedom, 1.0), 1.0)
+    if np.min(shown) >= _TOO_CLOSE:
+        return None
+    less = np.sqrt(np.minimum(shown, 1.0))
+    return dict(zip(mesh.states, less.tolist(), strict=True))
+
+
 def most_of_noise(rows: np.ndarray, settings: ComparisonSettings) -> np.ndarray:
     """Mean square of normal misses of some rows, in units of their noise, up to which it is noise.
 
