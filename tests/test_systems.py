@@ -385,6 +385,7 @@ def test_noise_is_as_little_as_a_law_leaves(times):
         assert after == pytest.approx(before, rel=0.2)
 
 
+@pytest.mark.slow
 def test_demands_are_obeyed():
     """Signs, terms that must not be, functions and length bind all that is found and compared."""
     name = "Lotka-Volterra"

@@ -118,23 +118,23 @@ async def _serve(
     token, over = secrets.token_urlsafe(_TOKEN_BYTES), asyncio.Event()
     desk = Desk(folder, jobs)
     try:
+        largest = int(megabytes * _MEGABYTE)
+        desk.show("about", {"largest": largest, "tables": _TABLES})
+        site = _make_site(token, port, largest, desk, over.set)
+        server = HTTPServer(
+            site,
+            max_body_size=_LARGEST_REQUEST,
+            max_header_size=_LARGEST_HEADER,
+        )
+        server.add_sockets(sockets)
+        if data is not None:
+            desk.ask(READ, path=str(data))
+        address = f"http://{HOST}:{port}/{token}/"
+        say(address)
+        if browse:
+            # A browser of the terminal lets nothing else go on.
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
         with _noted_signals(over.set) as heard:
-            largest = int(megabytes * _MEGABYTE)
-            desk.show("about", {"largest": largest, "tables": _TABLES})
-            site = _make_site(token, port, largest, desk, over.set)
-            server = HTTPServer(
-                site,
-                max_body_size=_LARGEST_REQUEST,
-                max_header_size=_LARGEST_HEADER,
-            )
-            server.add_sockets(sockets)
-            if data is not None:
-                desk.ask(READ, path=str(data))
-            address = f"http://{HOST}:{port}/{token}/"
-            say(address)
-            if browse:
-                # A browser of the terminal lets nothing else go on.
-                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
             await over.wait()
         # The answer to Quit is on its way.
         await asyncio.sleep(0.1)

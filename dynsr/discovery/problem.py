@@ -579,10 +579,10 @@ class Problem:
         assert data is not None
         self.believed.clear()
         choice = compare_systems(exprs, pools, data, comparison, self._compared, ends)
-        fit = choice.fit if choice.explains(comparison) else None
-        for _ in range(_BELIEVED):
-            less = None if fit is None else noise_shown(fit)
-            if fit is None or less is None or self.confirmed:
+        fit = choice.fit
+        while fit is not None and not self.confirmed and len(self.believed) < _BELIEVED:
+            less = noise_shown(fit)
+            if less is None or not (self.believed or choice.explains(comparison)):
                 break
             data = data.with_noise(less)
             self.believed.append(data)

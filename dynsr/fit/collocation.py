@@ -171,6 +171,16 @@ class Mesh:
         """(k,) measured rows of every state."""
         return np.count_nonzero(self.weights, axis=0).astype(float)
 
+    def freedom(self, constants: int) -> int:
+        """Give the measurements less the constants and starts that are fitted to them, 1 at least.
+
+        Parameters
+        ----------
+        constants : how many constants are fitted.
+        """
+        starts = (len(self.t) - len(self.left)) * np.count_nonzero(self.rows)
+        return max(int(self.rows.sum()) - constants - int(starts), 1)
+
 
 @dataclass(frozen=True, eq=False)
 class CollocationFit:
@@ -778,9 +788,10 @@ class Measurements:
         as elsewhere.
         """
         steps = [np.diff(run.t) for run in self.runs]
-        longest = _LONGEST * float(np.median(np.concatenate(steps)))
+        every = np.concatenate(steps)
+        longest = _LONGEST * float(np.median(every))
         # The period counts rows by the mean square of what happens between two.
-        usual = np.sqrt(np.mean(np.minimum(np.concatenate(steps), longest) ** 2))
+        usual = np.sqrt(np.mean(np.minimum(every, longest) ** 2))
         # Even times are so but for rounding.
         lengths = [np.round(np.minimum(own, longest) / usual, 6) for own in steps]
         return [np.concatenate([[0], np.cumsum(self._cut(own))]) for own in lengths]
@@ -969,9 +980,7 @@ class AlongFit:
     @property
     def freedom(self) -> int:
         """Measurements less the constants and starts that were fitted to them, 1 at least."""
-        mesh = self.problem.mesh
-        starts = (len(mesh.t) - len(mesh.left)) * np.count_nonzero(mesh.rows)
-        return max(int(mesh.rows.sum()) - len(self.constants) - int(starts), 1)
+        return self.problem.mesh.freedom(len(self.constants))
 
     @cached_property
     def _scale(self) -> float:

@@ -525,9 +525,8 @@ def noise_shown(fit: SystemFit) -> dict[str, float] | None:
     fit : the system.
     """
     mesh, squares = fit.problem.mesh, fit.fit.mean_squares
-    starts = (len(mesh.t) - len(mesh.left)) * np.count_nonzero(mesh.rows)
-    freedom = mesh.rows.sum() - len(fit.fit.constants) - starts
-    shown = np.where(mesh.rows > 0, squares * mesh.rows.sum() / max(freedom, 1.0), 1.0)
+    fitted = mesh.rows.sum() / mesh.freedom(len(fit.fit.constants))
+    shown = np.where(mesh.rows > 0, squares * fitted, 1.0)
     if np.min(shown) >= _TOO_CLOSE:
         return None
     less = np.sqrt(np.minimum(shown, 1.0))
