@@ -12,7 +12,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,8 @@ class Columns:
     named : whether the names are the source's own.
     inputs : names of the columns that the source declares to be inputs.
     time_unit : what the first column is counted in where that is known to be the time.
+    units : column -> its unit, where a row below the header or the cells themselves name it.
+    left_out : column that was left out on reading -> the reason.
     """
 
     names: tuple[str, ...]
@@ -62,6 +64,8 @@ class Columns:
     named: bool = True
     inputs: tuple[str, ...] = ()
     time_unit: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that there are columns of one length, each with a name of its own."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +36,16 @@ _UNITS = {"s": "seconds", "min": "minutes", "h": "hours"}
 class Table:
     """Trajectories that were read, and how their columns were understood, as a sentence.
 
-    ``roles`` says the same column by column; None where several sources were read.
+    ``roles`` says the same column by column; None where several sources were read. ``left_out``
+    gives each column that is not used with the reason; ``notes`` are sentences on what was noticed
+    or assumed.
     """
 
     trajectories: list[Trajectory]
     guess: str
     roles: Roles | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def read_trajectories(
@@ -94,7 +98,7 @@ def read_trajectories(
     roles = guess_roles(columns, time, t, _listed(states), named, formulas, trajectory)
     runs = _cut(columns, roles, t, unit, formulas, max_rows)
     told = _told(runs, f"{columns.label}: {describe(runs, roles, formulas)}")
-    return replace(told, roles=roles)
+    return replace(told, roles=roles, left_out=columns.left_out, notes=columns.notes)
 
 
 def _load_beside(source: Any, t: Any) -> Columns:

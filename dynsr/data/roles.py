@@ -33,7 +33,8 @@ class Roles:
     ``renamed`` gives every state and input the name that it has in formulas; ``ignored`` are
     columns that no role was found for; ``chosen`` says that the caller named the states;
     ``parameters`` are those inputs that were taken for such since they are constant within each
-    trajectory, and ``labels`` what only tells trajectories apart beside ``trajectory``.
+    trajectory, and ``labels`` what only tells trajectories apart beside ``trajectory``; ``noise``
+    maps a state to the column of its measurement errors.
     """
 
     time: str
@@ -45,6 +46,7 @@ class Roles:
     chosen: bool = False
     parameters: tuple[str, ...] = ()
     labels: tuple[str, ...] = ()
+    noise: Mapping[str, str] = field(default_factory=dict)
 
 
 def guess_roles(
