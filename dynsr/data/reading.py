@@ -21,7 +21,7 @@ from dynsr.data.grouping import group_rows
 from dynsr.data.roles import Roles, clean_name, find_time, guess_roles
 from dynsr.data.table_checks import check_rows, check_values, thin, to_numbers, to_times
 from dynsr.data.times import convert_times
-from dynsr.data.trajectory import Trajectory, as_floats
+from dynsr.data.trajectory import Trajectory, as_floats, settle_hold
 from dynsr.data.writing import write_own
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name, compile_numpy, parse
@@ -267,7 +267,7 @@ def _cut(
                 origin,
             )
         )
-    return runs
+    return settle_hold(runs)
 
 
 def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, str]) -> None:
@@ -404,7 +404,7 @@ def take_trajectories(
     given = {name: value for name, value in named.items() if not _is_formula(value)}
     drives = {check_name(n, "input"): parse(e, ["t"]) for n, e in named.items() if n not in given}
     runs = [_with_values(run, given, i, len(runs)) for i, run in enumerate(runs)]
-    return [_with_drives(run, drives) for run in runs], drives
+    return settle_hold([_with_drives(run, drives) for run in runs]), drives
 
 
 def _sort_inputs(
@@ -468,7 +468,8 @@ def _as_inputs(run: Trajectory, columns: Sequence[str]) -> Trajectory:
     x = run.x[:, [run.index(name) for name in kept]]
     extra = run.x[:, [run.index(name) for name in moved]]
     inputs = np.column_stack([run.inputs, extra])
-    return Trajectory(run.t, x, tuple(kept), inputs, (*run.input_names, *moved), run.origin)
+    names = (*run.input_names, *moved)
+    return replace(run, x=x, states=tuple(kept), inputs=inputs, input_names=names)
 
 
 def column_units(run: Trajectory, units: Mapping[str, str] | str | None) -> dict[str, str] | None:
@@ -565,7 +566,7 @@ def _with_drives(run: Trajectory, drives: Mapping[str, sympy.Expr]) -> Trajector
         return run
     values = compile_numpy(list(new.values()), ["t"])(run.t[None]).T
     inputs = np.column_stack([run.inputs, values])
-    return Trajectory(run.t, run.x, run.states, inputs, (*run.input_names, *new), run.origin)
+    return replace(run, inputs=inputs, input_names=(*run.input_names, *new))
 
 
 def split_held_back(

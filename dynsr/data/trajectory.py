@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from dynsr.data.holding import Hold, check_hold, choose_hold, choose_hold_together
 from dynsr.data.times import check_time_unit, count_times
 from dynsr.errors import InputError
 from dynsr.expression import check_name
@@ -121,6 +123,8 @@ class Trajectory:
     inputs : (n, m) known inputs at the same times; empty by default.
     input_names : the m names of the columns of ``inputs``.
     origin : where it came from: engine, version, tolerances, unit of the times.
+    hold : input -> what it does between rows: "previous" (keeps its value until the next row),
+        "linear" or "smooth"; for inputs that are not named its values tell, see :attr:`holds`.
 
     Raises InputError, naming the row, when times do not increase or a value is not finite.
 
@@ -134,6 +138,7 @@ class Trajectory:
     inputs: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
     input_names: tuple[str, ...] = ()
     origin: Mapping[str, Any] = field(default_factory=dict)
+    hold: Mapping[str, Hold] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Bring the fields to float64 and check them."""
@@ -159,6 +164,7 @@ class Trajectory:
         for key, value in (("t", t), ("x", x), ("inputs", u), ("states", states)):
             object.__setattr__(self, key, value)
         object.__setattr__(self, "input_names", input_names)
+        object.__setattr__(self, "hold", check_hold(self.hold, input_names))
         if unit:
             object.__setattr__(self, "origin", {**self.origin, "time_unit": unit})
 
@@ -186,6 +192,12 @@ class Trajectory:
         """Name -> (n,) values of every column, and the times as t."""
         return {**dict(zip(self.names, self.columns.T, strict=True)), "t": self.t}
 
+    @cached_property
+    def holds(self) -> dict[str, Hold]:
+        """Every input with what it does between rows, as given or as its values tell."""
+        columns = zip(self.input_names, self.inputs.T, strict=True)
+        return {name: self.hold.get(name) or choose_hold(self.t, own) for name, own in columns}
+
     def index(self, state: str) -> int:
         """Position of a state; raises InputError that lists the states when there is none."""
         if state not in self.states:
@@ -194,14 +206,36 @@ class Trajectory:
 
     def select(self, rows: slice | np.ndarray) -> Trajectory:
         """Give the trajectory of some rows."""
-        return Trajectory(
-            self.t[rows],
-            self.x[rows],
-            self.states,
-            self.inputs[rows],
-            self.input_names,
-            self.origin,
-        )
+        return replace(self, t=self.t[rows], x=self.x[rows], inputs=self.inputs[rows])
+
+
+def settle_hold(
+    runs: Sequence[Trajectory], hold: Mapping[str, str] | str | None = None
+) -> list[Trajectory]:
+    """Give the runs with one way for each input, so that all of a call read it alike.
+
+    Parameters
+    ----------
+    runs : trajectories of the same columns.
+    hold : input -> "previous", "linear" or "smooth", or one word for all; for the others the runs
+        say it, or their values together.
+
+    Raises InputError when an input or a way is unknown.
+
+    >>> t = np.arange(6.0)
+    >>> steps = Trajectory(t, t[:, None], ("x",), np.array([[0.0, 0, 0, 1, 1, 1]]).T, ("u",))
+    >>> settle_hold([steps])[0].hold, settle_hold([steps], "linear")[0].hold
+    ({'u': 'previous'}, {'u': 'linear'})
+    """
+    names = runs[0].input_names
+    asked = check_hold(hold, names)
+    for place, name in enumerate(names):
+        given = [run.hold[name] for run in runs if name in run.hold]
+        if name not in asked and given:
+            asked[name] = given[0]
+        if name not in asked:
+            asked[name] = choose_hold_together([(run.t, run.inputs[:, place]) for run in runs])
+    return [replace(run, hold=asked) for run in runs]
 
 
 def columns_of(runs: Sequence[Trajectory]) -> dict[str, np.ndarray]:

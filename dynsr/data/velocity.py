@@ -64,14 +64,8 @@ def _with_velocities(
     rows = slice(max(s.rows.start for s in slopes), min(s.rows.stop for s in slopes))
     columns = [s.slope[rows.start - s.rows.start : rows.stop - s.rows.start] for s in slopes]
     kept = run.select(rows)
-    return Trajectory(
-        kept.t,
-        np.column_stack([kept.x, *columns]),
-        (*kept.states, *velocities.values()),
-        kept.inputs,
-        kept.input_names,
-        kept.origin,
-    )
+    states = (*kept.states, *velocities.values())
+    return replace(kept, x=np.column_stack([kept.x, *columns]), states=states)
 
 
 def _choose_first(run: Trajectory, state: str, settings: SlopeSettings) -> Choice:

@@ -85,8 +85,7 @@ class Units:
         units = np.array([float(self.columns[name]) for name in run.names])
         columns, k = run.columns / units, len(run.states)
         t = run.t / float(self.time)
-        names = run.input_names
-        return Trajectory(t, columns[:, :k], run.states, columns[:, k:], names, run.origin)
+        return replace(run, t=t, x=columns[:, :k], inputs=columns[:, k:])
 
     def apply_value(self, name: str, expr: sympy.Expr) -> sympy.Expr:
         """Give an expression for a column in these units."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import sympy
@@ -163,14 +164,8 @@ def add_noise(trajectory: Trajectory, relative: float, rng: np.random.Generator)
     if not (np.isfinite(relative) and relative >= 0):
         raise InputError(f"noise {relative} must be a number from 0 up, such as 0.01 for 1 %")
     noise = rng.standard_normal(trajectory.x.shape) * (relative * trajectory.x.std(axis=0))
-    return Trajectory(
-        trajectory.t,
-        trajectory.x + noise,
-        trajectory.states,
-        trajectory.inputs,
-        trajectory.input_names,
-        {**trajectory.origin, "noise": relative},
-    )
+    origin = {**trajectory.origin, "noise": relative}
+    return replace(trajectory, x=trajectory.x + noise, origin=origin)
 
 
 def _input_columns(system: System, times: np.ndarray) -> np.ndarray:
