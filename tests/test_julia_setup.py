@@ -1,16 +1,25 @@
+import json
 import os
+import re
+import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
 
+from dynsr.checks import doctor
+from dynsr.cli.progress import SearchProgress
+from dynsr.engines import START_NOTES
+from dynsr.engines.julia import process as worker_process
 from dynsr.engines.julia import setup as julia_setup
+from dynsr.engines.julia.diffeqpy import DiffeqpyEngine
 from dynsr.engines.julia.engine import JuliaEngine
 from dynsr.engines.julia.setup import find_missing, find_sources
 from dynsr.engines.registry import find_engine
 from dynsr.errors import EngineError, EngineUnavailable
 
+ROOT = Path(__file__).parents[1]
 FAKE = Path(__file__).parent / "fake_julia"
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the stand-in is a POSIX program")
 
@@ -137,7 +146,7 @@ def test_a_depot_that_cannot_be_written_gets_one_in_front(fake_julia, monkeypatc
     fixed, free, cache = file / "depot", tmp_path / "free", tmp_path / "cache"
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     monkeypatch.setenv("HOME", str(tmp_path))
-    julia_setup._own_depot.cache_clear()
+    julia_setup.own_depot.cache_clear()
     own = cache / "dynsr" / "julia"
 
     def depots(value):
@@ -155,12 +164,12 @@ def test_a_depot_that_cannot_be_written_gets_one_in_front(fake_julia, monkeypatc
     found = julia_setup.start_environment()["JULIA_DEPOT_PATH"]
     assert found == f"{own}{os.pathsep}{home}{os.pathsep}"
     monkeypatch.setenv("XDG_CACHE_HOME", str(file))
-    julia_setup._own_depot.cache_clear()
-    passing = Path(julia_setup._own_depot())
+    julia_setup.own_depot.cache_clear()
+    passing = Path(julia_setup.own_depot())
     assert passing.is_dir() and passing != own
     monkeypatch.delenv("PYTHON_JULIACALL_PROJECT")
     assert "JULIA_DEPOT_PATH" not in julia_setup.start_environment()
-    julia_setup._own_depot.cache_clear()
+    julia_setup.own_depot.cache_clear()
 
 
 def test_a_julia_that_somebody_has_set_up_ought_to_start(fake_julia, monkeypatch):
@@ -184,3 +193,143 @@ def test_a_julia_that_somebody_has_set_up_ought_to_start(fake_julia, monkeypatch
 def test_the_sources_are_found_from_a_checkout():
     """The julia folder beside the package is found."""
     assert (find_sources() / "src" / "DynSR.jl").is_file()
+
+
+def test_the_julia_tests_find_their_data():
+    """The folder that runtests.jl reads from, counted from where it lies, holds its files."""
+    source = ROOT / "julia" / "test" / "runtests.jl"
+    text = source.read_text()
+    (up,) = re.findall(r"CHECKOUT = joinpath\(realpath\(@__DIR__\), (.+)\)", text)
+    (below,) = re.findall(r"GOLDEN = joinpath\(CHECKOUT, (.+)\)", text)
+    golden = source.parent.joinpath(*json.loads(f"[{up}]"), *json.loads(f"[{below}]"))
+    named = re.findall(r'read_numbers\("([^"$]+)"', text)
+    systems = json.loads("[{}]".format(re.findall(r"SYSTEMS = \((.+)\)", text)[0]))
+    assert {f"{system}.csv" for system in systems} | set(named) <= set(os.listdir(golden))
+
+
+def test_the_page_of_the_engines_names_a_folder_that_is_there(tmp_path):
+    """Its command that compiles the package gives Julia the folder of the package, run as shown."""
+    page = (ROOT / "docs" / "engines.md").read_text()
+    (command,) = re.findall(r"```\n(julia --project=.+?)\n```", page, re.DOTALL)
+    program = tmp_path / "julia"
+    program.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    program.chmod(0o755)
+    path = os.pathsep.join([str(tmp_path), str(Path(sys.executable).parent), os.environ["PATH"]])
+    done = subprocess.run(
+        ["bash", "-c", command],
+        check=True,
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "PATH": path},
+    )
+    *_, code, folder = done.stdout.splitlines()
+    assert "Pkg.develop(path = ARGS[1])" in code
+    assert 'name = "DynSR"' in (Path(folder) / "Project.toml").read_text()
+
+
+JULIAPKG = """
+import os
+files = lambda: [os.path.normpath(p) for p in os.environ["LISTS"].split(os.pathsep)]
+class deps:
+    deps_files = staticmethod(files)
+"""
+
+
+def test_of_two_copies_of_the_julia_package_one_is_taken(monkeypatch, tmp_path):
+    """That of the dynsr in use; the other is named, and lists of other packages stay."""
+    (tmp_path / "juliapkg.py").write_text(JULIAPKG)
+    copy, other = tmp_path / "dynsr_julia", tmp_path / "other"
+    for folder in (copy, other):
+        (folder / "src").mkdir(parents=True)
+        (folder / "juliapkg.json").write_text("{}")
+    (copy / "src" / "DynSR.jl").write_text("module DynSR end")
+    own = find_sources()
+    lists = [str(folder / "juliapkg.json") for folder in (copy, own, other)]
+    code = (
+        "from dynsr.engines.julia.setup import keep_one_list; keep_one_list(); keep_one_list(); "
+        "import juliapkg; print(*juliapkg.deps.deps_files(), sep='\\n')"
+    )
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    kept = {n: v for n, v in os.environ.items() if not n.startswith("PYTHON_JULIA")}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={**kept, "LISTS": os.pathsep.join(lists), "PYTHONPATH": path},
+    )
+    assert done.stdout.split() == lists[1:]
+    assert done.stderr == f"dynsr's Julia code is taken from {own}, not from {copy}\n"
+
+
+def test_a_newer_julia_is_let_in_and_noted(monkeypatch):
+    """dynsr doctor says of a Julia beyond the one that was run that it is newer; of no other."""
+
+    class Engine:
+        name = "julia"
+
+        def __init__(self, version):
+            self.version = version
+
+        def versions(self):
+            return {"julia": self.version, "OrdinaryDiffEqTsit5": "2.1.3"}
+
+    def details(version):
+        return [check.detail for check in doctor._examine_versions(Engine(version))]
+
+    assert details("1.10.5") == ["1.10.5", "2.1.3"]
+    assert details("1.13.0-rc1")[0].startswith("1.13.0-rc1, newer than 1.10.5")
+
+
+def test_diffeqpy_leaves_the_users_project_as_it_is(fake_julia, monkeypatch, tmp_path):
+    """What diffeqpy adds goes into a project beside it, and the versions name what integrates."""
+    log = tmp_path / "log"
+    monkeypatch.setenv("FAKE_JULIA_DIFFEQPY", "9.9.9")
+    monkeypatch.setenv("FAKE_JULIA_LOG", str(log))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    engine = DiffeqpyEngine(start_seconds=60.0)
+    versions = engine.versions()
+    engine.close()
+    assert versions["DifferentialEquations"] == "9.9.9" and "diffeqpy" in versions
+    active = [line.split()[1] for line in log.read_text().splitlines() if "active" in line]
+    assert active == [str(tmp_path / "dynsr" / "julia" / "environments" / "diffeqpy")]
+
+
+def test_a_long_stage_is_told_again(monkeypatch):
+    """After the first line of a stage come others at growing gaps, with the seconds so far."""
+    now = [0.0]
+    monkeypatch.setattr(worker_process.time, "monotonic", lambda: now[0])
+    reports, told = worker_process._Reports(), []
+    reports.begin("compiling")
+    for second in range(100):
+        now[0] = float(second)
+        reports.announce("julia", told.append)
+    assert told == [
+        "julia: compiling",
+        "julia: compiling (9 s so far)",
+        "julia: compiling (33 s so far)",
+    ]
+
+
+@pytest.mark.parametrize("command", ["audit", "crosscheck"])
+def test_a_long_check_says_how_far_it_is(command):
+    """On standard error, a line for what has ended; -q keeps silent, and the answer is the same."""
+    less = ["--sections", "corrected", "--engines", "embedded"] if command == "crosscheck" else []
+    loud = subprocess.run(
+        [sys.executable, "-m", "dynsr", command, "--json", *less], capture_output=True, text=True
+    )
+    quiet = subprocess.run(
+        [sys.executable, "-m", "dynsr", command, "--json", "-q", *less],
+        capture_output=True,
+        text=True,
+    )
+    assert re.search(r"\[\d+/\d+\]", loud.stderr) and quiet.stderr == ""
+    assert loud.stdout == quiet.stdout and loud.stdout.startswith("[")
+
+
+def test_julia_says_how_long_it_takes_to_start(fake_julia, capsys):
+    """Before the first answer comes, a line says what the wait is for."""
+    SearchProgress().say_start("embedded", "julia")
+    told = " ".join(capsys.readouterr().err.split())
+    assert told == START_NOTES["julia"]

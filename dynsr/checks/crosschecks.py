@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from types import ModuleType
 from typing import Any
 
@@ -16,6 +17,7 @@ from dynsr.checks.implicit import implicit_rows
 from dynsr.checks.trajectories import CrosscheckRow, absent, trajectory_rows
 from dynsr.engines import ENGINES, AbstractEngine, DiffeqpyEngine, SparseProblem, find_engine
 from dynsr.errors import EngineError, EngineUnavailable, InputError, MissingExtra, need
+from dynsr.jobs import Step, tell_each
 from dynsr.paper import PAPER_NAMES, SparseRecord, sparse_records
 
 COEFFICIENT_LIMIT = 1e-6
@@ -31,6 +33,7 @@ def crosscheck(
     engines: Sequence[str] = ENGINES,
     sections: Sequence[str] | None = None,
     extra: Sequence[str] = (),
+    progress: Callable[[Step], None] | None = None,
 ) -> list[CrosscheckRow]:
     """Compare engines with recorded answers and other programs, on the paper's systems.
 
@@ -40,6 +43,7 @@ def crosscheck(
     engines : names of the engines to check.
     sections : names of SECTIONS; all by default.
     extra : further programs whose trajectories are compared: "diffeqpy".
+    progress : called with a :class:`dynsr.jobs.Step` as each section of a system is compared.
 
     Raises InputError on an unknown system, engine, section or program.
 
@@ -58,15 +62,12 @@ def crosscheck(
                 raise InputError(
                     f"unknown {kind} {name!r} of crosscheck; there are: {', '.join(known)}"
                 )
-    rows: list[CrosscheckRow] = []
-    for engine in engines:
-        for section in chosen:
-            for system in systems:
-                rows.extend(_compare(section, system, engine, find_engine))
-    for program in extra:
-        for system in systems:
-            rows.extend(_compare("trajectories", system, program, _start_program))
-    return rows
+    asked = [(*each, find_engine) for each in product(engines, chosen, systems)]
+    asked += [(*each, _start_program) for each in product(extra, ("trajectories",), systems)]
+    told = tell_each(asked, lambda each: f"{each[0]}: {each[1]} of {each[2]}", progress)
+    return [
+        row for name, section, system, find in told for row in _compare(section, system, name, find)
+    ]
 
 
 def _compare(

@@ -20,6 +20,7 @@ from dynsr.engines import (
     SparseProblem,
     find_engine,
     is_configured,
+    note_julia,
 )
 from dynsr.engines import install as install_julia
 from dynsr.errors import EngineError, EngineUnavailable
@@ -165,7 +166,9 @@ def _examine_versions(engine: AbstractEngine) -> Iterator[Check]:
         # The rows of the integration and the regression say why.
         return
     for package, version in versions.items():
-        yield Check(f"{engine.name}: {package}", OK, version, required=False)
+        note = note_julia(version) if package == "julia" else ""
+        detail = f"{version}, {note}" if note else version
+        yield Check(f"{engine.name}: {package}", OK, detail, required=False)
 
 
 def _try_integration(engine: AbstractEngine) -> float:

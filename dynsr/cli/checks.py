@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from dynsr.cli import options, output
 from dynsr.cli.group import BAD_INPUT
+from dynsr.cli.progress import SearchProgress
+from dynsr.engines import ENGINES
 
 
 def crosscheck(
@@ -22,6 +24,7 @@ def crosscheck(
         list[str] | None, typer.Option("--with", help="A further program: diffeqpy.")
     ] = None,
     json: options.Json = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Compare engines with recorded answers and other programs: a verdict a row.
 
@@ -31,8 +34,10 @@ def crosscheck(
     from dynsr.checks import crosscheck as run
 
     asked = {"systems": systems, "engines": engines, "sections": sections, "extra": extra}
-    chosen = {n: options.read_names(v, f"--{n}") for n, v in asked.items() if v}
-    rows = run(**chosen)  # type: ignore[arg-type] # only what was asked for is given
+    chosen: dict[str, Any] = {n: options.read_names(v, f"--{n}") for n, v in asked.items() if v}
+    with SearchProgress(quiet) as progress:
+        progress.say_start(*chosen.get("engines", ENGINES))
+        rows = run(**chosen, progress=progress)
     if json:
         output.print_json(rows)
     else:

@@ -52,6 +52,7 @@ def replicate(
 
     try:
         with SearchProgress(quiet) as progress:
+            progress.say_start(engine)
             found = run(
                 systems=options.read_names(systems, "--systems") or PAPER_NAMES,
                 methods=options.read_names(methods, "--methods") or PAPER_METHODS,
@@ -116,11 +117,14 @@ def load_results(folder: Path) -> tuple[list[Record], dict[str, Any]]:
 def audit(
     engine: options.Engine = DEFAULT_ENGINE,
     json: options.Json = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Score the 33 printed expressions of the paper again and compare digit by digit."""
     from dynsr.paper import audit as run
 
-    rows = run(engine)
+    with SearchProgress(quiet) as progress:
+        progress.say_start(engine)
+        rows = run(engine, progress=progress)
     if json:
         output.print_json(rows)
         return

@@ -50,6 +50,14 @@ class SearchProgress:
         elif not self._quiet:
             self._write(step)
 
+    def say_start(self, *engines: str) -> None:
+        """Say how long an engine takes before its first answer, where that is long."""
+        from dynsr.engines import START_NOTES, is_configured
+
+        for engine in engines:
+            if engine in START_NOTES and is_configured():
+                self.say(START_NOTES[engine])
+
     def say(self, line: str) -> None:
         """Write a line above the others."""
         if not self._quiet:

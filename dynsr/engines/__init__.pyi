@@ -13,10 +13,11 @@ from .base import (
 from .drives import Drive
 from .embedded import EmbeddedEngine
 from .julia.diffeqpy import DiffeqpyEngine
-from .julia.setup import install, is_configured
+from .julia.setup import install, is_configured, note_julia
 from .registry import (
     DEFAULT_ENGINE,
     ENGINES,
+    START_NOTES,
     find_engine,
     is_embedded,
     refuse_idle,
@@ -34,6 +35,7 @@ __all__ = [
     "DRIVEN",
     "ENGINES",
     "EXPLICIT",
+    "START_NOTES",
     "AbstractEngine",
     "DiffeqpyEngine",
     "Drive",
@@ -53,6 +55,7 @@ __all__ = [
     "interpolate",
     "is_configured",
     "is_embedded",
+    "note_julia",
     "refuse_idle",
     "replay_steps",
     "rows_of",

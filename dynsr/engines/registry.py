@@ -13,6 +13,10 @@ if TYPE_CHECKING:
 
 ENGINES = ("embedded", "julia")
 DEFAULT_ENGINE = "embedded"
+# What somebody who waits should know of an engine whose first answer takes long.
+START_NOTES = {
+    "julia": "Julia starts and compiles first: 10 s to a minute, minutes after an installation"
+}
 _STARTED: dict[str, AbstractEngine] = {}
 
 

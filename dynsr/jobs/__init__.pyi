@@ -3,7 +3,7 @@ from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_no
 from .garbage import let_garbage_wait
 from .interrupts import heard_again, interrupt_again, is_repeated, signal_again, signal_main
 from .pool import Task, check_jobs, check_seed, run_tasks, spread
-from .progress import Step, Watch, best_equation
+from .progress import Step, Watch, best_equation, tell_each
 from .store import (
     MANIFEST,
     FolderTaken,
@@ -54,6 +54,7 @@ __all__ = [
     "signal_again",
     "signal_main",
     "spread",
+    "tell_each",
     "time_limit",
     "to_json",
     "to_plain",

@@ -11,13 +11,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Client, Connection, Listener
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from typing_extensions import Self
 
@@ -71,6 +71,9 @@ class Running:
         return max(0.0, time.time() - self.began)
 
 
+Item = TypeVar("Item")
+
+
 @dataclass(frozen=True)
 class Step:
     """One report of a run.
@@ -89,6 +92,32 @@ class Step:
     running: tuple[Running, ...] = ()
     seconds: float = 0.0
     seconds_left: float | None = None
+
+
+def tell_each(
+    items: Sequence[Item], name: Callable[[Item], str], progress: Callable[[Step], None] | None
+) -> Iterator[Item]:
+    """Give items one by one and report each as its turn ends, with the time left.
+
+    Parameters
+    ----------
+    items : what is done one after the other.
+    name : says what an item is called.
+    progress : is called with a :class:`Step` each time; None for no reports.
+
+    >>> steps = []
+    >>> [2 * item for item in tell_each([1, 2], str, steps.append)]
+    [2, 4]
+    >>> [(step.what, step.done, step.total) for step in steps]
+    [('1', 1, 2), ('2', 2, 2)]
+    """
+    began = time.monotonic()
+    for done, item in enumerate(items, 1):
+        yield item
+        if progress is not None:
+            seconds, more = time.monotonic() - began, len(items) - done
+            left = seconds / done * more if more else None
+            progress(Step(name(item), done, len(items), seconds=seconds, seconds_left=left))
 
 
 def best_equation(front: ParetoFront) -> str:

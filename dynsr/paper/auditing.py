@@ -14,6 +14,7 @@ from dynsr.data import find_system
 from dynsr.discovery import Score
 from dynsr.engines import AbstractEngine, find_engine
 from dynsr.expression import to_text
+from dynsr.jobs import Step, tell_each
 from dynsr.paper.printed import PrintedExpression, printed_expressions
 from dynsr.paper.protocol import printed_loss, score_as_printed, sindy_samples
 
@@ -50,7 +51,9 @@ class AuditRow:
 
 
 def audit(
-    engine: str | AbstractEngine = "embedded", unrounded: Models | None = None
+    engine: str | AbstractEngine = "embedded",
+    unrounded: Models | None = None,
+    progress: Callable[[Step], None] | None = None,
 ) -> list[AuditRow]:
     """Score the 33 printed expressions again and compare with what is printed.
 
@@ -59,6 +62,7 @@ def audit(
     engine : what integrates and regresses.
     unrounded : gives the models of SINDy with all their digits, by system, for an engine; by
         default :func:`paper_models`, which finds them anew.
+    progress : called with a :class:`dynsr.jobs.Step` as each method on each system is scored.
 
     Raises InputError for an unknown engine, EngineUnavailable for one that is absent.
 
@@ -66,7 +70,8 @@ def audit(
     True
     """
     chosen = find_engine(engine)
-    rows = [row for group in _groups() for row in _audit_group(group, chosen)]
+    groups = tell_each(_groups(), lambda group: f"{group[0].system} {group[0].method}", progress)
+    rows = [row for group in groups for row in _audit_group(group, chosen)]
     missed = [row.system for row in rows if row.method == "SINDy" and not row.agrees]
     if missed:
         models = paper_models(chosen, missed) if unrounded is None else unrounded(chosen)

@@ -105,13 +105,21 @@ function integrate_driven(
         source, x0, t, reltol, abstol, max_steps, max_seconds, counts, starts, pieces, stops,
     )
     slopes = Slopes(compile(source))
-    drives = drives_of(
-        Vector{Float64}(counts), Vector{Float64}(starts), Matrix{Float64}(pieces),
-    )
     return Base.invokelatest(
-        run_tsit5, slopes, Vector{Float64}(x0), Vector{Float64}(t),
+        run_driven, slopes, Vector{Float64}(x0), Vector{Float64}(t),
         Float64(reltol), Float64(abstol), Int(max_steps), Float64(max_seconds),
-        drives, Vector{Float64}(stops),
+        Vector{Float64}(counts), Vector{Float64}(starts), Matrix{Float64}(pieces),
+        Vector{Float64}(stops),
+    )
+end
+
+"All of `integrate_driven` but what makes Julia's own arrays and compiles the slopes."
+function run_driven(
+        slopes, x0, t, reltol, abstol, max_steps, max_seconds, counts, starts, pieces, stops,
+    )
+    drives = drives_of(counts, starts, pieces)
+    return run_tsit5(
+        slopes, x0, t, reltol, abstol, max_steps, max_seconds, drives, stops,
     )
 end
 

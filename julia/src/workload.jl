@@ -12,10 +12,15 @@ function work_integration()
     return run_tsit5(Slopes(decay!), [1.0], [0.0, 0.5, 1.0], 1.0e-6, 1.0e-9, 1000, 60.0)
 end
 
+function driven!(du, u, p, t)
+    du[1] = Formulas.drive(p, 1, t) - u[1]
+    return nothing
+end
+
 function work_driven()
-    drives = Drives([[0.0]], [ones(4, 1)])
-    return run_tsit5(
-        Slopes(decay!), [1.0], [0.0, 0.5, 1.0], 1.0e-6, 1.0e-9, 1000, 60.0, drives, [0.5],
+    return run_driven(
+        Slopes(driven!), [1.0], [0.0, 0.5, 1.0], 1.0e-6, 1.0e-9, 1000, 60.0,
+        [2.0], [0.0, 0.5], ones(4, 2), [0.5],
     )
 end
 

@@ -11,7 +11,7 @@ end
 const integrate = DynSR.integrate
 const regress = DynSR.regress
 
-const CHECKOUT = joinpath(realpath(@__DIR__), "..", "..", "..")
+const CHECKOUT = joinpath(realpath(@__DIR__), "..", "..")
 const GOLDEN = joinpath(CHECKOUT, "tests", "golden", "julia")
 const SYSTEMS = ("lotka_volterra", "simple_pendulum", "cart_pole")
 

@@ -156,7 +156,8 @@ class JuliaEngine(AbstractEngine):
     def versions(self) -> dict[str, str]:
         """Name Julia and its packages with their versions; starts Julia when it has not run."""
         if not self._versions:
-            facts, _ = self._ask({"call": "versions"}, {}, GRACE_SECONDS)
+            asked = {"call": "versions", "program": self.integration}
+            facts, _ = self._ask(asked, {}, GRACE_SECONDS)
             self._versions = {str(k): str(v) for k, v in facts["versions"].items()}
         return dict(self._versions)
 

@@ -32,8 +32,9 @@ from dynsr.errors import EngineError, EngineUnavailable
 Announce = Callable[[str], None]
 # Plain values by name, and float64 arrays by name.
 Message = tuple[dict[str, Any], dict[str, np.ndarray]]
-# A stage that is over sooner is not worth a line.
+# A stage that is over sooner is not worth a line; the next lines of it come at growing gaps.
 QUIET_SECONDS = 2.0
+_GROWTH = 4
 _TICK = 0.25
 _LAST_LINES = 30
 _LONGEST_WORDS, _LONGEST_CAUSE, _CAUSE_LINES = 500, 240, 4
@@ -234,13 +235,15 @@ class _Reports:
 
     def begin(self, stage: str) -> None:
         """Note that a stage begins; an empty one is not announced."""
-        self.stage, self._since = stage, time.monotonic()
+        self.stage, self._since, self._quiet = stage, time.monotonic(), QUIET_SECONDS
 
     def announce(self, name: str, announce: Announce) -> None:
-        """Announce the stage, once, when it takes long."""
-        if self.stage and time.monotonic() - self._since > QUIET_SECONDS:
-            announce(f"{name}: {self.stage}")
-            self.stage = ""
+        """Announce the stage when it takes long, and again at growing gaps with its seconds."""
+        seconds = time.monotonic() - self._since
+        if self.stage and seconds > self._quiet:
+            so_far = f" ({seconds:.0f} s so far)" if self._quiet > QUIET_SECONDS else ""
+            announce(f"{name}: {self.stage}{so_far}")
+            self._quiet *= _GROWTH
 
 
 class _WorkerError(Exception):

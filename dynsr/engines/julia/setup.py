@@ -28,8 +28,11 @@ ENVIRONMENT = {
     "PYTHON_JULIACALL_STARTUP_FILE": "no",
 }
 OLDEST_JULIA = (1, 10)
+# The newest that dynsr was run with as a whole; later ones are let in and noted.
+PROVEN_JULIA = (1, 10, 5)
 _VERSION_SECONDS = 20.0
-_OWN_PROJECT = ("PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT")
+OWN_PROGRAM, OWN_PROJECT = "PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT"
+_OWN = (OWN_PROGRAM, OWN_PROJECT)
 
 # juliapkg tells its progress on standard output, where only the answer is wanted.
 _RESOLVE = """
@@ -37,6 +40,8 @@ import os
 answer = os.fdopen(os.dup(1), "w")
 os.dup2(2, 1)
 try:
+    from dynsr.engines.julia.setup import keep_one_list
+    keep_one_list()
     import juliapkg
     juliapkg.resolve()
     print(juliapkg.executable(), juliapkg.project(), sep="\\n", file=answer)
@@ -61,6 +66,34 @@ def find_sources() -> Path:
     raise EngineUnavailable(f"dynsr's Julia code is missing in {beside}; reinstall dynsr")
 
 
+def keep_one_list() -> None:
+    """Let juliapkg read the list of packages of :func:`find_sources` alone, of all copies of it.
+
+    A checkout on the path and an installed dynsr have one each, whose paths contradict each other;
+    which one is taken is told on standard error. Nothing happens where juliapkg is not installed
+    or not asked.
+    """
+    if OWN_PROJECT in os.environ:
+        return
+    try:
+        from juliapkg import deps
+
+        find = deps.deps_files
+    except (ImportError, AttributeError):
+        return
+    own = find_sources() / "juliapkg.json"
+
+    def is_other(file: str) -> bool:
+        there = Path(file)
+        return (there.parent / "src" / "DynSR.jl").is_file() and not there.samefile(own)
+
+    others = sorted(filter(is_other, find()))
+    if others:
+        listed = ", ".join(str(Path(file).parent) for file in others)
+        sys.stderr.write(f"dynsr's Julia code is taken from {own.parent}, not from {listed}\n")
+        deps.deps_files = lambda: [file for file in find() if not is_other(file)]
+
+
 def require_julia() -> None:
     """Raise EngineUnavailable, with the remedy, where Julia cannot start; start nothing."""
     missing = find_missing()
@@ -75,7 +108,7 @@ def find_missing() -> str:
     """
     if importlib.util.find_spec("juliacall") is None:
         return f"the Julia engine is not installed; run {INSTALL}"
-    if any(name in os.environ for name in _OWN_PROJECT):
+    if any(name in os.environ for name in _OWN):
         return _check_own_project()
     try:
         resolved = _is_resolved()
@@ -88,9 +121,9 @@ def find_missing() -> str:
 
 
 def _check_own_project() -> str:
-    program, project = (os.environ.get(name) for name in _OWN_PROJECT)
+    program, project = (os.environ.get(name) for name in _OWN)
     if program is None or project is None:
-        here, absent = _OWN_PROJECT if project is None else _OWN_PROJECT[::-1]
+        here, absent = _OWN if project is None else _OWN[::-1]
         return f"{here} is set without {absent}; set both or neither"
     if shutil.which(program) is None:
         return f"PYTHON_JULIACALL_EXE names no program: {program!r}; give the path of julia"
@@ -115,9 +148,9 @@ def explain_start(problem: str) -> str:
     ----------
     problem : what the worker said.
     """
-    if _OWN_PROJECT[0] not in os.environ:
+    if OWN_PROGRAM not in os.environ:
         return f"Julia does not start: {problem}; run dynsr doctor --install"
-    wrong = _check_program(os.environ[_OWN_PROJECT[0]])
+    wrong = _check_program(os.environ[OWN_PROGRAM])
     if wrong:
         return f"Julia does not start: {wrong}"
     remedy = "give a project with the packages of dynsr's julia/Project.toml and PythonCall"
@@ -126,7 +159,7 @@ def explain_start(problem: str) -> str:
 
 def _check_program(program: str) -> str:
     """Say what is wrong with the program that the environment names; "" where it is a Julia."""
-    name = _OWN_PROJECT[0]
+    name = OWN_PROGRAM
     try:
         done = subprocess.run(
             [program, "--version"],
@@ -151,10 +184,23 @@ def _check_program(program: str) -> str:
     return ""
 
 
+def note_julia(version: str) -> str:
+    """Say so where a Julia is newer than the newest that dynsr was run with; else "".
+
+    >>> note_julia("1.13.0")
+    'newer than 1.10.5, the newest that dynsr was run with'
+    >>> note_julia("1.10.4")
+    ''
+    """
+    found = tuple(map(int, re.findall(r"\d+", version)[:3]))
+    proven = ".".join(map(str, PROVEN_JULIA))
+    return f"newer than {proven}, the newest that dynsr was run with" * (found > PROVEN_JULIA)
+
+
 def start_environment() -> dict[str, str]:
     """Give the environment of the process that Julia runs in."""
     environment = {**ENVIRONMENT, **os.environ}
-    if _OWN_PROJECT[1] in os.environ:
+    if OWN_PROJECT in os.environ:
         # juliapkg would look for its own project in the first depot.
         environment |= _writable_depot(os.environ)
     return environment
@@ -175,11 +221,11 @@ def _writable_depot(environment: Mapping[str, str]) -> dict[str, str]:
         return {}
     # An empty entry stands for the depots that come with Julia.
     others = given if first else f"{home}{os.pathsep}{given or ''}"
-    return {"JULIA_DEPOT_PATH": f"{_own_depot()}{os.pathsep}{others}"}
+    return {"JULIA_DEPOT_PATH": f"{own_depot()}{os.pathsep}{others}"}
 
 
 @cache
-def _own_depot() -> str:
+def own_depot() -> str:
     """Give a depot for what Julia writes, kept with other caches or gone with this process."""
     home = os.path.expanduser("~")
     caches = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
@@ -205,7 +251,7 @@ def is_configured() -> bool:
     """Whether somebody has set Julia up or told where it is, so that it ought to start."""
     if importlib.util.find_spec("juliacall") is None:
         return False
-    if any(name in os.environ for name in _OWN_PROJECT):
+    if any(name in os.environ for name in _OWN):
         return True
     try:
         return _is_resolved()
@@ -222,11 +268,11 @@ def locate() -> tuple[str, str]:
     """
     if importlib.util.find_spec("juliacall") is None:
         raise EngineUnavailable(f"juliacall is not installed; run {INSTALL}")
-    if any(name in os.environ for name in _OWN_PROJECT):
+    if any(name in os.environ for name in _OWN):
         wrong = _check_own_project()
         if wrong:
             raise EngineUnavailable(wrong)
-        return os.environ[_OWN_PROJECT[0]], os.environ[_OWN_PROJECT[1]]
+        return os.environ[OWN_PROGRAM], os.environ[OWN_PROJECT]
     code = f"import sys; sys.path[:] = {json.dumps(sys.path)}\n{_RESOLVE}"
     done = subprocess.run(
         [sys.executable, "-u", "-c", code],
@@ -245,6 +291,6 @@ def locate() -> tuple[str, str]:
 def install() -> str:
     """Set up Julia and its packages through juliapkg and say where they are; raises as locate."""
     program, project = locate()
-    if _OWN_PROJECT[0] in os.environ:
-        return f"nothing to install: {_OWN_PROJECT[1]} names {project}"
+    if OWN_PROGRAM in os.environ:
+        return f"nothing to install: {OWN_PROJECT} names {project}"
     return f"Julia and its packages are set up: {program} in {project}"

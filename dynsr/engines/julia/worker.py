@@ -7,6 +7,7 @@ prints goes to standard error, so that nothing but messages reaches the engine.
 from __future__ import annotations
 
 import contextlib
+import importlib.metadata
 import os
 import pickle
 import sys
@@ -15,9 +16,20 @@ from typing import IO, Any
 
 import numpy as np
 
+from dynsr.engines.julia.setup import OWN_PROJECT, keep_one_list, own_depot
+
 LONGEST_MESSAGE = 600
 _IS_PACKAGE = (
     'path -> (found = Base.find_package("DynSR"); found !== nothing && samefile(found, path))'
+)
+# The user's project stays on the path from which packages are loaded.
+_ACTIVATE_BESIDE = (
+    "folder -> (push!(LOAD_PATH, dirname(Base.active_project())); mkpath(folder); "
+    "Base.set_active_project(folder))"
+)
+_LOADED_VERSION = (
+    "name -> (m = [m for (id, m) in Base.loaded_modules if id.name == name]; "
+    'isempty(m) ? "" : string(pkgversion(m[1])))'
 )
 _TINY_SLOPES = "(du, u, p, t) -> begin\n    du[1] = -1.0 * u[1]\n    nothing\nend"
 
@@ -43,6 +55,7 @@ class Session:
         if self._module is not None:
             return
         self._tell(f"starting Julia ({_announce_packages()})")
+        keep_one_list()
         import juliacall
 
         self._tell("loading Julia's packages (compiled on the first time, which takes minutes)")
@@ -85,7 +98,8 @@ class Session:
     ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Do what is asked: "integrate", "regress", "diffeqpy" or "versions"."""
         if header["call"] == "versions":
-            return {"versions": self._versions}, {}
+            own = _diffeqpy_versions() if header.get("program") == "diffeqpy" else {}
+            return {"versions": {**self._versions, **own}}, {}
         return self._calls[header["call"]](header, arrays)
 
     def _integrate(
@@ -168,15 +182,33 @@ def _load_diffeqpy() -> tuple[Any, Any]:
     # diffeqpy installs another Julia unless it finds a program of that name.
     folders = [str(juliacall.Main.seval("Sys.BINDIR")), *os.environ["PATH"].split(os.pathsep)]
     os.environ["PATH"] = os.pathsep.join(dict.fromkeys(folders))
+    if OWN_PROJECT in os.environ and "diffeqpy" not in sys.modules:
+        # It adds packages that it misses to the active project, which is the user's own.
+        juliacall.Main.seval(_ACTIVATE_BESIDE)(
+            os.path.join(own_depot(), "environments", "diffeqpy")
+        )
     from diffeqpy import de
 
     return de, juliacall.Main.seval("x -> Vector{Float64}(x)")
 
 
+def _diffeqpy_versions() -> dict[str, str]:
+    """Name the versions of diffeqpy and of the DifferentialEquations.jl that it loads."""
+    import juliacall
+
+    _load_diffeqpy()
+    try:
+        own = importlib.metadata.version("diffeqpy")
+    except importlib.metadata.PackageNotFoundError:
+        own = "from a folder of the path"
+    loaded = str(juliacall.Main.seval(_LOADED_VERSION)("DifferentialEquations"))
+    return {"diffeqpy": own, "DifferentialEquations": loaded}
+
+
 def _announce_packages() -> str:
     """Say what a start does with packages; none are installed into a user's own project."""
-    if "PYTHON_JULIACALL_PROJECT" in os.environ:
-        return f"with the packages of {os.environ['PYTHON_JULIACALL_PROJECT']}"
+    if OWN_PROJECT in os.environ:
+        return f"with the packages of {os.environ[OWN_PROJECT]}"
     return "packages that are missing are installed, which takes minutes"
 
 

@@ -213,6 +213,10 @@ class _Main:
         if code == "Main.DynSR":
             assert self.loaded, "the sources were not included"
             return _MODULE
+        if code.startswith("folder -> (push!(LOAD_PATH, dirname(Base.active_project()));"):
+            return lambda folder: _log(f"active {folder}")
+        if code.startswith("name -> (m = [m for (id, m) in Base.loaded_modules"):
+            return lambda name: os.environ.get("FAKE_JULIA_DIFFEQPY", "")
         if code == "Sys.BINDIR":
             return "/opt/julia/bin"
         if code == "x -> Vector{Float64}(x)":
