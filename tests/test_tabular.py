@@ -366,7 +366,7 @@ def test_a_table_says_the_role_of_each_column():
     columns = load_columns(source)
     table = read_trajectories(columns, inputs=["u"], trajectory="well")
     assert (table.roles.time, table.roles.states) == ("t", ("x",))
-    assert (table.roles.inputs, table.roles.trajectory) == (("u",), "well")
+    assert (table.roles.inputs, table.roles.trajectory) == (("u",), ("well",))
     few = columns.only(["u", "t"])
     assert few.names == ("t", "u")
     assert read_trajectories(few).trajectories[0].states == ("u",)

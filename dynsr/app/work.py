@@ -137,7 +137,7 @@ class Work:
         assert found is not None
         if roles is None:
             named = {found.time: TIME, **dict.fromkeys(found.inputs, INPUT)}
-            named |= {found.trajectory: TRAJECTORY} if found.trajectory else {}
+            named |= dict.fromkeys(found.trajectory, TRAJECTORY)
             roles = {n: named.get(n, UNUSED) for n in columns.names}
             roles |= dict.fromkeys(found.states, STATE)
             own = {n: bracketed_unit(n) for n in columns.names}

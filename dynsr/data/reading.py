@@ -38,7 +38,8 @@ class Table:
 
     ``roles`` says the same column by column; None where several sources were read. ``left_out``
     gives each column that is not used with the reason; ``notes`` are sentences on what was noticed
-    or assumed.
+    or assumed; ``names`` are those of the trajectories: the values of the columns that tell them
+    apart, joined by ", ", or else numbers from 1.
     """
 
     trajectories: list[Trajectory]
@@ -46,6 +47,7 @@ class Table:
     roles: Roles | None = None
     left_out: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
 
 def read_trajectories(
@@ -129,7 +131,8 @@ def _check_first_column(t: np.ndarray, label: str) -> None:
 def _told(runs: Sequence[Trajectory], guess: str) -> Table:
     """Let each trajectory hold how its columns were understood."""
     told = [replace(run, origin={**run.origin, "columns": guess}) for run in runs]
-    return Table(told, guess)
+    names = tuple(str(run.origin.get("name", i + 1)) for i, run in enumerate(told))
+    return Table(told, guess, names=names)
 
 
 def _read_list(sources: list[Any], *arguments: Any) -> Table:
@@ -239,7 +242,7 @@ def _cut(
     by_name = dict(zip(columns.names, columns.values, strict=True))
     wanted = [*roles.states, *roles.inputs]
     data = [to_numbers(by_name[name], name, columns.label) for name in wanted]
-    groups = group_rows(by_name.get(roles.trajectory) if roles.trajectory else None, t)
+    groups = group_rows(by_name[roles.trajectory[0]] if roles.trajectory else None, t)
     check_rows(t, roles.time, groups, columns.label)
     check_values(data, wanted, roles, columns.label)
     table = np.column_stack(data)
@@ -253,7 +256,8 @@ def _cut(
     }
     names = [roles.renamed[name] for name in wanted]
     runs = []
-    for rows in thin(groups, len(t), max_rows, columns.label):
+    kept = thin(groups, len(t), max_rows, columns.label)
+    for own, rows in zip(groups, kept, strict=True):
         extra = functions(t[rows][None]).T
         inputs = np.column_stack([table[rows, count:], extra])
         _check_formulas(extra, t[rows], formulas)
@@ -264,7 +268,7 @@ def _cut(
                 tuple(names[:count]),
                 inputs,
                 (*names[count:], *formulas),
-                origin,
+                {**origin, "name": own},
             )
         )
     return settle_hold(runs)
@@ -285,7 +289,9 @@ def describe(runs: Sequence[Trajectory], roles: Roles, formulas: Mapping[str, st
     """Say how the columns were understood: times, states, inputs, and what is not used."""
     total = sum(len(run) for run in runs)
     many = f"{len(runs)} trajectories" + (
-        f" named by {roles.trajectory!r}" if roles.trajectory else ", each starting the time again"
+        f" named by {', '.join(map(repr, roles.trajectory))}"
+        if roles.trajectory
+        else ", each starting the time again"
     )
     unit = runs[0].time_unit
     counted = f" in {_UNITS.get(unit, unit)}" if unit else ""

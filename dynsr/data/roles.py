@@ -34,19 +34,23 @@ class Roles:
     columns that no role was found for; ``chosen`` says that the caller named the states;
     ``parameters`` are those inputs that were taken for such since they are constant within each
     trajectory, and ``labels`` what only tells trajectories apart beside ``trajectory``; ``noise``
-    maps a state to the column of its measurement errors.
+    maps a state to the column of its measurement errors. ``trajectory`` are the columns whose
+    values together name a trajectory; ``clock`` is the column of the time of the day where ``time``
+    holds only the date, and ``quantity`` the column whose values became states or inputs.
     """
 
     time: str
     states: tuple[str, ...]
     inputs: tuple[str, ...]
-    trajectory: str | None
+    trajectory: tuple[str, ...] = ()
     renamed: Mapping[str, str] = field(default_factory=dict)
     ignored: tuple[str, ...] = ()
     chosen: bool = False
     parameters: tuple[str, ...] = ()
     labels: tuple[str, ...] = ()
     noise: Mapping[str, str] = field(default_factory=dict)
+    clock: str | None = None
+    quantity: str | None = None
 
 
 def guess_roles(
@@ -103,7 +107,7 @@ def guess_roles(
         time,
         tuple(chosen),
         tuple(known),
-        grouping.trajectory,
+        () if grouping.trajectory is None else (grouping.trajectory,),
         _rename(used, formulas),
         tuple(name for name in others if name not in (*used, *grouping.labels)),
         states is not None,
