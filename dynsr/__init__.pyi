@@ -1,4 +1,13 @@
-from .data import SYSTEMS, Samples, System, Trajectory, find_system, make_samples
+from .data import (
+    SYSTEMS,
+    Description,
+    Samples,
+    System,
+    Trajectory,
+    describe,
+    find_system,
+    make_samples,
+)
 from .discovery import (
     Discovery,
     DiscoverySettings,
@@ -31,6 +40,7 @@ __all__ = [
     "SYSTEMS",
     "AbstractMethod",
     "Candidate",
+    "Description",
     "Discovery",
     "DiscoverySettings",
     "DynAIFeynman",
@@ -52,6 +62,7 @@ __all__ = [
     "add_noise",
     "audit",
     "bootstrap",
+    "describe",
     "discover",
     "equation_rmse",
     "find_engine",

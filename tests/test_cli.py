@@ -45,8 +45,10 @@ def spawn(*words, **options):
 
 
 def test_all_commands_are_there():
-    """The command has the twelve verbs."""
-    wanted = "systems generate discover score simulate replicate audit crosscheck benchmark"
+    """The command has the thirteen verbs."""
+    wanted = (
+        "systems generate describe discover score simulate replicate audit crosscheck benchmark"
+    )
     assert set(NAMES) == {*wanted.split(), "report", "doctor", "app"}
 
 

@@ -50,6 +50,7 @@ for _panel, _command, _example in (
     (_DATA, data.systems, "systems pendulum"),
     (_DATA, data.generate, "generate lorenz -o l.csv --noise 0.01 --seed 1"),
     (_DATA, data.simulate, "simulate pendulum --x0 0.5,0 --span 0,20 -o p.csv"),
+    (_DATA, data.describe, "describe l.csv"),
     (_DISCOVERY, discovery.discover, "discover l.csv --out lorenz"),
     (_DISCOVERY, page.app, "app l.csv"),
     (_DISCOVERY, results.score, "score lorenz/discovery.json other.csv"),

@@ -129,6 +129,40 @@ def _describe(system: System) -> dict[str, Any]:
     }
 
 
+def describe(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="A table of trajectories; one file or many."),
+    ],
+    time_column: options.TimeColumn = None,
+    states: options.StateColumns = None,
+    inputs: options.Inputs = None,
+    trajectory: options.TrajectoryColumn = None,
+    json: options.Json = False,
+) -> None:
+    """Show how a table is understood and what looks odd in it, without a search.
+
+    It is what dynsr discover takes the same files for, with the same options: the time and its
+    unit, trajectories, states, inputs, parameters, what is left out and why, and the options that
+    would change this.
+    """
+    from dynsr.data import describe as look
+
+    columns, formulas = split_inputs(inputs)
+    known = [*(columns or []), *(f"{name}={text}" for name, text in formulas.items())]
+    found = look(
+        list(files) if len(files) > 1 else files[0],
+        time_column,
+        options.read_names(states, "--states"),
+        None if inputs is None else known,
+        trajectory,
+    )
+    if json:
+        output.print_json(found.to_dict())
+    else:
+        typer.echo(str(found))
+
+
 def generate(
     name: SystemName = None,
     equations: Equations = None,

@@ -1,7 +1,10 @@
 from .catalogue import DEFINITIONS, find_definition
 from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
 from .columns import Columns, bracketed_unit, load_columns, read_names_only
+from .describing import describe
+from .description import Description, RunRows, TimeColumn
 from .noise_model import StateNoise, measurement_noise, robust_scale
+from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
 from .reading import (
     column_units,
     in_unit,
@@ -38,12 +41,17 @@ __all__ = [
     "SYSTEMS",
     "Cause",
     "Columns",
+    "Description",
     "DiagnosisSettings",
+    "OddSettings",
+    "Oddity",
+    "RunRows",
     "Samples",
     "SlopeSettings",
     "SmoothedTrajectory",
     "StateNoise",
     "System",
+    "TimeColumn",
     "Trajectory",
     "add_velocities",
     "bracketed_unit",
@@ -53,6 +61,7 @@ __all__ = [
     "choose_second_samples",
     "column_units",
     "columns_of",
+    "describe",
     "diagnose",
     "estimate_noise",
     "find_definition",
@@ -63,6 +72,9 @@ __all__ = [
     "make_samples",
     "measurement_noise",
     "near_rows_leave_open",
+    "odd_states",
+    "odd_times",
+    "odd_values",
     "read_names_only",
     "read_trajectories",
     "robust_scale",

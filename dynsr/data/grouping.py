@@ -57,7 +57,8 @@ def group_rows(labels: np.ndarray | None, t: np.ndarray) -> dict[str, np.ndarray
     {'1': array([0, 1]), '2': array([2, 3])}
     """
     if labels is not None:
-        text = np.array([str(label) for label in labels])
+        whole = labels.dtype.kind == "f" and bool(np.all(labels == np.round(labels)))
+        text = np.array([f"{label:.0f}" if whole else str(label) for label in labels])
         _, first, inverse = np.unique(text, return_index=True, return_inverse=True)
         return {text[first[g]]: np.flatnonzero(inverse == g) for g in np.argsort(first)}
     starts = np.flatnonzero((np.diff(t) < 0) & (t[1:] == t[0])) + 1

@@ -17,7 +17,9 @@ import numpy as np
 import sympy
 
 from dynsr.data.columns import Columns, beside, bracketed_unit, load_columns, with_times
+from dynsr.data.description import Description, describe_runs, join_descriptions
 from dynsr.data.grouping import group_rows
+from dynsr.data.oddities import OddSettings
 from dynsr.data.roles import Roles, clean_name, find_time, guess_roles
 from dynsr.data.table_checks import check_rows, check_values, thin, to_numbers, to_times
 from dynsr.data.times import convert_times
@@ -27,23 +29,21 @@ from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name, compile_numpy, parse
 
 MAX_ROWS = 200_000
-# Steps that differ by a larger share of the longest are uneven.
-_UNEVEN = 1e-3
-_UNITS = {"s": "seconds", "min": "minutes", "h": "hours"}
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
     """Trajectories that were read, and how their columns were understood, as a sentence.
 
-    ``roles`` says the same column by column; None where several sources were read. ``left_out``
-    gives each column that is not used with the reason; ``notes`` are sentences on what was noticed
-    or assumed; ``names`` are those of the trajectories: the values of the columns that tell them
-    apart, joined by ", ", or else numbers from 1.
+    ``description`` says the same as a value; ``roles`` column by column, None where several sources
+    were read. ``left_out`` gives each column that is not used with the reason; ``notes`` are
+    sentences on what was noticed or assumed; ``names`` are those of the trajectories: the values of
+    the columns that tell them apart, joined by ", ", or else numbers from 1.
     """
 
     trajectories: list[Trajectory]
     guess: str
+    description: Description
     roles: Roles | None = None
     left_out: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -99,7 +99,10 @@ def read_trajectories(
         _check_first_column(t, columns.label)
     roles = guess_roles(columns, time, t, _listed(states), named, formulas, trajectory)
     runs = _cut(columns, roles, t, unit, formulas, max_rows)
-    told = _told(runs, f"{columns.label}: {describe(runs, roles, formulas)}")
+    understood = describe_runs(
+        columns.label, runs, roles, formulas, columns.left_out, columns.notes
+    )
+    told = _told(runs, understood.sentence, understood)
     return replace(told, roles=roles, left_out=columns.left_out, notes=columns.notes)
 
 
@@ -119,7 +122,7 @@ def _check_first_column(t: np.ndarray, label: str) -> None:
             f"the first column of {label} does not increase, so that it is no time; give the "
             "times too: (t, x), or time=t"
         )
-    if steps.size and np.ptp(steps) > _UNEVEN * np.max(steps):
+    if steps.size and np.ptp(steps) > OddSettings().even * np.max(steps):
         warnings.warn(
             f"the first column of {label} was taken for the time, in uneven steps of "
             f"{steps.min():.3g} to {steps.max():.3g}; if it is a state, give the times too: (t, x)",
@@ -128,11 +131,12 @@ def _check_first_column(t: np.ndarray, label: str) -> None:
         )
 
 
-def _told(runs: Sequence[Trajectory], guess: str) -> Table:
-    """Let each trajectory hold how its columns were understood."""
+def _told(runs: Sequence[Trajectory], guess: str, understood: Description) -> Table:
+    """Let each trajectory hold how its columns were understood, and the first the whole table."""
     told = [replace(run, origin={**run.origin, "columns": guess}) for run in runs]
-    names = tuple(str(run.origin.get("name", i + 1)) for i, run in enumerate(told))
-    return Table(told, guess, names=names)
+    told[0] = replace(told[0], origin={**told[0].origin, "table": understood.to_dict()})
+    names = tuple(run.name for run in understood.trajectories)
+    return Table(told, guess, understood, names=names)
 
 
 def _read_list(sources: list[Any], *arguments: Any) -> Table:
@@ -148,7 +152,9 @@ def _read_list(sources: list[Any], *arguments: Any) -> Table:
                 f"the trajectories have different columns ({', '.join(runs[0].names)} and "
                 f"{', '.join(run.names)}); give all the same columns"
             )
-    return _told(runs, "; ".join(dict.fromkeys(table.guess for table in tables)))
+    understood = join_descriptions([table.description for table in tables], runs)
+    told = _told(runs, "; ".join(dict.fromkeys(table.guess for table in tables)), understood)
+    return replace(told, left_out=understood.left_out, notes=understood.notes)
 
 
 def _in_one_unit(runs: list[Trajectory]) -> list[Trajectory]:
@@ -283,44 +289,6 @@ def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, st
             f"input {name} = {text} is {values[row, column]} at t = {t[row]:g}; "
             "give a formula that is finite over the whole data"
         )
-
-
-def describe(runs: Sequence[Trajectory], roles: Roles, formulas: Mapping[str, str]) -> str:
-    """Say how the columns were understood: times, states, inputs, and what is not used."""
-    total = sum(len(run) for run in runs)
-    many = f"{len(runs)} trajectories" + (
-        f" named by {', '.join(map(repr, roles.trajectory))}"
-        if roles.trajectory
-        else ", each starting the time again"
-    )
-    unit = runs[0].time_unit
-    counted = f" in {_UNITS.get(unit, unit)}" if unit else ""
-    head = f"time {roles.time!r}{counted}, " + (f"{many}, " if len(runs) > 1 else "")
-    first, last = min(run.t[0] for run in runs), max(run.t[-1] for run in runs)
-    clauses = [f"{head}{total} rows from {first:g} to {last:g} {_spacing(runs)}"]
-    clauses.append(f"states {', '.join(roles.renamed[name] for name in roles.states)}")
-    inputs = [roles.renamed[name] for name in roles.inputs if name not in roles.parameters]
-    inputs += [f"{name} = {text}" for name, text in formulas.items()]
-    if inputs:
-        clauses.append(f"inputs {', '.join(inputs)}")
-    if roles.parameters:
-        names = ", ".join(roles.renamed[name] for name in roles.parameters)
-        clauses.append(f"constant within each trajectory, so taken for parameters: {names}")
-    if roles.labels:
-        names = ", ".join(map(repr, roles.labels))
-        clauses.append(f"taken for labels of trajectories, not used: {names}")
-    if roles.ignored:
-        clauses.append(f"not used: {', '.join(map(repr, roles.ignored))}")
-    return "; ".join(clauses)
-
-
-def _spacing(runs: Sequence[Trajectory]) -> str:
-    steps = np.concatenate([np.diff(run.t) for run in runs])
-    low, high = float(steps.min()), float(steps.max())
-    # Times written with few digits differ in their last one.
-    if high - low <= _UNEVEN * high:
-        return f"every {float(np.median(steps)):.4g}"
-    return f"in uneven steps of {low:.3g} to {high:.3g}"
 
 
 def write_csv(

@@ -1,0 +1,80 @@
+"""Describing: what a table is taken for and what looks odd in it, without a search."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dynsr.data.description import Description
+from dynsr.data.oddities import OddSettings, merge_places, odd_states, odd_times, odd_values
+from dynsr.data.reading import MAX_ROWS, Table, read_trajectories
+from dynsr.data.trajectory import columns_of
+from dynsr.errors import DynsrWarning, one_line
+
+_SETTINGS = OddSettings()
+
+
+def describe(
+    source: Any,
+    time: str | Sequence[Any] | np.ndarray | None = None,
+    states: Sequence[str] | str | None = None,
+    inputs: Sequence[str] | Mapping[str, str] | str | None = None,
+    trajectory: str | None = None,
+    *,
+    max_rows: int = MAX_ROWS,
+    settings: OddSettings = _SETTINGS,
+) -> Description:
+    """Say how a table is understood, and what looks odd in it; nothing is searched.
+
+    It is what :func:`dynsr.discover` would take the same table for, with the same arguments.
+
+    Parameters
+    ----------
+    source : what :func:`dynsr.data.read_trajectories` reads: a file, a frame, a mapping of columns,
+        arrays, a Trajectory, or a list of these.
+    time, states, inputs, trajectory, max_rows : as for :func:`dynsr.data.read_trajectories`.
+    settings : the numbers that decide what looks odd.
+
+    Raises InputError, one line that names the value and the remedy, when the table cannot be used.
+
+    >>> t = np.linspace(0, 1, 11)
+    >>> found = describe({"t": t, "x": t**2, "y": np.floor(2 * t)})
+    >>> found.states, found.time.step
+    (('x', 'y'), 0.1)
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", DynsrWarning)
+        table = read_trajectories(source, time, states, inputs, trajectory, max_rows=max_rows)
+    heard = [one_line(w.message) for w in caught if issubclass(w.category, DynsrWarning)]
+    notes = (*table.description.notes, *heard, *_odd(table, settings))
+    return replace(table.description, notes=tuple(dict.fromkeys(notes)))
+
+
+def _odd(table: Table, settings: OddSettings) -> Iterator[str]:
+    """Say what looks odd in the times and the states of a table."""
+    runs, found = table.trajectories, table.description
+    names = [run.name for run in found.trajectories]
+    single = len(runs) == 1
+    clocks = [
+        (name, o) for name, run in zip(names, runs, strict=True) for o in odd_times(run.t, settings)
+    ]
+    yield from merge_places(clocks, f"time {found.time.column!r}", single)
+    for state in found.states:
+        columns = [(run.t, run.by_name[state]) for run in runs]
+        odd = [
+            (name, o)
+            for name, column in zip(names, columns, strict=True)
+            for o in odd_values(*column, settings)
+        ]
+        yield from merge_places(odd, state, single)
+    together = columns_of(runs)
+    for _, sentence in odd_states({state: together[state] for state in found.states}, settings):
+        yield (
+            f"{sentence}, so that its equation follows from theirs; leave it out, or say that the "
+            "sum is conserved (--conserved)"
+        )
