@@ -43,7 +43,7 @@ def describe(
 
     >>> t = np.linspace(0, 1, 11)
     >>> found = describe({"t": t, "x": t**2, "y": np.floor(2 * t)})
-    >>> found.states, found.time.step
+    >>> found.states, round(found.time.step, 6)
     (('x', 'y'), 0.1)
     """
     with warnings.catch_warnings(record=True) as caught:

@@ -45,8 +45,8 @@ _SETTINGS = OddSettings()
 _ROUNDING = 1 / sqrt(12)
 # Rows of a median absolute value that are worth as much as one of a mean square.
 _EFFICIENCY = 0.37
-# Digits that float64 holds surely.
-_DIGITS = 15
+# Numbers of more digits than people write are not rounded.
+_DIGITS = 13
 
 
 @dataclass(frozen=True)
