@@ -265,6 +265,16 @@ def test_columns_are_guessed_and_corrected(page):
     assert parts["table"]["error"] == both
 
 
+def test_the_page_says_what_looks_odd(page):
+    """What dynsr describe notes of a table stands below the guess on the page."""
+    spiked = [0.9**k + 3.0 * (k == 20) for k in range(40)]
+    text = "t,x\n" + "\n".join(f"{k},{x}" for k, x in enumerate(spiked))
+    notes = page.drop(text)["table"]["notes"]
+    assert any(note.startswith("x is 3.122 in row 21, between") for note in notes)
+    sound = "t,x\n" + "\n".join(f"{k},{0.9**k}" for k in range(40))
+    assert page.drop(sound)["table"]["notes"] == []
+
+
 @pytest.mark.parametrize(
     ("wish", "content", "words"),
     [

@@ -19,6 +19,7 @@ from dynsr.data import (
     Columns,
     bracketed_unit,
     column_units,
+    describe_table,
     in_unit,
     load_columns,
     read_trajectories,
@@ -35,7 +36,7 @@ from dynsr.report import Picture, draw_states
 if TYPE_CHECKING:
     import sympy
 
-    from dynsr.data import Trajectory
+    from dynsr.data import Description, Trajectory
     from dynsr.jobs import Step
 
 # What the page calls the files, and what they are.
@@ -111,7 +112,7 @@ class Work:
             except InputError as error:
                 guessed = roles or {n: STATE for n in columns.names if _is_number(columns, n)}
                 view = {**_describe(columns, guessed, given), "error": one_line(error)}
-        self._say("table", {**view, "notes": list(dict.fromkeys(notes))})
+        self._say("table", {**view, "notes": list(dict.fromkeys([*notes, *view["seen"]]))})
         self._say("preview", _draw(_at_a_glance(self._runs[0]), None) if self._runs else None)
 
     def _understand(
@@ -151,6 +152,7 @@ class Work:
         return {
             **_describe(columns, roles, units),
             "guess": table.guess,
+            "seen": _seen(describe_table(table)),
             "states": list(self._runs[0].states),
             "error": "",
         }
@@ -249,6 +251,12 @@ def _is_number(columns: Columns, name: str) -> bool:
     return columns.values[columns.names.index(name)].dtype.kind == "f"
 
 
+def _seen(found: Description) -> list[str]:
+    """Say what is not used and why, and what was noticed or looks odd."""
+    unused = [f"{name!r} is left out: {why}" for name, why in found.left_out.items()]
+    return [*unused, *found.notes]
+
+
 def _counted_in(runs: Sequence[Trajectory], unit: str) -> list[Trajectory]:
     """Count the times in a unit: those of dates are converted, plain numbers are taken as such."""
     if any(run.time_unit for run in runs) or not unit:
@@ -277,6 +285,7 @@ def _describe(
         ],
         "loaded": list(columns.notes),
         "guess": "",
+        "seen": [],
         "states": [],
     }
 

@@ -1,7 +1,7 @@
 from .catalogue import DEFINITIONS, find_definition
 from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
 from .columns import Columns, bracketed_unit, load_columns, read_names_only
-from .describing import describe
+from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
 from .noise_model import StateNoise, measurement_noise, robust_scale
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
@@ -62,6 +62,7 @@ __all__ = [
     "column_units",
     "columns_of",
     "describe",
+    "describe_table",
     "diagnose",
     "estimate_noise",
     "find_definition",

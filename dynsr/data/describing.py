@@ -51,6 +51,20 @@ def describe(
         warnings.simplefilter("always", DynsrWarning)
         table = read_trajectories(source, time, states, inputs, trajectory, max_rows=max_rows)
     heard = [one_line(w.message) for w in caught if issubclass(w.category, DynsrWarning)]
+    return describe_table(table, heard, settings)
+
+
+def describe_table(
+    table: Table, heard: Sequence[str] = (), settings: OddSettings = _SETTINGS
+) -> Description:
+    """Say how a table that was read is understood, and what looks odd in it.
+
+    Parameters
+    ----------
+    table : what :func:`dynsr.data.read_trajectories` gives.
+    heard : what was warned of on reading it.
+    settings : the numbers that decide what looks odd.
+    """
     notes = (*table.description.notes, *heard, *_odd(table, settings))
     return replace(table.description, notes=tuple(dict.fromkeys(notes)))
 
