@@ -104,7 +104,7 @@ def test_no_command_writes_over_what_it_reads(saved, tmp_path):
     assert saved.read_bytes() == before
     notes = tmp_path / "notes.csv"
     notes.write_text("name,grade\nEve,1\n")
-    assert "not of dynsr" in run("generate", "pendulum", "-o", notes, code=2).stderr
+    assert "is there already" in run("generate", "pendulum", "-o", notes, code=2).stderr
     assert notes.read_text() == "name,grade\nEve,1\n"
     model = tmp_path / "model.csv"
     model.write_bytes(before)
@@ -115,15 +115,136 @@ def test_no_command_writes_over_what_it_reads(saved, tmp_path):
         run("report", saved, "-o", page)
 
 
-def test_a_table_of_ours_is_replaced(tmp_path):
-    """The same command again gives the same file, and so does one with several trajectories."""
-    path = tmp_path / "p.csv"
-    for _ in range(2):
-        run("generate", "pendulum", "-o", path)
-    first = read_trajectories(path).trajectories[0]
-    write_csv([first, first], path)
-    write_csv([first, first], path)
+@pytest.mark.parametrize("command", ["generate", "simulate"])
+@pytest.mark.parametrize("name", ["m.csv", "m.tsv"])
+def test_a_table_is_replaced_by_force_alone(command, name, tmp_path):
+    """No table says who measured it: one that is there stays, whatever its columns are."""
+    path = tmp_path / name
+    mark = "\t" if name.endswith("tsv") else ","
+    for text in ("t,x\n0,1.5\n", "trajectory,t,x\n1,0,1.5\n", "a note"):
+        path.write_text(text.replace(",", mark))
+        said = run(command, "pendulum", "-o", path, code=2).stderr
+        assert said.count("\n") == 1 and "is there already" in said and "--force" in said
+        assert path.read_text() == text.replace(",", mark)
+    run(command, "pendulum", "-o", path, "--force")
+    assert read_trajectories(path).trajectories[0].states == ("theta1", "theta2")
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+def test_a_link_to_a_table_and_an_empty_file(tmp_path):
+    """What a link leads to counts as it does itself; an empty file has nothing to lose."""
+    link, table = tmp_path / "link.csv", tmp_path / "m.csv"
+    link.symlink_to(table)
+    table.write_text("t,x\n0,1\n")
+    run("generate", "pendulum", "-o", link, code=2)
+    assert table.read_text() == "t,x\n0,1\n"
+    table.write_text("")
+    run("generate", "pendulum", "-o", link)
+    assert link.is_symlink() and table.read_text().startswith("t,theta1")
+
+
+def test_the_interface_replaces_a_table_by_force_alone(tmp_path):
+    """write_csv refuses a file that is there, and with force replaces it."""
+    t, states = decay()
+    path, made = tmp_path / "a.csv", Trajectory(t, states, ("x",))
+    write_csv(made, path)
+    with pytest.raises(InputError, match=r"is there already; .* force=True"):
+        write_csv([made, made], path)
+    write_csv([made, made], path, force=True)
     assert len(read_trajectories(path).trajectories) == 2
+    with pytest.raises(InputError, match="cannot write"):
+        write_csv(made, tmp_path, force=True)
+
+
+@pytest.mark.parametrize("name", ["report.html", "discovery.json"])
+def test_what_a_user_changed_is_no_longer_of_dynsr(name, tmp_path, monkeypatch):
+    """A page with notes of its reader, or an edited result, is not replaced."""
+    monkeypatch.chdir(tmp_path)
+    t, states = decay()
+    write_csv(Trajectory(t, states, ("x",)), "d.csv")
+    run("discover", "d.csv", *SMALL)
+    run("discover", "d.csv", *SMALL)
+    theirs = tmp_path / "d-dynsr" / name
+    edited_text = theirs.read_text().replace("x", "x ", 1)
+    theirs.write_text(edited_text)
+    said = run("discover", "d.csv", *SMALL, "-o", "d-dynsr", code=2).stderr
+    assert "is there and not of dynsr; give another name" in said
+    run("discover", "d.csv", *SMALL)
+    assert theirs.read_text() == edited_text
+    assert (tmp_path / "d-dynsr-2" / "discovery.json").exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<meta name="generator" content="dynsr"> is what its pages hold',
+        '{"format": "dynsr discovery 1", "checksum": "", "note": "mine"}',
+        '{"format": "dynsr discovery 1"}',
+        "<!-- dynsr sha256:00 -->\n",
+    ],
+)
+def test_a_mark_of_dynsr_makes_no_file_its_own(text, saved, tmp_path):
+    """Files of users that quote what dynsr writes are theirs."""
+    path = tmp_path / "mine"
+    path.write_text(text)
+    with pytest.raises(InputError, match="not of dynsr"):
+        Discovery.load(saved).save(path)
+    assert "not of dynsr" in run("report", saved, "-o", path, code=2).stderr
+    assert path.read_text() == text
+
+
+def test_no_planted_link_is_written_through(tmp_path, monkeypatch):
+    """Names of temporary files are drawn anew; a link or a file of such a name is not opened."""
+    drawn = []
+
+    def token(count):
+        drawn.append(count)
+        return "0123456789abcdef"
+
+    monkeypatch.setattr("secrets.token_hex", token)
+    theirs = tmp_path / "theirs"
+    theirs.write_text("mine")
+    planted = tmp_path / ".dynsr-0123456789abcdef.part"
+    planted.symlink_to(theirs)
+    with pytest.raises(FileExistsError):
+        write_bytes(tmp_path / "a", b"ours")
+    assert theirs.read_text() == "mine" and planted.is_symlink() and drawn == [8]
+    monkeypatch.undo()
+    write_bytes(tmp_path / "a", b"ours")
+    assert (tmp_path / "a").read_bytes() == b"ours"
+
+
+def test_what_was_private_is_so_while_it_is_written(tmp_path, monkeypatch):
+    """The file that takes the place of a private one is private before anything is in it."""
+    path = tmp_path / "private"
+    path.write_text("old")
+    path.chmod(0o600)
+    seen = []
+    real = os.fsync
+
+    def look(number):
+        seen.append(stat.S_IMODE(os.fstat(number).st_mode))
+        real(number)
+
+    monkeypatch.setattr(os, "fsync", look)
+    write_bytes(path, b"new")
+    assert seen == [0o600]
+
+
+def test_a_loop_of_links_is_one_line(tmp_path):
+    """A link that leads to itself is no file, and is told by its name."""
+    loop = tmp_path / "loop.csv"
+    loop.symlink_to(loop)
+    said = run("generate", "pendulum", "-o", loop, code=2).stderr
+    assert said.count("\n") == 1 and "loop.csv" in said
+
+
+def test_long_names_of_any_letters_are_written(tmp_path):
+    """A name of 255 bytes, as long as they may be, is one that can be written."""
+    for letter in ("n", "é", "測"):
+        long = tmp_path / (letter * (255 // len(letter.encode())))
+        write_bytes(long, b"x")
+        assert long.read_bytes() == b"x"
 
 
 @contextmanager
@@ -147,8 +268,9 @@ def test_a_full_disk_leaves_the_old_file_and_names_it(command, saved, tmp_path):
     words = ["generate", "pendulum"] if command == "generate" else ["report", str(saved)]
     run(*words, "-o", target)
     before = target.read_bytes()
+    force = ["--force"] if command == "generate" else []
     with full_disk():
-        again = run(*words, "-o", target, code=2)
+        again = run(*words, "-o", target, *force, code=2)
     assert str(target) in again.stderr and "too large" in again.stderr
     assert target.read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["kept", target.name]
@@ -169,9 +291,6 @@ def test_writing_keeps_links_permissions_and_devices(tmp_path):
     write_bytes(sink, b"through")
     assert os.read(reader, 99) == b"through" and stat.S_ISFIFO(sink.stat().st_mode)
     os.close(reader)
-    long = tmp_path / ("n" * 250)
-    write_bytes(long, b"x")
-    assert long.read_bytes() == b"x"
 
 
 def test_what_is_saved_reads_back_the_same(found, saved):

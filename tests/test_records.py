@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import sympy
 
+from dynsr.data.temporary import open_part
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate
@@ -116,7 +117,7 @@ def test_a_folder_is_continued_with_the_same_settings_alone(tmp_path):
 def test_a_folder_without_a_manifest_yet_is_continued(tmp_path):
     """A call that was killed before it wrote its manifest does not make the folder useless."""
     (tmp_path / "cells").mkdir()
-    (tmp_path / ".manifest.json.77.part").write_text("{")
+    open_part(tmp_path)[1].close()
     claim(tmp_path, {"seed": 1})
     assert json.loads((tmp_path / "manifest.json").read_text())["settings"] == {"seed": 1}
 
@@ -124,12 +125,51 @@ def test_a_folder_without_a_manifest_yet_is_continued(tmp_path):
 def test_what_is_left_half_written_is_removed_when_it_is_old(tmp_path):
     """A part of an hour ago goes, one of just now may belong to a process that runs."""
     claim(tmp_path, {})
-    old, new = tmp_path / "cells" / ".a.1.part", tmp_path / "cells" / ".b.2.part"
-    for part in (old, new):
-        part.write_text("{")
+    made = [open_part(tmp_path / "cells") for _ in range(2)]
+    for _, file in made:
+        file.close()
+    (old, _), (new, _) = made
     os.utime(old, (time.time() - 7200,) * 2)
     claim(tmp_path, {})
     assert not old.exists() and new.exists()
+
+
+@pytest.mark.parametrize("folder", [".", "cells"])
+@pytest.mark.parametrize("name", [".film.mkv.part", ".a.csv.7-9.part", ".dynsr-mine.part"])
+def test_what_others_left_half_written_stays(folder, name, tmp_path):
+    """Whatever ends in .part, and links of dynsr's own names, are nobody's to remove."""
+    claim(tmp_path, {})
+    theirs = tmp_path / folder / name
+    theirs.write_text("half of a film")
+    link = theirs.with_name(".dynsr-0123456789abcdef.part")
+    link.symlink_to(tmp_path / "gone")
+    for path in (theirs, link):
+        os.utime(path, (time.time() - 7200,) * 2, follow_symlinks=False)
+    claim(tmp_path, {})
+    assert theirs.read_text() == "half of a film" and link.is_symlink()
+
+
+def test_a_folder_with_the_half_written_file_of_others_is_refused(tmp_path):
+    """Another program's download makes no folder one of dynsr's."""
+    (tmp_path / ".film.mkv.part").write_text("half")
+    with pytest.raises(InputError, match=r"holds '\.film\.mkv\.part' and no results of dynsr"):
+        claim(tmp_path, {})
+
+
+def test_no_record_is_written_through_a_link(tmp_path):
+    """A link in a folder of results, sent by somebody, leads to no file and no folder outside."""
+    claim(tmp_path / "run", {})
+    theirs = tmp_path / "thesis.txt"
+    theirs.write_text("mine")
+    folder = RunFolder(tmp_path / "run", "cells")
+    folder.file("a").symlink_to(theirs)
+    folder.save("a", "key", RECORD)
+    assert theirs.read_text() == "mine" and not folder.file("a").is_symlink()
+    elsewhere = tmp_path / "elsewhere"
+    (tmp_path / "run" / "cells").rename(elsewhere)
+    (tmp_path / "run" / "cells").symlink_to(elsewhere)
+    with pytest.raises(InputError, match="holds a link 'cells' to another folder"):
+        claim(tmp_path / "run", {})
 
 
 @pytest.mark.parametrize(

@@ -167,7 +167,7 @@ def test_round_trip(tmp_path):
     first = Trajectory(T, X, ("x", "y"), T[:, None] ** 2, ("F",))
     second = Trajectory(T[:11], X[5:16], ("x", "y"), X[:11, :1], ("F",))
     for parts in ([first], [first, second]):
-        write_csv(parts, tmp_path / "out.csv")
+        write_csv(parts, tmp_path / "out.csv", force=True)
         back = read_trajectories(tmp_path / "out.csv").trajectories
         assert len(back) == len(parts)
         for ours, theirs in zip(parts, back, strict=True):

@@ -168,6 +168,7 @@ def generate(
     equations: Equations = None,
     inputs: InputFormulas = None,
     out: options.OutFile = None,
+    force: options.Force = False,
     noise: Annotated[
         float,
         typer.Option(
@@ -189,6 +190,7 @@ def generate(
     Without --out the table goes to stdout. The paper's data are coarser: --reltol 1e-3 --abstol
     1e-6.
     """
+    check_out(out, force)
     import numpy as np
 
     from dynsr.engines import add_noise
@@ -199,7 +201,8 @@ def generate(
     start = options.read_numbers(x0, "--x0", len(system.states))
     made = integrate(system, start, times, reltol, abstol, engine)
     made = add_noise(made, noise, np.random.default_rng(seed))
-    deliver(made, out, json, {"system": system.name, "noise": noise, "seed": seed})
+    about = {"system": system.name, "noise": noise, "seed": seed}
+    deliver(made, out, json, about, force=force)
 
 
 def choose_system(
@@ -260,8 +263,24 @@ def choose_times(system: System, span: str | None, dt: float | None) -> np.ndarr
     return system.times((first, last), step)
 
 
+def check_out(out: Path | None, force: bool) -> None:
+    """Raise InputError, before anything is computed, where a table cannot go to that file."""
+    from dynsr.data import check_new
+
+    if out is None:
+        return
+    if out.suffix.lower() not in (".csv", ".tsv"):
+        raise InputError(f"cannot write {str(out)!r}; give a name that ends in .csv or .tsv")
+    check_new(out, force)
+
+
 def deliver(
-    trajectory: Trajectory, out: Path | None, json: bool, about: dict[str, Any] | None = None
+    trajectory: Trajectory,
+    out: Path | None,
+    json: bool,
+    about: dict[str, Any],
+    *,
+    force: bool,
 ) -> None:
     """Write a trajectory to a file or to stdout, as a table or as JSON."""
     from dynsr.data import write_csv
@@ -269,11 +288,9 @@ def deliver(
     columns = {"t": trajectory.t}
     columns.update(zip(trajectory.names, trajectory.columns.T, strict=True))
     if out is not None:
-        if out.suffix.lower() not in (".csv", ".tsv"):
-            raise InputError(f"cannot write {str(out)!r}; give a name that ends in .csv or .tsv")
-        write_csv(trajectory, out)
+        write_csv(trajectory, out, force=force)
     summary = {
-        **(about or {}),
+        **about,
         "path": out,
         "rows": len(trajectory),
         "states": trajectory.states,
@@ -311,6 +328,7 @@ def simulate(
     span: options.Span = None,
     dt: options.Step = None,
     out: options.OutFile = None,
+    force: options.Force = False,
     engine: options.OwnEngine = None,
     reltol: options.Reltol = 1e-6,
     abstol: options.Abstol = 1e-9,
@@ -320,6 +338,7 @@ def simulate(
 
     Without --out the table goes to stdout.
     """
+    check_out(out, force)
     from dynsr.engines import refuse_idle
     from dynsr.engines import simulate as integrate
 
@@ -327,7 +346,7 @@ def simulate(
         found = load_discovery(Path(model))
         if found.is_map:
             refuse_idle(engine, "a map is iterated")
-            _deliver_map(found, inputs, x0, span, dt, out, json)
+            _deliver_map(found, inputs, x0, span, dt, out, json, force)
             return
         system = _discovered_system(found, Path(model).stem, inputs, x0)
         engine = engine or str(found.engine)
@@ -336,7 +355,7 @@ def simulate(
     times = choose_times(system, span, dt)
     start = options.read_numbers(x0, "--x0", len(system.states))
     made = integrate(system, start, times, reltol, abstol, engine or DEFAULT_ENGINE)
-    deliver(made, out, json, {"system": system.name})
+    deliver(made, out, json, {"system": system.name}, force=force)
 
 
 def _deliver_map(
@@ -347,11 +366,13 @@ def _deliver_map(
     dt: float | None,
     out: Path | None,
     json: bool,
+    force: bool,
 ) -> None:
     """Iterate a saved map, a row a step of 1 unless --dt says otherwise."""
     system = _discovered_system(found, "map", inputs, x0)
     times = choose_times(system, span, 1.0 if dt is None else dt)
-    deliver(found.simulate(system.x0, times, system.inputs), out, json, {"system": system.name})
+    made = found.simulate(system.x0, times, system.inputs)
+    deliver(made, out, json, {"system": system.name}, force=force)
 
 
 def _discovered_system(

@@ -400,12 +400,12 @@ def _search_in(
 
     taken = None
     for folder in folders:
-        if folder is not None:
-            output.make_folder(folder)
-            check_keeping(folder)
         if taken is not None:
             progress.say(f"{str(taken).partition(';')[0]}; this one goes to {str(folder)!r}")
         try:
+            if folder is not None:
+                output.make_folder(folder)
+                check_keeping(folder)
             return search(data, progress, out=folder, **settings), folder
         except FolderTaken as error:
             taken = error

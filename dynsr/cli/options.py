@@ -125,6 +125,14 @@ OutFile = Annotated[
 ]
 
 
+Force = Annotated[
+    bool,
+    typer.Option(
+        "--force", help="Replace the file of --out if it is there.", rich_help_panel=OUTPUT
+    ),
+]
+
+
 Names = list[str] | None
 
 TimeColumn = Annotated[

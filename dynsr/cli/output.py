@@ -67,12 +67,13 @@ def note(message: str) -> None:
 
 def make_folder(path: Path) -> Path:
     """Make a folder for results; raises InputError when that cannot be written to."""
+    from dynsr.data import open_part
     from dynsr.errors import InputError
 
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".dynsr-writable.part"
-        probe.touch()
+        probe, file = open_part(path)
+        file.close()
         probe.unlink()
     except OSError as error:
         reason = error.strerror or str(error)

@@ -23,11 +23,16 @@ DiscoveryFile = Annotated[
 
 
 def check_keeping(folder: Path) -> None:
-    """Raise InputError when :func:`keep` would replace a file that dynsr did not write."""
-    from dynsr.data import PAGE_MARK, RECORD_MARK, check_replaceable
+    """Raise FolderTaken when :func:`keep` would replace a file that dynsr did not write."""
+    from dynsr.data import check_replaceable, is_own_page
+    from dynsr.discovery import is_own_record
+    from dynsr.jobs import FolderTaken
 
-    check_replaceable(folder / "discovery.json", RECORD_MARK)
-    check_replaceable(folder / "report.html", PAGE_MARK)
+    try:
+        check_replaceable(folder / "discovery.json", is_own_record)
+        check_replaceable(folder / "report.html", is_own_page)
+    except InputError as error:
+        raise FolderTaken(str(error)) from None
 
 
 def keep(found: Discovery, folder: Path | None) -> list[Path]:
@@ -181,14 +186,14 @@ def report(
 
 def _report_replication(folder: Path, out: Path | None, json: bool) -> None:
     from dynsr.cli.paper import deliver_results, load_results
-    from dynsr.data import PAGE_MARK, write_own
+    from dynsr.data import write_page
     from dynsr.paper import render_replication
 
     records, settings = load_results(folder)
     if out is None:
         deliver_results(folder, records, settings, json)
         return
-    write_own(out, render_replication(records, settings), PAGE_MARK)
+    write_page(out, render_replication(records, settings))
     if json:
         output.print_json({"report": out})
     else:

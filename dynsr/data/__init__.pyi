@@ -18,24 +18,24 @@ from .samples import SCHEMES, Samples, join_samples, make_samples
 from .slopes import SMOOTHERS, SlopeSettings, choose_samples, smooth_column
 from .smoothing import SmoothedTrajectory, estimate_noise, smooth
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
+from .temporary import is_part, open_part, remove_stale
 from .times import check_time_unit
 from .trajectory import Trajectory, columns_of
 from .velocity import add_velocities, choose_second_samples
 from .weak import weak_form
 from .writing import (
-    PAGE_MARK,
-    RECORD_MARK,
+    check_new,
     check_replaceable,
+    is_own_page,
     write_bytes,
     write_own,
+    write_page,
     write_text,
 )
 
 __all__ = [
     "DEFINITIONS",
-    "PAGE_MARK",
     "PAPER_SYSTEMS",
-    "RECORD_MARK",
     "SCHEMES",
     "SMOOTHERS",
     "SYSTEMS",
@@ -55,6 +55,7 @@ __all__ = [
     "Trajectory",
     "add_velocities",
     "bracketed_unit",
+    "check_new",
     "check_replaceable",
     "check_time_unit",
     "choose_samples",
@@ -68,6 +69,8 @@ __all__ = [
     "find_definition",
     "find_system",
     "in_unit",
+    "is_own_page",
+    "is_part",
     "join_samples",
     "load_columns",
     "make_samples",
@@ -76,8 +79,10 @@ __all__ = [
     "odd_states",
     "odd_times",
     "odd_values",
+    "open_part",
     "read_names_only",
     "read_trajectories",
+    "remove_stale",
     "robust_scale",
     "sample_input",
     "smooth",
@@ -88,5 +93,6 @@ __all__ = [
     "write_bytes",
     "write_csv",
     "write_own",
+    "write_page",
     "write_text",
 ]

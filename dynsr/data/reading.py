@@ -24,7 +24,7 @@ from dynsr.data.roles import Roles, clean_name, find_time, guess_roles
 from dynsr.data.table_checks import check_rows, check_values, thin, to_numbers, to_times
 from dynsr.data.times import convert_times
 from dynsr.data.trajectory import Trajectory, as_floats, settle_hold
-from dynsr.data.writing import write_own
+from dynsr.data.writing import write_new
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name, compile_numpy, parse
 
@@ -292,7 +292,10 @@ def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, st
 
 
 def write_csv(
-    trajectories: Trajectory | Sequence[Trajectory], path: str | os.PathLike[str]
+    trajectories: Trajectory | Sequence[Trajectory],
+    path: str | os.PathLike[str],
+    *,
+    force: bool = False,
 ) -> None:
     """Write t, the states and the inputs as text, to full precision.
 
@@ -300,9 +303,10 @@ def write_csv(
     ----------
     trajectories : one or many; many get a first column ``trajectory`` that counts from 1.
     path : the file, delimited by tabs when its name ends in .tsv, else by commas.
+    force : whether a file that is there is replaced.
 
-    The file appears whole or not at all. Raises InputError when it cannot be written, when what
-    stands there is no table of times and states, or the trajectories have different columns.
+    The file appears whole or not at all. Raises InputError when it cannot be written, a file is
+    there and ``force`` is not given, or the trajectories have different columns.
     """
     import pandas
 
@@ -320,15 +324,7 @@ def write_csv(
     target = Path(path)
     mark = "\t" if target.suffix.lower() == ".tsv" else ","
     text = pandas.concat(frames).to_csv(index=False, sep=mark, lineterminator="\n")
-    write_own(target, text, lambda head: _is_own_table(head, mark), folders=False)
-
-
-def _is_own_table(head: str, mark: str) -> bool:
-    """Whether a file begins as one of ours: its columns begin with the time and are variables."""
-    names = head.partition("\n")[0].rstrip("\r").split(mark)
-    return names[: 2 if names[0] == "trajectory" else 1][-1] == "t" and all(
-        name.isidentifier() for name in names
-    )
+    write_new(target, text, force)
 
 
 _FEWEST_ROWS = 8

@@ -3,6 +3,7 @@ from .maps import inputs_in, iterate, pair_rows, write_map_mathml
 from .orders import write_lines
 from .prediction import predict
 from .problem import DiscoverySettings
+from .records import is_own_record
 from .result import Discovery
 from .scoring import (
     Score,
@@ -29,6 +30,7 @@ __all__ = [
     "discover",
     "equation_rmse",
     "inputs_in",
+    "is_own_record",
     "iterate",
     "pair_rows",
     "predict",

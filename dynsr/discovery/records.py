@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,14 +12,15 @@ from typing import Any, get_args
 
 import sympy
 
-from dynsr.data import RECORD_MARK, write_own
+from dynsr.data import write_own
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError, one_line
 from dynsr.expression import arguments_of, check_name, parse
 from dynsr.fit import Candidate, ParetoFront
 from dynsr.jobs import RecordError, checksum, from_plain, read_json, to_json
 
-FORMAT = "dynsr discovery 1"
+_FORMAT = "dynsr discovery "
+FORMAT = f"{_FORMAT}1"
 # A formula of more bits, or one that is simpler than nothing, is none of ours.
 _MOST_BITS = 1e9
 
@@ -28,8 +30,18 @@ def write_discovery(path: Path, record: Mapping[str, Any]) -> Path:
 
     Raises InputError when it cannot be written, or a file that is no record stands there.
     """
-    write_own(path, to_json({**record, "checksum": checksum(record)}), RECORD_MARK)
+    write_own(path, to_json({**record, "checksum": checksum(record)}), is_own_record)
     return path
+
+
+def is_own_record(content: bytes) -> bool:
+    """Whether this is all of a file that :func:`write_discovery` wrote."""
+    try:
+        record = json.loads(content)
+        known = record.pop("checksum")
+        return str(record["format"]).startswith(_FORMAT) and bool(known == checksum(record))
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return False
 
 
 @dataclass(frozen=True)
@@ -72,7 +84,7 @@ def read_discovery(path: Path, **further: Any) -> dict[str, Any]:
         record = read_json(path)
     except RecordError as error:
         raise InputError(f"{error}; save it again") from None
-    if not isinstance(record, dict) or not str(record.get("format")).startswith("dynsr discovery "):
+    if not isinstance(record, dict) or not str(record.get("format")).startswith(_FORMAT):
         raise InputError(f"{label!r} is no saved discovery; give one that save() wrote")
     if record["format"] != FORMAT:
         raise InputError(f"{label!r} is a {record['format'][:40]!r}, not {FORMAT!r}; discover anew")

@@ -12,7 +12,6 @@ import json
 import math
 import os
 import re
-import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
@@ -22,13 +21,12 @@ from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from dynsr import __version__
-from dynsr.data import write_text
+from dynsr.data import is_part, remove_stale, write_text
 from dynsr.errors import DynsrError, DynsrWarning, InputError
 
 T = TypeVar("T")
 
 MANIFEST = "manifest.json"
-_STALE_SECONDS = 3600.0
 _MOST_BYTES = 1 << 30
 _LONGEST_NAME = 100
 
@@ -69,15 +67,23 @@ def _refuse_constant(name: str) -> Any:
     raise ValueError(f"{name} is not of JSON")
 
 
+def whole_text(text: str) -> str:
+    """Give a text that a file can hold: bytes of a name that are none of text become numbers."""
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
+
+
 def to_json(value: Any) -> str:
     """Give a value as the text of strict JSON."""
     return _dumps(to_plain(value))
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a value as JSON in one move; folders that are not there are made."""
+    """Write a value as JSON in one move; folders that are not there are made.
+
+    A link of that name goes: what it leads to may be anybody's.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, to_json(value))
+    write_text(path, to_json(value), links=False)
 
 
 def _dumps(plain: Any) -> str:
@@ -98,12 +104,14 @@ def to_plain(value: Any) -> Any:
 
 def _bring(value: Any, whole: bool) -> Any:
     """Bring a value to what JSON holds; unless ``whole``, fields that are None are left out."""
-    if value is None or isinstance(value, (bool, int, str)):
+    if value is None or isinstance(value, (bool, int)):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if isinstance(value, (str, os.PathLike)):
+        return whole_text(os.fsdecode(value))
     if isinstance(value, Mapping):
-        return {str(key): _bring(item, whole) for key, item in value.items()}
+        return {whole_text(str(key)): _bring(item, whole) for key, item in value.items()}
     if is_dataclass(value) and not isinstance(value, type):
         items = {f.name: getattr(value, f.name) for f in fields(value)}
         return {k: _bring(v, whole) for k, v in items.items() if whole or v is not None}
@@ -115,8 +123,6 @@ def _bring(value: Any, whole: bool) -> Any:
         from dynsr.expression import to_text
 
         return to_text(value)
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
     if isinstance(value, Iterable):
         return [_bring(item, whole) for item in value]
     return str(getattr(value, "__name__", type(value).__name__))
@@ -282,8 +288,8 @@ class RunFolder:
         """Make the folder that of one run, or go on with the run that it is of.
 
         ``work`` names the kind of run; ``settings`` are what a reader tells runs apart by, and
-        ``key`` digests all that its results depend on. ``alone`` are the names that a folder
-        without a manifest may hold; none by default. Raises FolderTaken, which names the first
+        ``key`` digests all that its results depend on. ``alone`` are the empty folders that
+        one without a manifest may hold; none by default. Raises FolderTaken, which names the first
         difference, when it is another run's, and InputError when it cannot be used.
         """
         if self.path is None:
@@ -292,12 +298,17 @@ class RunFolder:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"{folder} is a file; give a folder for the results")
         try:
-            content = sorted(p.name for p in folder.iterdir()) if folder.exists() else []
-            if MANIFEST in content:
+            content = sorted(folder.iterdir()) if folder.exists() else []
+            if MANIFEST in [path.name for path in content]:
                 self._check(work, settings, key)
-            elif foreign := [n for n in content if not _may_be_there(n, tuple(alone))]:
+            elif foreign := [p.name for p in content if not _may_be_there(p, tuple(alone))]:
                 raise FolderTaken(
                     f"{folder} holds {foreign[0]!r} and no results of dynsr; "
+                    "give a new or an empty folder"
+                )
+            if (folder / self.records).is_symlink():
+                raise FolderTaken(
+                    f"{folder} holds a link {self.records!r} to another folder; "
                     "give a new or an empty folder"
                 )
             # Written anew each time, so that a folder that cannot be written is known at once; and
@@ -305,7 +316,8 @@ class RunFolder:
             manifest = {"format": _format(work), "key": key, "settings": settings}
             write_json(folder / MANIFEST, manifest)
             (folder / self.records).mkdir(exist_ok=True)
-            self._remove_stale()
+            for place in (folder, folder / self.records):
+                remove_stale(place)
         except OSError as error:
             reason = error.strerror or type(error).__name__
             raise InputError(
@@ -327,13 +339,6 @@ class RunFolder:
                 )
         if read_json(self.path / MANIFEST).get("key") != key:
             raise FolderTaken(f"{self.path} holds results with other options; give another folder")
-
-    def _remove_stale(self) -> None:
-        """Remove what a killed process left half written long ago."""
-        assert self.path is not None
-        for part in [*self.path.glob(".*.part"), *self.path.glob(f"{self.records}/.*.part")]:
-            if time.time() - part.stat().st_mtime > _STALE_SECONDS:
-                part.unlink(missing_ok=True)
 
     def file(self, name: str) -> Path:
         """Give the path of the record of a task."""
@@ -375,9 +380,10 @@ class RunFolder:
             write_record(self.file(name), record, key)
 
 
-def _may_be_there(name: str, alone: tuple[str, ...]) -> bool:
+def _may_be_there(path: Path, alone: tuple[str, ...]) -> bool:
     # A call may end between any two files.
-    return name in alone or (name.startswith(".") and name.endswith(".part"))
+    empty = path.is_dir() and not path.is_symlink() and not any(path.iterdir())
+    return is_part(path) or (path.name in alone and empty)
 
 
 def _words(value: Any) -> str:

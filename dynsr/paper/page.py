@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dynsr.data import PAGE_MARK, write_bytes, write_own
+from dynsr.data import write_bytes, write_page
 from dynsr.paper.provenance import ENGINES_BESIDE, MADE_BY
 from dynsr.paper.records import Record
 from dynsr.paper.results import (
@@ -18,6 +18,8 @@ from dynsr.paper.results import (
     figure_1,
 )
 from dynsr.report import Picture, Table, render_page, write_table
+
+REPORT = "report.html"
 
 
 def render_replication(
@@ -69,9 +71,9 @@ def write_results(
         figure = figure_1(records, systems, str(settings["engine"]))
         for kind in ("png", "pdf"):
             written.append(folder / f"figure1.{kind}")
-            write_bytes(written[-1], to_bytes(figure, kind, 200))
-    written.append(folder / "report.html")
-    write_own(written[-1], render_replication(records, settings, tables), PAGE_MARK)
+            write_bytes(written[-1], to_bytes(figure, kind, 200), links=False)
+    written.append(folder / REPORT)
+    write_page(written[-1], render_replication(records, settings, tables))
     return written
 
 

@@ -19,7 +19,15 @@ import numpy as np
 from joblib import effective_n_jobs
 
 from dynsr import __version__
-from dynsr.data import SYSTEMS, Samples, System, find_system, make_samples
+from dynsr.data import (
+    SYSTEMS,
+    Samples,
+    System,
+    check_replaceable,
+    find_system,
+    is_own_page,
+    make_samples,
+)
 from dynsr.engines import find_engine, share_engine, training_trajectory
 from dynsr.errors import InputError, one_line
 from dynsr.expression import to_text
@@ -35,7 +43,7 @@ from dynsr.jobs import (
     to_plain,
 )
 from dynsr.methods import PAPER_METHODS, AbstractMethod, Progress, Report, silent
-from dynsr.paper.page import write_results
+from dynsr.paper.page import REPORT, write_results
 from dynsr.paper.protocol import (
     PAPER_NAMES,
     check_replays,
@@ -299,6 +307,7 @@ def replicate(
     }
     folder = RunFolder(Path(out).absolute(), "cells")
     folder.claim("replication", settings, alone=_OURS)
+    check_replaceable(Path(out) / REPORT, is_own_page)
     # The cells run in processes of their own; this one would wait for them.
     ready = Thread(target=prepare, daemon=True)
     if report:

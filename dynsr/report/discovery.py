@@ -14,7 +14,14 @@ import numpy as np
 import sympy
 
 from dynsr import __version__
-from dynsr.data import PAGE_MARK, Samples, Trajectory, check_replaceable, choose_samples, write_own
+from dynsr.data import (
+    Samples,
+    Trajectory,
+    check_replaceable,
+    choose_samples,
+    is_own_page,
+    write_page,
+)
 from dynsr.discovery import (
     Discovery,
     StateVerdict,
@@ -184,8 +191,8 @@ def write_report(found: Discovery, path: Path) -> Path:
 
     Raises InputError when it cannot be written, or a file that is no page of dynsr stands there.
     """
-    check_replaceable(path, PAGE_MARK)
-    write_own(path, render_discovery(found), PAGE_MARK)
+    check_replaceable(path, is_own_page)
+    write_page(path, render_discovery(found))
     return path
 
 

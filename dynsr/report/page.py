@@ -95,5 +95,5 @@ def write_table(table: Table, folder: Path) -> list[Path]:
     paths = [folder / f"{table.name}.{kind}" for kind in FORMATS]
     texts = (table.to_csv(), table.to_markdown(), table.to_latex())
     for path, text in zip(paths, texts, strict=True):
-        write_text(path, text)
+        write_text(path, text, links=False)
     return paths
