@@ -13,7 +13,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib.util import find_spec
+from unicodedata import category
 
 
 class DynsrError(Exception):
@@ -40,13 +42,35 @@ class DynsrWarning(UserWarning):
     """The input was usable only after a change, or looks wrong; the message names it."""
 
 
+def printable(text: str, keep: str = "", escaped: Callable[[str], str] = ascii) -> str:
+    r"""Give a text as a terminal may show it, whoever wrote it.
+
+    Signs that end a line, steer a terminal, turn the direction of reading, are not seen or are no
+    characters at all become escapes; spaces stay.
+
+    Parameters
+    ----------
+    text : the text.
+    keep : signs that stay too.
+    escaped : gives the escape of a sign between two quotation marks.
+
+    >>> print(printable("a\x1b[31m\u202e b\udcff"))
+    a\x1b[31m\u202e b\udcff
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        c if c.isprintable() or c in keep or category(c) == "Zs" else escaped(c)[1:-1] for c in text
+    )
+
+
 def one_line(message: object) -> str:
     r"""Give a message or an exception's words with all white space as single spaces.
 
     >>> one_line("too\n   few rows")
     'too few rows'
     """
-    return " ".join(str(message).split())
+    return printable(" ".join(str(message).split()))
 
 
 def in_words(error: BaseException) -> str:

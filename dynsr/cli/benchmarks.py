@@ -230,4 +230,4 @@ def _deliver(rows: Sequence[Recovery], json: bool) -> None:
             for row in rows
         ],
     )
-    typer.echo(f"{sum(row.recovered for row in rows)} of {len(rows)} equations recovered.")
+    output.print_lines(f"{sum(row.recovered for row in rows)} of {len(rows)} equations recovered.")

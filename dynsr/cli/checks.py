@@ -63,7 +63,8 @@ def doctor(
     from dynsr.checks import install as set_up
 
     if install:
-        output.note(set_up())
+        for line in set_up().splitlines():
+            output.note(line)
     found = examine()
     if json:
         output.print_json(found)

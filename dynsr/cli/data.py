@@ -308,9 +308,13 @@ def deliver(
 def _print_table(columns: dict[str, np.ndarray]) -> None:
     import numpy as np
 
-    typer.echo(",".join(columns))
+    from dynsr.jobs import is_lost
+
+    output.print_lines(",".join(columns))
     for row in np.column_stack(list(columns.values())).tolist():
-        typer.echo(",".join(map(repr, row)))
+        if is_lost():
+            return
+        output.print_lines(",".join(map(repr, row)))
 
 
 def simulate(

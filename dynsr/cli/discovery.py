@@ -16,7 +16,7 @@ from dynsr.cli import options, output
 from dynsr.cli.data import load_table, read_equations, split_inputs
 from dynsr.cli.output import Notes
 from dynsr.cli.progress import SearchProgress
-from dynsr.cli.results import check_keeping, keep, score_discovery, summarise
+from dynsr.cli.results import check_keeping, keep, keep_report, score_discovery, summarise
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
 from dynsr.methods import AUTO, DEFAULT_PRESET, PAPER_METHODS
@@ -52,7 +52,7 @@ def show_equations(found: Discovery, quiet: bool = False) -> None:
 
     lines = write_lines(found.equations, found.settings)
     if quiet:
-        typer.echo("\n".join(lines))
+        output.print_lines(*lines)
     else:
         _print_equations(found, lines)
 
@@ -97,7 +97,7 @@ def _print_equations(found: Discovery, lines: Sequence[str]) -> None:
         block = Text("\n".join(lines), style="bold")
         screen.print(Panel(block, title=title, border_style=colour, expand=False))
     else:
-        typer.echo("\n".join(lines))
+        output.print_lines(*lines)
 
 
 def _print_constants(found: Discovery) -> None:
@@ -112,7 +112,7 @@ def _print_constants(found: Discovery) -> None:
         table.add_column(heading, justify="left" if heading in left else "right")
     for state, one in rows:
         cells = (f"{state}'", one.of, f"{one.value:.6g}", one.fitted_text, one.interval_text)
-        table.add_row(*cells, *([units[state].get(one.of, "")] if units else []))
+        table.add_row(*map(Text, (*cells, *([units[state].get(one.of, "")] if units else []))))
     screen = output.console()
     screen.print()
     screen.print(table)
@@ -341,10 +341,14 @@ def discover(
                 jobs=jobs,
                 engine=engine,
             )
-        # The report takes longer than many a search.
-        if not json:
-            show_equations(found, quiet)
-        saved = keep(found, folder)
+        # What was found is safe before it is shown, which nobody may read to its end; it is shown
+        # also where it cannot be saved. The report takes longer than many a search.
+        try:
+            saved = keep(found, folder)
+        finally:
+            if not json:
+                show_equations(found, quiet)
+        saved += keep_report(found, folder)
         scores = score_discovery(found, data, system, engine) if found.complete else {}
     if json:
         output.print_json({**summarise(found), "scores": scores, "files": saved, **notes.told})

@@ -20,7 +20,14 @@ import typer
 from typer.core import TyperGroup
 
 from dynsr.errors import DynsrError, DynsrWarning, in_words, one_line
-from dynsr.jobs import heard_again, interrupt_again, is_repeated, signal_again
+from dynsr.jobs import (
+    heard_again,
+    interrupt_again,
+    is_repeated,
+    printing,
+    signal_again,
+    take_lost,
+)
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -36,8 +43,9 @@ class CommandGroup(TyperGroup):
         """Run the command line and exit with its code."""
         options["standalone_mode"] = False
         with _warnings_as_lines(), _orderly_end(), _noted_interrupts() as interrupts:
-            code = self._run(args, options)
-        sys.exit(INTERRUPTED if interrupts and code == 0 else _flush(code))
+            take_lost()
+            code = _flush(self._run(args, options))
+        sys.exit(INTERRUPTED if interrupts and code == 0 else code)
 
     def _run(self, args: tuple[Any, ...], options: dict[str, Any]) -> int:
         try:
@@ -63,18 +71,18 @@ class CommandGroup(TyperGroup):
 
 def _flush(code: int) -> int:
     """Write what is left of the output; gives the exit code, which says if that cannot be done."""
-    try:
+    # Python flushes once more at its end, which must not fail again.
+    with printing():
         sys.stdout.flush()
-    except OSError as error:
-        # Python flushes once more at its end, which must not fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):
-            return _end(f"cannot write the output: {error.strerror}", BAD_INPUT)
-    return code
+    lost = take_lost()
+    if lost is None or isinstance(lost, BrokenPipeError):
+        return code
+    return _end(f"cannot write the output: {lost.strerror or lost}", code or BAD_INPUT)
 
 
 def _end(reason: object, code: int) -> int:
-    typer.echo("error: " + one_line(reason), err=True)
+    with printing(stderr=True):
+        typer.echo("error: " + one_line(reason), err=True)
     return code
 
 
@@ -97,7 +105,8 @@ def _warnings_as_lines() -> Iterator[None]:
 
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
         if issubclass(category, DynsrWarning) or os.environ.get("DYNSR_DEBUG"):
-            typer.echo("warning: " + one_line(message), err=True)
+            with printing(stderr=True):
+                typer.echo("warning: " + one_line(message), err=True)
 
     with warnings.catch_warnings():
         warnings.simplefilter("default" if os.environ.get("DYNSR_DEBUG") else "ignore")

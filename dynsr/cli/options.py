@@ -50,7 +50,7 @@ def complete_column(ctx: typer.Context, incomplete: str) -> list[str]:
     return [
         f"{done}{comma}{name}"
         for name in dict.fromkeys(found)
-        if name.startswith(start) and name not in taken
+        if name.startswith(start) and name not in taken and name.isprintable()
     ]
 
 

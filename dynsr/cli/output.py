@@ -13,18 +13,24 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.console import Console
 from typing_extensions import Self
 
-from dynsr.errors import DynsrWarning, one_line
+from dynsr.errors import DynsrWarning, one_line, printable
+from dynsr.jobs import Screen, printing
 
 _WIDE = 160
 
 
-def console(stderr: bool = False) -> Console:
+def console(stderr: bool = False) -> Screen:
     """Give a console that does not fold its tables where nobody watches."""
-    found = Console(stderr=stderr, highlight=False, soft_wrap=False)
-    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=_WIDE)
+    found = Screen(stderr=stderr, highlight=False, soft_wrap=False)
+    return found if found.is_terminal else Screen(stderr=stderr, highlight=False, width=_WIDE)
+
+
+def print_lines(*lines: str) -> None:
+    """Print lines on stdout."""
+    with printing():
+        typer.echo("\n".join(map(printable, lines)))
 
 
 def print_json(value: Any) -> None:
@@ -32,7 +38,9 @@ def print_json(value: Any) -> None:
     from dynsr.jobs import to_plain
 
     plain = (getattr(sys.stdout, "encoding", None) or "").lower().replace("-", "") != "utf8"
-    typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=plain, allow_nan=False))
+    text = json.dumps(to_plain(value), indent=2, ensure_ascii=plain, allow_nan=False)
+    with printing():
+        typer.echo(printable(text, "\n", json.dumps))
 
 
 def print_table(
@@ -61,8 +69,9 @@ def _cell(value: Any) -> Any:
 
 
 def note(message: str) -> None:
-    """Say something about the run, on stderr."""
-    typer.echo(message, err=True)
+    """Say something about the run, on a line of stderr."""
+    with printing(stderr=True):
+        typer.echo(printable(message), err=True)
 
 
 def make_folder(path: Path) -> Path:

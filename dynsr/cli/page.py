@@ -34,12 +34,16 @@ def app(
 
     need("tornado", "app", "the page")
     from dynsr.app import serve
+    from dynsr.jobs import take_lost
 
     def say(address: str) -> None:
         if json:
             output.print_json({"address": address})
         else:
-            typer.echo(f"open: {address}")
+            output.print_lines(f"open: {address}")
             output.note("Ctrl-C ends it")
+        # A page that nobody knows the address of is of no use.
+        if error := take_lost():
+            raise error
 
     serve(file, port=port, jobs=jobs, megabytes=megabytes, browse=browser, say=say)

@@ -146,7 +146,9 @@ def audit(
         ],
     )
     agreeing = sum(row.agrees for row in rows)
-    typer.echo(f"{agreeing} of {len(rows)} printed losses agree to every printed digit (cut).")
+    output.print_lines(
+        f"{agreeing} of {len(rows)} printed losses agree to every printed digit (cut)."
+    )
 
 
 def _unrounded(row: AuditRow) -> str:

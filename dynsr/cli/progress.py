@@ -8,6 +8,7 @@ from rich.markup import escape
 from typing_extensions import Self
 
 from dynsr.cli.output import console, note
+from dynsr.errors import printable
 
 if TYPE_CHECKING:
     from dynsr.jobs import Step
@@ -61,7 +62,7 @@ class SearchProgress:
     def say(self, line: str) -> None:
         """Write a line above the others."""
         if not self._quiet:
-            self._console.print(escape(line), soft_wrap=True)
+            self._console.print(escape(printable(line)), soft_wrap=True)
 
     def _write(self, step: Step) -> None:
         """Write a line for what has ended, at most one in two seconds, so that a log stays short.

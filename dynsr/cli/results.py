@@ -23,7 +23,7 @@ DiscoveryFile = Annotated[
 
 
 def check_keeping(folder: Path) -> None:
-    """Raise FolderTaken when :func:`keep` would replace a file that dynsr did not write."""
+    """Raise FolderTaken where what is to be kept would replace what dynsr did not write."""
     from dynsr.data import check_replaceable, is_own_page
     from dynsr.discovery import is_own_record
     from dynsr.jobs import FolderTaken
@@ -36,18 +36,16 @@ def check_keeping(folder: Path) -> None:
 
 
 def keep(found: Discovery, folder: Path | None) -> list[Path]:
-    """Save a discovery and its report in a folder; gives the files.
-
-    One that was interrupted takes the place of no complete one and gets no report.
-    """
+    """Save a discovery in a folder; gives the file. One cut short replaces no complete one."""
     if folder is None:
         return []
-    saved, page = folder / "discovery.json", folder / "report.html"
-    if not found.complete:
-        return [] if _is_complete(saved) else [found.save(saved)]
-    found.save(saved)
-    found.report(page)
-    return [saved, page]
+    saved = folder / "discovery.json"
+    return [] if not found.complete and _is_complete(saved) else [found.save(saved)]
+
+
+def keep_report(found: Discovery, folder: Path | None) -> list[Path]:
+    """Write the report of a discovery that was not cut short; gives the file."""
+    return [] if folder is None or not found.complete else [found.report(folder / "report.html")]
 
 
 def _is_complete(path: Path) -> bool:

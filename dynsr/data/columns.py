@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from dynsr.data.trajectory import Trajectory, as_floats, as_times, refuse_mask
-from dynsr.errors import InputError, need
+from dynsr.errors import InputError, need, printable
 
 _HEAD_BYTES = 1 << 16
 _HEAD_LINES = 20
@@ -69,6 +69,8 @@ class Columns:
 
     def __post_init__(self) -> None:
         """Check that there are columns of one length, each with a name of its own."""
+        # The name of a file may be any bytes; the label goes into records, pages and tables.
+        object.__setattr__(self, "label", printable(self.label))
         if not self.names:
             raise InputError(f"{self.label} holds no columns; it needs times and states")
         if not len(self.values[0]):

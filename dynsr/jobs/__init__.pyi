@@ -4,6 +4,7 @@ from .garbage import let_garbage_wait
 from .interrupts import heard_again, interrupt_again, is_repeated, signal_again, signal_main
 from .pool import Task, check_jobs, check_seed, run_tasks, spread
 from .progress import Step, Watch, best_equation, tell_each
+from .screen import Screen, is_lost, printing, take_lost
 from .store import (
     MANIFEST,
     FolderTaken,
@@ -27,6 +28,7 @@ __all__ = [
     "NotebookProgress",
     "RecordError",
     "RunFolder",
+    "Screen",
     "Step",
     "Task",
     "TerminalProgress",
@@ -44,8 +46,10 @@ __all__ = [
     "heard_again",
     "in_notebook",
     "interrupt_again",
+    "is_lost",
     "is_repeated",
     "let_garbage_wait",
+    "printing",
     "read_json",
     "read_manifest",
     "read_record",
@@ -54,6 +58,7 @@ __all__ = [
     "signal_again",
     "signal_main",
     "spread",
+    "take_lost",
     "tell_each",
     "time_limit",
     "to_json",

@@ -13,6 +13,7 @@ from rich.table import Column
 from typing_extensions import Self
 
 from dynsr.jobs.progress import Step
+from dynsr.jobs.screen import Screen
 
 # Letters across a line in a notebook.
 _WIDTH = 110
@@ -83,7 +84,7 @@ class NotebookProgress:
 
     def __init__(self) -> None:
         """Prepare the lines; nothing is shown before the context is entered."""
-        self._page = Console(file=io.StringIO(), record=True, width=_WIDTH, force_jupyter=False)
+        self._page = Screen(file=io.StringIO(), record=True, width=_WIDTH, force_jupyter=False)
         self._lines = LiveLines(self._page)
         self._handle: Any = None
 
@@ -111,7 +112,7 @@ class TerminalProgress:
 
     def __init__(self) -> None:
         """Prepare the lines; where stderr is no terminal, nothing is ever drawn."""
-        console = Console(stderr=True)
+        console = Screen(stderr=True)
         self._lines = LiveLines(console, console.is_terminal)
 
     def __enter__(self) -> Self:

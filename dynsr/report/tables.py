@@ -17,6 +17,7 @@ from statistics import mean, stdev
 from typing import Any
 
 from rich import box
+from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -189,10 +190,11 @@ class Table:
 
     def to_rich(self) -> RichTable:
         """Give the table for a terminal."""
-        table = RichTable(title=self.title, caption=self.note or None, box=box.SIMPLE_HEAD)
+        title, note = escape(self.title), escape(self.note) or None
+        table = RichTable(title=title, caption=note, box=box.SIMPLE_HEAD)
         for j, heading in enumerate(self.columns):
             text = self.is_text(j)
-            table.add_column(heading, justify="left" if text else "right", overflow="fold")
+            table.add_column(escape(heading), justify="left" if text else "right", overflow="fold")
         for row in self.rows:
             table.add_row(*(Text(format_value(value)) for value in row))
         return table

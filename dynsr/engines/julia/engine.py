@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from dynsr.engines.julia.setup import (
 from dynsr.engines.julia.shared import Guest, Host, find_host, has_host
 from dynsr.engines.julia.source import write_slopes
 from dynsr.engines.sparse.solve import read_settings
-from dynsr.errors import EngineError, EngineUnavailable
+from dynsr.errors import EngineError, EngineUnavailable, printable
 
 # Installing and compiling the packages for the first time is what takes this long.
 START_SECONDS = 3600.0
@@ -43,8 +44,10 @@ LONGEST_SECONDS = 1e9
 
 def announce_on_stderr(text: str) -> None:
     """Write a line of progress to standard error."""
-    sys.stderr.write(f"{text}\n")
-    sys.stderr.flush()
+    # Whether anybody reads it is no matter of the work.
+    with suppress(OSError):
+        sys.stderr.write(f"{printable(text)}\n")
+        sys.stderr.flush()
 
 
 class JuliaEngine(AbstractEngine):
