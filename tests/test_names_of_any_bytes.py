@@ -2,12 +2,15 @@
 
 import json
 import os
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import run
 
+import dynsr
 from dynsr.data.reading import read_trajectories
 from dynsr.data.trajectory import Trajectory
 from dynsr.data.writing import write_text
@@ -53,6 +56,8 @@ def test_a_file_of_any_name_is_searched_and_its_results_are_kept(name, tmp_path,
         ("report", saved, "-o", folder / "again.html"),
         ("score", saved, data),
         ("score", saved, data, "--json"),
+        ("describe", data),
+        ("describe", data, "--json"),
         ("simulate", saved, "--x0", "1", "--span", "0,1", "--dt", "0.5", "-o", folder / "s.csv"),
         ("discover", data, *SMALL, "--start", saved, "-o", folder / "from", "--json"),
     ):
@@ -80,6 +85,7 @@ def test_a_column_of_any_name_is_told_without_its_signs(name, tmp_path):
     write_table(data, ("t", f'"{text}"'))
     done = run("discover", data, *SMALL, "-o", tmp_path / "out")
     assert not BAD & set(done.stdout + done.stderr)
+    assert not BAD & set(run("describe", data).stdout)
     for wrong in (("--time", text), ("--states", f"{text},q"), ("--inputs", text)):
         assert not BAD & set(run("discover", data, *SMALL, *wrong, code=2).stderr)
 
@@ -121,6 +127,15 @@ def test_what_may_be_shown():
     assert printable(once) == once
     assert one_line(InputError("a\x1b[2J\n b")) == in_words(InputError("a\x1b[2J\n b"))
     assert one_line("a\x1b[2J\n b") == "a\\x1b[2J b"
+
+
+def test_commands_print_in_one_place():
+    """No command prints but by cli/output.py, which shows what is safe and minds what is lost."""
+    commands = Path(dynsr.__file__).parent / "cli"
+    own = {"output.py", "group.py", "app.py", "start.py"}
+    for path in sorted(commands.glob("*.py")):
+        found = re.findall(r"typer\.echo|(?<![.\w])print\(|sys\.std(?:out|err)", path.read_text())
+        assert path.name in own or not found, path
 
 
 def test_halves_of_pairs_reach_no_file(tmp_path):

@@ -160,7 +160,7 @@ def describe(
     if json:
         output.print_json(found.to_dict())
     else:
-        typer.echo(str(found))
+        output.print_lines(*str(found).split("\n"))
 
 
 def generate(
