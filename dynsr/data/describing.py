@@ -71,22 +71,18 @@ def describe_table(
 
 def _odd(table: Table, settings: OddSettings) -> Iterator[str]:
     """Say what looks odd in the times and the states of a table."""
-    runs, found = table.trajectories, table.description
-    names = [run.name for run in found.trajectories]
-    single = len(runs) == 1
-    clocks = [
-        (name, o) for name, run in zip(names, runs, strict=True) for o in odd_times(run.t, settings)
-    ]
-    yield from merge_places(clocks, f"time {found.time.column!r}", single)
+    found, count = table.description, len(table.trajectories)
+    most = max(settings.looks // len(found.states), 1)
+    picked = np.linspace(0, count - 1, min(count, most)).astype(int)
+    runs = [(found.trajectories[i].name, table.trajectories[i]) for i in picked]
+    # Many columns would else show by chance what no single one does.
+    each = replace(settings, chance=settings.chance / (len(runs) * len(found.states)))
+    clocks = [(name, odd) for name, run in runs for odd in odd_times(run.t, each)]
+    yield from merge_places(clocks, f"time {found.time.column!r}", count == 1)
     for state in found.states:
-        columns = [(run.t, run.by_name[state]) for run in runs]
-        odd = [
-            (name, o)
-            for name, column in zip(names, columns, strict=True)
-            for o in odd_values(*column, settings)
-        ]
-        yield from merge_places(odd, state, single)
-    together = columns_of(runs)
+        seen = [(n, o) for n, run in runs for o in odd_values(run.t, run.by_name[state], each)]
+        yield from merge_places(seen, state, count == 1)
+    together = columns_of(table.trajectories)
     for _, sentence in odd_states({state: together[state] for state in found.states}, settings):
         yield (
             f"{sentence}, so that its equation follows from theirs; leave it out, or say that the "

@@ -23,12 +23,13 @@ class OddSettings:
     ----------
     gap : a step of the time this many times longer than the steps around it is a gap.
     even : steps that differ by a smaller share of the longest are even.
-    chance : what comes about by chance in at most this share of sound columns looks odd.
+    chance : what comes about by chance in at most this share of sound tables looks odd.
     spike : a row that lies this many times further off than the rows around it lie apart is one.
     edge : steps of the resolution by which a column enters or leaves the rows that all hold one
         value. A rounded parabola that keeps its top for three rows enters it by three at most.
     rows : fewer rows an oscillation are too few for slopes.
     rounding : error of rounding, as a share of the spread, that is called coarse.
+    looks : columns of runs that are looked at; of more, evenly spaced runs.
     """
 
     gap: float = 10.0
@@ -38,6 +39,7 @@ class OddSettings:
     edge: float = 3.0
     rows: float = 10.0
     rounding: float = 0.01
+    looks: int = 200
 
 
 _SETTINGS = OddSettings()
@@ -46,7 +48,7 @@ _ROUNDING = 1 / sqrt(12)
 # Rows of a median absolute value that are worth as much as one of a mean square.
 _EFFICIENCY = 0.37
 # Numbers of more digits than people write are not rounded.
-_DIGITS = 13
+_DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -164,14 +166,19 @@ def resolution(x: np.ndarray) -> float:
     if len(levels) < 2:
         return 0.0
     size = float(np.max(np.abs(levels)))
-    for digits in range(_DIGITS):
-        if size * 10.0**digits >= 10.0**_DIGITS:
-            return 0.0
-        if np.allclose(np.round(levels, digits), levels, rtol=1e-14, atol=0):
-            whole = np.rint(levels * 10.0**digits).astype(np.int64)
-            step = float(np.gcd.reduce(np.diff(whole))) / 10.0**digits
-            return _of_converter(np.diff(levels), step, 10.0**-digits)
-    return 0.0
+    whole = max(_DIGITS - int(np.ceil(np.log10(size))), 0)
+    # Most columns that are not rounded show it in their first rows.
+    if not _has_digits(levels[:20], whole) or not _has_digits(levels, whole):
+        return 0.0
+    digits = next(d for d in range(whole + 1) if _has_digits(levels, d))
+    counts = np.rint(levels * 10.0**digits).astype(np.int64)
+    step = float(np.gcd.reduce(np.diff(counts))) / 10.0**digits
+    return _of_converter(np.diff(levels), step, 10.0**-digits)
+
+
+def _has_digits(x: np.ndarray, digits: int) -> bool:
+    """Whether numbers have no more than so many digits behind the point."""
+    return bool(np.all(np.abs(np.round(x, digits) - x) <= 1e-14 * np.abs(x)))
 
 
 def _of_converter(steps: np.ndarray, step: float, last: float) -> float:
