@@ -2,7 +2,7 @@ from .estimator import DynsrRegressor
 from .maps import inputs_in, iterate, pair_rows, write_map_mathml
 from .orders import write_lines
 from .prediction import predict
-from .problem import DiscoverySettings
+from .problem import DISCOVERY, DiscoverySettings
 from .records import is_own_record
 from .result import Discovery
 from .scoring import (
@@ -18,6 +18,7 @@ from .uncertainty import bootstrap
 from .verdict import StateVerdict, Verdict, VerdictSettings
 
 __all__ = [
+    "DISCOVERY",
     "Discovery",
     "DiscoverySettings",
     "DynsrRegressor",

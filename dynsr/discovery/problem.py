@@ -414,7 +414,8 @@ class Problem:
 
         From then on the data count as exact.
         """
-        if not all(found.candidates for found in looked):
+        confirms = self.settings.selection.parts.has("end-confirmed")
+        if not confirms or not all(found.candidates for found in looked):
             return {}
         near = {f.target: _as_near(f.candidates)[: 1 if f.final else None] for f in looked}
         for exprs in families(near, self.form.complete(tuple(near))):
@@ -431,6 +432,8 @@ class Problem:
         """Give the sums of products that exact states between distant rows leave no doubt of."""
         data, comparison = self.measurements, self.settings.selection.comparison
         if data is None or data.parts == 1 or data.noise_share > comparison.doubtful:
+            return None
+        if not comparison.parts.has("whole-polynomials"):
             return None
         whole, fit = self._with_known(exprs), self.settings.selection.fit
 
@@ -524,7 +527,7 @@ class Problem:
     def _with_halves(self, found: Discovery, rivals: Rivals) -> Rivals:
         """Put what half of the rows ask for beside the formulas that come close."""
         data, most = self.measurements, self.settings.verdict.rival_bits
-        if data is None:
+        if data is None or not self.settings.selection.parts.has("halves"):
             return rivals
         wider = dict(rivals)
         for state, expr in found.equations.items():
@@ -580,7 +583,8 @@ class Problem:
         self.believed.clear()
         choice = compare_systems(exprs, pools, data, comparison, self._compared, ends)
         fit = choice.fit
-        while fit is not None and not self.confirmed and len(self.believed) < _BELIEVED:
+        believed = _BELIEVED * comparison.parts.has("belief")
+        while fit is not None and not self.confirmed and len(self.believed) < believed:
             less = noise_shown(fit)
             if less is None or not (self.believed or choice.explains(comparison)):
                 break

@@ -340,6 +340,8 @@ def _follow(
     problem: Problem, found: Discovery, verdict: Verdict, record: dict[str, Any]
 ) -> tuple[Discovery, Verdict]:
     """Take equations that keep closer to the data where those found part from them."""
+    if not problem.settings.selection.parts.has("followers"):
+        return found, verdict
     other, cut = finish_by(
         problem.budget.until(1.0), lambda: follow_anyway(problem, found, verdict), lambda: None
     )
@@ -416,7 +418,8 @@ def _choose_first(
     # Who names an engine wants the methods that regress in it.
     looked = not problem.form.discrete and engine.name == DEFAULT_ENGINE
     if problem.measurements is None:
-        return (FIRST_LOOK, *MORE_LOOKS) if looked else ()
+        again = MORE_LOOKS if problem.settings.selection.parts.has("look-again") else ()
+        return (FIRST_LOOK, *again) if looked else ()
     # Few exact rows look as if they were noisy.
     lengths = [len(run) for run in problem.runs]
     sparse = sum(lengths) <= problem.settings.selection.look.sparse and min(lengths) > _FEWEST
@@ -460,7 +463,8 @@ class _Steps:
                 open_ = EXPLORATION in self.first and not final
                 explored = self._explore(watch) if open_ else []
                 settled = problem.settle(explored) if explored else None
-                methods = {} if settled is not None else self.methods
+                only = bool(self.first) and not problem.settings.selection.parts.has("methods")
+                methods = {} if settled is not None or only else self.methods
                 if settled is not None:
                     record["methods"] = [EXPLORATION]
                     watch.skip(tasks_of(states, self.methods, picked=False))

@@ -347,13 +347,16 @@ class Alone:
 
     def rank_sums(self) -> list[sympy.Expr]:
         """Give sums of terms, fewest bits first: of powers alone where these leave no doubt."""
-        found = self.rank(self.sums_of_terms(powers=True))
-        return found if self.is_clear() else self.rank(self.sums_of_terms())
+        if self.comparison.settings.parts.has("powers-first"):
+            found = self.rank(self.sums_of_terms(powers=True))
+            if self.is_clear():
+                return found
+        return self.rank(self.sums_of_terms())
 
     def is_clear(self) -> bool:
         """Whether a short polynomial leaves only noise and leads all others by far."""
         ranked = self._ranked()
-        if not ranked:
+        if not ranked or not self.comparison.settings.parts.has("end-clear"):
             return False
         best, *others = ranked
         settings, expr = self.comparison.settings, best.exprs[self.state]

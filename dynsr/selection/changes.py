@@ -101,7 +101,8 @@ def _promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Cha
     if gram is None:
         return []
     per_square = shift_bits(1.0) / max(float(np.mean(found.mean_squares)), 1e-12)
-    ranked = _rank(moves.moves, gram, found.constants, settings.paired)
+    paired = settings.paired * settings.parts.has("move-pairs")
+    ranked = _rank(moves.moves, gram, found.constants, paired)
     of_constant = constant_bits(float(np.max(mesh.rows)))
     changes = []
     for squares, move in ranked:
@@ -176,14 +177,15 @@ def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit
     fit : the system.
     state : whose equation loses terms.
     """
-    while True:
+    while comparison.settings.parts.has("pruning"):
         for system in _shorter_systems(comparison, fit, state):
             less = comparison.fit_near(system, fit)
             if less is not None and less.bits < fit.bits:
                 fit = less
                 break
         else:
-            return fit
+            break
+    return fit
 
 
 def climb_while_better(
@@ -315,11 +317,17 @@ def _make_moves(comparison: SystemComparison, fit: SystemFit, points: np.ndarray
         allowed = comparison.settings.demands.limits(state).allow
         others = [e for s, e in fit.exprs.items() if s != state]
         beside = set().union(*map(term_bodies, others))
-        _add_terms(moves, row, state, expr, terms, values, allowed, beside)
-        _add_saturations(moves, row, state, expr, names, points)
-        _add_powers(moves, row, state, expr, names, points)
-        _add_below(moves, row, state, expr, names, points)
-        _add_swaps(moves, row, state, expr, comparison, points)
+        has = comparison.settings.parts.has
+        if has("move-terms"):
+            _add_terms(moves, row, state, expr, terms, values, allowed, beside)
+        if has("move-saturations"):
+            _add_saturations(moves, row, state, expr, names, points)
+        if has("move-powers"):
+            _add_powers(moves, row, state, expr, names, points)
+        if has("move-below"):
+            _add_below(moves, row, state, expr, names, points)
+        if has("move-swaps"):
+            _add_swaps(moves, row, state, expr, comparison, points)
     return moves
 
 

@@ -40,6 +40,7 @@ from dynsr.selection.costs import (
     written_length,
 )
 from dynsr.selection.mass_matrix import find_couplings
+from dynsr.selection.parts import Parts
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.terms import Terms, TermSettings, find_turning
 from dynsr.selection.twins import first_of_each, with_twins
@@ -117,6 +118,7 @@ class ComparisonSettings:
     excess : mean squared miss beyond that of noise, in units of it, that is noise too: its size
         is an estimate.
     rows : rows of the data at most.
+    parts : which parts of the search and of the bits take part.
     demands : what the user asks of the equations; a system that breaks one is not taken.
     fit : how a system is fitted.
     """
@@ -155,6 +157,7 @@ class ComparisonSettings:
     margin: float = 5.0
     excess: float = 0.15
     rows: int = 2000
+    parts: Parts = Parts()
     demands: Demands = Demands()
     fit: CollocationSettings = CollocationSettings()
 
@@ -330,6 +333,8 @@ class SystemComparison:
         fit : the system.
         state, expr : whose equation changes, and what it becomes.
         """
+        if not self.settings.parts.has("changed-twins"):
+            return [{**fit.exprs, state: expr}]
         return with_twins(fit.exprs, state, expr, self.mesh.states)
 
     def fit_anew(self, exprs: Equations) -> SystemFit | None:
@@ -350,13 +355,17 @@ class SystemComparison:
 
     def bits(self, fit: CollocationFit) -> float:
         """Bits of misses, terms and constants."""
+        has = self.settings.parts.has
         leaving = sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
-        simple = simplicity_bits(fit.constants, fit.errors)
+        leaving *= has("bits-leaving")
+        simple = simplicity_bits(fit.constants, fit.errors) * has("bits-simple")
         shared, once = shared_bits(fit.exprs, fit.constants, fit.covariance)
+        shared, once = shared * has("bits-shared"), once * has("bits-shared")
         saved = float(np.sum(np.maximum(simple, shared))) + once
         bits = self._written(fit, fit.exprs, len(fit.constants)) - saved
         # What a mass matrix ties together is said more shortly by each other.
-        for tie in find_couplings(fit.exprs, fit.constants, fit.covariance):
+        ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("bits-tied") else ()
+        for tie in ties:
             others = np.array(owners_of(fit.exprs)) != tie.state
             constants = int(others.sum()) + len(tie.constants)
             saved = float(np.sum(simple[others]))
@@ -369,11 +378,14 @@ class SystemComparison:
         """Bits of the misses, and of equations with so many constants of no certain value."""
         squares = np.maximum(fit.mean_squares, 1e-12)
         flat, said = in_coordinates(list(exprs.values()), self.angles)
-        said += sum(unusual_bits(e, self.angles) for e in flat)
-        said += sum(self.settings.unseen * self._far_off(e) for e in exprs.values())
-        said += sum(map(unwritten_bits, flat))
+        has = self.settings.parts.has
+        if has("bits-unusual"):
+            said += sum(unusual_bits(e, self.angles) for e in flat)
+            said += sum(map(unwritten_bits, flat))
+        if has("bits-unseen"):
+            said += sum(self.settings.unseen * self._far_off(e) for e in exprs.values())
         # A lone state grows by any power; what several states do to each other seldom has one.
-        if len(self.names) > 1:
+        if len(self.names) > 1 and has("bits-powers"):
             said += _ANY_POWER * sum(map(count_free_powers, flat))
             said += _INVERSE * sum(count_inverses(e, s) for s, e in exprs.items())
         length = information_criterion(squares, self.mesh.rows, flat, constants, written_length)
@@ -394,6 +406,8 @@ class SystemComparison:
         doubtful : states whose equations hold what may be 0, and are no twins: a term of that
             size would make a twin of almost any.
         """
+        if not self.settings.parts.has("bits-common"):
+            return 0.0
         own = list(exprs.values())
         flat = own if flat is None else flat
         # What the columns do not see of a saturation says nothing of another one.

@@ -35,6 +35,7 @@ from dynsr.methods import Limits
 from dynsr.selection.costs import bodies_of, shape_bits, unusual_bits
 from dynsr.selection.few import FewTerms
 from dynsr.selection.likeness import Likeness, cited_terms, fit_to
+from dynsr.selection.parts import Parts
 from dynsr.selection.profiles import sums_beside
 from dynsr.selection.relations import is_left_open
 from dynsr.selection.several import SeveralInside
@@ -98,6 +99,7 @@ class LookSettings:
     alike : misses up to so many times the least of all are as good where slopes are rough.
     sparse : rows up to which data that look noisy may be exact ones far apart.
     stands_out : how many times larger the misses of every other choice of terms must be.
+    parts : which parts of the search take part.
 
     >>> LookSettings().below
     2
@@ -113,6 +115,7 @@ class LookSettings:
     alike: float = 4.0
     sparse: int = 300
     stands_out: float = 30.0
+    parts: Parts = Parts()
 
 
 LOOK = LookSettings()
@@ -149,12 +152,14 @@ def look(samples: Samples, limits: Limits | None = None, settings: LookSettings 
         found = [one for kind in search.kinds() for one in search.choose(kind)]
         seen = search.conclude(found)
         for angle in find_angles(samples.names, samples.X.T):
-            if not seen.final:
+            if not seen.final and settings.parts.has("look-angles"):
                 swings = _Search.around(angle, samples, allowed, settings)
                 again = swings.conclude(list(swings.choose(np.arange(len(swings.exprs)))))
                 seen = again if again.final else seen
         # What is written in simple numbers is the law, whatever else comes near.
-        if not (seen.final and _is_simple(seen.candidates[0].expr)):
+        if not (seen.final and _is_simple(seen.candidates[0].expr)) and settings.parts.has(
+            "look-beside"
+        ):
             beside = list(search.choose_beside(allowed))
             again = search.conclude([*found, *beside]) if beside else seen
             seen = again if again.final or not seen.final else seen
@@ -202,7 +207,7 @@ def look_again(
         if not search.is_exact:
             return Look()
         found = [one for kind in search.kinds() for one in search.choose(kind)]
-        twins = search.twins(others)
+        twins = search.twins(others) if settings.parts.has("look-twins") else []
         found += search.take([*earlier, *search.closest(twins)], allowed)
         # Said by whose twin it is, one with the same constants is shorter than whatever else it is.
         found += [replace(one, cost=_SAID) for one in search.take(twins, allowed)]
@@ -338,16 +343,18 @@ class _Search:
             [sympy.total_degree(e) if e.is_polynomial(*symbols) else np.inf for e in self.exprs],
             dtype=float,
         )
-        over = np.arange(len(self.exprs)) < self.above
-        yield np.flatnonzero(over & np.isfinite(degree))
-        if self.cited is not None and self.cited.any():
+        over, parts = np.arange(len(self.exprs)) < self.above, self.settings.parts
+        if parts.has("look-polynomials"):
+            yield np.flatnonzero(over & np.isfinite(degree))
+        if self.cited is not None and self.cited.any() and parts.has("look-cited"):
             # What flows from one state to another is in the equations of both.
             for most in (1, 2, 3):
                 yield np.flatnonzero(over & (self.cited | (degree <= most)))
         yield np.flatnonzero(over)
-        for top, bottom in ((2, 1), (3, 1), (3, 2)):
-            yield np.flatnonzero(degree <= np.where(over, top, bottom))
-        yield np.arange(len(self.exprs))
+        if parts.has("look-ratios"):
+            for top, bottom in ((2, 1), (3, 1), (3, 2)):
+                yield np.flatnonzero(degree <= np.where(over, top, bottom))
+            yield np.arange(len(self.exprs))
 
     def choose(self, kind: np.ndarray) -> Iterator[_Choice]:
         """Give the choices of terms that a beam and a backward elimination end at."""
@@ -371,7 +378,7 @@ class _Search:
             least=least,
         )
         chosen = [subset.places for subset in subsets]
-        chosen += self._eliminate(columns)
+        chosen += self._eliminate(columns) if self.settings.parts.has("look-elimination") else []
         for places in dict.fromkeys(chosen):
             one = self._fit([int(kind[i]) for i in places])
             if one is not None:
@@ -443,12 +450,18 @@ class _Search:
         every = dict.fromkeys([*plain[:first], *given, *cited, *plain[first:]])
         few = FewTerms.of(self._thinned.select(rows), list(every), limits.allow)
         most = self.settings.within * max(self.error, _LOOSE * self.size)
-        yield self._refitted(few.plain_sums(most))
-        yield self._refitted(few.with_one(most))
-        several = SeveralInside.of(few.samples, limits.allow)
-        yield self._refitted(several.sums([self.settings.within * self.error, most]))
-        yield self._refitted(few.with_two(most, self.settings.within * self.error))
-        yield self.wide_sums(limits)
+        parts = self.settings.parts
+        if parts.has("look-plain-sums"):
+            yield self._refitted(few.plain_sums(most))
+        if parts.has("look-one-inside"):
+            yield self._refitted(few.with_one(most))
+        if parts.has("look-several-inside"):
+            several = SeveralInside.of(few.samples, limits.allow)
+            yield self._refitted(several.sums([self.settings.within * self.error, most]))
+        if parts.has("look-two-inside"):
+            yield self._refitted(few.with_two(most, self.settings.within * self.error))
+        if parts.has("look-wide"):
+            yield self.wide_sums(limits)
 
     def _refitted(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
         """Fit formulas to all rows."""
@@ -643,12 +656,14 @@ class _Search:
             # What cannot be chance leads: a longer formula whose constants are all simple numbers.
             most = settings.within * max(self.error, max(c.miss for c in good) * self.size)
             written = [(c, self._simplest(c, most)) for c in ranked[: min(len(good), _WRITTEN)]]
-            sure = [(c, e) for c, e in written if e is not None and _is_simple(e)]
+            simply = self.settings.parts.has("end-simple")
+            sure = [(c, e) for c, e in written if e is not None and _is_simple(e) and simply]
             best, simple = (sure or written)[0]
             if simple is not None:
                 exprs.append(simple)
             ranked.sort(key=lambda c: c is not best)
-            final = bool(settled) and (bool(sure) or self._stands_out(best, found))
+            alone = settings.parts.has("end-alone") and self._stands_out(best, found)
+            final = bool(settled) and (bool(sure) or alone) and settings.parts.has("end-look")
         exprs += [c.expr for c in ranked[: settings.kept]]
         named = dict.fromkeys(exprs)
         return Look(tuple(score_candidate(e, self.samples, SOURCE) for e in named), final)

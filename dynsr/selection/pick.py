@@ -31,6 +31,7 @@ from dynsr.fit import (
 )
 from dynsr.selection.comparison import ComparisonSettings
 from dynsr.selection.first_look import LookSettings
+from dynsr.selection.parts import Parts
 
 
 def forecast_misses(
@@ -103,6 +104,30 @@ class SelectionSettings:
     comparison: ComparisonSettings = ComparisonSettings()
     look: LookSettings = LookSettings()
     loss: Loss | None = None
+
+    @property
+    def parts(self) -> Parts:
+        """Which parts of the searches take part."""
+        return self.comparison.parts
+
+    def without(self, *names: str) -> SelectionSettings:
+        """Give the same settings without some parts of the searches.
+
+        Parameters
+        ----------
+        names : of :data:`dynsr.selection.parts.PARTS`.
+
+        Raises InputError for a name that is no part.
+
+        >>> SELECTION.without("twins", "stand-ins").parts
+        Parts(off=('twins', 'stand-ins'))
+        """
+        parts = Parts((*self.parts.off, *names))
+        return replace(
+            self,
+            comparison=replace(self.comparison, parts=parts),
+            look=replace(self.look, parts=parts),
+        )
 
 
 SELECTION = SelectionSettings()

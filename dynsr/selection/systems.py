@@ -13,7 +13,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -204,7 +204,7 @@ def compare_systems(
     found = _search(pools, data, comparison, known.alone)
     if not found:
         return SystemChoice(dict(exprs))
-    if not leaves_noise(found[0], settings):
+    if settings.parts.has("polynomials") and not leaves_noise(found[0], settings):
         begun = fit_polynomials(comparison, known.alone, {s: pool[0] for s, pool in pools.items()})
         found = sorted(dict.fromkeys([*found, *begun]), key=lambda fit: fit.bits)
     found = found[: settings.ends]
@@ -245,30 +245,20 @@ def _refine(
 ) -> SystemFit:
     """Look for terms along the ends of a search, and for other functions in their equations."""
     settings, states = comparison.settings, tuple(begun[0].exprs)
+    has = settings.parts.has
 
-    def climb(fit: SystemFit) -> SystemFit:
-        return _climb(comparison, fit, {})
-
-    @cache
-    def refine(fit: SystemFit) -> SystemFit:
-        first = fit
-        # What belongs together is passed by where one equation at a time is changed.
-        fit = try_couplings(comparison, fit, climb)
-        for attempt in (try_replacements, try_stand_ins):
-            fit = attempt(comparison, fit, climb)
-        return fit if fit is first else try_couplings(comparison, fit, climb)
-
+    refine = cache(partial(_refine_one, comparison))
     best = begun[0]
     # A system that follows the data is the best smoother: terms are looked for along it again.
-    for number in range(settings.again):
-        if ends(best):
+    for number in range(settings.again * has("along")):
+        if has("end-exact") and ends(best):
             return best
         if number and may_be_exact(best, data):
             # What exact states confirm is often but one function away.
             refined = refine(best)
             if refined is not best and ends(refined):
                 return refined
-        if (number or data.noise_share < settings.doubtful) and leaves_noise(best, settings):
+        if _need_not_go_on(best, data, number, settings):
             break
         follower = _search_along(best, data, comparison)
         if follower is None:
@@ -278,14 +268,42 @@ def _refine(
     refined = best
     best = refine(best)
     # Where that leaves more than noise, another end of the search may lead further.
-    for end in begun:
+    for end in begun if has("other-ends") else ():
         if leaves_noise(best, settings):
             break
         if end is not refined and end.bits < best.bits + settings.behind:
             best = min(best, refine(end), key=lambda f: f.bits)
     for state in states:
         best = prune(comparison, best, state)
-    return _prefer_reproducing(comparison, best)
+    return _prefer_reproducing(comparison, best) if has("reproducing") else best
+
+
+def _refine_one(comparison: SystemComparison, fit: SystemFit) -> SystemFit:
+    """Try other functions in the equations of a system, and what belongs together."""
+    has = comparison.settings.parts.has
+
+    def climb(fit: SystemFit) -> SystemFit:
+        return _climb(comparison, fit, {})
+
+    first = fit
+    # What belongs together is passed by where one equation at a time is changed.
+    if has("couplings"):
+        fit = try_couplings(comparison, fit, climb)
+    if has("replacements"):
+        fit = try_replacements(comparison, fit, climb)
+    if has("stand-ins"):
+        fit = try_stand_ins(comparison, fit, climb)
+    again = has("couplings") and fit is not first
+    return try_couplings(comparison, fit, climb) if again else fit
+
+
+def _need_not_go_on(
+    best: SystemFit, data: Measurements, number: int, settings: ComparisonSettings
+) -> bool:
+    """Whether a system that leaves only noise ends the search along it."""
+    if not settings.parts.has("end-noise"):
+        return False
+    return (number > 0 or data.noise_share < settings.doubtful) and leaves_noise(best, settings)
 
 
 def _search_along(
@@ -330,14 +348,14 @@ def _search(
     # What leaves one state enters another: terms of the one are cheap in the other.
     leaders = first | {
         s: own.lead_citing(first[s], [e for o in first if o != s for e in first[o][:_CITED]])
-        for s, own in alone.items()
+        for s, own in (alone.items() if settings.parts.has("citing") else ())
     }
     fits = [fit for own in (first, leaders) if (fit := _compose(together, own)) is not None]
     # What is of one kind obeys one law, though it may lead for neither.
     best = {s: pool[:_TWINNED] for s, pool in leaders.items() if s in alone}
     related = leaders | {
         s: own.lead_twins(leaders[s], {o: pool for o, pool in best.items() if o != s}, list(pools))
-        for s, own in alone.items()
+        for s, own in (alone.items() if settings.parts.has("twins") else ())
     }
 
     def finish(fit: SystemFit) -> SystemFit:
@@ -348,11 +366,12 @@ def _search(
 
     ends = [finish(fit) for fit in dict.fromkeys(fits)]
     least = min((fit.bits for fit in ends), default=math.inf)
-    close = (
-        fit
-        for fit in (*_compose_related(together, related), *share_rates(alone, together, first))
-        if fit not in ends
-    )
+    others: list[SystemFit] = []
+    if settings.parts.has("related"):
+        others += _compose_related(together, related)
+    if settings.parts.has("shared-rates"):
+        others += share_rates(alone, together, first)
+    close = [fit for fit in others if fit not in ends]
     ends += [finish(fit) for fit in close if fit.bits < least + settings.near]
     return sorted(dict.fromkeys(ends), key=lambda fit: fit.bits)
 
@@ -377,16 +396,19 @@ def explore(state: str, data: Measurements, settings: ComparisonSettings) -> lis
     settings : the numbers that decide.
     """
     alone = Alone.of(state, data, settings)
-    found = alone.rank_sums()
+    found, has = alone.rank_sums(), settings.parts.has
     if alone.is_clear():
         return found
-    found = alone.rank(alone.sums_inside())
+    if has("inside"):
+        found = alone.rank(alone.sums_inside())
     best = alone.best()
     if best and is_plain(best.exprs[state]) and leaves_noise(best, settings):
         return found
-    seen = look(data.samples(state), settings.demands.limits(state))
-    angles = [a for a in alone.comparison.angles if _turns(a, data)]
+    angles = [a for a in alone.comparison.angles if has("joints") and _turns(a, data)]
     joints = [one for angle in angles for one in alone.sums_around(angle)]
+    if not has("look-in-noise"):
+        return alone.rank(joints)
+    seen = look(data.samples(state), settings.demands.limits(state))
     return alone.rank([*joints, *(c.expr for c in seen.candidates)])
 
 
@@ -494,7 +516,10 @@ def _climb(
         settled = number > 1 or leaves_noise(fit, comparison.settings)
         most = comparison.settings.near if settled else comparison.settings.behind
         changes += [
-            (s, one.expr) for s, pool in leaders.items() for one in pool if one.behind < most
+            (s, one.expr)
+            for s, pool in leaders.items()
+            for one in pool
+            if one.behind < most and comparison.settings.parts.has("move-leaders")
         ]
         systems = [exprs for change in changes for exprs in comparison.changed(fit, *change)]
         fits = [comparison.fit(exprs, fit) for exprs in systems]

@@ -1,0 +1,105 @@
+"""Parts: every generator, refiner, early end and term of the score of the searches, by name.
+
+All are there by default. Switched off one at a time, they show what each costs and earns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from dynsr.errors import InputError
+
+# Name of a part -> what it does.
+PARTS: Mapping[str, str] = {
+    "look-polynomials": "sums of products alone, on exact slopes",
+    "look-cited": "sums with the terms of other states' equations, on exact slopes",
+    "look-ratios": "ratios of sums, on exact slopes",
+    "look-elimination": "terms taken out of the whole library one by one, on exact slopes",
+    "look-angles": "what hangs from a joint, on exact slopes",
+    "look-beside": "sums beside one function with a constant inside, on exact slopes",
+    "look-twins": "equations of other states with names exchanged, on exact slopes",
+    "look-plain-sums": "all sums of few plain terms, on exact slopes",
+    "look-one-inside": "all sums of few terms and one function with a constant, on exact slopes",
+    "look-two-inside": "all sums of few terms and two functions with constants, on exact slopes",
+    "look-several-inside": "sums with functions of several constants, on exact slopes",
+    "look-wide": "wide terms, on exact slopes",
+    "look-again": "second and third looks beside the equations found for other states",
+    "end-look": "an equation that exact slopes leave no doubt of ends the search",
+    "end-simple": "one whose constants are all simple numbers is such an equation",
+    "end-alone": "one that every other choice of terms misses by far more is such an equation",
+    "powers-first": "sums of powers alone before all other sums, in noise",
+    "end-clear": "a short polynomial that leads by far ends the look at one state, in noise",
+    "inside": "sums with functions of several constants, in noise",
+    "joints": "what hangs from a joint, in noise",
+    "look-in-noise": "the first look at the smoothed slopes, in noise",
+    "citing": "sums with terms of other equations",
+    "twins": "equations of other states with names exchanged, in noise",
+    "changed-twins": "twins change as the equation that they repeat",
+    "related": "systems of equations that have rates in common",
+    "shared-rates": "systems of rates that leave one state and enter another",
+    "polynomials": "whole polynomials, thinned, where nothing leaves only noise",
+    "couplings": "systems tied by a mass matrix",
+    "replacements": "functions in the place of several terms",
+    "stand-ins": "other functions in the place of one",
+    "along": "the search again along the states of the best system",
+    "other-ends": "other ends of the search are refined where the best leaves more than noise",
+    "pruning": "terms taken out one by one",
+    "move-terms": "one more term",
+    "move-saturations": "a term that saturates",
+    "move-powers": "an exponent that is free",
+    "move-below": "one more column below a fraction line",
+    "move-swaps": "a factor of a term in or out, sines for columns",
+    "move-pairs": "two changes at once",
+    "move-leaders": "the formulas that lead alone",
+    "reproducing": "a system that reproduces the runs before one that does not",
+    "end-noise": "a system that leaves only noise ends the search",
+    "end-exact": "a system that exact states confirm ends the search",
+    "end-confirmed": "formulas of rough slopes that exact states confirm end the search",
+    "whole-polynomials": "polynomials of exact rows far apart",
+    "followers": "sums that keep closer to the data where no law is found",
+    "halves": "what half of the rows ask for speaks against a law",
+    "belief": "noise is believed to be as little as a system leaves",
+    "methods": "the other methods where the search along the states leaves more than noise",
+    "bits-simple": "bits saved by simple numbers",
+    "bits-shared": "bits saved by constants that two equations share",
+    "bits-tied": "bits saved by a mass matrix",
+    "bits-common": "bits saved by terms that two equations share",
+    "bits-leaving": "bits of an equation by which a positive state falls below 0",
+    "bits-unseen": "bits of a saturation that the data do not come near to",
+    "bits-powers": "bits of exponents that are no whole numbers, and of inverses",
+    "bits-unusual": "bits of unusual terms",
+}
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Which parts of the searches take part; they stand in a run's record.
+
+    Parameters
+    ----------
+    off : names of PARTS that are left out.
+
+    Raises InputError for a name that is no part.
+
+    >>> Parts(("twins",)).has("twins"), Parts().has("twins")
+    (False, True)
+    """
+
+    off: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        for name in self.off:
+            if name not in PARTS:
+                raise InputError(f"unknown part {name!r}; the parts are: {', '.join(PARTS)}")
+
+    def has(self, name: str) -> bool:
+        """Whether a part takes part.
+
+        Parameters
+        ----------
+        name : of PARTS.
+        """
+        assert name in PARTS, name
+        return name not in self.off
