@@ -1,5 +1,7 @@
 """Random systems: the same from the same seed, bounded, moving, of every field."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -40,7 +42,7 @@ def test_no_random_system_is_one_of_the_zoo(drawn):
 def test_random_systems_stay_bounded_and_keep_moving(drawn):
     """By another solver, from both starts: below 30, still moving late, amounts not below 0."""
     for system in drawn:
-        assert system.starts[0] != system.starts[1] and system.half == "drawn"
+        assert system.starts[0] != system.starts[1] and system.group == "drawn"
         for start in system.starts:
             x = simulate(system.system, start, np.linspace(0, system.span, 300), 1e-8, 1e-10).x
             assert np.all(np.abs(x) < 30)
@@ -52,3 +54,13 @@ def test_a_number_below_one_is_refused():
     """A number of systems below 1 is told with its value."""
     with pytest.raises(InputError, match="number 0 of random systems must be at least 1"):
         draw_systems(0)
+
+
+def test_systems_beyond_the_library_are_drawn_as_well():
+    """Each has a mechanism more than its field writes, and is bounded and moves as others do."""
+    found = draw_systems(6, seed=3, beyond=True)
+    assert all("beyond" in system.name for system in found)
+    odd = r"exp\(-[\d.]+\*\w\^2\)|atan|log\(1 \+ exp|\w\^2\)|\*\w\*\w\)|\^0\.75|tanh|sqrt"
+    for system in found:
+        assert sum(bool(re.search(odd, text)) for text in system.equations.values()) >= 1
+    assert draw_systems(2, seed=3, beyond=True) == found[:2]

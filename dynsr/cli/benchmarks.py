@@ -53,13 +53,16 @@ def benchmark(
     seeds: Annotated[
         int, typer.Option(min=1, help="Draws of the noise at each level (recovery).")
     ] = 1,
-    half: Annotated[
-        str,
-        typer.Option(help="Half of the zoo: tuning, unseen or all.", rich_help_panel=options.DATA),
-    ] = "tuning",
     count: Annotated[
         int, typer.Option(min=1, help="How many random systems.", rich_help_panel=options.DATA)
     ] = 20,
+    beyond: Annotated[
+        bool,
+        typer.Option(
+            help="Random systems with a mechanism that no method can write.",
+            rich_help_panel=options.DATA,
+        ),
+    ] = False,
     rows: Annotated[
         int | None,
         typer.Option(
@@ -115,9 +118,9 @@ def benchmark(
     if kind == "random":
         if chosen:
             raise InputError("random systems have no names yet; leave --systems out, give --count")
-        animals = draw_systems(count, seed)
+        animals = draw_systems(count, seed, beyond=beyond)
     else:
-        animals = read_suite(name, chosen, span) if kind == "suite" else find_animals(half, chosen)
+        animals = read_suite(name, chosen, span) if kind == "suite" else find_animals(chosen)
     rows = rows or (150 if kind == "suite" else None)
     searchers = make_methods(options.read_names(competitors) or ["dynsr"], preset, method)
     _run_zoo(animals, levels, rows, searchers, seed, jobs, out, json, quiet)

@@ -37,7 +37,6 @@ CAP = 300.0
 def read_options() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--half", default="unseen", help="tuning, unseen or all")
     parser.add_argument("--systems", type=int, default=12, help="systems of it, drawn by --seed")
     parser.add_argument("--noise", default="0,0.05", help="levels, by commas")
     parser.add_argument("--methods", default="dynsr,stlsq,operon,gplearn,pysr", help="by commas")
@@ -251,7 +250,7 @@ def run(options: argparse.Namespace) -> tuple[list[Any], list[str]]:
             continue
         for count in map(int, options.threads.split(",")):
             methods[f"{name}, {count} thread{'s' * (count > 1)}"] = partial(answer, count)
-    animals = find_animals(options.half)
+    animals = find_animals()
     drawn = np.random.default_rng(options.seed).choice(
         len(animals), min(options.systems, len(animals)), replace=False
     )
@@ -390,7 +389,7 @@ def main() -> None:
         raise SystemExit(subprocess.run([python, __file__, *sys.argv[1:]], check=False).returncode)
     records, notes = run(options)
     parts = [
-        f"{options.systems} systems of the {options.half} half, drawn with seed {options.seed}.\n",
+        f"{options.systems} systems of the zoo, drawn with seed {options.seed}.\n",
         table_of(records).to_markdown(),
         *(f"{note}\n" for note in notes),
     ]

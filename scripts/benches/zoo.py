@@ -39,9 +39,9 @@ RANDOM_MARKS = "<!-- random -->\n", "<!-- end of random -->\n"
 def read_options() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("systems", nargs="*", help="systems of the half; all by default")
-    parser.add_argument("--half", default="tuning", help="tuning, unseen or all")
+    parser.add_argument("systems", nargs="*", help="systems of the zoo; all by default")
     parser.add_argument("--random", type=int, help="so many random systems of --seed instead")
+    parser.add_argument("--beyond", action="store_true", help="with a mechanism none can write")
     parser.add_argument("--noise", default="0,0.01,0.05,0.1", help="levels, by commas")
     parser.add_argument("--methods", default="dynsr,stlsq,weak", help="who searches, by commas")
     parser.add_argument("--preset", default="best", help="of dynsr")
@@ -53,10 +53,10 @@ def read_options() -> argparse.Namespace:
 
 
 def find_systems(options: argparse.Namespace) -> list[ZooSystem]:
-    """Give the systems of the half, or draw them."""
+    """Give the systems of the zoo, or draw them."""
     if options.random is None:
-        return find_animals(options.half, options.systems)
-    return draw_systems(options.random, options.seed)
+        return find_animals(options.systems)
+    return draw_systems(options.random, options.seed, beyond=options.beyond)
 
 
 def write_cases(records: Sequence[ZooRecord], out: Path) -> None:
@@ -89,7 +89,7 @@ def system_table(records: Sequence[ZooRecord], method: str) -> Table:
 def write_tables(records: Sequence[ZooRecord], options: argparse.Namespace) -> str:
     """Give all tables as Markdown, with what they were measured by."""
     count = len({r.system for r in records})
-    who = f"The {options.half} half" if options.random is None else "Drawn by chance"
+    who = "The zoo" if options.random is None else "Drawn by chance"
     parts = [
         f"{who}, {count} systems; seed {options.seed}, preset {options.preset}, "
         f"dynsr {__version__}.\n",

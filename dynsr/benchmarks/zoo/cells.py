@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynsr.benchmarks.zoo.system import TUNING, UNSEEN, ZooSystem
+from dynsr.benchmarks.zoo.system import ZooSystem
 
 REACTIONS = (
     ZooSystem(
@@ -12,7 +12,6 @@ REACTIONS = (
         {"s": "-1.27*s/(0.63 + s)"},
         ((3.9,), (7.2,)),
         6.0,
-        TUNING,
     ),
     ZooSystem(
         "substrate-inhibition",
@@ -21,7 +20,6 @@ REACTIONS = (
         {"s": "0.31*(4.2 - s) - 1.93*s/(0.57 + s + 0.44*s^2)"},
         ((1.35,), (0.06,)),
         14.0,
-        UNSEEN,
     ),
     ZooSystem(
         "chemostat",
@@ -33,7 +31,6 @@ REACTIONS = (
         },
         ((3.1, 0.12), (0.4, 2.3)),
         16.0,
-        TUNING,
     ),
     ZooSystem(
         "enzyme-complex",
@@ -42,7 +39,6 @@ REACTIONS = (
         {"s": "-1.42*s*(0.83 - c) + 0.36*c", "c": "1.42*s*(0.83 - c) - 0.91*c"},
         ((2.7, 0.03), (1.1, 0.61)),
         7.0,
-        UNSEEN,
     ),
     ZooSystem(
         "brusselator",
@@ -51,7 +47,6 @@ REACTIONS = (
         {"x": "1.1 + x^2*y - 3.9*x", "y": "2.9*x - x^2*y"},
         ((1.3, 1.8), (0.4, 3.7)),
         25.0,
-        TUNING,
     ),
     ZooSystem(
         "oregonator",
@@ -63,7 +58,6 @@ REACTIONS = (
         },
         ((0.41, 0.06), (0.05, 0.31)),
         14.0,
-        UNSEEN,
     ),
     ZooSystem(
         "selkov",
@@ -72,7 +66,6 @@ REACTIONS = (
         {"x": "-1.06*x + 0.083*y + x^2*y", "y": "0.61 - 0.083*y - x^2*y"},
         ((0.9, 1.4), (0.3, 2.6)),
         40.0,
-        TUNING,
     ),
     ZooSystem(
         "higgins",
@@ -81,7 +74,6 @@ REACTIONS = (
         {"x": "0.74 - 1.12*x*y", "y": "1.12*x*y - 1.83*y/(0.91 + y)"},
         ((1.6, 0.4), (0.6, 1.5)),
         25.0,
-        UNSEEN,
     ),
     ZooSystem(
         "chlorine-dioxide",
@@ -90,7 +82,6 @@ REACTIONS = (
         {"x": "9.6 - x - 4*x*y/(1 + x^2)", "y": "2.3*x*(1 - y/(1 + x^2))"},
         ((1.4, 2.9), (3.3, 7.1)),
         14.0,
-        TUNING,
     ),
     ZooSystem(
         "stirred-tank-reactor",
@@ -102,7 +93,6 @@ REACTIONS = (
         },
         ((0.12, 0.35), (0.74, 1.1)),
         9.0,
-        UNSEEN,
     ),
 )
 
@@ -114,7 +104,6 @@ GENES = (
         {"g": "0.08 - 0.72*g + 1.53*g^2/(0.81 + g^2)"},
         ((0.72,), (2.9,)),
         16.0,
-        TUNING,
     ),
     ZooSystem(
         "self-repression",
@@ -123,7 +112,6 @@ GENES = (
         {"p": "2.6/(1 + 1.83*p^2) - 0.41*p"},
         ((0.04,), (4.7,)),
         8.0,
-        UNSEEN,
     ),
     ZooSystem(
         "toggle-switch",
@@ -132,7 +120,6 @@ GENES = (
         {"u": "3.4/(1 + v^2) - 0.87*u", "v": "2.7/(1 + u^2) - 0.87*v"},
         ((0.31, 0.22), (2.4, 3.3)),
         12.0,
-        TUNING,
     ),
     ZooSystem(
         "repressilator",
@@ -145,7 +132,6 @@ GENES = (
         },
         ((0.4, 1.7, 2.6), (3.1, 0.3, 0.9)),
         22.0,
-        UNSEEN,
     ),
     ZooSystem(
         "activator-inhibitor",
@@ -154,7 +140,6 @@ GENES = (
         {"a": "0.14 - 0.84*a + 1.12*a^2/h", "h": "1.12*a^2 - 0.63*h"},
         ((0.8, 0.4), (1.7, 2.9)),
         25.0,
-        TUNING,
     ),
     ZooSystem(
         "end-product",
@@ -167,7 +152,6 @@ GENES = (
         },
         ((0.6, 0.9, 0.2), (4.1, 1.3, 3.4)),
         40.0,
-        UNSEEN,
     ),
     ZooSystem(
         "p53",
@@ -180,7 +164,6 @@ GENES = (
         },
         ((0.21, 0.35, 0.12), (1.1, 0.2, 0.9)),
         30.0,
-        TUNING,
     ),
     ZooSystem(
         "goodwin",
@@ -193,7 +176,6 @@ GENES = (
         },
         ((0.3, 0.2, 0.5), (2.6, 1.1, 0.3)),
         35.0,
-        UNSEEN,
     ),
 )
 
@@ -205,7 +187,6 @@ NERVES = (
         {"v": "v - 0.33*v^3 - w + 0.52", "w": "0.083*(v + 0.71 - 0.79*w)"},
         ((-1.1, 0.4), (1.6, -0.3)),
         90.0,
-        TUNING,
     ),
     ZooSystem(
         "morris-lecar",
@@ -217,7 +198,6 @@ NERVES = (
         },
         ((-35.0, 0.06), (12.0, 0.31)),
         220.0,
-        UNSEEN,
     ),
     ZooSystem(
         "hindmarsh-rose",
@@ -226,7 +206,6 @@ NERVES = (
         {"x": "y - 0.97*x^3 + 2.91*x^2 + 1.3", "y": "1.04 - 4.93*x^2 - y"},
         ((-0.9, -1.2), (1.4, -6.1)),
         20.0,
-        TUNING,
     ),
     ZooSystem(
         "wilson-cowan",
@@ -238,7 +217,6 @@ NERVES = (
         },
         ((0.12, 0.08), (0.83, 0.27)),
         30.0,
-        UNSEEN,
     ),
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynsr.benchmarks.zoo.system import TUNING, UNSEEN, ZooSystem
+from dynsr.benchmarks.zoo.system import ZooSystem
 
 CHAOS = (
     ZooSystem(
@@ -12,7 +12,6 @@ CHAOS = (
         {"x": "9.7*(y - x)", "y": "x*(27.4 - z) - y", "z": "x*y - 2.63*z"},
         ((-4.2, -6.1, 21.0), (7.4, 3.2, 28.0)),
         4.0,
-        TUNING,
     ),
     ZooSystem(
         "chen",
@@ -21,7 +20,6 @@ CHAOS = (
         {"x": "34.6*(y - x)", "y": "-6.8*x - x*z + 27.8*y", "z": "x*y - 3.1*z"},
         ((-3.4, 2.1, 17.0), (6.2, 8.9, 24.0)),
         2.0,
-        UNSEEN,
     ),
     ZooSystem(
         "rossler-flow",
@@ -30,7 +28,6 @@ CHAOS = (
         {"x": "-y - z", "y": "x + 0.21*y", "z": "0.19 + z*(x - 5.6)"},
         ((-3.7, -4.2, 0.04), (4.4, 2.3, 0.31)),
         30.0,
-        TUNING,
     ),
     ZooSystem(
         "thomas",
@@ -43,7 +40,6 @@ CHAOS = (
         },
         ((1.3, -0.4, 2.6), (-2.2, 0.9, 0.7)),
         40.0,
-        UNSEEN,
     ),
     ZooSystem(
         "sprott-b",
@@ -52,7 +48,6 @@ CHAOS = (
         {"x": "y*z", "y": "x - y", "z": "1 - x*y"},
         ((0.6, -0.8, 1.1), (-1.7, -0.5, 0.4)),
         18.0,
-        TUNING,
     ),
     ZooSystem(
         "halvorsen",
@@ -65,7 +60,6 @@ CHAOS = (
         },
         ((-4.6, -1.7, 1.2), (-0.8, 2.4, -6.3)),
         5.0,
-        UNSEEN,
     ),
     ZooSystem(
         "lorenz-84",
@@ -78,7 +72,6 @@ CHAOS = (
         },
         ((1.2, 0.7, -0.4), (0.3, -1.1, 1.4)),
         12.0,
-        TUNING,
     ),
     ZooSystem(
         "nose-hoover",
@@ -87,7 +80,6 @@ CHAOS = (
         {"x": "y", "y": "-x + y*z", "z": "1.07 - y^2"},
         ((0.3, 4.6, 0.2), (1.8, -0.7, -1.3)),
         25.0,
-        UNSEEN,
     ),
     ZooSystem(
         "rabinovich-fabrikant",
@@ -100,7 +92,6 @@ CHAOS = (
         },
         ((-1.1, 0.2, 0.6), (0.4, -0.9, 0.3)),
         20.0,
-        TUNING,
     ),
     ZooSystem(
         "rikitake",
@@ -109,7 +100,6 @@ CHAOS = (
         {"x": "-1.9*x + z*y", "y": "-1.9*y + (z - 4.8)*x", "z": "1 - x*y"},
         ((1.4, -0.7, 3.2), (-2.1, -0.6, 5.9)),
         14.0,
-        UNSEEN,
     ),
     ZooSystem(
         "hyperchaos",
@@ -123,7 +113,6 @@ CHAOS = (
         },
         ((-9.6, -5.8, 0.2, 10.3), (-14.0, 8.6, 0.3, 16.2)),
         18.0,
-        TUNING,
     ),
     ZooSystem(
         "arneodo",
@@ -132,6 +121,5 @@ CHAOS = (
         {"x": "y", "y": "z", "z": "5.43*x - 3.52*y - z - 1.03*x^3"},
         ((0.6, -0.3, 0.8), (-1.7, 1.1, 0.4)),
         16.0,
-        UNSEEN,
     ),
 )

@@ -108,7 +108,7 @@ def measure(animal: ZooSystem, condition: Condition, seed: int = 0) -> Measureme
 
     >>> from dynsr.benchmarks.zoo.catalogue import find_animals
     >>> condition = Condition(0.05, "additive", 50, True)
-    >>> len(measure(find_animals(names=["logistic"])[0], condition).data)
+    >>> len(measure(find_animals(["logistic"])[0], condition).data)
     50
     """
     rng = np.random.default_rng([seed, crc32(f"{animal.name} {condition.name} data".encode())])

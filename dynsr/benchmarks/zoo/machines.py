@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynsr.benchmarks.zoo.system import TUNING, UNSEEN, ZooSystem
+from dynsr.benchmarks.zoo.system import ZooSystem
 
 MECHANICS = (
     ZooSystem(
@@ -12,7 +12,6 @@ MECHANICS = (
         {"theta": "omega", "omega": "-0.24*omega - 8.93*sin(theta)"},
         ((1.9, 0.4), (0.6, 3.1)),
         10.0,
-        TUNING,
     ),
     ZooSystem(
         "terminal-velocity",
@@ -21,7 +20,6 @@ MECHANICS = (
         {"v": "9.81 - 0.147*v^2"},
         ((0.3,), (15.2,)),
         2.5,
-        UNSEEN,
     ),
     ZooSystem(
         "duffing-double-well",
@@ -30,7 +28,6 @@ MECHANICS = (
         {"x": "v", "v": "-0.18*v + 1.07*x - 0.83*x^3"},
         ((0.3, 1.2), (-1.9, 0.5)),
         20.0,
-        TUNING,
     ),
     ZooSystem(
         "rayleigh",
@@ -39,7 +36,6 @@ MECHANICS = (
         {"x": "v", "v": "0.86*v - 0.31*v^3 - 1.12*x"},
         ((0.4, 0.1), (-2.3, 2.6)),
         20.0,
-        UNSEEN,
     ),
     ZooSystem(
         "overdamped-pendulum",
@@ -48,7 +44,6 @@ MECHANICS = (
         {"phi": "0.37 - 1.26*sin(phi)"},
         ((-2.4,), (2.6,)),
         6.0,
-        TUNING,
     ),
     ZooSystem(
         "hoop",
@@ -57,7 +52,6 @@ MECHANICS = (
         {"phi": "omega", "omega": "-0.32*omega + sin(phi)*(7.3*cos(phi) - 4.6)"},
         ((0.3, 0.2), (2.2, -1.4)),
         15.0,
-        UNSEEN,
     ),
     ZooSystem(
         "coupled-springs",
@@ -71,7 +65,6 @@ MECHANICS = (
         },
         ((1.2, -0.4, 0.0, 0.3), (-0.5, 0.9, 1.1, -0.6)),
         18.0,
-        TUNING,
     ),
     ZooSystem(
         "henon-heiles",
@@ -85,7 +78,6 @@ MECHANICS = (
         },
         ((0.21, 0.13, 0.24, 0.11), (-0.12, 0.26, 0.16, -0.22)),
         30.0,
-        UNSEEN,
     ),
     ZooSystem(
         "spring-pendulum",
@@ -99,7 +91,6 @@ MECHANICS = (
         },
         ((1.52, 0.7, 0.0, 0.2), (1.31, -0.4, 0.6, 1.1)),
         8.0,
-        TUNING,
     ),
     ZooSystem(
         "kepler",
@@ -113,7 +104,6 @@ MECHANICS = (
         },
         ((1.2, 0.1, -0.1, 0.93), (-0.9, 0.6, -0.6, -0.95)),
         14.0,
-        UNSEEN,
     ),
     ZooSystem(
         "rigid-body",
@@ -122,7 +112,6 @@ MECHANICS = (
         {"a": "-0.64*b*c", "b": "1.17*a*c", "c": "-0.43*a*b"},
         ((1.4, 0.2, 0.7), (0.3, 1.1, -1.2)),
         18.0,
-        TUNING,
     ),
     ZooSystem(
         "projectile",
@@ -134,7 +123,6 @@ MECHANICS = (
         },
         ((14.2, 17.6), (21.3, 4.4)),
         3.5,
-        UNSEEN,
     ),
 )
 
@@ -146,7 +134,6 @@ CIRCUITS = (
         {"x": "y", "y": "1.43*(1 - x^2)*y - 0.92*x"},
         ((0.4, 0.6), (2.7, -1.9)),
         20.0,
-        TUNING,
     ),
     ZooSystem(
         "diode-capacitor",
@@ -155,7 +142,6 @@ CIRCUITS = (
         {"u": "2.13*(1.74 - u) - 0.16*(exp(2.6*u) - 1)"},
         ((0.05,), (1.65,)),
         1.5,
-        UNSEEN,
     ),
     ZooSystem(
         "laser",
@@ -164,7 +150,6 @@ CIRCUITS = (
         {"n": "2.7 - 0.58*n - 1.34*n*q", "q": "1.34*n*q - 1.12*q"},
         ((0.7, 0.15), (2.2, 2.9)),
         12.0,
-        TUNING,
     ),
     ZooSystem(
         "josephson",
@@ -173,7 +158,6 @@ CIRCUITS = (
         {"phi": "v", "v": "0.38 - 0.27*v - 1.04*sin(phi)"},
         ((-1.6, 0.3), (1.9, -1.1)),
         18.0,
-        UNSEEN,
     ),
     ZooSystem(
         "motor-with-fan",
@@ -182,7 +166,6 @@ CIRCUITS = (
         {"i": "9.3 - 2.8*i - 0.74*w", "w": "1.9*i - 0.21*w - 0.043*w^2"},
         ((0.1, 0.2), (0.4, 12.5)),
         6.0,
-        TUNING,
     ),
     ZooSystem(
         "kuramoto-three",
@@ -194,7 +177,6 @@ CIRCUITS = (
         },
         ((-2.2, 1.4), (2.1, -0.6)),
         12.0,
-        UNSEEN,
     ),
     ZooSystem(
         "stuart-landau",
@@ -206,7 +188,6 @@ CIRCUITS = (
         },
         ((0.15, 0.08), (-2.3, 1.2)),
         14.0,
-        TUNING,
     ),
     ZooSystem(
         "cubic-chua",
@@ -219,7 +200,6 @@ CIRCUITS = (
         },
         ((0.9, 0.2, -0.6), (-1.7, 0.1, 1.2)),
         14.0,
-        UNSEEN,
     ),
 )
 
@@ -231,7 +211,6 @@ FLOWS = (
         {"temp": "-0.23*(temp - 21.4)"},
         ((88.0,), (4.7,)),
         15.0,
-        TUNING,
     ),
     ZooSystem(
         "radiation",
@@ -240,7 +219,6 @@ FLOWS = (
         {"temp": "0.86 - 0.37*temp^4"},
         ((2.1,), (0.25,)),
         3.0,
-        UNSEEN,
     ),
     ZooSystem(
         "leaking-tank",
@@ -249,7 +227,6 @@ FLOWS = (
         {"h": "0.54 - 0.38*sqrt(h)"},
         ((0.31,), (5.6,)),
         20.0,
-        TUNING,
     ),
     ZooSystem(
         "two-tanks",
@@ -258,7 +235,6 @@ FLOWS = (
         {"h": "0.71 - 0.52*sqrt(h)", "k": "0.52*sqrt(h) - 0.43*sqrt(k)"},
         ((5.2, 0.6), (0.4, 4.8)),
         25.0,
-        UNSEEN,
     ),
     ZooSystem(
         "two-rooms",
@@ -267,7 +243,6 @@ FLOWS = (
         {"a": "0.31*(b - a) + 0.12*(8.4 - a) + 1.7", "b": "0.24*(a - b) + 0.07*(8.4 - b)"},
         ((12.5, 29.0), (31.0, 9.7)),
         25.0,
-        TUNING,
     ),
     ZooSystem(
         "two-boxes",
@@ -279,7 +254,6 @@ FLOWS = (
         },
         ((0.12, 0.78), (0.83, 0.16)),
         10.0,
-        UNSEEN,
     ),
     ZooSystem(
         "drug",
@@ -288,7 +262,6 @@ FLOWS = (
         {"g": "-0.83*g", "c": "0.83*g - 1.42*c/(0.94 + c)"},
         ((5.7, 0.1), (2.2, 3.8)),
         8.0,
-        TUNING,
     ),
     ZooSystem(
         "glider",
@@ -297,7 +270,6 @@ FLOWS = (
         {"v": "-sin(theta) - 0.13*v^2", "theta": "v - cos(theta)/v"},
         ((1.6, 0.3), (0.7, -0.5)),
         15.0,
-        UNSEEN,
     ),
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynsr.benchmarks.zoo.system import TUNING, UNSEEN, ZooSystem
+from dynsr.benchmarks.zoo.system import ZooSystem
 
 GROWTH = (
     ZooSystem(
@@ -12,7 +12,6 @@ GROWTH = (
         {"n": "0.83*n*(1 - n/7.4)"},
         ((0.41,), (12.6,)),
         12.0,
-        TUNING,
     ),
     ZooSystem(
         "theta-logistic",
@@ -21,7 +20,6 @@ GROWTH = (
         {"n": "0.71*n*(1 - (n/5.3)^1.6)"},
         ((0.35,), (7.9,)),
         12.0,
-        UNSEEN,
     ),
     ZooSystem(
         "gompertz",
@@ -30,7 +28,6 @@ GROWTH = (
         {"v": "0.62*v*log(9.3/v)"},
         ((0.27,), (16.5,)),
         9.0,
-        TUNING,
     ),
     ZooSystem(
         "von-bertalanffy",
@@ -39,7 +36,6 @@ GROWTH = (
         {"m": "1.46*m^(2/3) - 0.52*m"},
         ((0.12,), (31.0,)),
         18.0,
-        UNSEEN,
     ),
     ZooSystem(
         "allee",
@@ -48,7 +44,6 @@ GROWTH = (
         {"n": "0.24*n*(n/1.3 - 1)*(1 - n/6.2)"},
         ((1.72,), (1.06,)),
         22.0,
-        TUNING,
     ),
     ZooSystem(
         "budworm",
@@ -57,7 +52,6 @@ GROWTH = (
         {"n": "0.48*n*(1 - n/9.7) - 0.87*n^2/(1.44 + n^2)"},
         ((3.1,), (9.2,)),
         30.0,
-        UNSEEN,
     ),
     ZooSystem(
         "constant-harvest",
@@ -66,7 +60,6 @@ GROWTH = (
         {"n": "0.92*n*(1 - n/8.6) - 1.15"},
         ((1.83,), (11.4,)),
         14.0,
-        TUNING,
     ),
     ZooSystem(
         "bass-diffusion",
@@ -75,7 +68,6 @@ GROWTH = (
         {"a": "(0.028 + 0.41*a)*(1 - a)"},
         ((0.012,), (0.35,)),
         16.0,
-        UNSEEN,
     ),
     ZooSystem(
         "grazing",
@@ -84,7 +76,6 @@ GROWTH = (
         {"v": "0.74*v*(1 - v/6.8) - 0.93*v/(1.1 + v)"},
         ((0.62,), (9.3,)),
         22.0,
-        TUNING,
     ),
     ZooSystem(
         "language-death",
@@ -93,7 +84,6 @@ GROWTH = (
         {"x": "1.16*(1 - x)*x^1.31 - 0.74*x*(1 - x)^1.31"},
         ((0.24,), (0.09,)),
         18.0,
-        UNSEEN,
     ),
 )
 
@@ -105,7 +95,6 @@ ECOLOGY = (
         {"prey": "1.23*prey - 0.58*prey*pred", "pred": "0.31*prey*pred - 0.87*pred"},
         ((2.4, 0.9), (5.1, 3.3)),
         15.0,
-        TUNING,
     ),
     ZooSystem(
         "competition",
@@ -117,7 +106,6 @@ ECOLOGY = (
         },
         ((0.31, 0.84), (6.2, 0.22)),
         14.0,
-        UNSEEN,
     ),
     ZooSystem(
         "rosenzweig-macarthur",
@@ -129,7 +117,6 @@ ECOLOGY = (
         },
         ((1.1, 1.6), (4.6, 0.5)),
         40.0,
-        TUNING,
     ),
     ZooSystem(
         "holling-three",
@@ -141,7 +128,6 @@ ECOLOGY = (
         },
         ((3.4, 0.6), (0.7, 1.9)),
         30.0,
-        UNSEEN,
     ),
     ZooSystem(
         "crowded-prey",
@@ -150,7 +136,6 @@ ECOLOGY = (
         {"x": "x*(1.06 - 0.19*x - 0.47*y)", "y": "y*(0.36*x - 0.74)"},
         ((1.2, 0.6), (5.3, 2.2)),
         18.0,
-        TUNING,
     ),
     ZooSystem(
         "holling-tanner",
@@ -162,7 +147,6 @@ ECOLOGY = (
         },
         ((2.3, 0.7), (6.1, 2.7)),
         40.0,
-        UNSEEN,
     ),
     ZooSystem(
         "beddington-deangelis",
@@ -174,7 +158,6 @@ ECOLOGY = (
         },
         ((2.8, 0.5), (0.8, 2.6)),
         35.0,
-        TUNING,
     ),
     ZooSystem(
         "cyclic-competition",
@@ -187,7 +170,6 @@ ECOLOGY = (
         },
         ((0.62, 0.17, 0.31), (0.15, 0.25, 0.55)),
         45.0,
-        UNSEEN,
     ),
     ZooSystem(
         "food-chain",
@@ -200,7 +182,6 @@ ECOLOGY = (
         },
         ((0.72, 0.18, 8.1), (0.41, 0.29, 6.9)),
         120.0,
-        TUNING,
     ),
     ZooSystem(
         "four-competitors",
@@ -214,7 +195,6 @@ ECOLOGY = (
         },
         ((0.27, 0.46, 0.13, 0.38), (0.52, 0.18, 0.24, 0.11)),
         40.0,
-        UNSEEN,
     ),
 )
 
@@ -226,7 +206,6 @@ EPIDEMICS = (
         {"s": "-0.64*s*i", "i": "0.64*s*i - 0.21*i", "r": "0.21*i"},
         ((0.96, 0.04, 0.0), (0.71, 0.11, 0.18)),
         35.0,
-        TUNING,
     ),
     ZooSystem(
         "waning-immunity",
@@ -235,7 +214,6 @@ EPIDEMICS = (
         {"s": "-0.92*s*i + 0.063*(1 - s - i)", "i": "0.92*s*i - 0.31*i"},
         ((0.94, 0.05), (0.52, 0.36)),
         60.0,
-        UNSEEN,
     ),
     ZooSystem(
         "ross-malaria",
@@ -244,7 +222,6 @@ EPIDEMICS = (
         {"h": "0.38*m*(1 - h) - 0.12*h", "m": "0.46*h*(1 - m) - 0.27*m"},
         ((0.07, 0.02), (0.83, 0.14)),
         25.0,
-        TUNING,
     ),
     ZooSystem(
         "virus-dynamics",
@@ -257,7 +234,6 @@ EPIDEMICS = (
         },
         ((6.8, 0.02, 0.09), (2.1, 0.7, 1.6)),
         20.0,
-        UNSEEN,
     ),
     ZooSystem(
         "seir",
@@ -271,7 +247,6 @@ EPIDEMICS = (
         },
         ((0.95, 0.02, 0.03, 0.0), (0.64, 0.17, 0.06, 0.13)),
         35.0,
-        TUNING,
     ),
     ZooSystem(
         "saturated-incidence",
@@ -280,7 +255,6 @@ EPIDEMICS = (
         {"s": "0.13*(1 - s) - 1.74*s*i/(1 + 2.6*i)", "i": "1.74*s*i/(1 + 2.6*i) - 0.44*i"},
         ((0.93, 0.04), (0.38, 0.47)),
         35.0,
-        UNSEEN,
     ),
 )
 

@@ -59,6 +59,17 @@ _REACTIONS = (
     "[.2,2]*x/([.3,1.2] + x)",
     "[.2,2]*x*y^2",
 )
+# What no term of the searches' library is, whatever its constants.
+_BEYOND = (
+    "[.2,1]*exp(-[.5,2]*x^2)",
+    "-[.3,1.2]*atan([1,3]*x)*y^2/(1 + y^2)",
+    "-[.2,.8]*log(1 + exp([2,5]*(x - [.5,1.5])))",
+    "[.2,.8]*sin([.5,1.5]*x^2)",
+    "[.2,.8]*cos([.5,2]*x*y)",
+    "-[.3,1]*x/(1 + [.3,1]*x^2)^0.75",
+    "[.2,1]*tanh([.5,2]*(x^2 - [.5,1.5]))",
+    "-[.3,1]*sqrt([.5,2] + x^4)",
+)
 _INFECTIONS = ("s*i", "s*i", "s*i/(1 + [.3,2]*i)", "s*i/(s + i)")
 _FORCES = (
     "-[.2,2]*x",
@@ -267,13 +278,15 @@ _FIELDS = {
 }
 
 
-def draw_systems(number: int, seed: int = 0) -> list[ZooSystem]:
+def draw_systems(number: int, seed: int = 0, *, beyond: bool = False) -> list[ZooSystem]:
     """Draw systems that stay bounded and keep moving from both of their starts.
 
     Parameters
     ----------
     number : how many; those of a smaller number are the first of a larger one.
     seed : all chance comes from it.
+    beyond : whether one equation of each holds a mechanism that no sum of library terms is, so that
+        a law cannot be found.
 
     Raises InputError for a number below 1.
 
@@ -283,14 +296,14 @@ def draw_systems(number: int, seed: int = 0) -> list[ZooSystem]:
     """
     if number < 1:
         raise InputError(f"number {number} of random systems must be at least 1")
-    return list(islice(_draw_all(seed), number))
+    return list(islice(_draw_all(seed, beyond), number))
 
 
-def _draw_all(seed: int) -> Iterator[ZooSystem]:
+def _draw_all(seed: int, beyond: bool) -> Iterator[ZooSystem]:
     """Draw system after system; each depends on the seed and its own place alone."""
     last = 0
     for place in count(1):
-        found = _draw_one(seed, place)
+        found = _draw_one(seed, place, beyond)
         if found is not None:
             last = place
             yield found
@@ -298,12 +311,17 @@ def _draw_all(seed: int) -> Iterator[ZooSystem]:
         assert place - last < _PATIENCE
 
 
-def _draw_one(seed: int, place: int) -> ZooSystem | None:
+def _draw_one(seed: int, place: int, beyond: bool) -> ZooSystem | None:
     """Draw a system; None for one that runs away, comes to rest, or leaves its field."""
     draw = _Draw(np.random.default_rng([seed, place]))
     kind = list(_FIELDS)[draw.rng.integers(len(_FIELDS))]
     field = _FIELDS[kind]
     equations = field.write(draw, int(draw.rng.choice(field.sizes)))
+    if beyond:
+        # In mechanics the slope of a place is its speed.
+        moved = [state for state, text in equations.items() if text not in equations]
+        own = moved[int(draw.rng.integers(len(moved)))]
+        equations[own] += f" + {draw.write(_BEYOND, own, draw.one_of(''.join(equations)))}"
     span = float(draw.rng.choice(_SPANS))
     ends = np.array([field.between(state) for state in equations])
     starts = [draw.rng.uniform(*ends.T).round(2) for _ in range(2)]
@@ -313,7 +331,7 @@ def _draw_one(seed: int, place: int) -> ZooSystem | None:
         return None
     source = f"drawn from seed {seed}"
     first, second = (tuple(start.tolist()) for start in starts)
-    name = f"{kind}-{seed}-{place}"
+    name = f"{kind}-{'beyond-' * beyond}{seed}-{place}"
     return ZooSystem(name, kind, source, equations, (first, second), span, DRAWN)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -20,7 +20,7 @@ from dynsr.benchmarks.zoo.rivals import answer_stlsq, answer_weak
 from dynsr.benchmarks.zoo.scoring import Answer, Interval, score_answer
 from dynsr.benchmarks.zoo.system import ZooSystem
 from dynsr.data import Trajectory
-from dynsr.discovery import Discovery, discover
+from dynsr.discovery import DISCOVERY, Discovery, discover
 from dynsr.errors import InputError, one_line
 from dynsr.expression import to_text
 from dynsr.fit import free_constants, loosen
@@ -41,7 +41,7 @@ class ZooRecord:
 
     Parameters
     ----------
-    system, half, method : which system, its half, and who searched.
+    system, group, method : which system, "seen" or "drawn", and who searched.
     noise, kind, rows, dropped : the condition.
     equations : state -> what was found, as text.
     verdict : what the method says of it, "" where it says nothing.
@@ -50,10 +50,11 @@ class ZooRecord:
     is_law : whether it is the law, in form or as a function.
     seconds : wall time of the search.
     failure : why nothing was found.
+    processor : seconds of the search on the processor.
     """
 
     system: str
-    half: str
+    group: str
     method: str
     noise: float
     kind: str
@@ -71,19 +72,20 @@ class ZooRecord:
     is_law: bool
     seconds: float
     failure: str = ""
+    processor: float = 0.0
 
     @property
     def right(self) -> bool | None:
-        """Whether the verdict is right; None without one.
+        """Whether the verdict is right; None without one, and of an approximation.
 
-        "law" is right of the law, "approximation" of equations that reproduce the true trajectory
-        with an R2 above 0.9, "not found" of those that do not.
+        "law" is right of the law, "not found" of equations that do not reproduce the true
+        trajectory with an R2 above 0.9. Of an approximation nothing can be wrong.
         """
-        if self.verdict not in LEVELS:
+        if self.verdict not in (LAW, NOT_FOUND):
             return None
         if self.verdict == LAW:
             return self.is_law
-        return (self.reproduced > _FOLLOWS) == (self.verdict == APPROXIMATION)
+        return self.reproduced <= _FOLLOWS
 
     @property
     def summary(self) -> str:
@@ -96,17 +98,23 @@ class ZooRecord:
 
 
 def answer_dynsr(
-    data: Trajectory, seed: int = 0, preset: str = DEFAULT_PRESET, method: Any = "auto"
+    data: Trajectory,
+    seed: int = 0,
+    preset: str = DEFAULT_PRESET,
+    method: Any = "auto",
+    without: Sequence[str] = (),
 ) -> Answer:
     """Discover as a user would: the states' names are all that is told.
 
     Parameters
     ----------
     data, seed, preset, method : as :func:`dynsr.discover` takes them.
+    without : parts of the searches that are left out, of :data:`dynsr.selection.parts.PARTS`.
 
     Raises KeyboardInterrupt when the search was stopped: what it has by then is no answer.
     """
-    found = discover(data, preset=preset, method=method, seed=seed, jobs=1)
+    settings = replace(DISCOVERY, selection=DISCOVERY.selection.without(*without))
+    found = discover(data, preset=preset, method=method, seed=seed, jobs=1, settings=settings)
     if not found.complete:
         raise KeyboardInterrupt
     verdict = getattr(getattr(found, "verdict", None), "level", "")
@@ -237,12 +245,12 @@ def run_case(
     report : not used; the rows of the progress are whole cases.
     """
     measured = measure(animal, condition, seed)
-    began = time.perf_counter()
+    began, used = time.perf_counter(), time.process_time()
     try:
         answer = method(measured.data, seed)
     except Exception as error:
         answer = Answer({}, failure=f"{type(error).__name__}: {one_line(error)[:300]}")
-    seconds = time.perf_counter() - began
+    seconds, used = time.perf_counter() - began, time.process_time() - used
     try:
         scores = score_answer(answer, animal, measured)
     except Exception as error:
@@ -250,7 +258,7 @@ def run_case(
         scores = score_answer(answer, animal, measured)
     return ZooRecord(
         system=animal.name,
-        half=animal.half,
+        group=animal.group,
         method=name,
         noise=float(condition.noise),
         kind=condition.kind,
@@ -262,6 +270,7 @@ def run_case(
         is_law=scores.is_law,
         seconds=seconds,
         failure=answer.failure,
+        processor=used,
     )
 
 
@@ -315,8 +324,9 @@ def verdict_table(records: Iterable[ZooRecord]) -> Table:
         for level in LEVELS:
             said = [r for r in group if r.verdict == level]
             if said:
-                right = [bool(r.right) for r in said]
-                lines.append((100 * noise, method, level, len(said), sum(right), _percent(right)))
+                right = [r.right for r in said if r.right is not None]
+                known = (sum(right), _percent(right)) if right else (None, None)
+                lines.append((100 * noise, method, level, len(said), *known))
     columns = ("noise (%)", "method", "verdict", "said", "right", "right (%)")
     return Table("zoo-verdicts", "What was said of them", columns, tuple(lines))
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dynsr.benchmarks.zoo.system import UNSEEN, ZooSystem
+from dynsr.benchmarks.zoo.system import ZooSystem
 from dynsr.errors import InputError
 
 _SHAPE = "a list of entries with id, init and substituted"
@@ -63,7 +63,7 @@ def _read_entry(name: str, entry: dict[str, Any], span: float) -> ZooSystem:
         raise InputError(f"system {name!r} has dim {entry['dim']!r} but {len(texts)} equations")
     source = str(entry.get("source", ""))[:200]
     equations = {f"x_{i}": text for i, text in enumerate(texts)}
-    animal = ZooSystem(name, "suite", source, equations, starts, span, UNSEEN)
+    animal = ZooSystem(name, "suite", source, equations, starts, span, "suite")
     try:
         assert animal.system.states
     except InputError as error:

@@ -8,8 +8,7 @@ from functools import cached_property
 
 from dynsr.data import System
 
-TUNING, UNSEEN, DRAWN = "tuning", "unseen", "drawn"
-HALVES = (TUNING, UNSEEN)
+SEEN, DRAWN = "seen", "drawn"
 
 
 @dataclass(frozen=True)
@@ -19,14 +18,14 @@ class ZooSystem:
     Parameters
     ----------
     name : what it is called, unique.
-    kind : its field, such as "ecology"; every kind is in both halves.
+    kind : its field, such as "ecology".
     source : who wrote it down, and when.
     equations : state -> right-hand side, in state units a second.
     starts : start states; the first gives the data, the second, if any, is never searched.
     span : seconds from time 0 that both are watched.
-    half : "tuning", on which methods may be tuned, or "unseen"; "drawn" for a random system.
+    group : "seen" where methods have been improved on it, or "drawn" for a random system.
 
-    >>> decay = ZooSystem("a", "b", "c", {"x": "-2*x"}, ((1.0,), (3.0,)), 2.0, TUNING)
+    >>> decay = ZooSystem("a", "b", "c", {"x": "-2*x"}, ((1.0,), (3.0,)), 2.0)
     >>> decay.system.rhs
     (-2*x,)
     """
@@ -37,7 +36,7 @@ class ZooSystem:
     equations: Mapping[str, str]
     starts: tuple[tuple[float, ...], ...]
     span: float
-    half: str
+    group: str = SEEN
 
     @cached_property
     def system(self) -> System:
