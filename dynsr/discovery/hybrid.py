@@ -50,8 +50,11 @@ class EquationModule(torch.nn.Module):
         self._symbols = symbols
         self.constants = torch.nn.Parameter(torch.tensor(values, dtype=torch.float64))
         names = [sympy.Symbol(n) for n in (*self.states, "t", *self.inputs)]
+        # A state may have the name of what the function calls.
+        own = {symbol: sympy.Dummy(f"own{i}") for i, symbol in enumerate((*names, *symbols))}
+        templates = [_with_plain_numbers(t).xreplace(own) for t in self._templates]
         functions = [{"sign": torch.sign, "Abs": torch.abs}, "torch"]
-        self._function = sympy.lambdify([*names, *symbols], self._templates, functions, cse=True)
+        self._function = sympy.lambdify([*own.values()], templates, functions, cse=True)
 
     def forward(
         self,
@@ -73,7 +76,8 @@ class EquationModule(torch.nn.Module):
         """
         columns = list(state.unbind(-1))
         values = take_inputs(self._calls, t, given, inputs)
-        found = self._function(*columns, t, *values, *self.constants)
+        tensors = [torch.as_tensor(value, dtype=state.dtype) for value in (t, *values)]
+        found = self._function(*columns, *tensors, *self.constants)
         rows = [torch.as_tensor(f, dtype=state.dtype).expand_as(columns[0]) for f in found]
         return torch.stack(rows, dim=-1)
 
@@ -84,6 +88,11 @@ class EquationModule(torch.nn.Module):
         return {
             s: to_text(e.xreplace(put)) for s, e in zip(self.states, self._templates, strict=True)
         }
+
+
+def _with_plain_numbers(expr: sympy.Expr) -> sympy.Expr:
+    """Write a number such as the root of 3 as a float, since functions of torch take no numbers."""
+    return expr.replace(lambda e: e.is_number and bool(e.args), lambda e: sympy.Float(float(e)))
 
 
 _RELTOL, _ABSTOL = 1e-8, 1e-10

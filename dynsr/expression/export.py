@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,14 +28,17 @@ def arguments_of(equations: Mapping[str, sympy.Expr]) -> tuple[str, ...]:
     return tuple(sorted(used - set(equations) - {"t"}))
 
 
-# Names that the functions written below use themselves, or that their languages keep.
+# Words that name no variable; those that formulas cannot hold are left out.
+_PYTHON_WORDS = ("__debug__",)
 _JULIA_WORDS = (
     *("abstract", "baremodule", "begin", "catch", "ccall", "const", "do", "elseif", "end"),
-    *("export", "false", "function", "im", "let", "local", "macro", "module", "mutable"),
-    *("primitive", "quote", "struct", "true", "type", "using", "where"),
+    *("export", "false", "function", "im", "isa", "let", "local", "macro", "module", "mutable"),
+    *("outer", "primitive", "quote", "struct", "true", "type", "using", "where"),
 )
-_CALL_NAMES = ("math", "self", "state", "t", *_JULIA_WORDS)
-_JULIA_NAMES = ("du", "u", "p", "t", *_JULIA_WORDS)
+# What a call passes itself, in one export or another.
+_CALL_NAMES = ("callable", "math", "self", "state", "t", *_JULIA_WORDS, *_PYTHON_WORDS)
+# A name that code reads or sets: no part of another thing, of a number or of a comment.
+_NAME = re.compile(r"#.*|(?<![.\w])[^\W\d]\w*")
 
 
 def call_names(equations: Mapping[str, sympy.Expr]) -> dict[str, str]:
@@ -50,30 +53,53 @@ def call_names(equations: Mapping[str, sympy.Expr]) -> dict[str, str]:
     return new
 
 
-def _free(name: str, kept: Sequence[str], others: Sequence[str]) -> str:
+def _free(name: str, kept: Collection[str], others: Collection[str]) -> str:
     other = name
     while other in kept or (other != name and other in others):
         other += "_"
     return other
 
 
-def _renamed(
-    equations: Mapping[str, sympy.Expr], kept: Sequence[str]
-) -> tuple[dict[str, sympy.Expr], dict[str, str]]:
-    """Give equations under names that can stand in code beside those ``kept`` for it.
+def _write(
+    equations: Mapping[str, sympy.Expr],
+    name: str,
+    code: Callable[[Mapping[str, sympy.Expr], Mapping[str, str]], str],
+    kept: Collection[str] = (),
+) -> str:
+    """Write code in which no state and no input has a name that the code uses for something else.
 
-    Beside them stand the inputs: name in the code -> name in a call. Raises InputError when a name
-    could not stand in a formula, and so would not in code.
+    Parameters
+    ----------
+    equations : state -> right-hand side.
+    name : of the function; within it, another thing may have it.
+    code : writes it from equations, and from the inputs: name in the code -> name in a call.
+    kept : further names that the language keeps.
+
+    Raises InputError when a name could not stand in a formula, and so would not in code.
     """
     calls = call_names(equations)
     names = [*equations, *calls]
-    for name in names:
-        check_name(name)
-    new = {name: _free(calls.get(name, name), kept, names) for name in names}
+    for own in names:
+        check_name(own)
+    signed = {state: with_signs(expr) for state, expr in equations.items()}
+    # Names that can be none of the code's own show which those are.
+    blank = {own: f"blank{place}_" for place, own in enumerate(names)}
+    used = {*_NAME.findall(code(*_renamed(signed, calls, blank, blank))), *kept}
+    used -= {*blank.values(), name.removesuffix("!")}
+    free = {own: _free(calls.get(own, own), used, names) for own in names}
+    return code(*_renamed(signed, calls, free, calls))
+
+
+def _renamed(
+    equations: Mapping[str, sympy.Expr],
+    inputs: Iterable[str],
+    new: Mapping[str, str],
+    calls: Mapping[str, str],
+) -> tuple[dict[str, sympy.Expr], dict[str, str]]:
     swaps = {sympy.Symbol(a): sympy.Symbol(b) for a, b in new.items() if a != b}
     return (
-        {new[state]: with_signs(expr).xreplace(swaps) for state, expr in equations.items()},
-        {new[name]: call for name, call in calls.items()},
+        {new[state]: expr.xreplace(swaps) for state, expr in equations.items()},
+        {new[name]: calls[name] for name in inputs},
     )
 
 
@@ -224,17 +250,20 @@ def to_python(equations: Mapping[str, sympy.Expr], name: str = "rhs", time_unit:
         x, = state
         return [-2*x]
     """
-    equations, inputs = _renamed(equations, _CALL_NAMES)
-    printer = _Python({"fully_qualified_modules": True})
-    body = ", ".join(printer.doprint(as_float_tree(e)) for e in equations.values())
-    names = ", ".join(equations) + ("," if len(equations) == 1 else "")
-    values = "".join(f"    {i} = {i}(t) if callable({i}) else {i}\n" for i in inputs)
-    head = ", ".join(["t", "state", *inputs])
-    unit = f"    # t is in {time_unit}\n" if time_unit else ""
-    return (
-        f"import math\n\n\ndef {name}({head}):\n{unit}    {names} = state\n{values}"
-        f"    return [{body}]\n"
-    )
+
+    def code(equations: Mapping[str, sympy.Expr], inputs: Mapping[str, str]) -> str:
+        printer = _Python({"fully_qualified_modules": True})
+        body = ", ".join(printer.doprint(as_float_tree(e)) for e in equations.values())
+        names = ", ".join(equations) + ("," if len(equations) == 1 else "")
+        values = "".join(f"    {i} = {i}(t) if callable({i}) else {i}\n" for i in inputs)
+        head = ", ".join(["t", "state", *inputs])
+        unit = f"    # t is in {time_unit}\n" if time_unit else ""
+        return (
+            f"import math\n\n\ndef {name}({head}):\n{unit}    {names} = state\n{values}"
+            f"    return [{body}]\n"
+        )
+
+    return _write(equations, name, code, _PYTHON_WORDS)
 
 
 def to_numpy(
@@ -304,17 +333,21 @@ def to_julia(equations: Mapping[str, sympy.Expr], name: str = "rhs!", time_unit:
         return nothing
     end
     """
-    equations, inputs = _renamed(equations, _JULIA_NAMES)
-    printer = _Julia({"contract": False})
-    lines = [f"    {state} = u[{i}]" for i, state in enumerate(equations, 1)]
-    lines += [f"    {i} = p.{c} isa Number ? p.{c} : p.{c}(t)" for i, c in inputs.items()]
-    lines = [f"    # t is in {time_unit}"] * bool(time_unit) + lines
-    for i, expr in enumerate(equations.values(), 1):
-        # On numbers Julia's plain operators serve; SymPy prints the elementwise ones.
-        code = printer.doprint(as_float_tree(expr)).replace(".*", "*").replace("./", "/")
-        code = code.replace(".^", "^")
-        lines.append(f"    du[{i}] = {code}")
-    return "\n".join([f"function {name}(du, u, p, t)", *lines, "    return nothing", "end"]) + "\n"
+
+    def code(equations: Mapping[str, sympy.Expr], inputs: Mapping[str, str]) -> str:
+        printer = _Julia({"contract": False})
+        lines = [f"    {state} = u[{i}]" for i, state in enumerate(equations, 1)]
+        lines += [f"    {i} = p.{c} isa Number ? p.{c} : p.{c}(t)" for i, c in inputs.items()]
+        lines = [f"    # t is in {time_unit}"] * bool(time_unit) + lines
+        for i, expr in enumerate(equations.values(), 1):
+            # On numbers Julia's plain operators serve; SymPy prints the elementwise ones.
+            code = printer.doprint(as_float_tree(expr)).replace(".*", "*").replace("./", "/")
+            code = code.replace(".^", "^")
+            lines.append(f"    du[{i}] = {code}")
+        head = f"function {name}(du, u, p, t)"
+        return "\n".join([head, *lines, "    return nothing", "end"]) + "\n"
+
+    return _write(equations, name, code, _JULIA_WORDS)
 
 
 def to_text_block(equations: Mapping[str, sympy.Expr], digits: int = 6) -> str:

@@ -63,7 +63,7 @@ def check_name(name: str, role: str = "variable") -> str:
             f"{role} name {name!r} is read as {normal!r} (U+{ord(normal[0]):04X}) in a formula; "
             "call it so"
         )
-    if name in FUNCTIONS or name in FUNCTION_ALIASES or name in CONSTANTS:
+    if name in (*FUNCTIONS, *FUNCTION_ALIASES, *CONSTANTS, *_NOT_FINITE):
         raise InputError(
             f"{role} name {name!r} is the name of a function or constant; rename it, e.g. {name}_1"
         )
