@@ -23,16 +23,23 @@ class Shares:
 
     Parameters
     ----------
-    searches : the searches of all states.
+    searches : the searches of all states, and the first looks before them.
     choices : the choice among what they found.
     comparison : the comparison of whole systems.
     polishing : the fit of the constants of the chosen one.
+    equations : all that gives equations; what is best by then is taken.
+    verdict : the verdict on them, and the search for some that keep closer to the data.
+    workers : seconds that a step must have for workers to be started, each of which takes some to
+        load its libraries.
     """
 
-    searches: float = 0.6
-    choices: float = 0.75
-    comparison: float = 0.87
-    polishing: float = 0.95
+    searches: float = 0.55
+    choices: float = 0.62
+    comparison: float = 0.72
+    polishing: float = 0.8
+    equations: float = 0.85
+    verdict: float = 1.0
+    workers: float = 10.0
 
 
 def settle(settings: SelectionSettings, demands: Demands) -> SelectionSettings:

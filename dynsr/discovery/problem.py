@@ -28,7 +28,7 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import (
     Found,
 )
-from dynsr.discovery.verdict import LAW, Verdict, VerdictSettings, hold_to_slopes, judge
+from dynsr.discovery.verdict import LAW, Verdict, VerdictSettings, hold_to_slopes, judge, unjudged
 from dynsr.expression import compile_numpy, evaluate, has_pole
 from dynsr.fit import (
     Candidate,
@@ -66,6 +66,7 @@ from dynsr.selection import (
     SystemChoice,
     SystemComparison,
     SystemFit,
+    best_so_far,
     compare_systems,
     families,
     follow_anything,
@@ -80,6 +81,8 @@ Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 _FAR_BELOW_NOISE = 0.2
 # Times the loss of the likeliest formula up to which others may be as good on slopes.
 _AS_NEAR = 10.0
+# Rows of a run above which differences are taken from both sides.
+_FEW = 4
 # How often noise is believed to be as little as a system leaves.
 _BELIEVED = 3
 
@@ -150,6 +153,15 @@ class Problem:
     confirmed: list[Match] = field(default_factory=list)
     believed: list[Measurements] = field(default_factory=list)
 
+    def until(self, share: str) -> float:
+        """Give the time by which a step is to have ended, on the monotonic clock; inf for never.
+
+        Parameters
+        ----------
+        share : the name of its share of the budget.
+        """
+        return self.budget.until(getattr(self.settings.shares, share))
+
     def counting(self, loss: Loss | None) -> Problem:
         """Give the same problem, in which the choice of a formula counts misses by a loss."""
         if loss is None:
@@ -189,6 +201,26 @@ class Problem:
         values = given(np.concatenate([found.X.T, found.t[None]]))[0]
         return replace(found, y=found.y - values)
 
+    def samples_in_time(self, state: str) -> Samples:
+        """Make the samples of a state as they are searched, or in no time where there is none."""
+        return finish_by(
+            self.until("verdict"),
+            lambda: self.samples(state, self.runs),
+            lambda: self.samples_soon(state),
+        )[0]
+
+    def samples_soon(self, state: str) -> Samples:
+        """Make the samples of a state in no time, by differences."""
+        if self.form.discrete:
+            return self.form.samples(list(self.runs), state)
+        scheme = "central2" if min(map(len, self.runs)) > _FEW else "forward"
+        found = self.form.samples(list(self.runs), state, scheme=scheme)
+        given = self.known.get(state, sympy.S.Zero)
+        if len(found) > self.settings.rows:
+            rows = np.linspace(0, len(found) - 1, self.settings.rows).astype(int)
+            found = found.select(rows)
+        return replace(found, y=found.y - evaluate(given, {**found.columns, "t": found.t}))
+
     def fit(
         self,
         picks: Mapping[str, Pick],
@@ -208,9 +240,9 @@ class Problem:
             s: given[s] if s in given else picked[s] for s in self.form.complete(tuple(picks))
         }
         choice, cut = finish_by(
-            self.budget.until(self.settings.shares.comparison),
+            self.until("comparison"),
             lambda: settled or self.compare(picked, self._likely(picks, pools)),
-            lambda: SystemChoice(picked),
+            lambda: settled or best_so_far(picked, self._compared),
         )
         self.cut.extend(["comparison"] if cut else [])
         # Where other terms or the states turn a sign, the chosen terms that keep it stand.
@@ -295,13 +327,13 @@ class Problem:
 
         def hurry() -> Match:
             return finish_by(
-                self.budget.until(1.0),
+                self.until("equations"),
                 lambda: self._fit_constants(system, samples, noise, shortly),
                 lambda: Match.untouched(as_chosen),
             )[0]
 
         fitted, cut = finish_by(
-            self.budget.until(self.settings.shares.polishing),
+            self.until("polishing"),
             lambda: self._fit_constants(system, samples, noise, whole),
             hurry,
         )
@@ -454,7 +486,7 @@ class Problem:
 
     def _in_time(self, look: Callable[[], T | None]) -> T | None:
         """Give what a look finds in the time that searches have; None where it finds no end."""
-        until = self.budget.until(self.settings.shares.searches)
+        until = self.until("searches")
         found, cut = finish_by(until, look, lambda: None)
         self.cut.extend(["first look"] if cut else [])
         return found
@@ -489,6 +521,16 @@ class Problem:
     def is_allowed(self, state: str, expr: sympy.Expr) -> bool:
         """Whether an equation keeps to all that the user asks."""
         return self.demands.keeps(state, expr, self.columns)
+
+    def judge_in_time(self, found: Discovery, rivals: Rivals | None) -> Verdict:
+        """Say how sure the equations are, or that the time did not suffice to say it."""
+        verdict, cut = finish_by(
+            self.until("verdict"),
+            lambda: self.judge(found, rivals),
+            lambda: unjudged(found.equations),
+        )
+        self.cut.extend(["verdict"] if cut else [])
+        return verdict
 
     def judge(self, found: Discovery, rivals: Rivals | None) -> Verdict:
         """Say how sure the equations are."""
@@ -556,7 +598,14 @@ class Problem:
             exact = may_be_exact(fit, data)
             return exact and self._confirmed(loosen_all(fit.exprs)) is not None
 
-        choice = self._compare(exprs, pools, ends)
+        choice, cut = finish_by(
+            self.until("searches"),
+            lambda: self._compare(exprs, pools, ends),
+            lambda: best_so_far(exprs, self._compared),
+        )
+        if cut:
+            self.cut.append("comparison")
+            return choice if choice.fit is not None else None
         if self.confirmed or (choice.fit is not None and ends(choice.fit)):
             return SystemChoice(self.confirmed[-1].exprs)
         if data.noise_share > comparison.doubtful or choice.explains(comparison):

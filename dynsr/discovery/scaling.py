@@ -22,6 +22,7 @@ from dynsr.engines import DEFAULT_ENGINE, start_engine
 from dynsr.errors import InputError
 from dynsr.expression import counting, expand_terms, read_own_bits
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
+from dynsr.jobs import Budget, finish_by
 
 # Columns and spans of these sizes are searched as they are.
 _USUAL = (1e-6, 1e6)
@@ -185,11 +186,19 @@ def in_fitting_units(search: Search) -> Search:
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
         units = Units.of(runs)
         bits = read_own_bits(settings.get("complexity"))
+        until = Budget(settings.get("time_budget")).until(1.0)
         # Its arrays are small: more threads than one only wait for each other.
         with counting(bits):
             with threadpool_limits(1):
-                found = confirm(_search_in(units, runs, settings))
-            return with_ensemble(with_told(found, runs), members, seed)
+                found = with_told(_search_in(units, runs, settings), runs)
+                found = finish_by(until, lambda: confirm(found), lambda: found)[0]
+            whole, cut = finish_by(
+                until, lambda: with_ensemble(found, members, seed), lambda: found
+            )
+            if members and cut:
+                ended = [*whole.settings.get("ended_by_budget", ()), "ensemble"]
+                whole = replace(whole, settings={**whole.settings, "ended_by_budget": ended})
+            return whole
 
     def _search_in(units: Units, runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery:
         if units.usual:

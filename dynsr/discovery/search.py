@@ -47,18 +47,22 @@ from dynsr.discovery.tasks import (
     START,
     Choice,
     Found,
+    answer_soon,
     check_found,
     collect_best,
     cut_notes,
     cut_tasks,
     explore_tasks,
     give_turns,
+    late_choice,
+    late_search,
     look_again_tasks,
     look_tasks,
     pick_tasks,
     plan_tasks,
     search_tasks,
     start_tasks,
+    state_of,
     tasks_of,
     with_bits,
 )
@@ -76,13 +80,17 @@ from dynsr.fit import (
 )
 from dynsr.jobs import (
     Budget,
+    End,
     RunFolder,
     Step,
+    Task,
+    TimeUp,
     Watch,
     check_jobs,
     fingerprint,
     finish_by,
     run_tasks,
+    time_limit,
     to_plain,
 )
 from dynsr.methods import (
@@ -201,9 +209,9 @@ def discover(
     units : column, or "t" for the time, -> its unit as pint reads it, such as "m/s"; "columns"
         takes those in brackets in the names of the columns. No equation then adds what cannot be
         added, or takes a function of what is no plain number; coefficients carry any unit.
-    time_budget : seconds after which the best found so far is taken. A budget that is hit makes the
-        result depend on the machine; the record says what it ended. One that is not changes
-        nothing.
+    time_budget : seconds after which the best found so far is taken, without those in which
+        libraries load. A budget that is hit makes the result depend on the machine; the record says
+        what it ended. One that is not changes nothing.
     ensemble : True, or a number of draws: how often each term is kept, and the interval of its
         coefficient, over fits to data drawn with replacement (:func:`dynsr.bootstrap`); it stands
         in ``found.ensemble``, the report and the shell.
@@ -299,16 +307,18 @@ def discover(
     # A worker that outlives a change of folder must not take a relative path for its own.
     folder = RunFolder(None if out is None else Path(out).absolute())
     key = _claim(folder, problem, states, methods, record)
-    first = _choose_first(method, preset, problem, chosen)
+    first, _ = finish_by(
+        problem.until("searches"),
+        lambda: _choose_first(method, preset, problem, chosen),
+        lambda: (),
+    )
     first = first if begun is None else (START, *first)
     steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first, bits, begun)
     found, rivals, cut = steps.run(progress if callable(progress) else None, record)
-    if cut:
-        record["ended_by_budget"] = cut
     if demands.conserved:
-        follow = {s: problem.samples(s, runs) for s, _ in demands.conserved}
+        follow = {s: problem.samples_in_time(s) for s, _ in demands.conserved}
         found = add_conserved(found, demands, follow, runs[0].states)
-    record["scheme"] = {s: problem.samples(s, runs).scheme for s in states}
+    record["scheme"] = {s: problem.samples_in_time(s).scheme for s in states}
     measured = bool(set(arguments_of(found.equations)) - set(drives))
     shown = set(record.get("first_look", ()))
     ran = [m for n, m in methods.items() if n in record["methods"] and not shown >= set(states)]
@@ -316,9 +326,11 @@ def discover(
     record["engines"] = name_engines(ran, chosen, measured, along, FIRST_LOOK in first)
     record["engines"] |= ENGINES if discrete else {}
     settled = None if demands.conserved else found.verdict
-    verdict = settled or problem.judge(found, rivals)
+    verdict = settled or problem.judge_in_time(found, rivals)
     if settled is None and _left_to_us(method, preset):
         found, verdict = _follow(problem, found, verdict, record)
+    if cut := list(dict.fromkeys([*cut, *problem.cut])):
+        record["ended_by_budget"] = cut
     return replace(
         found,
         verdict=verdict,
@@ -343,10 +355,9 @@ def _follow(
     if not problem.settings.selection.parts.has("followers"):
         return found, verdict
     other, cut = finish_by(
-        problem.budget.until(1.0), lambda: follow_anyway(problem, found, verdict), lambda: None
+        problem.until("verdict"), lambda: follow_anyway(problem, found, verdict), lambda: None
     )
-    if cut:
-        record["ended_by_budget"] = [*record.get("ended_by_budget", ()), "following"]
+    problem.cut.extend(["following"] if cut else [])
     if other is None:
         return found, verdict
     record["followed_anyway"] = True
@@ -446,49 +457,82 @@ class _Steps:
         self, progress: Callable[[Step], None] | None, record: dict[str, Any]
     ) -> tuple[Discovery, Rivals | None, list[str]]:
         """Give the discovery, what came closest to it, and the steps that a budget ended."""
-        problem, states = self.problem, self.states
-        plan = plan_tasks(states, self.methods, self.first)
+        problem = self.problem
+        plan = plan_tasks(self.states, self.methods, self.first)
         samples: dict[str, Samples] = {}
         with Watch(progress, plan, self.workers) as watch:
             try:
-                plain = FIRST_LOOK in self.first
-                if self.first:
-                    samples |= {s: problem.samples(s, problem.runs, plain=plain) for s in states}
-                begun = self._begin(watch, samples)
-                ended = self._end_with(watch, begun, samples, record)
-                if ended is not None:
-                    return *ended, problem.cut
-                looked = self._look(watch, samples) if plain else []
-                final = self._end_early(watch, looked, record)
-                open_ = EXPLORATION in self.first and not final
-                explored = self._explore(watch) if open_ else []
-                settled = problem.settle(explored) if explored else None
-                only = bool(self.first) and not problem.settings.selection.parts.has("methods")
-                methods = {} if settled is not None or only else self.methods
-                if settled is not None:
-                    record["methods"] = [EXPLORATION]
-                    watch.skip(tasks_of(states, self.methods, picked=False))
-                    if problem.confirmed:
-                        final = _with_equations(explored, settled.exprs)
-                        settled = None
-                training, held_back = problem.split()
-                samples |= {s: problem.samples(s, training) for s in states}
-                rest = {s: own for s, own in samples.items() if s not in final}
-                searched = [*begun, *explored, *looked, *self._search(watch, methods, rest)]
-                failures = check_found(searched, states)
-                pools = pool_formulas(searched, samples, problem.demands, problem.known)
-                pools = problem.without_poles(pools)
-                choices = self._choose(watch, pools, samples, held_back, failures, final)
-                picks = {c.pick.state: c.pick for c in choices}
-                notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
-                said = {s: failures[s] + cut_notes(searched, s) + notes for s in states}
-                found, rivals = problem.fit(picks, pools, said, settled)
-                return found, rivals, [*cut_tasks([*searched, *choices]), *problem.cut]
+                with time_limit(problem.until("equations")):
+                    return self._run(watch, samples, record)
+            except TimeUp:
+                soon = {s: samples.get(s) or problem.samples_soon(s) for s in self.states}
+                answer = answer_soon(watch, soon, problem.known, problem.demands)
+                late = [name for name in watch.plan if name not in watch.records]
+                cut = [*cut_tasks(list(watch.records.values())), *late, "equations"]
+                return with_velocities(answer, problem.form), None, cut
             except KeyboardInterrupt:
                 best = collect_best(watch, samples, problem.known)
                 if best is None:
                     raise
                 return with_velocities(best, problem.form), None, []
+
+    def _run(
+        self, watch: Watch, samples: dict[str, Samples], record: dict[str, Any]
+    ) -> tuple[Discovery, Rivals | None, list[str]]:
+        problem, states = self.problem, self.states
+        plain = FIRST_LOOK in self.first
+        if self.first:
+            samples |= {s: problem.samples(s, problem.runs, plain=plain) for s in states}
+        begun = self._begin(watch, samples)
+        ended = self._end_with(watch, begun, samples, record)
+        if ended is not None:
+            return *ended, problem.cut
+        looked = self._look(watch, samples) if plain else []
+        final = self._end_early(watch, looked, record)
+        open_ = EXPLORATION in self.first and not final
+        explored = self._explore(watch, samples) if open_ else []
+        settled = problem.settle(explored) if explored else None
+        only = bool(self.first) and not problem.settings.selection.parts.has("methods")
+        methods = {} if settled is not None or only else self.methods
+        if settled is not None:
+            record["methods"] = [EXPLORATION]
+            watch.skip(tasks_of(states, self.methods, picked=False))
+            if problem.confirmed:
+                final = _with_equations(explored, settled.exprs)
+                settled = None
+        training, held_back = problem.split()
+        samples |= {s: problem.samples(s, training) for s in states}
+        rest = {s: own for s, own in samples.items() if s not in final}
+        searched = [*begun, *explored, *looked, *self._search(watch, methods, rest)]
+        failures = check_found(searched, states)
+        pools = pool_formulas(searched, samples, problem.demands, problem.known)
+        pools = problem.without_poles(pools)
+        choices = self._choose(watch, pools, samples, held_back, failures, final)
+        picks = {c.pick.state: c.pick for c in choices}
+        notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
+        said = {s: failures[s] + cut_notes(searched, s) + notes for s in states}
+        found, rivals = problem.fit(picks, pools, said, settled)
+        return found, rivals, [*cut_tasks([*searched, *choices]), *problem.cut]
+
+    def _take(
+        self,
+        watch: Watch,
+        tasks: Sequence[Task],
+        share: str,
+        late: Callable[[Task], Any],
+        jobs: int = 1,
+        finished: Callable[[Any], bool] = lambda record: True,
+    ) -> list[Any]:
+        """Give the records of tasks by a part of the budget; those of late ones by ``late``."""
+        until, bits = self.problem.until(share), with_bits(tasks, self.bits)
+        # Workers would take longer to start than the tasks have.
+        jobs = jobs if End(until).left > self.problem.settings.shares.workers else 1
+        ended = watch.records
+        return finish_by(
+            until,
+            lambda: run_tasks(bits, self.folder, jobs, watch, finished=finished),
+            lambda: [ended[t.name] if t.name in ended else late(t) for t in tasks],
+        )[0]
 
     def _begin(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
         """Fit the formulas of the earlier discovery to these data."""
@@ -497,7 +541,7 @@ class _Steps:
         known = self.problem.known
         formulas = {s: self.begun.formulas(s, known.get(s, sympy.S.Zero)) for s in samples}
         tasks = start_tasks(formulas, samples, self.key)
-        return run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
+        return self._take(watch, tasks, "searches", _late_in(samples))
 
     def _end_with(
         self,
@@ -530,7 +574,7 @@ class _Steps:
         demands = problem.demands
         tasks = look_tasks(samples, demands, settings, self.key)
         # Workers take longer to start than all of it.
-        found = run_tasks(with_bits(tasks, self.bits), self.folder, 1, watch)
+        found = self._take(watch, tasks, "searches", _late_in(samples))
         ended: list[str] | None = None
         for source in (name for name in MORE_LOOKS if name in self.first):
             before, ended = ended, [f.target for f in found if f.final]
@@ -540,7 +584,12 @@ class _Steps:
             coming = {task.name for task in tasks}
             planned = tasks_of(self.states, [source], picked=False)
             watch.skip(name for name in planned if name not in coming)
-            later = run_tasks(with_bits(tasks, self.bits), self.folder, self.jobs, watch)
+            known = {f.target: f for f in found}
+
+            def unseen(task: Task, known: Mapping[str, Found] = known) -> Found:
+                return known[state_of(task.name)]
+
+            later = self._take(watch, tasks, "searches", unseen, self.jobs)
             again = {f.target: f for f in later}
             found = [again.get(f.target, f) for f in found]
         return found
@@ -572,12 +621,12 @@ class _Steps:
             watch.skip([*tasks_of(tuple(final), self.methods), *plan_tasks(final, {}, self.first)])
         return final
 
-    def _explore(self, watch: Watch) -> list[Found]:
+    def _explore(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
         """Look for sums of terms along the states."""
         comparison = self.problem.settings.selection.comparison
         assert self.problem.measurements is not None
         tasks = explore_tasks(self.states, self.problem.measurements, comparison, self.key)
-        return run_tasks(with_bits(tasks, self.bits), self.folder, self.jobs, watch)
+        return self._take(watch, tasks, "searches", _late_in(samples), self.jobs)
 
     def _search(
         self,
@@ -586,15 +635,11 @@ class _Steps:
         samples: Mapping[str, Samples],
     ) -> list[Found]:
         """Search every state with every method."""
-        until = self.problem.budget.until(self.problem.settings.shares.searches)
+        until = self.problem.until("searches")
         turns = give_turns(self.states, methods, until, self.workers)
         tasks = search_tasks(samples, methods, self.seed, self.key, turns)
-        return run_tasks(
-            with_bits(tasks, self.bits),
-            self.folder,
-            self.jobs,
-            watch,
-            finished=lambda f: not f.error,
+        return self._take(
+            watch, tasks, "choices", _late_in(samples), self.jobs, lambda f: not f.error
         )
 
     def _choose(
@@ -616,16 +661,26 @@ class _Steps:
         if problem.measurements is not None:
             picks = [rank_by_length(s, pool, samples[s]) for s, pool in pools.items()]
             return [Choice(pick, 0.0, failures[pick.state]) for pick in picks]
-        selection, shares = problem.settings.selection, problem.settings.shares
-        until = problem.budget.until(shares.choices)
+        until, selection = End(problem.until("choices")), problem.settings.selection
         tasks = pick_tasks(
             pools, samples, held_back, problem.known, selection, failures, self.key, until
         )
+
+        def late(task: Task) -> Choice:
+            state = state_of(task.name)
+            return late_choice(pools[state], samples[state], failures[state])
+
         # A choice among other formulas, since another method had failed, is none among these.
-        return ended + run_tasks(
-            with_bits(tasks, self.bits),
-            self.folder,
-            self.jobs,
+        return ended + self._take(
             watch,
-            finished=lambda c: c.failures == failures[c.pick.state],
+            tasks,
+            "comparison",
+            late,
+            self.jobs,
+            lambda c: c.failures == failures[c.pick.state],
         )
+
+
+def _late_in(samples: Mapping[str, Samples]) -> Callable[[Task], Found]:
+    """Give what gives the record of a task that is late."""
+    return lambda task: late_search(samples[state_of(task.name)], task.name)

@@ -9,6 +9,7 @@ import math
 import time
 import zlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -31,7 +32,7 @@ from dynsr.fit import (
     score_candidate,
     tidy,
 )
-from dynsr.jobs import Task, TimeUp, Turn, Watch, best_equation, finish_by, time_limit
+from dynsr.jobs import End, Task, TimeUp, Turn, Watch, best_equation, finish_by, time_limit
 from dynsr.methods import (
     AbstractMethod,
     Demands,
@@ -52,9 +53,15 @@ from dynsr.selection import (
     look,
     look_again,
     pick_equation,
+    rank_by_length,
     trivial_candidates,
 )
 
+NEVER = End(math.inf)
+# Rows, and columns at most, that a fit in no time takes.
+_SOON, _SOON_COLUMNS = 400, 12
+# When all time is over, the choice among what tasks have found takes no longer.
+_SECONDS_TO_CHOOSE = 0.3
 # Rough seconds of a task on one core, from which the time left is first guessed.
 _USUAL = {"rational": 6.0, "sindy": 4.0, "dynaifeynman": 15.0, "genetic": 10.0}
 _USUAL_SEARCH, _USUAL_PICK = 10.0, 6.0
@@ -148,13 +155,53 @@ def search_one(
             cut = clock.over
         except TimeUp:
             cut = True
+            # It did not answer in time, but it had said what it has.
+            found = [] if clock.last is None else list(clock.last.front)
         except Exception as failure:
             error, kind = errors.one_line(failure)[:500], type(failure).__name__
     if cut:
-        # However little time there was, there is something to choose from.
-        found += fit_quadratics(samples)
+        found += fit_soon(samples)
     taken = time.monotonic() - began
     return Found(samples.target, method.name, (*trivial, *found), taken, error, kind, cut)
+
+
+def fit_soon(samples: Samples) -> list[Candidate]:
+    """Fit polynomials of degree 2, so that however little time there was, there is a choice.
+
+    Parameters
+    ----------
+    samples : what they are fitted to; of many, few are taken.
+    """
+    few = samples.select(np.linspace(0, len(samples) - 1, min(len(samples), _SOON)).astype(int))
+    if few.X.shape[1] > _SOON_COLUMNS:
+        return []
+    return [score_candidate(c.expr, samples, c.source) for c in fit_quadratics(few)]
+
+
+def late_search(samples: Samples, task: str) -> Found:
+    """Give the record of a search that the time budget ended before it had begun or answered.
+
+    Parameters
+    ----------
+    samples : of the state.
+    task : its name.
+    """
+    began = time.monotonic()
+    method = task.split("-", 2)[2]
+    pool = (*trivial_candidates(samples), *fit_soon(samples))
+    return Found(samples.target, method, pool, time.monotonic() - began, cut=True)
+
+
+def late_choice(pool: Sequence[Candidate], samples: Samples, failures: str) -> Choice:
+    """Give the record of a choice that the time budget ended: by the bits of formulas as they are.
+
+    Parameters
+    ----------
+    pool : the formulas.
+    samples : of the state.
+    failures : which methods it had to do without.
+    """
+    return Choice(rank_by_length(samples.target, pool, samples), 0.0, failures, cut=True)
 
 
 def explore_one(
@@ -339,19 +386,20 @@ def pick_one(
     known: sympy.Expr,
     settings: SelectionSettings,
     failures: str,
-    until: float = math.inf,
+    until: End = NEVER,
     report: Report = silent,
 ) -> Choice:
     """Choose the equation of one target; past the time, by the bits of formulas as they are."""
     began = time.monotonic()
     report(Progress("choosing", 0, None, ParetoFront(pool)))
-    shortly = replace(settings, snapped=1, improved=0, compared=1)
-    pick, cut = finish_by(
-        until,
-        lambda: pick_equation(samples.target, pool, samples, held_back, known, settings),
-        lambda: pick_equation(samples.target, pool, samples, (), known, shortly),
+    choice, _ = finish_by(
+        until.at,
+        lambda: Choice(
+            pick_equation(samples.target, pool, samples, held_back, known, settings), 0.0, failures
+        ),
+        lambda: late_choice(pool, samples, failures),
     )
-    return Choice(pick, time.monotonic() - began, failures, cut)
+    return replace(choice, seconds=time.monotonic() - began)
 
 
 def plan_tasks(
@@ -406,7 +454,7 @@ def give_turns(
     Parameters
     ----------
     states, methods : what is searched, in this order.
-    end : seconds since the epoch at which the searches must have ended; inf for never.
+    end : when the searches must have ended, on the monotonic clock; inf for never.
     workers : searches at a time.
     """
     if math.isinf(end):
@@ -419,7 +467,7 @@ def give_turns(
     left = math.fsum(names.values())
     turns = {}
     for name, seconds in names.items():
-        turns[name] = Turn(end, seconds / left, workers)
+        turns[name] = Turn(End(end), seconds / left, workers)
         left -= seconds
     return turns
 
@@ -466,7 +514,7 @@ def pick_tasks(
     settings: SelectionSettings,
     failures: Mapping[str, str],
     key: str,
-    until: float = math.inf,
+    until: End = NEVER,
 ) -> list[Task]:
     """Give a task for every state that chooses among the formulas found for it, by a time."""
     return [
@@ -523,6 +571,40 @@ def state_of(task: str) -> str:
     ('x', 'theta1')
     """
     return task.split("-")[1]
+
+
+def answer_soon(
+    watch: Watch,
+    samples: Mapping[str, Samples],
+    known: Mapping[str, sympy.Expr],
+    demands: Demands,
+) -> Discovery:
+    """Give an equation of every state when the time is over, whatever there is of it.
+
+    Parameters
+    ----------
+    watch : what the tasks have.
+    samples : state -> its samples.
+    known : state -> the given part of its equation.
+    demands : what the user asks.
+    """
+    with suppress(TimeUp), time_limit(time.monotonic() + _SECONDS_TO_CHOOSE):
+        best = collect_best(watch, samples, known)
+        if best is not None and all(
+            s in best.equations and demands.keeps(s, best.equations[s], own.columns)
+            for s, own in samples.items()
+        ):
+            searched = [r for r in watch.records.values() if isinstance(r, Found)]
+            why = {s: words + cut_notes(searched, s) for s, words in best.explanation.items()}
+            return replace(best, complete=True, explanation=why)
+    equations, fronts = {}, {}
+    for state, own in samples.items():
+        given = known.get(state, sympy.S.Zero)
+        pool = demands.select([*trivial_candidates(own), *fit_soon(own)], own, given)
+        equations[state] = tidy(given + choose(pool, own).expr)
+        fronts[state] = ParetoFront(pool)
+    why = dict.fromkeys(equations, " Fitted in no time, when the time budget was over.")
+    return Discovery(equations, dict.fromkeys(equations, ()), fronts, why)
 
 
 def collect_best(

@@ -8,7 +8,7 @@ forecast the rest; every term must be needed; and no different formula may do as
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -177,6 +177,18 @@ class Verdict:
     def rivals(self) -> dict[str, tuple[Rival, ...]]:
         """State -> different formulas that were compared, the closest first."""
         return {state: own.rivals for state, own in self.states.items()}
+
+
+def unjudged(equations: Iterable[str]) -> Verdict:
+    """Give the verdict where the time did not suffice for one: nothing is shown of the equations.
+
+    Parameters
+    ----------
+    equations : the states that have one.
+    """
+    reason = "the time budget ended before the equations were judged; give more time."
+    own = StateVerdict(NOT_FOUND, reason, -math.inf)
+    return Verdict(NOT_FOUND, reason, dict.fromkeys(equations, own))
 
 
 def judge(

@@ -1,4 +1,4 @@
-from .budget import Budget, TimeUp, Turn, finish_by, time_limit
+from .budget import Budget, End, TimeUp, Turn, finish_by, time_limit
 from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_notebook, say_left
 from .garbage import let_garbage_wait
 from .interrupts import heard_again, interrupt_again, is_repeated, signal_again, signal_main
@@ -23,6 +23,7 @@ from .store import (
 __all__ = [
     "MANIFEST",
     "Budget",
+    "End",
     "FolderTaken",
     "LiveLines",
     "NotebookProgress",

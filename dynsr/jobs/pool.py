@@ -30,6 +30,7 @@ from joblib.parallel import BACKENDS, get_active_backend
 from threadpoolctl import threadpool_limits
 
 from dynsr.errors import DynsrError, InputError
+from dynsr.jobs.budget import uncut
 from dynsr.jobs.garbage import let_garbage_wait
 from dynsr.jobs.progress import Reporter, Watch
 from dynsr.jobs.store import RunFolder, as_read
@@ -137,7 +138,8 @@ def run_tasks(
         with closing(spread(_do, calls, jobs, apart)) as results:
             for i, record in results:
                 records[numbers[i]] = record
-                watch(tasks[numbers[i]].name, tasks[numbers[i]].title, record)
+                with uncut():
+                    watch(tasks[numbers[i]].name, tasks[numbers[i]].title, record)
 
     # What a worker died of must not come into this process.
     for again in (False, True):
@@ -155,9 +157,11 @@ def run_tasks(
 def _do(task: Task, folder: RunFolder, messages: Any) -> Any:
     """Do a task and keep its record; raises KeyboardInterrupt when it was asked to stop."""
     with threadpool_limits(1), closing(Reporter(messages, task.name, task.title)) as report:
-        record = as_read(task.kind, task.work(*task.arguments, report))
-        report.end(record)
-        folder.save(task.name, task.key, record)
+        record = task.work(*task.arguments, report)
+        with uncut():
+            record = as_read(task.kind, record)
+            report.end(record)
+            folder.save(task.name, task.key, record)
     return record
 
 

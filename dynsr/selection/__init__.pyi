@@ -15,6 +15,7 @@ from .relations import is_left_open
 from .systems import (
     Compared,
     SystemChoice,
+    best_so_far,
     compare_systems,
     explore,
     follow_anything,
@@ -35,6 +36,7 @@ __all__ = [
     "SystemComparison",
     "SystemFit",
     "Trail",
+    "best_so_far",
     "compare_systems",
     "explains_all",
     "explore",

@@ -215,6 +215,22 @@ def compare_systems(
     return SystemChoice(chosen, best, _closest(comparison, best))
 
 
+def best_so_far(exprs: Mapping[str, sympy.Expr], known: Compared) -> SystemChoice:
+    """Give the best system that a comparison had fitted when it was ended.
+
+    Parameters
+    ----------
+    exprs : state -> the equation chosen before; what comes back where there is none better.
+    known : what the comparison has learnt.
+    """
+    comparison = known.together.get(tuple(exprs))
+    fits = [] if comparison is None else list(comparison.fits())
+    if not fits:
+        return SystemChoice(dict(exprs))
+    best = min(fits, key=lambda fit: fit.bits)
+    return SystemChoice(dict(best.exprs), best)
+
+
 def follow_anything(
     exprs: Equations, data: Measurements, settings: ComparisonSettings
 ) -> Iterator[SystemFit]:
