@@ -91,6 +91,12 @@ def test_the_text_shows_every_role_and_the_options(table):
     assert "<pre>tank.csv" in dynsr.describe(table)._repr_html_()
 
 
+def test_the_guess_says_what_an_input_does_and_why_a_column_is_left_out(table):
+    """What a search prints and keeps of the table is one sentence with both."""
+    guess = read_trajectories(table, inputs=["valve"], states=["level"]).guess
+    assert "inputs valve (held)" in guess and "not used: 'leak' (" in guess
+
+
 def test_an_option_that_is_offered_does_what_it_says(table):
     """The states that --states would give are those that it gives."""
     offered = dynsr.describe(table, inputs=["valve"]).options

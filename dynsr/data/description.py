@@ -15,6 +15,7 @@ from dynsr.data.trajectory import Trajectory
 
 _UNITS = {"s": "seconds", "min": "minutes", "h": "hours"}
 _HOLDS = {"previous": "held until the next row", "linear": "straight lines", "smooth": "smooth"}
+_SHORT = {"previous": "held", "linear": "linear", "smooth": "smooth"}
 _MOST_RUNS = 12
 
 
@@ -132,7 +133,12 @@ class Description:
         first, last = min(run.first for run in runs), max(run.last for run in runs)
         clauses = [f"{head}{self.rows} rows from {first:g} to {last:g} {time.spacing}"]
         clauses.append(f"states {', '.join(self.states)}")
-        inputs = [f"{n} = {self.formulas[n]}" if n in self.formulas else n for n in self.inputs]
+        inputs = [
+            f"{name} = {self.formulas[name]}"
+            if name in self.formulas
+            else f"{name} ({_SHORT[self.hold[name]]})"
+            for name in self.inputs
+        ]
         if inputs:
             clauses.append(f"inputs {', '.join(inputs)}")
         if self.parameters:
@@ -142,7 +148,8 @@ class Description:
             names = ", ".join(map(repr, self.labels))
             clauses.append(f"taken for labels of trajectories, not used: {names}")
         if self.left_out:
-            clauses.append(f"not used: {', '.join(map(repr, self.left_out))}")
+            unused = [f"{name!r} ({why})" for name, why in self.left_out.items()]
+            clauses.append(f"not used: {', '.join(unused)}")
         return f"{self.source}: {'; '.join(clauses)}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -206,9 +213,7 @@ class Description:
             yield "trajectories", [f"{len(runs)}, {named}:", *self._runs()]
         yield "states", [", ".join(map(self._named, self.states))]
         inputs = [n for n in self.inputs if n not in self.formulas]
-        lines = [
-            f"{self._named(n)}: {_HOLDS[self.hold[n]]}" if n in self.hold else n for n in inputs
-        ]
+        lines = [f"{self._named(name)}: {_HOLDS[self.hold[name]]}" for name in inputs]
         yield "inputs", [*lines, *(f"{name} = {text}" for name, text in self.formulas.items())]
         parameters = ", ".join(map(self._named, self.parameters))
         yield "parameters", [parameters] if parameters else []
