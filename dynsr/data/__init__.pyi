@@ -3,6 +3,7 @@ from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
 from .columns import Columns, bracketed_unit, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
+from .holding import Hold, check_hold, choose_hold
 from .noise_model import StateNoise, measurement_noise, robust_scale
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
 from .reading import (
@@ -43,6 +44,7 @@ __all__ = [
     "Columns",
     "Description",
     "DiagnosisSettings",
+    "Hold",
     "OddSettings",
     "Oddity",
     "RunRows",
@@ -55,9 +57,11 @@ __all__ = [
     "Trajectory",
     "add_velocities",
     "bracketed_unit",
+    "check_hold",
     "check_new",
     "check_replaceable",
     "check_time_unit",
+    "choose_hold",
     "choose_samples",
     "choose_second_samples",
     "column_units",

@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.data.holding import Hold, check_hold, choose_hold, choose_hold_together
+from dynsr.data.holding import (
+    Hold,
+    check_hold,
+    choose_hold,
+    choose_hold_together,
+    holds_its_value,
+)
 from dynsr.data.times import check_time_unit, count_times
 from dynsr.errors import InputError
 from dynsr.expression import check_name
@@ -198,11 +204,31 @@ class Trajectory:
         columns = zip(self.input_names, self.inputs.T, strict=True)
         return {name: self.hold.get(name) or choose_hold(self.t, own) for name, own in columns}
 
+    def held(self, name: str) -> Hold:
+        """Give what a column does between rows where it drives others.
+
+        Parameters
+        ----------
+        name : an input, see :attr:`holds`; or a state, which is smooth unless it steps.
+        """
+        if name in self.input_names:
+            return self.holds[name]
+        return "previous" if holds_its_value(self.x[:, self.index(name)]) else "smooth"
+
     def index(self, state: str) -> int:
         """Position of a state; raises InputError that lists the states when there is none."""
         if state not in self.states:
             raise InputError(f"unknown state {state!r}; the states are: {', '.join(self.states)}")
         return self.states.index(state)
+
+    def every(self, stride: int) -> np.ndarray:
+        """Give the rows left where one in ``stride`` is kept, and each at which an input steps.
+
+        Between the rows that are kept a held input then has one value.
+        """
+        held = [i for i, name in enumerate(self.input_names) if self.holds[name] == "previous"]
+        steps = np.flatnonzero(np.any(np.diff(self.inputs[:, held], axis=0) != 0, axis=1)) + 1
+        return np.union1d(np.arange(0, len(self), stride), steps)
 
     def select(self, rows: slice | np.ndarray) -> Trajectory:
         """Give the trajectory of some rows."""

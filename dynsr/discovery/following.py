@@ -35,7 +35,8 @@ _NOTHING = 0.01
 
 def first_rows(shooting: Shooting, rows: int) -> Shooting:
     """Give the same misses over the first rows of every window."""
-    windows = Windows(shooting.windows.t[:rows], shooting.windows.x[:rows], shooting.windows.drive)
+    own = shooting.windows
+    windows = Windows(own.t[:rows], own.x[:rows], own.drive, own.jumps)
     return replace(shooting, windows=windows, spread=shooting.spread[:rows])
 
 
@@ -135,7 +136,7 @@ class Course:
         """Take every so many-th row, so that ``rows`` are left at most."""
         total = sum(map(len, runs))
         every = max(1, math.ceil(total / rows))
-        taken = [np.arange(0, len(run), every if len(run) >= 8 * every else 1) for run in runs]
+        taken = [run.every(every if len(run) >= 8 * every else 1) for run in runs]
         thin = tuple(run.select(index) for run, index in zip(runs, taken, strict=True))
         own = tuple(level[index] for level, index in zip(noise, taken, strict=True))
         return cls(thin, own, tuple(states), inputs, total / sum(map(len, thin)))

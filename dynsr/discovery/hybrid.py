@@ -12,7 +12,7 @@ import torch
 
 from dynsr.data import Samples, Trajectory, choose_samples, robust_scale
 from dynsr.discovery.prediction import Measured
-from dynsr.engines import Motion, follow
+from dynsr.engines import Drive, Motion, follow
 from dynsr.errors import InputError
 from dynsr.expression import (
     arguments_of,
@@ -153,7 +153,7 @@ class HybridModel:
         """Integrate equations and networks, by default over the first trajectory.
 
         The embedded engine does, adaptively, since a network does not cross the seam. Inputs are
-        those of the first trajectory, a cubic spline between its rows, which no step passes over.
+        those of the first trajectory, held between its rows as that says; no step passes over one.
 
         Parameters
         ----------
@@ -167,22 +167,32 @@ class HybridModel:
         times = run.t if t is None else np.asarray(t, dtype=float)
         order = [run.index(state) for state in self.equations]
         start = run.x[0] if x0 is None else np.asarray(x0, dtype=float)
-        slopes = self._field(run, order, times)
-        motion = Motion("the model", run.states, slopes, run.t if run.input_names else np.empty(0))
+        measured = [name for name in run.input_names if name not in self.inputs]
+        motion = Motion(
+            "the model",
+            run.states,
+            self._field(run, order, measured),
+            run.t if run.input_names else np.empty(0),
+            tuple(self._drive(run, name, times) for name in measured),
+        )
         found, how = follow(motion, start, times, _RELTOL, _ABSTOL)
         return Trajectory(times, found, run.states, origin={"engine": f"embedded ({how})"})
 
     def _field(
-        self, run: Trajectory, order: Sequence[int], times: np.ndarray
+        self, run: Trajectory, order: Sequence[int], measured: Sequence[str]
     ) -> Callable[..., list[float]]:
         missing = [s for s in run.states if s not in self.equations]
         if missing:
             raise InputError(f"the equation of {missing[0]!r} is missing; discover all states")
         exact = compile_scalar(list(self.equations.values()), [*run.names, "t"])
-        drives = [self._drive(run, i, times) for i in range(len(run.input_names))]
+        known = [name for name in run.input_names if name in self.inputs]
+        given = compile_scalar([self.inputs[name] for name in known], ["t"])
+        names, count = [*measured, *known], len(run.states)
+        places = [names.index(name) for name in run.input_names]
 
         def slopes(*at: float) -> list[float]:
-            row = [*at[:-1], *[drive(at[-1]) for drive in drives]]
+            values = [*at[count:-1], *given(at[-1])]
+            row = [*at[:count], *[values[place] for place in places]]
             columns, found = np.array(row)[None], [0.0] * len(order)
             for state, place, slope in zip(self.equations, order, exact(*row, at[-1]), strict=True):
                 found[place] = slope + float(self.residuals[state].evaluate(columns)[0])
@@ -190,15 +200,11 @@ class HybridModel:
 
         return slopes
 
-    def _drive(self, run: Trajectory, place: int, times: np.ndarray) -> Callable[[float], float]:
-        """Give an input as a function of one time."""
-        name = run.input_names[place]
-        if name in self.inputs:
-            known = compile_scalar([self.inputs[name]], ["t"])
-            return lambda t: known(t)[0]
-        measured = Measured(name, run.t, run.inputs[:, place])
+    def _drive(self, run: Trajectory, name: str, times: np.ndarray) -> Drive:
+        """Give a measured input as pieces."""
+        measured = Measured(name, run.t, run.by_name[name], run.held(name))
         measured.check_covers(times)
-        return measured.drive().compile()
+        return measured.drive
 
     def residual_samples(self, state: str) -> Samples:
         """Give the residuals of a state's slopes as the network sees them, without the noise.

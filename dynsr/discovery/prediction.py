@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import sympy
-from scipy.interpolate import PPoly, make_interp_spline
 
-from dynsr.data import System, Trajectory, sample_input
+from dynsr.data import Hold, System, Trajectory, check_hold, choose_hold, sample_input
 from dynsr.engines import (
     DEFAULT_ENGINE,
     DRIVEN,
@@ -46,6 +45,7 @@ def predict(
     t: Sequence[float] | np.ndarray,
     inputs: Mapping[str, Any] | None = None,
     engine: str | AbstractEngine = DEFAULT_ENGINE,
+    hold: Mapping[str, str] | str | None = None,
 ) -> Trajectory:
     """Integrate equations from ``x0`` at ``t[0]`` and give the states at every ``t``.
 
@@ -55,11 +55,13 @@ def predict(
     x0 : (k,) start states in the order of the equations.
     t : (n,) increasing times in seconds.
     inputs : name -> expression in ``t``, function of one time, (n,) values at the times, or
-        :class:`Measured` values at times of their own. Between values runs a cubic spline, and no
-        step passes over a value.
+        :class:`Measured` values at times of their own. No step passes over a value, and where an
+        input jumps the integration begins anew.
         An engine that takes no measured inputs gives way to the embedded one; the origin of the
         trajectory says which integrated.
     engine : "embedded", "julia" or an engine.
+    hold : input -> what it does between its values, "previous", "linear" or "smooth", or one word
+        for all; by default what the values tell.
 
     Every integration is adaptive, with a relative error of 1e-8 a step, and implicit where the
     explicit method needs too many steps. Raises InputError when a state or input is missing, a time
@@ -79,7 +81,7 @@ def predict(
             f"nothing says what {missing[0]!r} does in time; give it as an input "
             "or discover its equation too"
         )
-    measured = _take_measured(given, times)
+    measured = _take_measured(given, times, hold)
     exact = {k: parse(v, ["t"]) for k, v in given.items() if k not in measured}
     start = np.asarray(x0, dtype=float)
     if start.shape != (len(equations),):
@@ -99,14 +101,16 @@ def predict(
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """An input that was measured: (m,) ``values`` at times ``t``, a cubic spline between them.
+    """An input that was measured: (m,) ``values`` at times ``t``.
 
-    Raises InputError when the values do not fit the times or are not finite.
+    ``hold`` says what it does between them: "previous", "linear" or "smooth"; by default its values
+    tell. Raises InputError when the values do not fit the times or are not finite.
     """
 
     name: str
     t: np.ndarray
     values: np.ndarray
+    hold: Hold | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -122,14 +126,10 @@ class Measured:
             )
 
     @cached_property
-    def spline(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Spline through the values."""
-        return make_interp_spline(self.t, self.values, k=min(3, len(self.t) - 1))
-
     def drive(self) -> Drive:
-        """Give the spline as pieces, which engines take."""
-        pieces = PPoly.from_spline(self.spline)
-        return Drive(self.name, pieces.x[:-1], pieces.c)
+        """The input as pieces, which engines take."""
+        hold = self.hold or choose_hold(self.t, self.values)
+        return Drive.through(self.name, self.t, self.values, hold)
 
     def check_covers(self, times: np.ndarray) -> None:
         """Raise InputError when a time lies beyond the rows; nothing is known there."""
@@ -149,7 +149,9 @@ def _size(start: np.ndarray) -> float:
     return largest if 0 < largest < _TINY else 1.0
 
 
-def _take_measured(given: Mapping[str, Any], times: np.ndarray) -> dict[str, Measured]:
+def _take_measured(
+    given: Mapping[str, Any], times: np.ndarray, hold: Mapping[str, str] | str | None
+) -> dict[str, Measured]:
     measured = {}
     for name, value in given.items():
         if isinstance(value, Measured):
@@ -161,7 +163,8 @@ def _take_measured(given: Mapping[str, Any], times: np.ndarray) -> dict[str, Mea
         else:
             continue
         measured[name].check_covers(times)
-    return measured
+    asked = check_hold(hold, [*measured])
+    return {name: replace(one, hold=asked.get(name, one.hold)) for name, one in measured.items()}
 
 
 def _sample(name: str, value: Callable[..., Any], times: np.ndarray) -> Measured:
@@ -182,7 +185,7 @@ def _follow_measured(
     abstol: float,
     engine: AbstractEngine,
 ) -> Trajectory:
-    """Integrate with splines through the measured inputs; no step passes over a row of theirs."""
+    """Integrate with the measured inputs; no step passes over a row of theirs."""
     replaced = {sympy.Symbol(k): v for k, v in exact.items()}
     rhs = [as_float_tree(e.xreplace(replaced)) for e in equations.values()]
     rows = np.concatenate([times, *(one.t for one in measured.values())])
@@ -196,14 +199,15 @@ def _follow_measured(
             times,
             _RELTOL,
             abstol,
-            drives=tuple(one.drive() for one in measured.values()),
+            drives=tuple(one.drive for one in measured.values()),
             stops=inside,
         ),
         engine,
     )
-    values = np.column_stack([one.spline(times) for one in measured.values()])
+    values = np.column_stack([one.drive.at(times) for one in measured.values()])
+    held = {name: one.hold for name, one in measured.items() if one.hold}
     return Trajectory(
-        times, found, tuple(equations), values, tuple(measured), origin={"engine": how}
+        times, found, tuple(equations), values, tuple(measured), {"engine": how}, held
     )
 
 

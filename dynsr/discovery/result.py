@@ -324,7 +324,7 @@ class Discovery:
         for name in arguments_of(self.equations):
             if name not in given and source is not None and name in source.names:
                 column = source.columns[:, source.names.index(name)]
-                given[name] = Measured(name, source.t, column)
+                given[name] = Measured(name, source.t, column, source.held(name))
         return given
 
     def _known_inputs(self, runs: Sequence[Trajectory]) -> dict[str, sympy.Expr]:

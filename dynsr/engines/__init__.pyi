@@ -10,7 +10,7 @@ from .base import (
     SparseProblem,
     SparseSolution,
 )
-from .drives import Drive
+from .drives import Drive, jumps_of
 from .embedded import EmbeddedEngine
 from .julia.diffeqpy import DiffeqpyEngine
 from .julia.setup import install, is_configured, note_julia
@@ -55,6 +55,7 @@ __all__ = [
     "interpolate",
     "is_configured",
     "is_embedded",
+    "jumps_of",
     "note_julia",
     "refuse_idle",
     "replay_steps",

@@ -9,14 +9,18 @@ section IV.8), SciPy's.
 from __future__ import annotations
 
 import math
+import time
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import sympy
 
 from dynsr.engines.base import InitialValueProblem, Integration
+from dynsr.engines.drives import Drive, jumps_of
 from dynsr.engines.tsit5.single import NO_REAL_VALUE, interpolate, take_steps
 from dynsr.engines.tsit5.tableau import Slopes
 from dynsr.errors import EngineError
@@ -35,15 +39,30 @@ _EVEN_ROWS, _VARYING_ROWS, _SCANNED = 200, 100, 50_000
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """dx/dt = slopes(*x, t) of k states, with the (m,) times that no step may pass over.
+    """dx/dt = slopes(*x, *u, t) of k states, with the (m,) times that no step may pass over.
 
-    ``slopes`` gives k floats and may raise what an expression without a real value raises.
+    ``slopes`` gives k floats and may raise what an expression without a real value raises; u are
+    the values of the ``drives``.
     """
 
     name: str
     states: tuple[str, ...]
     slopes: Slopes
     rows: np.ndarray
+    drives: tuple[Drive, ...] = ()
+
+    @cached_property
+    def along(self) -> Slopes:
+        """The slopes as a function of (*x, t)."""
+        if not self.drives:
+            return self.slopes
+        slopes, drives = self.slopes, [drive.compile() for drive in self.drives]
+        return lambda *at: slopes(*at[:-1], *[drive(at[-1]) for drive in drives], at[-1])
+
+    def within(self, begin: float, end: float) -> Motion:
+        """Give the motion between two times at which inputs jump, or none does."""
+        rows = self.rows[(self.rows >= begin) & (self.rows <= end)]
+        return replace(self, rows=rows, drives=tuple(d.within(begin, end) for d in self.drives))
 
     def longest(self) -> Callable[[float], float] | None:
         """Give the function of a time that says how far the next row is."""
@@ -65,21 +84,77 @@ class Motion:
     def array_slopes(self, t: float, x: np.ndarray) -> np.ndarray:
         """Give the slopes (k,) at states (k,), NaN where they have no real value."""
         try:
-            return np.array(self.slopes(*x.tolist(), t), dtype=float)
+            return np.array(self.along(*x.tolist(), t), dtype=float)
         except NO_REAL_VALUE:
             return np.full(len(x), np.nan)
 
     @classmethod
     def of(cls, name: str, problem: InitialValueProblem) -> Motion:
-        """Give the motion that a problem poses, its drives among its slopes."""
+        """Give the motion that a problem poses, with its drives."""
         names = [drive.name for drive in problem.drives]
-        compiled = compile_scalar(problem.rhs, [*problem.states, *names, "t"])
-        drives = [drive.compile() for drive in problem.drives]
+        slopes = compile_scalar(problem.rhs, [*problem.states, *names, "t"])
+        return cls(name, problem.states, slopes, problem.stops, problem.drives)
 
-        def slopes(*at: float) -> Sequence[float]:
-            return compiled(*at[:-1], *[drive(at[-1]) for drive in drives], at[-1])
 
-        return cls(name, problem.states, slopes, problem.stops)
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A time between two jumps: its (m,) times with both ends, and places of the ``own`` of all."""
+
+    t: np.ndarray
+    own: np.ndarray
+    places: np.ndarray
+
+    def put(self, x: np.ndarray, found: np.ndarray) -> None:
+        """Write states (m, k) at the times of the part among those (n, k) at all times."""
+        found[self.own] = x[self.places]
+
+
+def _parts(t: np.ndarray, drives: Sequence[Drive]) -> list[_Part]:
+    """Cut the time at every jump of an input: a method of high order must not see one."""
+    jumps = jumps_of(drives)
+    edges = [t[0], *jumps[(jumps > t[0]) & (jumps < t[-1])], t[-1]]
+    parts = []
+    for begin, end in pairwise(edges):
+        own = np.flatnonzero((t >= begin) & (t <= end))
+        times = np.unique([begin, *t[own], end])
+        parts.append(_Part(times, own, np.searchsorted(times, t[own])))
+    return parts
+
+
+def integrate_in_parts(
+    problem: InitialValueProblem, solve: Callable[[InitialValueProblem], Integration]
+) -> Integration:
+    """Integrate from one jump of an input to the next, each part as a problem of its own.
+
+    Parameters
+    ----------
+    problem : the problem with its drives.
+    solve : integrates a problem whose inputs do not jump.
+    """
+    x = np.full((len(problem.t), len(problem.states)), np.nan)
+    start, accepted, rejected, spent = problem.x0, 0, 0, 0.0
+    for part in _parts(problem.t, problem.drives):
+        begin, end = float(part.t[0]), float(part.t[-1])
+        inside = (problem.stops >= begin) & (problem.stops <= end)
+        began = time.monotonic()
+        found = solve(
+            replace(
+                problem,
+                x0=start,
+                t=part.t,
+                drives=tuple(drive.within(begin, end) for drive in problem.drives),
+                stops=problem.stops[inside],
+                max_steps=problem.max_steps - accepted - rejected,
+                max_seconds=problem.max_seconds - spent,
+            )
+        )
+        spent += time.monotonic() - began
+        accepted, rejected = accepted + found.accepted, rejected + found.rejected
+        part.put(found.x, x)
+        if not found.success:
+            return Integration(x, False, accepted, rejected, found.message)
+        start = found.x[-1]
+    return Integration(x, True, accepted, rejected)
 
 
 def solve_driven(problem: InitialValueProblem) -> Integration:
@@ -88,10 +163,16 @@ def solve_driven(problem: InitialValueProblem) -> Integration:
     Parameters
     ----------
     problem : the problem.
+
+    At a jump of an input it starts anew.
     """
+    return integrate_in_parts(problem, _solve_part)
+
+
+def _solve_part(problem: InitialValueProblem) -> Integration:
     motion = Motion.of("the system", problem)
     steps = take_steps(
-        motion.slopes,
+        motion.along,
         problem.x0.tolist(),
         (float(problem.t[0]), float(problem.t[-1])),
         problem.reltol,
@@ -136,10 +217,29 @@ def follow(
     >>> bool(abs(x[-1, 0] - 10) < 1e-5), how
     (True, 'Tsit5, then Radau where it is stiff')
     """
+    found, x, how = np.empty((len(t), len(x0))), np.asarray(x0, dtype=float), EXPLICIT
+    for part in _parts(t, motion.drives):
+        own = motion.within(float(part.t[0]), float(part.t[-1]))
+        # What was too stiff for the explicit method stays so.
+        most = explicit_steps if how == EXPLICIT else 0
+        states, how = _follow_part(own, x, part.t, reltol, abstol, most)
+        part.put(states, found)
+        x = states[-1]
+    return found, how
+
+
+def _follow_part(
+    motion: Motion,
+    x0: np.ndarray,
+    t: np.ndarray,
+    reltol: float,
+    abstol: float,
+    explicit_steps: int,
+) -> tuple[np.ndarray, str]:
+    """Integrate over a time in which no input jumps."""
     limit, span = motion.longest(), (float(t[0]), float(t[-1]))
     most = explicit_steps and explicit_steps + _STEPS_A_ROW * len(motion.rows)
-    start = np.asarray(x0, dtype=float).tolist()
-    steps = take_steps(motion.slopes, start, span, reltol, abstol, most, math.inf, limit)
+    steps = take_steps(motion.along, x0.tolist(), span, reltol, abstol, most, math.inf, limit)
     found = interpolate(steps, t)
     if not steps.message:
         return found, EXPLICIT

@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from dynsr.data import (
 )
 from dynsr.expression import Program, compile_columns
 from dynsr.fit.constants import free_constants
-from dynsr.fit.shooting import drives_of
+from dynsr.fit.shooting import Driven, drives_of
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,9 @@ _UNMEASURED = 0.01
 class Mesh:
     """The rows of all runs, one below the other, and what is measured there.
 
-    Rows that are far apart have others between them, at which nothing is measured.
+    Rows that are far apart have others between them, at which nothing is measured. A row at which
+    a held input jumps is there twice, with the input before and after it: the rule sees no jump,
+    and the interval of no length between the two says that the states go on.
 
     Parameters
     ----------
@@ -721,7 +724,7 @@ class Measurements:
         noise = estimate_noise(runs)
         longest = max(map(len, runs))
         stride = max(1, min(-(-sum(map(len, runs)) // rows), (longest - 1) // 4))
-        thinned = [run.select(slice(None, None, stride)) for run in runs if len(run) > 4 * stride]
+        thinned = [run.select(run.every(stride)) for run in runs if len(run) > 4 * stride]
         smoothed = [smooth(run, noise) for run in thinned]
         return cls(thinned, inputs, smoothed, derived or {})
 
@@ -794,13 +797,33 @@ class Measurements:
         usual = np.sqrt(np.mean(np.minimum(every, longest) ** 2))
         # Even times are so but for rounding.
         lengths = [np.round(np.minimum(own, longest) / usual, 6) for own in steps]
-        return [np.concatenate([[0], np.cumsum(self._cut(own))]) for own in lengths]
+        found = []
+        for own, jumps in zip(lengths, self._jumps, strict=True):
+            parts = self._cut(own)
+            # The second of the two nodes of a row that is there twice.
+            parts[jumps] += 1
+            found.append(np.concatenate([[0], np.cumsum(parts)]))
+        return found
+
+    @cached_property
+    def _drives(self) -> list[Driven]:
+        return drives_of(self.runs[0].input_names, self.runs, self.inputs)
+
+    @cached_property
+    def _jumps(self) -> list[np.ndarray]:
+        """Rows of each run, neither the first nor the last, at which an input jumps."""
+        pairs = zip(self.runs, self._drives, strict=True)
+        return [1 + np.flatnonzero(np.isin(run.t[1:-1], drive.jumps)) for run, drive in pairs]
 
     @cached_property
     def _nodes(self) -> list[np.ndarray]:
-        """Times of the rows of each run, those between them included."""
-        pairs = zip(self.runs, self._places, strict=True)
-        return [np.interp(np.arange(rows[-1] + 1), rows, run.t) for run, rows in pairs]
+        """Times of the rows of each run, those between them and the second ones included."""
+        found = []
+        for run, rows, jumps in zip(self.runs, self._places, self._jumps, strict=True):
+            places, times = np.append(rows, rows[jumps] + 1), np.append(run.t, run.t[jumps])
+            order = np.argsort(places)
+            found.append(np.interp(np.arange(rows[-1] + 1), places[order], times[order]))
+        return found
 
     def samples(self, state: str) -> Samples:
         """Give the smoothed states and slopes of one state as samples.
@@ -860,13 +883,11 @@ class Measurements:
         """
         own = [self.runs[0].index(name) for name in names]
         first, smoothed = 0, []
-        for run, smooth_run, rows, nodes in zip(
-            self.runs, self.smoothed, self._places, self._nodes, strict=True
-        ):
+        for smooth_run, rows, nodes in zip(self.smoothed, self._places, self._nodes, strict=True):
             x, slope = smooth_run.x.copy(), smooth_run.slope.copy()
             found = states[first : first + len(nodes)]
             x[:, own] = found[rows]
-            slope[:, own] = CubicSpline(nodes, found)(run.t, 1)
+            slope[:, own] = _slopes_at(nodes, found, rows)
             smoothed.append(replace(smooth_run, x=x, slope=slope))
             first += len(nodes)
         return replace(self, smoothed=smoothed)
@@ -890,21 +911,23 @@ class Measurements:
         own = [self.runs[0].index(state) for state in states]
         others = [s for s in self.runs[0].states if s not in states]
         inputs = self.runs[0].input_names
-        drives = drives_of(inputs, self.runs, self.inputs)
         beside = [self.runs[0].index(state) for state in others]
         pieces, first = [], 0
-        for run, deviation, smoothed, drive, rows, t in zip(
+        for run, deviation, smoothed, drive, rows, t, jumps in zip(
             self.runs,
             self.deviations,
             self.smoothed,
-            drives,
+            self._drives,
             self._places,
             self._nodes,
+            self._jumps,
             strict=True,
         ):
             both = np.concatenate([t, (t[1:] + t[:-1]) / 2])
             curve = smoothed.curve(both)
-            driven = np.concatenate([curve[beside], drive(both)])
+            read = drive(both)
+            read[:, rows[jumps]] = drive(run.t[jumps], before=True)
+            driven = np.concatenate([curve[beside], read])
             x, weights = np.zeros((2, len(t), len(own)))
             x[rows], weights[rows] = run.x[:, own], 1 / deviation[:, own]
             pieces.append(
@@ -930,6 +953,21 @@ class Measurements:
             tuple(states),
             (*others, *inputs, "t"),
         )
+
+
+def _slopes_at(nodes: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Slopes at some of the (n,) times, by a cubic spline between every two jumps.
+
+    At a jump, where a time is there twice, it is the slope before it.
+    """
+    slope = np.empty_like(x)
+    ends = np.flatnonzero(np.diff(nodes) == 0) + 1
+    for begin, end in pairwise([0, *ends, len(nodes)]):
+        part = slice(begin, end)
+        spline = CubicSpline(nodes[part], x[part])
+        slope[part] = spline(nodes[part], 1)
+    found: np.ndarray = slope[rows]
+    return found
 
 
 def _times(left: np.ndarray, right: np.ndarray) -> np.ndarray:

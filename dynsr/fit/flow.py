@@ -95,24 +95,46 @@ class Windows:
     """Pieces of trajectories, all of m intervals, as lanes.
 
     ``t`` (m + 1, W) times; ``x`` (m + 1, k, W) states measured there; ``drive`` gives the driven
-    columns, (d, n, W), at times (n, W). They are read once for all flows over the windows.
+    columns, (d, n, W), at times (n, W). They are read once for all flows over the windows. Where a
+    column ``jumps`` at rows, ``drive(times, True)`` gives what it is before: no step sees a jump.
     """
 
     t: np.ndarray
     x: np.ndarray
-    drive: Callable[[np.ndarray], np.ndarray]
+    drive: Callable[..., np.ndarray]
+    jumps: bool = False
     _driven: dict[Pace, np.ndarray] = field(default_factory=dict, repr=False)
 
     def driven_at(self, pace: Pace = PLAIN) -> np.ndarray:
-        """Driven columns (m * nodes + 1, d, W) at every node of the steps and at their end."""
+        """Driven columns (m * nodes + 1, d, W) at every node of the steps and at their end.
+
+        Where a column jumps, m others follow: what they are at the end of every interval.
+        """
         if pace not in self._driven:
             steps = np.diff(self.t, axis=0)
             nodes = (self.t[:-1, None] + pace.nodes[None, :, None] * steps[:, None]).reshape(
                 -1, self.t.shape[1]
             )
             times = np.concatenate([nodes, self.t[-1:]])
-            self._driven[pace] = np.ascontiguousarray(self.drive(times).transpose(1, 0, 2))
+            found = self.drive(times)
+            if self.jumps:
+                found = np.concatenate([found, self.drive(self.t[1:], True)], axis=1)
+            self._driven[pace] = np.ascontiguousarray(found.transpose(1, 0, 2))
         return self._driven[pace]
+
+    def stages(self, pace: Pace = PLAIN, driven: bool = True) -> np.ndarray:
+        """Places (n, stages), among :meth:`driven_at`, of what each of n steps needs.
+
+        Where nothing is ``driven`` the end of an interval is the begin of the next.
+        """
+        count = len(self.t) - 1
+        inner = len(pace.nodes) // pace.substeps
+        found = inner * np.arange(count * pace.substeps)[:, None] + np.arange(inner + 1)
+        if self.jumps and driven:
+            found[pace.substeps - 1 :: pace.substeps, -1] = (
+                count * len(pace.nodes) + 1 + np.arange(count)
+            )
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,8 +361,7 @@ class Flow:
             end = np.append(begin[1:], last)
             return windows.t[end] - windows.t[begin], np.stack([2 * begin, begin + end, 2 * end], 1)
         h = np.repeat(np.diff(windows.t, axis=0) / pace.substeps, pace.substeps, axis=0)
-        inner = len(pace.nodes) // pace.substeps
-        return h, inner * np.arange(len(h))[:, None] + np.arange(inner + 1)
+        return h, windows.stages(pace, self._is_driven)
 
     def _groups(self, windows: Windows, pace: Pace, most: int) -> Iterator[tuple[slice, int]]:
         """Steps, ``most`` at a time, that go over as many rows, 1 where they go over a part."""
@@ -416,14 +437,15 @@ def _flat(values: np.ndarray) -> np.ndarray:
 def cut_windows(
     t: Sequence[np.ndarray],
     x: Sequence[np.ndarray],
-    drive: Sequence[Callable[[np.ndarray], np.ndarray]],
+    drive: Sequence[Callable[..., np.ndarray]],
     length: int,
     most: int,
 ) -> Windows:
     """Cut trajectories into windows of ``length`` intervals, evenly thinned to ``most`` lanes.
 
     The last window of a trajectory overlaps its neighbour when the rows do not divide evenly.
-    ``drive[i]`` gives the driven columns (d + 1, n), the time last, of trajectory i at n times.
+    ``drive[i]`` gives the driven columns (d + 1, n), the time last, of trajectory i at n times;
+    where it has ``jumps``, they are times of rows.
     """
     length = min(length, min(len(part) for part in t) - 1)
     lanes: list[tuple[int, int]] = []
@@ -436,8 +458,9 @@ def cut_windows(
     rows = np.arange(length + 1)
     owner = np.array([run for run, _ in lanes])
 
-    def driven(times: np.ndarray) -> np.ndarray:
-        parts = [drive[run](times[:, owner == run].ravel()) for run in range(len(t))]
+    def driven(times: np.ndarray, before: bool = False) -> np.ndarray:
+        ends = (True,) if before else ()
+        parts = [drive[run](times[:, owner == run].ravel(), *ends) for run in range(len(t))]
         out = np.empty((len(parts[0]), *times.shape))
         for run, part in enumerate(parts):
             out[:, :, owner == run] = part.reshape(len(out), len(times), -1)
@@ -447,6 +470,7 @@ def cut_windows(
         np.stack([t[run][start + rows] for run, start in lanes], axis=1),
         np.stack([x[run][start + rows].T for run, start in lanes], axis=2).transpose(1, 0, 2),
         driven,
+        any(len(getattr(one, "jumps", ())) for one in drive),
     )
 
 

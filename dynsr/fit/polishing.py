@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 import sympy
@@ -30,8 +31,8 @@ _SHORT = 100
 # Share by which the errors of a solver of loose tolerance may bend a constant.
 _BENT = 0.01
 
-Data = Sequence[Trajectory] | Measurements
-Fit = StatesFit | AlongFit
+Data: TypeAlias = Sequence[Trajectory] | Measurements
+Fit: TypeAlias = StatesFit | AlongFit
 
 
 def polish(

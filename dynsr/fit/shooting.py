@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import sympy
-from scipy.interpolate import make_interp_spline
 
 from dynsr.data import Trajectory, robust_scale
+from dynsr.engines import Drive, jumps_of
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
@@ -457,30 +458,57 @@ def prepare(
     return Flow(rhs, driven, tuple(constants)), values, owners
 
 
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """The driven columns of a run, and the time as the last one, as functions of the time.
+
+    Parameters
+    ----------
+    names : the d columns.
+    exact : those that are known as expressions in ``t``, by name.
+    drives : the others, as they were measured.
+    """
+
+    names: tuple[str, ...]
+    exact: Mapping[str, sympy.Expr]
+    drives: tuple[Drive, ...]
+
+    @cached_property
+    def _known(self) -> Callable[[np.ndarray], np.ndarray]:
+        return compile_numpy([self.exact[name] for name in self.exact], ["t"])
+
+    @cached_property
+    def jumps(self) -> np.ndarray:
+        """Times, increasing, at which a column changes its value at once."""
+        return jumps_of(self.drives)
+
+    def __call__(self, t: np.ndarray, before: bool = False) -> np.ndarray:
+        """Give the columns (d + 1, n) at n times; ``before`` a jump, or after it."""
+        rows = dict(zip(self.exact, self._known(t[None]), strict=True))
+        rows |= {drive.name: drive.at(t, before) for drive in self.drives}
+        return np.array([*(rows[name] for name in self.names), t])
+
+
 def drives_of(
     driven: Sequence[str], runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
-) -> list[Callable[[np.ndarray], np.ndarray]]:
-    """Give for every trajectory its driven columns and the time, (d + 1, n), at any n times."""
-    return [_drive(driven, run, inputs) for run in runs]
+) -> list[Driven]:
+    """Give for every trajectory its driven columns and the time, (d + 1, n), at any n times.
 
-
-def _drive(
-    driven: Sequence[str], run: Trajectory, inputs: Mapping[str, sympy.Expr]
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Give the driven columns and the time, (d + 1, n), at any n times."""
-    known = [name for name in driven if name in inputs]
-    exact = compile_numpy([inputs[name] for name in known], ["t"])
-    data = [name for name in driven if name not in inputs]
-    position = [run.names.index(name) for name in data]
-    degree = min(5, (len(run) - 1) // 2 * 2 - 1) if len(run) > 3 else 1
-    spline = make_interp_spline(run.t, run.columns[:, position], k=degree) if data else None
-    order = [(*known, *data).index(name) for name in driven]
-
-    def drive(t: np.ndarray) -> np.ndarray:
-        rows = list(exact(t[None])) + (list(spline(t).T) if spline is not None else [])
-        return np.array([*(rows[i] for i in order), t])
-
-    return drive
+    A column without an expression is held between rows as the trajectory says.
+    """
+    exact = {name: inputs[name] for name in driven if name in inputs}
+    return [
+        Driven(
+            tuple(driven),
+            exact,
+            tuple(
+                Drive.through(name, run.t, run.columns[:, run.names.index(name)], run.held(name))
+                for name in driven
+                if name not in exact
+            ),
+        )
+        for run in runs
+    ]
 
 
 def _fit(

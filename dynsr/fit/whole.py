@@ -196,7 +196,8 @@ def _lengths(first: int, longest: int) -> list[int]:
 def _step(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Shooting:
     """Take the longest step of the integration that moves states less than their misses."""
     steps = np.diff(shooting.windows.t, axis=0)
-    strides = _STRIDES if np.ptp(steps) <= 1e-6 * np.mean(steps) else (1,)
+    even = np.ptp(steps) <= 1e-6 * np.mean(steps) and not shooting.windows.jumps
+    strides = _STRIDES if even else (1,)
     with np.errstate(all="ignore"):
         trials = [replace(shooting, flow=replace(shooting.flow, stride=s)) for s in strides]
         longer, misses = trials[0], trials[0].misses(constants, starts)

@@ -427,9 +427,11 @@ def constants(expr: sympy.Expr) -> int:
 def _spread_over(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Give rows (N,) of a mesh, and (N, n + m) what a value at each is at its rows and between.
 
-    What lies between the rows that are taken is interpolated by cubic splines, run by run.
+    What lies between the rows that are taken is interpolated by cubic splines, run by run and
+    from jump to jump, where a row is there twice.
     """
-    count, first = len(mesh.t), np.setdiff1d(np.arange(len(mesh.t)), mesh.left + 1)
+    count, twice = len(mesh.t), mesh.left[mesh.h == 0] + 1
+    first = np.union1d(np.setdiff1d(np.arange(count), mesh.left + 1), twice)
     nodes: list[np.ndarray] = []
     places = np.concatenate([np.arange(count), mesh.left])
     times = np.concatenate([mesh.t, (mesh.t[mesh.left] + mesh.t[mesh.left + 1]) / 2])

@@ -128,7 +128,7 @@ class Trail:
         found = []
         for i in some:
             run, own = self.runs[i], max(1, min(stride, (len(self.runs[i]) - 1) // 4))
-            rows = np.unique([*range(0, len(run), own), len(run) - 1])
+            rows = np.union1d(run.every(own), [len(run) - 1])
             whole = self.smoothed is not None and len(self.smoothed[i].t) == len(run)
             start = self.smoothed[i].x[0] if whole and self.smoothed is not None else run.x[0]
             x = run.x[rows][:, self._places]
@@ -197,11 +197,10 @@ class Trail:
         x = np.repeat(start, count, axis=1)
         found = [x]
         with np.errstate(all="ignore"):
-            node = 0
-            for h in np.diff(windows.t[:, 0]) / pace.substeps:
-                for _ in range(pace.substeps):
-                    x = runge_kutta_step(slope, x, h, tuple(stages[node : node + 3]))
-                    node += 2
+            steps = windows.stages(pace).reshape(-1, pace.substeps, 3)
+            for h, nodes in zip(np.diff(windows.t[:, 0]) / pace.substeps, steps, strict=True):
+                for at in nodes:
+                    x = runge_kutta_step(slope, x, h, tuple(stages[at]))
                 x = np.where(np.all((x > low) & (x < high), axis=0), x, np.nan)
                 found.append(x)
         return np.stack(found)

@@ -586,33 +586,39 @@ def integrate(fit: SystemFit, evaluations: int = COMPARISON.evaluations, pieces:
         for a, b in zip(first, ends, strict=True)
     ]
     for begin, end in [pair for cut in cuts for pair in pairwise(cut)]:
-        t, driven = mesh.t[begin:end], mesh.driven[:, begin:end]
-        left = iter(range(evaluations * len(t)))
+        left = iter(range(evaluations * (end - begin)))
 
-        def rhs(
-            at: float,
-            x: np.ndarray,
-            t: np.ndarray = t,
-            u: np.ndarray = driven,
-            left: Iterator[int] = left,
-        ) -> list[float]:
+        def rhs(at: float, x: np.ndarray, own: slice, left: Iterator[int] = left) -> list[float]:
             if next(left, None) is None:
                 raise _TooLong
             driven = [
-                float(np.interp(at, t, row)) if needed else 0.0
-                for row, needed in zip(u, read, strict=True)
+                float(np.interp(at, mesh.t[own], row)) if needed else 0.0
+                for row, needed in zip(mesh.driven[:, own], read, strict=True)
             ]
             return slope(*x.tolist(), *driven, *numbers)
 
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             start = fit.fit.states[begin]
-            try:
-                solved = solve_ivp(rhs, (t[0], t[-1]), start, "LSODA", t, rtol=1e-5, atol=1e-8)
-            except _TooLong:
-                continue
-        if solved.y.shape[1] == len(t):
-            found[begin:end] = solved.y.T
+            # A row that is there twice is a jump: a solver begins anew.
+            jumps = begin + 1 + np.flatnonzero(np.diff(mesh.t[begin:end]) == 0)
+            for first_row, last in pairwise([begin, *jumps, end]):
+                piece = slice(first_row, last)
+                t = mesh.t[piece]
+                if len(t) == 1:
+                    found[piece] = start
+                    continue
+                try:
+                    solved = solve_ivp(
+                        rhs, (t[0], t[-1]), start, "LSODA", t, rtol=1e-5, atol=1e-8, args=(piece,)
+                    )
+                except _TooLong:
+                    found[begin:end] = np.nan
+                    break
+                if solved.y.shape[1] < len(t) or not np.all(np.isfinite(solved.y[:, -1])):
+                    found[begin:end] = np.nan
+                    break
+                found[piece], start = solved.y.T, solved.y[:, -1]
     own = np.ix_(mesh.measured, mesh.rows > 0)
     return r_squared(mesh.x[own], found[own])
 

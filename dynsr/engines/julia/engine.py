@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from dynsr.engines.adaptive import integrate_in_parts
 from dynsr.engines.base import (
     AbstractEngine,
     InitialValueProblem,
@@ -98,9 +99,14 @@ class JuliaEngine(AbstractEngine):
         Raises EngineError when Julia fails, dies or is late, EngineUnavailable when it does not
         start.
         """
-        drives = problem.drives
-        if drives and not self.takes_drives:
+        if not problem.drives:
+            return self._integrate(problem)
+        if not self.takes_drives:
             raise EngineError(f"{self.name} integrates no measured inputs")
+        return integrate_in_parts(problem, self._integrate)
+
+    def _integrate(self, problem: InitialValueProblem) -> Integration:
+        drives = problem.drives
         header = {
             "call": "integrate_driven" if drives else self.integration,
             "slopes": write_slopes(problem.rhs, problem.states, [d.name for d in drives]),

@@ -1,0 +1,194 @@
+"""Held inputs: fits, integrations and verdicts see the same input, and no step sees a jump."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+import dynsr
+from dynsr.data import Trajectory
+from dynsr.discovery.prediction import Measured, predict
+from dynsr.engines import Drive, EmbeddedEngine, InitialValueProblem
+from dynsr.engines.adaptive import integrate_in_parts
+from dynsr.fit import Measurements, fit_along, match_trajectories
+from dynsr.selection.followers import Trail
+
+T, U = sympy.symbols("T u")
+TRUTH = np.array([-0.03, 0.02, 0.66])
+LAW = {"T": 0.02 * U - 0.03 * T + 0.66}
+
+
+def heater(fewest: int = 7, most: int = 15, rows: int = 240) -> Trajectory:
+    """Give T' = 0.02 u - 0.03 (T - 22), u in steps every some uneven rows, in closed form."""
+    rng = np.random.default_rng(0)
+    t = np.concatenate([[0.0], np.cumsum(rng.uniform(2, 8, rows - 1))])
+    u: list[float] = []
+    while len(u) < rows:
+        u += [float(rng.choice([0, 20, 40, 60, 80]))] * int(rng.integers(fewest, most + 1))
+    x = [22.0]
+    for i in range(rows - 1):
+        rest = (0.02 * u[i] + 0.66) / 0.03
+        x.append(rest + (x[-1] - rest) * np.exp(-0.03 * (t[i + 1] - t[i])))
+    return Trajectory(t, np.array(x)[:, None], ("T",), np.array(u[:rows])[:, None], ("u",))
+
+
+def noisy(run: Trajectory) -> Trajectory:
+    """Add noise of 1 % of the spread."""
+    noise = np.random.default_rng(1).normal(size=run.x.shape) * 0.01 * run.x.std()
+    return replace(run, x=run.x + noise)
+
+
+@pytest.mark.parametrize("most", [1, 3, 15])
+def test_an_integration_meets_the_held_solution_in_closed_form(most: int) -> None:
+    """The true law with its own input gives the data, to the tolerance of the solver."""
+    run = heater(min(most, 7), most)
+    found = predict(LAW, run.x[0], run.t, {"u": run.inputs[:, 0]})
+    assert np.max(np.abs(found.x - run.x)) < 1e-5
+    assert found.inputs[:, 0].tolist() == run.inputs[:, 0].tolist()
+
+
+@pytest.mark.parametrize("most", [1, 3, 15])
+def test_the_constants_of_exact_data_are_exact(most: int) -> None:
+    """Shooting takes steps from row to row, each with the value that was held."""
+    run = heater(min(most, 7), most)
+    match = match_trajectories({"T": 0.018 * U - 0.027 * T + 0.6}, run)
+    # The steps are as short as the misses of the start ask for.
+    match = match_trajectories(match.exprs, run)
+    found = sorted(value for value, _ in match.errors["T"])
+    assert found == pytest.approx(TRUTH.tolist(), rel=1e-7)
+
+
+@pytest.mark.parametrize("most", [1, 3, 15])
+def test_the_intervals_of_noisy_data_hold_the_truth(most: int) -> None:
+    """Collocation has a row twice where the input jumps; its constants are those of the law."""
+    run = noisy(heater(min(most, 7), most))
+    data = Measurements.of([run], {}, 1000)
+    fit = fit_along({"T": 0.018 * U - 0.027 * T + 0.6}, data)
+    assert fit is not None
+    order = np.argsort(fit.constants)
+    assert fit.constants[order] == pytest.approx(TRUTH, rel=0.03)
+    assert np.all(np.abs(fit.constants[order] - TRUTH) < 3 * fit.errors[order])
+
+
+def test_a_mesh_has_a_row_twice_where_an_input_jumps() -> None:
+    """The first of the two is measured and has the input before, the other the input after."""
+    run = Trajectory(
+        np.arange(6.0), np.ones((6, 1)), ("x",), np.array([[0.0, 0, 0, 3, 3, 3]]).T, ("u",)
+    )
+    mesh = Measurements.of([run], {}, 1000).mesh(("x",))
+    (place,) = np.flatnonzero(np.diff(mesh.t) == 0)
+    assert mesh.t[place] == 3.0
+    assert mesh.driven[0, place : place + 2].tolist() == [0.0, 3.0]
+    assert mesh.weights[place, 0] > 0
+    assert mesh.weights[place + 1, 0] == 0
+    assert int(np.count_nonzero(mesh.weights)) == len(run)
+
+
+def test_an_input_in_ramps_goes_straight_between_rows() -> None:
+    """A triangle that is integrated is a chain of parabolas."""
+    t = np.linspace(0.0, 8.0, 17)
+    run = Trajectory(t, t[:, None], ("x",), np.abs(t % 4 - 2)[:, None], ("u",))
+    fine = np.linspace(0.0, 2.0, 41)
+    found = predict(
+        {"x": sympy.Symbol("u")}, [0.0], fine, {"u": Measured("u", t, run.inputs[:, 0])}
+    )
+    assert found.x[:, 0] == pytest.approx(2 * fine - fine**2 / 2, abs=1e-9)
+
+
+def test_what_the_caller_says_is_used() -> None:
+    """The same values held and in lines differ by half a step times the change."""
+    t = np.arange(5.0)
+    ends = [
+        predict({"x": sympy.Symbol("u")}, [0.0], t, {"u": t}, hold=way).x[-1, 0]
+        for way in ("previous", "linear", "smooth")
+    ]
+    assert ends == pytest.approx([6.0, 8.0, 8.0])
+    with pytest.raises(dynsr.InputError, match="hold names 'v', which is no input"):
+        predict({"x": sympy.Symbol("u")}, [0.0], t, {"u": t}, hold={"v": "linear"})
+
+
+def test_no_step_of_an_engine_sees_a_jump() -> None:
+    """Every part between two jumps is a problem whose inputs go on at its end."""
+    pulse = Drive("u", np.array([0.0, 0.3, 0.5]), np.array([[0.0, 10.0, 0.0]]))
+    seen: list[InitialValueProblem] = []
+
+    def solve(problem: InitialValueProblem):  # type: ignore[no-untyped-def]
+        seen.append(problem)
+        return EmbeddedEngine().integrate(problem)
+
+    problem = InitialValueProblem(
+        (sympy.Symbol("u"),), ("x",), np.zeros(1), np.array([0.0, 0.4, 1.0]), drives=(pulse,)
+    )
+    found = integrate_in_parts(problem, solve)
+    assert found.x[:, 0] == pytest.approx([0.0, 1.0, 2.0], abs=1e-12)
+    assert [part.t.tolist() for part in seen] == [[0.0, 0.3], [0.3, 0.4, 0.5], [0.5, 1.0]]
+    assert not any(len(part.drives[0].jumps) for part in seen)
+    # Three steps would do; an error control that saw a jump would need dozens.
+    assert found.accepted + found.rejected < 30
+
+
+def test_stiff_parts_go_on_by_the_implicit_method() -> None:
+    """A fast system between jumps comes to rest at each level."""
+    t = np.linspace(0.0, 4.0, 5)
+    fast = {"x": -1e6 * (sympy.Symbol("x") - U)}
+    found = predict(fast, [0.0], t, {"u": np.array([1.0, 1.0, 3.0, 3.0, 3.0])})
+    assert found.x[1:, 0] == pytest.approx([1.0, 1.0, 3.0, 3.0], abs=1e-5)
+
+
+def test_rows_at_which_an_input_steps_are_kept_when_rows_are_thinned() -> None:
+    """Between the rows that are left the input has one value."""
+    run = heater()
+    thin = run.select(run.every(4))
+    steps = run.t[1:][np.diff(run.inputs[:, 0]) != 0]
+    assert set(steps) <= set(thin.t)
+    assert len(thin) < 0.5 * len(run)
+
+
+def test_sums_of_terms_follow_a_held_input() -> None:
+    """Runge and Kutta's steps of a follower end before each jump."""
+    r2 = Trail([heater(3, 5, 120)], {}, ("T",)).r2(LAW)
+    assert 1 - r2[0] < 1e-10
+
+
+def test_a_held_input_gives_the_slopes_of_a_hybrid_too() -> None:
+    """Equations with no network to add integrate as they do alone."""
+    pytest.importorskip("torch")
+    from dynsr.discovery.hybrid import HybridModel, Residual
+
+    class Nothing:
+        def evaluate(self, X: np.ndarray) -> np.ndarray:
+            return np.zeros(len(X))
+
+    run = heater(3, 5, 60)
+    nothing: dict[str, Residual] = {"T": Nothing()}  # type: ignore[dict-item]
+    found = HybridModel(LAW, [run], {}, nothing).simulate()
+    assert np.max(np.abs(found.x - run.x)) < 1e-5
+
+
+def test_an_independent_solver_meets_the_closed_form() -> None:
+    """The closed form of the test data is right: SciPy's DOP853 from row to row agrees."""
+    run = heater(1, 3, 30)
+    x = run.x[0]
+    for i in range(len(run) - 1):
+        u = run.inputs[i, 0]
+        span = (run.t[i], run.t[i + 1])
+        found = solve_ivp(lambda _, T, u=u: 0.02 * u - 0.03 * T + 0.66, span, x, rtol=1e-11)
+        x = found.y[:, -1]
+    assert x[0] == pytest.approx(run.x[-1, 0], abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level", [0.0, 0.01])
+def test_the_law_of_a_heater_is_found(level: float) -> None:
+    """Exact: exact constants. With 1 % noise: within 3 %, in intervals that hold the truth."""
+    run = heater() if level == 0 else noisy(heater())
+    found = dynsr.discover([run], jobs=1)
+    assert found.verdict is not None
+    assert found.verdict.level == "law"
+    constants = {round(c.value, 2): c for c in found.constants["T"]}
+    for truth in (-0.03, 0.02, 0.66):
+        own = constants[truth]
+        assert own.value == pytest.approx(truth, rel=1e-6 if level == 0 else 0.03)
+        assert own.low <= truth <= own.high or own.value == pytest.approx(truth, rel=1e-9)
