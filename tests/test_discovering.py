@@ -14,6 +14,7 @@ from command_line import run
 
 from dynsr.cli.results import flatten
 from dynsr.data.system import LOTKA_VOLTERRA
+from dynsr.discovery import Discovery
 from dynsr.errors import InputError
 from dynsr.paper.protocol import paper_method
 
@@ -123,13 +124,15 @@ class Found:
     seconds = 0.25
     complete = True
     verdict = None
+    heading = "Not judged."
     constants = {}
     details = {}
     ensemble = {}
+    further = {}
 
     def __init__(self, settings):
         """Keep the settings."""
-        self.settings = settings
+        self.settings = {**settings, **self.further}
 
     def save(self, path):
         """Write a mark."""
@@ -230,7 +233,9 @@ def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
         result.stdout.index(words)
         for words in ("x' = -0.5*x", "x: the only one", "slopes off by", "diverges", "forecast off")
     ]
-    assert result.stdout.startswith("x' = -0.5*x\n") and places[:-1] == sorted(places[:-1])
+    assert result.stdout.startswith("Not judged.\nx' = -0.5*x\n") and places[:-1] == sorted(
+        places[:-1]
+    )
     assert "1 = the state's spread" in result.stdout
     assert guess in result.stderr and f"guessed: {guess}" in result.stdout.replace(
         str(tmp_path) + os.sep, ""
@@ -269,11 +274,21 @@ def test_equations_are_shown_before_files_are_made(tmp_path, monkeypatch, seen):
     assert "x' = -0.5*x" in result.stdout and "no space left" in result.stderr
 
 
-def test_quiet_leaves_the_equations_alone(tmp_path, monkeypatch, seen):
-    """With --quiet stdout is the equations, one a line, and stderr is empty."""
+def test_quiet_leaves_the_verdict_and_the_equations(tmp_path, monkeypatch, seen):
+    """With --quiet stdout is the verdict and the equations, one a line, and stderr is empty."""
     monkeypatch.chdir(tmp_path)
     result = run("discover", decay(tmp_path / "data.csv"), "--quiet")
-    assert (result.stdout, result.stderr) == ("x' = -0.5*x\n", "")
+    assert (result.stdout, result.stderr) == ("Not judged.\nx' = -0.5*x\n", "")
+
+
+def test_quiet_keeps_what_changes_the_meaning_of_an_answer(tmp_path, monkeypatch, seen):
+    """An interrupted search, a budget that ended it and odd data are told with --quiet too."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Found, "heading", Discovery({}, {}, {}, {}, complete=False).heading)
+    monkeypatch.setattr(Found, "further", {"ended_by_budget": ["search-x-sindy"]})
+    result = run("discover", decay(tmp_path / "data.csv", y=2 * np.exp(-0.5 * T)), "--quiet")
+    assert result.stdout.startswith("The search was interrupted; the best so far.")
+    assert "budget ended a step" in result.stderr and "are identical" in result.stderr
 
 
 def test_long_fractions_are_shown_as_decimals(capsys):
@@ -284,7 +299,8 @@ def test_long_fractions_are_shown_as_decimals(capsys):
     x = sympy.Symbol("x")
     found.equations = {"x": sympy.Rational(981, 100) * x - sympy.Rational(8, 3) * x**2 / 1}
     show_equations(found, quiet=True)
-    assert capsys.readouterr().out in ("x' = -8*x**2/3 + 9.81*x\n", "x' = 9.81*x - 8*x**2/3\n")
+    shown = capsys.readouterr().out.splitlines()[1]
+    assert shown in ("x' = -8*x**2/3 + 9.81*x", "x' = 9.81*x - 8*x**2/3")
 
 
 def test_json_keeps_nothing_unasked(tmp_path, monkeypatch, seen):

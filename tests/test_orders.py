@@ -55,7 +55,7 @@ def test_an_oscillator_is_found_from_its_position(tmp_path):
     found = dynsr.discover(swing(0.01, T[::4])[0], order=2, **QUICK)
     assert list(found.equations) == ["x", "x_dot"]
     assert found.equations["x"] == sympy.Symbol("x_dot")
-    assert str(found) in ("x'' = -4*x - 0.2*x'", "x'' = -4*x - x'/5")
+    assert str(found).splitlines()[1] in ("x'' = -4*x - 0.2*x'", "x'' = -4*x - x'/5")
     # Noise of 0.01 on 125 rows leaves the stiffness sure to about 3e-3.
     value, error = next(p for p in found.errors["x_dot"] if abs(p[0]) > 1)
     assert abs(value + 4) < 0.02 and error < 0.01
@@ -71,7 +71,7 @@ def test_of_two_states_one_may_be_of_second_order():
     both = Trajectory(FEW, np.column_stack([one.x[:, 0], decay]), ("x", "c"))
     found = dynsr.discover(both, order={"x": 2}, **QUICK)
     assert list(found.equations) == ["x", "x_dot", "c"]
-    assert str(found).splitlines()[1] in ("c' = -0.3*c", "c' = -3*c/10")
+    assert str(found).splitlines()[2] in ("c' = -0.3*c", "c' = -3*c/10")
     scores = found.score(both)
     assert scores["x"]["trajectory_rmse"] < 1e-3 and scores["c"]["trajectory_rmse"] < 1e-3
 
@@ -93,7 +93,7 @@ def test_the_time_is_a_variable_where_it_is_asked_for():
         run = Trajectory(t, z[:, None], ("z",))
         options = {"method": "rational", "preset": "quick", "functions": ("cos",), "jobs": 1}
         found = dynsr.discover(run, explicit_time=True, **options)
-        assert str(found) == "z' = cos(t)"
+        assert str(found).endswith("\nz' = cos(t)")
         assert found.score()["z"]["trajectory_rmse"] < 0.02
         assert found.settings["explicit_time"] is True
 

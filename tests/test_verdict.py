@@ -348,3 +348,18 @@ def test_what_misses_exact_slopes_is_no_law():
         verdict = problem.judge(found, None)
         assert verdict.level == level
         assert ("misses the slopes" in verdict.states["x"].reason) == (level != "law")
+
+
+def test_what_is_printed_says_the_verdict_and_is_short(found, other):
+    """Printed, a discovery is its verdict and its equations; a verdict, a front and constants take
+    a line each.
+    """
+    first, *lines = str(found).splitlines()
+    assert first == found.heading and first.startswith("Law: ") and len(lines) == 2
+    assert repr(found) == str(found) and str(other).startswith("Not found: y: ")
+    assert str(replace(found, complete=False)).startswith("The search was interrupted; ")
+    for one in (found.verdict, *found.verdict.states.values(), *found.front.values()):
+        assert "\n" not in repr(one) and len(repr(one)) < 300
+    assert repr(found.verdict).startswith("Verdict(level='law', reason='every equation")
+    assert repr(ParetoFront([])) == "<ParetoFront of 0>" and "bits, RMSE" in repr(found.front["y"])
+    assert repr(found.constants["x"][0]).startswith("<-0.5 (-0.5")

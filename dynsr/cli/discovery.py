@@ -47,12 +47,12 @@ _FRAMES = {
 
 
 def show_equations(found: Discovery, quiet: bool = False) -> None:
-    """Print the verdict and the equations; quiet, the equations alone."""
+    """Print the verdict and the equations; quiet, as plain lines."""
     from dynsr.discovery import write_lines
 
     lines = write_lines(found.equations, found.settings)
     if quiet:
-        output.print_lines(*lines)
+        output.print_lines(found.heading, *lines)
     else:
         _print_equations(found, lines)
 
@@ -91,8 +91,7 @@ def _print_equations(found: Discovery, lines: Sequence[str]) -> None:
     screen = output.console()
     title, colour = _FRAMES.get(found.verdict.level if found.verdict else "", ("Equations", "blue"))
     title = title if found.complete else f"{title}, so far"
-    if found.verdict is not None:
-        _say(found.heading, f"bold {colour}" if screen.is_terminal else "")
+    _say(found.heading, f"bold {colour}" if screen.is_terminal else "")
     if screen.is_terminal:
         block = Text("\n".join(lines), style="bold")
         screen.print(Panel(block, title=title, border_style=colour, expand=False))
@@ -288,7 +287,15 @@ def discover(
         ),
     ] = False,
     json: options.Json = False,
-    quiet: options.Quiet = False,
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "--quiet",
+            "-q",
+            help="Print the verdict, the equations and warnings alone.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
 ) -> None:
     """Find the equation of every state from data, and check them by integrating.
 
@@ -354,6 +361,9 @@ def discover(
         output.print_json({**summarise(found), "scores": scores, "files": saved, **notes.told})
     elif not quiet:
         show_reasons(found, scores, notes.told, details)
+    if ended := found.settings.get("ended_by_budget"):
+        steps = "a step" if len(ended) == 1 else f"{len(ended)} steps"
+        output.note(f"warning: the time budget ended {steps} early; more seconds may find better")
     if not quiet:
         show_files(found, saved, folder)
 

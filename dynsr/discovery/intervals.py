@@ -16,7 +16,7 @@ from dynsr.expression import shown
 from dynsr.fit import free_constants, loosen, tidy
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Constant:
     """One constant of an equation.
 
@@ -34,6 +34,10 @@ class Constant:
     low: float | None
     high: float | None
     of: str
+
+    def __repr__(self) -> str:
+        """Write the constant, its interval and what it stands at."""
+        return f"<{self.text} of {self.of}>"
 
     @property
     def text(self) -> str:

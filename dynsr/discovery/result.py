@@ -234,6 +234,7 @@ class Discovery:
 
         >>> x = sympy.Symbol("x")
         >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).with_constants({"x": [-3.0]})
+        Not judged.
         x' = -3*x
         """
         if unknown := [state for state in values if state not in self.equations]:
@@ -521,8 +522,8 @@ class Discovery:
         return cls(**read_discovery(Path(path), **further, verdict=Verdict | None))
 
     def __repr__(self) -> str:
-        """Write the equations, one a line."""
-        return "\n".join(write_lines(self.equations, self.settings))
+        """Write the verdict, and below it the equations, one a line."""
+        return "\n".join([self.heading, *write_lines(self.equations, self.settings)])
 
     def _repr_latex_(self) -> str:
         return f"$$\n{self._write_latex(self.equations)}\n$$"
@@ -553,9 +554,10 @@ class Discovery:
     @property
     def heading(self) -> str:
         """The verdict on the system in one sentence."""
+        so_far = "" if self.complete else "The search was interrupted; the best so far. "
         if self.verdict is None:
-            return "Not judged."
-        return f"{self.verdict.level.capitalize()}: {self.verdict.reason}"
+            return f"{so_far}Not judged."
+        return f"{so_far}{self.verdict.level.capitalize()}: {self.verdict.reason}"
 
     def _said_of(self, state: str) -> str:
         return "; ".join(constant.text for constant in self.constants[state])

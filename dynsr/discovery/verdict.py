@@ -149,8 +149,8 @@ class StateVerdict:
     chi_square: float = math.inf
     forecast: float | None = None
     noise: float = 0.0
-    terms: tuple[TermCertainty, ...] = ()
-    rivals: tuple[Rival, ...] = ()
+    terms: tuple[TermCertainty, ...] = field(default=(), repr=False)
+    rivals: tuple[Rival, ...] = field(default=(), repr=False)
 
 
 @dataclass(frozen=True)
@@ -170,8 +170,8 @@ class Verdict:
 
     level: str
     reason: str
-    states: dict[str, StateVerdict] = field(default_factory=dict)
-    span: float = 0.0
+    states: dict[str, StateVerdict] = field(default_factory=dict, repr=False)
+    span: float = field(default=0.0, repr=False)
 
     @property
     def rivals(self) -> dict[str, tuple[Rival, ...]]:

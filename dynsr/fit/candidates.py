@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,7 +64,7 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
     return Candidate(expr, missed, complexity(expr), source)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ParetoFront:
     """Candidates of which none is both simpler and better than another, simplest first.
 
@@ -108,6 +109,16 @@ class ParetoFront:
     def __getitem__(self, index: int) -> Candidate:
         """Give one candidate; 0 is the simplest, -1 the most accurate."""
         return self.candidates[index]
+
+    def __repr__(self) -> str:
+        """Write how many formulas there are, the simplest and the most accurate."""
+        ends = [*self.candidates[:1], *self.candidates[1:][-1:]]
+        formulas = (shorten(shown(c.expr, 4), 60, placeholder="...") for c in ends)
+        said = " ... ".join(
+            f"{formula} ({c.complexity:.0f} bits, RMSE {c.loss:.3g})"
+            for formula, c in zip(formulas, ends, strict=True)
+        )
+        return f"<ParetoFront of {len(self)}: {said}>" if ends else "<ParetoFront of 0>"
 
     def to_pandas(self) -> pd.DataFrame:
         """Give the front as a data frame, simplest first.
