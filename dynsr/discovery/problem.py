@@ -47,8 +47,10 @@ from dynsr.fit import (
     polish,
     refit,
     score_candidate,
+    skeleton,
     slope_size,
     tidy,
+    with_floats,
     without_flat_line,
 )
 from dynsr.jobs import (
@@ -70,6 +72,7 @@ from dynsr.selection import (
     compare_systems,
     families,
     follow_anything,
+    lead_with,
     may_be_exact,
     noise_shown,
     other_in_halves,
@@ -83,6 +86,8 @@ _FAR_BELOW_NOISE = 0.2
 _AS_NEAR = 10.0
 # Rows of a run above which differences are taken from both sides.
 _FEW = 4
+# What found a form that no search has on its list.
+COMPARED = "comparing whole systems with the states"
 # How often noise is believed to be as little as a system leaves.
 _BELIEVED = 3
 
@@ -259,20 +264,38 @@ class Problem:
         exact = self._confirm_fitted(fitted)
         if exact is not None:
             fitted, choice = self._polish(exact, picks), SystemChoice(picked)
+        rivals = None
+        if choice.fit is not None:
+            rivals = choice.different(self.settings.selection.comparison.apart)
+        returned = {s: self._as_returned(p, fitted.exprs[s], pools[s]) for s, p in picks.items()}
         found = Discovery(
             equations=fitted.exprs,
             errors=fitted.errors,
             fitted=fitted.fitted,
             reach=fitted.reach,
             front={s: self._front(pools[s], p) for s, p in picks.items()},
-            explanation={
-                s: f" Found by {p.candidate.source or 'search'}.{notes[s]}"
-                for s, p in picks.items()
+            explanation={s: found_by(p.candidate.source) + notes[s] for s, p in returned.items()},
+            details={
+                s: p.explanation + _why(p, picks[s], choice.fit is not None)
+                for s, p in returned.items()
             },
-            details={s: p.explanation + _why(system[s], picked[s]) for s, p in picks.items()},
         )
-        rivals = choice.different() if choice.fit is not None else None
         return with_velocities(found, self.form), rivals
+
+    def _as_returned(self, pick: Pick, expr: sympy.Expr, pool: Sequence[Candidate]) -> Pick:
+        """Put the formula that is returned first, with the bits it takes and what found its form.
+
+        Whole systems and the last fit may come to another form than slopes preferred.
+        """
+        own = expr - self.known.get(pick.state, sympy.S.Zero)
+        shape = skeleton(with_floats(own))
+        if skeleton(with_floats(pick.candidate.expr)) == shape:
+            return pick
+        alike = (c for c in pool if skeleton(with_floats(c.expr)) == shape)
+        first = next(alike, None)
+        samples = self.samples(pick.state, self.runs)
+        source = COMPARED if first is None else first.source
+        return lead_with(pick, score_candidate(own, samples, source), samples)
 
     def _confirm_fitted(self, fitted: Match) -> Mapping[str, sympy.Expr] | None:
         """Give equations that exact states confirm, which had looked noisy.
@@ -311,10 +334,7 @@ class Problem:
             errors={s: errors for s, (errors, _) in found.items()},
             fitted={s: fitted for s, (_, fitted) in found.items()},
             front={s: self._front(pools[s], p) for s, p in picks.items()},
-            explanation={
-                s: f" Found by {p.candidate.source or 'search'}.{notes[s]}"
-                for s, p in picks.items()
-            },
+            explanation={s: found_by(p.candidate.source) + notes[s] for s, p in picks.items()},
             details={s: p.explanation.replace(f"{s}' =", f"{s}[n+1] =") for s, p in picks.items()},
         )
 
@@ -694,8 +714,21 @@ def _as_near(candidates: Sequence[Candidate]) -> list[sympy.Expr]:
     return [first.expr, *(c.expr for c in others if c.loss <= _AS_NEAR * first.loss)]
 
 
-def _why(system: sympy.Expr, picked: sympy.Expr) -> str:
+def found_by(source: str) -> str:
+    """Say in a sentence what found a formula.
+
+    Parameters
+    ----------
+    source : of a candidate.
+
+    >>> found_by("rational")
+    ' Found by rational.'
+    """
+    return f" Found by {source or 'search'}."
+
+
+def _why(returned: Pick, picked: Pick, compared: bool) -> str:
     """Say when the states themselves asked for another formula than the slopes did."""
-    if system == picked:
+    if returned is picked or not compared:
         return ""
-    return " Fitted to the noisy states themselves, other terms take fewer bits; they were taken."
+    return " Fitted to the noisy states themselves, this form takes fewer bits than the others."

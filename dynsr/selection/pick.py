@@ -12,6 +12,7 @@ import sympy
 from dynsr.data import Samples, Trajectory
 from dynsr.expression import ByText, evaluate, shown
 from dynsr.fit import (
+    FIT,
     Candidate,
     FitSettings,
     Loss,
@@ -40,11 +41,13 @@ def forecast_misses(
     *,
     inputs: Mapping[str, sympy.Expr] | None = None,
     window: int = 50,
+    fit: FitSettings = FIT,
 ) -> np.ndarray:
     """Give the sizes of the misses of W forecasts over ``window`` intervals, (window, k, W).
 
     Each starts at its first measurement; states without an expression are read from the data.
-    In units of the spread; inf where a forecast diverges.
+    In units of the spread; inf where a forecast diverges. ``fit`` says how many there are, and how
+    finely they are integrated.
 
     >>> t = np.linspace(0, 1, 51)
     >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
@@ -53,10 +56,10 @@ def forecast_misses(
     """
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
     flow, values, _ = prepare(exprs, runs, inputs or {})
-    shooting = build_shooting(flow, runs, inputs or {}, window, False)
+    shooting = build_shooting(flow, runs, inputs or {}, window, False, fit)
     with np.errstate(all="ignore"):
         starts, constants = shooting.windows.x[0], np.array(values)
-        pace = choose_pace(shooting, constants, starts)
+        pace = choose_pace(shooting, constants, starts, fit.match_substeps)
         misses = np.abs(replace(shooting, pace=pace).misses(constants, starts))
     return np.nan_to_num(misses, nan=np.inf, posinf=np.inf)
 
@@ -131,6 +134,8 @@ class SelectionSettings:
 
 
 SELECTION = SelectionSettings()
+# What found 0, a constant and a bare column.
+TRIVIAL = "trying every column and a constant alone"
 
 
 @dataclass(frozen=True)
@@ -234,7 +239,7 @@ def pick_equation(
         level,
     )
     misses = {
-        c.expr: forecast_misses({state: known + c.expr}, held_back, window=settings.window)
+        c.expr: forecast_misses({state: known + c.expr}, held_back, window=settings.window, fit=fit)
         for c in last
         if held_back
     }
@@ -324,7 +329,7 @@ def trivial_candidates(samples: Samples) -> list[Candidate]:
     """Give 0, the mean slope and every column as candidates: q' = v is found without a search."""
     exprs = [sympy.S.Zero, sympy.Float(float(np.mean(samples.y)))]
     exprs += [sympy.Symbol(name) for name in samples.names]
-    return [score_candidate(expr, samples, "a column") for expr in exprs]
+    return [score_candidate(expr, samples, TRIVIAL) for expr in exprs]
 
 
 def explains_all(candidate: Candidate, samples: Samples) -> bool:
