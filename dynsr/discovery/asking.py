@@ -51,14 +51,13 @@ def settle(settings: SelectionSettings, demands: Demands) -> SelectionSettings:
     demands : what is asked.
     """
     vocabulary = demands.vocabulary
-    factors = replace(settings.comparison.factors, own=demands.offered)
+    functions = settings.comparison.functions
     if vocabulary is not None:
-        allowed = tuple(name for name in factors.functions if name in vocabulary.functions)
-        factors = replace(factors, functions=allowed)
+        functions = tuple(name for name in functions if name in vocabulary.functions)
     return replace(
         settings,
         fit=replace(settings.fit, vocabulary=vocabulary, must=demands.must),
-        comparison=replace(settings.comparison, demands=demands, factors=factors),
+        comparison=replace(settings.comparison, demands=demands, functions=functions),
     )
 
 

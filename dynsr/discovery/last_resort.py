@@ -152,7 +152,7 @@ def _fit(problem: Problem, pool: list[Follower]) -> Iterator[dict[str, sympy.Exp
     data = problem.measurements
     for follower in pool if data is not None else ():
         assert data is not None
-        fitted = fit_along(follower.exprs, data)
+        fitted = fit_along(follower.exprs, data, problem.settings.selection.fit.along)
         if fitted is not None:
             yield fitted.found.exprs
 

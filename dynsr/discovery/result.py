@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import sympy
@@ -32,7 +32,7 @@ from dynsr.discovery.maps import (
 from dynsr.discovery.orders import form_of, write_lines
 from dynsr.discovery.prediction import Measured, predict
 from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
-from dynsr.discovery.verdict import Verdict, explain, judge
+from dynsr.discovery.verdict import Verdict, VerdictSettings, explain, judge
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
 from dynsr.errors import EngineError, EngineUnavailable, InputError, need
 from dynsr.expression import (
@@ -51,8 +51,17 @@ from dynsr.expression import (
     to_python,
     to_text,
 )
-from dynsr.fit import Match, Noise, ParetoFront, noise_of, polish, rmse, score_candidate
-from dynsr.jobs import to_plain
+from dynsr.fit import (
+    FitSettings,
+    Match,
+    Noise,
+    ParetoFront,
+    noise_of,
+    polish,
+    rmse,
+    score_candidate,
+)
+from dynsr.jobs import from_plain, to_plain
 from dynsr.selection import forecast_miss
 
 if TYPE_CHECKING:
@@ -61,6 +70,7 @@ if TYPE_CHECKING:
 
     from dynsr.discovery.hybrid import EquationModule, HybridModel
 
+T = TypeVar("T")
 # A measured column that differs from an expression by less than this share was written from it.
 _ROUNDED = 1e-6
 
@@ -195,6 +205,8 @@ class Discovery:
         return read_own_bits(self.settings.get("complexity"))
 
     def _adopt(self, chosen: dict[str, sympy.Expr], state: str) -> Discovery:
+        judging = self._settings(VerdictSettings, "verdict")
+        fitting = self._settings(FitSettings, "selection", "fit")
         if self.is_map:
             steps = {
                 s: measure_step_errors(e, pair_rows(self.trajectories, s))
@@ -203,10 +215,13 @@ class Discovery:
             errors = {s: own for s, (own, _) in steps.items()}
             fitted = {s: own for s, (_, own) in steps.items()}
             match = Match(chosen, errors, np.empty(0), True, fitted, self.reach)
-            verdict = judge_map(chosen, self.trajectories, self.front)
+            verdict = judge_map(chosen, self.trajectories, self.front, judging)
         else:
-            match = polish(chosen, self.trajectories, self.inputs, *self._slopes_of(chosen))
-            verdict = judge(match.exprs, self.trajectories, self.inputs, front=self.front)
+            slopes = self._slopes_of(chosen)
+            match = polish(chosen, self.trajectories, self.inputs, *slopes, fitting)
+            verdict = judge(
+                match.exprs, self.trajectories, self.inputs, front=self.front, settings=judging
+            )
         origin = {s: f" {self._origin(s)}" for s in chosen} | {state: " Chosen by hand."}
         return replace(
             self,
@@ -216,10 +231,24 @@ class Discovery:
             reach=match.reach,
             verdict=verdict,
             explanation={
-                s: explain(s, e, verdict.states[s], self.is_map) + origin[s]
+                s: explain(s, e, verdict.states[s], self.is_map, judging) + origin[s]
                 for s, e in match.exprs.items()
             },
         )
+
+    def _settings(self, kind: type[T], *path: str) -> T:
+        """Give settings as they stand in the record; the usual ones where it has none of this kind.
+
+        An older version may have had other fields.
+        """
+        found = self.settings.get("details", {})
+        try:
+            for name in path:
+                found = found[name]
+            settings: T = from_plain(kind, found)
+        except (KeyError, TypeError, ValueError):
+            return kind()
+        return settings
 
     def with_constants(self, values: Mapping[str, Sequence[float]]) -> Discovery:
         """Put other numbers in the place of constants, to see what they do.

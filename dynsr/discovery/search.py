@@ -335,7 +335,7 @@ def discover(
         found,
         verdict=verdict,
         explanation={
-            s: explain(s, found.equations[s], verdict.states[s], discrete) + why
+            s: explain(s, found.equations[s], verdict.states[s], discrete, settings.verdict) + why
             if s in verdict.states
             else why
             for s, why in found.explanation.items()
@@ -570,7 +570,7 @@ class _Steps:
 
     def _look(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
         """Have a first look at the slopes of every state, and more where others tell of it."""
-        problem, settings = self.problem, self.problem.settings.selection.look
+        problem, settings = self.problem, self.problem.settings.selection
         demands = problem.demands
         tasks = look_tasks(samples, demands, settings, self.key)
         # Workers take longer to start than all of it.
@@ -623,9 +623,9 @@ class _Steps:
 
     def _explore(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
         """Look for sums of terms along the states."""
-        comparison = self.problem.settings.selection.comparison
+        selection = self.problem.settings.selection
         assert self.problem.measurements is not None
-        tasks = explore_tasks(self.states, self.problem.measurements, comparison, self.key)
+        tasks = explore_tasks(self.states, self.problem.measurements, selection, self.key)
         return self._take(watch, tasks, "searches", _late_in(samples), self.jobs)
 
     def _search(

@@ -43,9 +43,7 @@ from dynsr.methods import (
     silent,
 )
 from dynsr.selection import (
-    ComparisonSettings,
     Look,
-    LookSettings,
     Pick,
     SelectionSettings,
     explains_all,
@@ -207,12 +205,12 @@ def late_choice(pool: Sequence[Candidate], samples: Samples, failures: str) -> C
 def explore_one(
     state: str,
     data: Measurements,
-    settings: ComparisonSettings,
+    settings: SelectionSettings,
     report: Report = silent,
 ) -> Found:
     """Look for the sums of terms that follow one state best, along the smoothed states."""
     began = time.monotonic()
-    exprs = explore(state, data, settings)
+    exprs = explore(state, data, settings.comparison, settings.look, settings.fit)
     samples = data.samples(state)
     named = "sums of terms along the states"
     candidates = tuple(score_candidate(e, samples, named) for e in exprs)
@@ -221,14 +219,14 @@ def explore_one(
 
 
 def look_one(
-    samples: Samples, limits: Limits, settings: LookSettings, report: Report = silent
+    samples: Samples, limits: Limits, settings: SelectionSettings, report: Report = silent
 ) -> Found:
     """Look for a sum or ratio of a few terms that exact slopes leave no doubt of."""
     began = time.monotonic()
     trivial = trivial_candidates(samples)
     found = Look(tuple(c for c in trivial if explains_all(c, samples)), final=True)
     if not found.candidates:
-        found = look(samples, limits, settings)
+        found = look(samples, limits, settings.look, settings.fit)
     report(Progress("first look", 0, None, ParetoFront(found.candidates)))
     taken = time.monotonic() - began
     pool = (*found.candidates, *trivial)
@@ -240,7 +238,7 @@ def look_again_one(
     known: Mapping[str, sympy.Expr],
     earlier: Found,
     limits: Limits,
-    settings: LookSettings,
+    settings: SelectionSettings,
     source: str,
     report: Report = silent,
 ) -> Found:
@@ -249,7 +247,7 @@ def look_again_one(
     before = [c.expr for c in earlier.candidates]
     # Wide terms are the same at every look.
     wide = source == MORE_LOOKS[0]
-    seen = look_again(samples, known, before, limits, settings, wide=wide)
+    seen = look_again(samples, known, before, limits, settings.look, settings.fit, wide=wide)
     candidates = tuple({c.expr: c for c in (*seen.candidates, *earlier.candidates)}.values())
     report(Progress(source, 0, None, ParetoFront(candidates)))
     taken = time.monotonic() - began
@@ -291,7 +289,7 @@ def start_tasks(
 
 
 def look_tasks(
-    samples: Mapping[str, Samples], demands: Demands, settings: LookSettings, key: str
+    samples: Mapping[str, Samples], demands: Demands, settings: SelectionSettings, key: str
 ) -> list[Task]:
     """Give a task for every state that has a first look at its slopes."""
     return [
@@ -311,7 +309,7 @@ def look_again_tasks(
     samples: Mapping[str, Samples],
     found: Sequence[Found],
     demands: Demands,
-    settings: LookSettings,
+    settings: SelectionSettings,
     source: str,
     key: str,
 ) -> list[Task]:
@@ -344,7 +342,7 @@ def look_again_tasks(
 def explore_tasks(
     states: Sequence[str],
     data: Measurements,
-    settings: ComparisonSettings,
+    settings: SelectionSettings,
     key: str,
 ) -> list[Task]:
     """Give a task for every state that looks for sums of terms along the states."""

@@ -779,7 +779,13 @@ def has_stand_in(expr: sympy.Expr) -> bool:
     return odd or expr.has(sympy.log, sympy.exp, sympy.tanh, sympy.Abs, *waves)
 
 
-def explain(state: str, expr: sympy.Expr, verdict: StateVerdict, discrete: bool = False) -> str:
+def explain(
+    state: str,
+    expr: sympy.Expr,
+    verdict: StateVerdict,
+    discrete: bool = False,
+    settings: VerdictSettings = JUDGE,
+) -> str:
     """Say in words what is to be thought of an equation, and which different one comes next.
 
     Parameters
@@ -787,6 +793,7 @@ def explain(state: str, expr: sympy.Expr, verdict: StateVerdict, discrete: bool 
     state, expr : the equation.
     verdict : what is thought of it.
     discrete : whether it is a map.
+    settings : the numbers that decide.
 
     >>> explain("x", sympy.Symbol("y"), StateVerdict("law", "reproduces the data exactly.", 1.0))
     "x' = y: law; reproduces the data exactly."
@@ -799,7 +806,7 @@ def explain(state: str, expr: sympy.Expr, verdict: StateVerdict, discrete: bool 
     other = rival.equation if len(rival.equation) <= 80 else rival.equation[:77] + "..."
     if rival.bits < 0:
         return f"{said} A different formula, {other}, follows the trajectories better."
-    if rival.bits < JUDGE.rival_bits:
+    if rival.bits < settings.rival_bits:
         return f"{said} A different formula, {other}, does as well."
     return f"{said} The next different formula, {other}, follows the data clearly worse."
 

@@ -2,7 +2,6 @@ from .candidates import Candidate, ParetoFront, explained_shares, r_squared, rms
 from .collocation import (
     Collocation,
     CollocationFit,
-    CollocationSettings,
     Linearised,
     Measurements,
     Mesh,
@@ -44,7 +43,7 @@ from .noise import (
 )
 from .parsimony import collapse, without_flat_line
 from .polishing import loosen_all, polish, untouched_match
-from .settings import FitSettings
+from .settings import FIT, CollocationSettings, FitSettings
 from .shooting import (
     STABLE,
     Match,
@@ -63,6 +62,7 @@ from .ties import Names, exchanges, ways_alike
 from .variation import improve, loosen, neighbours, with_floats
 
 __all__ = [
+    "FIT",
     "LOSSES",
     "STABLE",
     "Candidate",

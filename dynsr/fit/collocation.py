@@ -33,33 +33,12 @@ from dynsr.data import (
 )
 from dynsr.expression import Program, compile_columns
 from dynsr.fit.constants import free_constants
+from dynsr.fit.settings import FIT, CollocationSettings
 from dynsr.fit.shooting import Driven, drives_of
-
-
-@dataclass(frozen=True)
-class CollocationSettings:
-    """Settings of the fit of whole systems; they stand in a run's record.
-
-    Parameters
-    ----------
-    stiffness : weights of the squared defects, one stage after the other, in units of the noise.
-        At 1e5 a system of 1000 rows may leave its own solution by a tenth of the noise at most.
-    steps : steps of a stage at most.
-    gain : a stage ends when a step lowers the sum of squares by less than this share.
-    difference : step of the numerical derivatives, relative to a state's spread and a constant.
-    """
-
-    stiffness: tuple[float, ...] = (1e1, 1e3, 1e5)
-    steps: int = 12
-    gain: float = 1e-4
-    difference: float = 1e-7
-
 
 COLLOCATION = CollocationSettings()
 # Share of the largest eigenvalue of the scaled information below which a direction is rounding.
 _SILENT = 1e-12
-# Simple numbers are judged by differences of some units in a sum of squares of thousands.
-_CLOSELY = replace(COLLOCATION, steps=40, gain=1e-8)
 # Intervals after which a solution begins anew where it is asked how far states are off it.
 _APART = 10
 # How far one step may take a constant in a function, as a multiple of it, and an exponent.
@@ -1060,7 +1039,10 @@ class AlongFit:
 
 
 def fit_along(
-    exprs: Mapping[str, sympy.Expr], data: Measurements, near: AlongFit | None = None
+    exprs: Mapping[str, sympy.Expr],
+    data: Measurements,
+    settings: CollocationSettings = FIT.along,
+    near: AlongFit | None = None,
 ) -> AlongFit | None:
     """Fit every float of ``exprs`` to the noisy states; None where that cannot be done.
 
@@ -1068,9 +1050,10 @@ def fit_along(
     ----------
     exprs : state -> right-hand side; other states are read off their smoothed curves.
     data : the measured states, their noise and smoothed curves.
+    settings : the numbers that decide.
     near : a fit of similar equations of the same states, which gives the start.
     """
     mesh = data.mesh(tuple(exprs)) if near is None else near.problem.mesh
-    problem = Collocation(exprs, mesh, _CLOSELY)
+    problem = Collocation(exprs, mesh, settings)
     found = problem.fit(None if near is None else near.found)
     return None if found is None else AlongFit(problem, found)

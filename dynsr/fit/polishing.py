@@ -115,7 +115,7 @@ def _fit(
 ) -> Fit | None:
     """Fit by collocation where smoothed curves are known, else over windows."""
     if isinstance(data, Measurements) and not isinstance(near, StatesFit):
-        return fit_along(exprs, data, near)
+        return fit_along(exprs, data, settings.along, near)
     assert not isinstance(near, AlongFit)
     return fit_states(exprs, _plain(data), inputs, settings, near=near)
 

@@ -10,6 +10,25 @@ from dynsr.expression import Vocabulary
 
 
 @dataclass(frozen=True)
+class CollocationSettings:
+    """Settings of the fit of whole systems; they stand in a run's record.
+
+    Parameters
+    ----------
+    stiffness : weights of the squared defects, one stage after the other, in units of the noise.
+        At 1e5 a system of 1000 rows may leave its own solution by a tenth of the noise at most.
+    steps : steps of a stage at most.
+    gain : a stage ends when a step lowers the sum of squares by less than this share.
+    difference : step of the numerical derivatives, relative to a state's spread and a constant.
+    """
+
+    stiffness: tuple[float, ...] = (1e1, 1e3, 1e5)
+    steps: int = 12
+    gain: float = 1e-4
+    difference: float = 1e-7
+
+
+@dataclass(frozen=True)
 class FitSettings:
     """Settings of the fits of constants; they change results, so they stand in a run's record.
 
@@ -53,6 +72,8 @@ class FitSettings:
     within : a simple number lies within so many standard errors of the fitted value.
     joint : level of the likelihood ratio that all simple numbers together must pass.
     vocabulary : functions and operators that a varied formula may hold; None allows all.
+    along : how constants are fitted along noisy states at the end; simple numbers are judged by
+        differences of some units in a sum of squares of thousands, so that it takes more steps.
     must : (state, term) that the equation of the state keeps, however unsure its coefficient.
     """
 
@@ -86,6 +107,7 @@ class FitSettings:
     within: float = 2.0
     joint: float = 0.95
     vocabulary: Vocabulary | None = None
+    along: CollocationSettings = CollocationSettings(steps=40, gain=1e-8)
     must: tuple[tuple[str, sympy.Expr], ...] = ()
 
 

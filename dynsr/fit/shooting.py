@@ -325,7 +325,7 @@ def match_trajectories(
     if min(map(len, runs)) < 3:
         return Match.untouched(exprs, success=not len(values))
     length = window or _window_length(runs, free)
-    shooting = build_shooting(flow, runs, inputs or {}, length, free, settings.match_windows)
+    shooting = build_shooting(flow, runs, inputs or {}, length, free, settings)
     fitted = _fit(shooting, np.array(values), settings)
     return Match.untouched(exprs) if fitted is None else _match(flow, owners, *fitted)
 
@@ -340,10 +340,10 @@ def build_shooting(
     inputs: Mapping[str, sympy.Expr],
     length: int,
     free: bool,
-    most: int = FIT.match_windows,
+    settings: FitSettings = FIT,
     deviations: Sequence[np.ndarray] | None = None,
 ) -> Shooting:
-    """Cut the runs into ``most`` windows of ``length`` intervals, starts ``free`` or measured.
+    """Cut the runs into windows of ``length`` intervals, starts ``free`` or measured.
 
     Misses are in units of each state's spread, or of ``deviations``: for every run the standard
     deviation (n, columns of the run's states) of the noise of each measurement.
@@ -352,14 +352,18 @@ def build_shooting(
     spread = np.std(np.concatenate([run.x for run in runs]), axis=0)[columns]
     drives = drives_of(flow.driven, runs, inputs)
     windows = cut_windows(
-        [run.t for run in runs], [run.x[:, columns] for run in runs], drives, length, most
+        [run.t for run in runs],
+        [run.x[:, columns] for run in runs],
+        drives,
+        length,
+        settings.match_windows,
     )
     spread = np.maximum(spread, 1e-300)
     if deviations is not None:
         own = [each[:, columns] for each in deviations]
-        cut = cut_windows([run.t for run in runs], own, drives, length, most).x
+        cut = cut_windows([run.t for run in runs], own, drives, length, settings.match_windows).x
         spread = np.maximum(cut, 1e-12 * spread[:, None])
-    return Shooting(flow, windows, spread, free, width=FIT.noisy_width if free else 1.0)
+    return Shooting(flow, windows, spread, free, width=settings.noisy_width if free else 1.0)
 
 
 def measure_errors(
@@ -385,13 +389,15 @@ def measure_errors(
     if len(values) and min(map(len, runs)) >= 3:
         free = is_noisy(runs)
         length = _window_length(runs, free)
-        shooting = build_shooting(flow, runs, inputs, length, free, settings.match_windows)
+        shooting = build_shooting(flow, runs, inputs, length, free, settings)
         put = dict(zip(flow.constants, map(sympy.Float, values), strict=True))
         rhs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
         fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
         with np.errstate(all="ignore"):
             starts = shooting.windows.x[0]
-            fixed = replace(fixed, pace=choose_pace(fixed, np.empty(0), starts))
+            fixed = replace(
+                fixed, pace=choose_pace(fixed, np.empty(0), starts, settings.match_substeps)
+            )
             _, starts = fit_loss(fixed, np.empty(0), starts, settings)
             shooting = replace(shooting, pace=fixed.pace)
             errors = _standard_errors(shooting, constants, starts)
@@ -419,7 +425,7 @@ def fitted_values(
     if len(values) and min(map(len, runs)) >= 3:
         free = is_noisy(runs)
         length = _window_length(runs, free)
-        shooting = build_shooting(flow, runs, inputs, length, free, settings.match_windows)
+        shooting = build_shooting(flow, runs, inputs, length, free, settings)
         near = replace(settings, match_losses=settings.match_losses[-1:])
         fitted = _fit(shooting, np.array(values), near)
         values = values if fitted is None else fitted[0].tolist()

@@ -133,13 +133,11 @@ def fit_states(
     first = min(100, max(20, longest // 10))
     best: tuple[Shooting, np.ndarray, np.ndarray] | None = None
     for length in _lengths(first, min(longest, settings.match_longest)):
-        trial = build_shooting(
-            flow, runs, inputs, length, True, settings.match_windows, deviations=deviations
-        )
+        trial = build_shooting(flow, runs, inputs, length, True, settings, deviations=deviations)
         begin = trial.windows.x[0] if best is None else _carry(best[0], best[2], best[1], trial)
         if best is not None and not _in_reach(best, trial, begin, settings):
             break
-        trial = _step(trial, constants, begin)
+        trial = _step(trial, constants, begin, settings)
         fitted = _descend(trial, constants, begin, settings if best is None else _last(settings))
         if fitted is None or (best is not None and _grows(best, (trial, *fitted), settings)):
             break
@@ -193,7 +191,9 @@ def _lengths(first: int, longest: int) -> list[int]:
     return found
 
 
-def _step(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Shooting:
+def _step(
+    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, settings: FitSettings
+) -> Shooting:
     """Take the longest step of the integration that moves states less than their misses."""
     steps = np.diff(shooting.windows.t, axis=0)
     even = np.ptp(steps) <= 1e-6 * np.mean(steps) and not shooting.windows.jumps
@@ -207,7 +207,7 @@ def _step(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Shoo
             if moved < _STRIDE_ERROR * size:
                 return longer
             longer, misses = shorter, finer
-        return replace(longer, pace=choose_pace(longer, constants, starts))
+        return replace(longer, pace=choose_pace(longer, constants, starts, settings.match_substeps))
 
 
 def _descend(

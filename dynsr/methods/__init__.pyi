@@ -3,7 +3,7 @@ from .base import AbstractMethod, Progress, Report, silent
 from .demands import Constraints, Demands, Must, read_demands
 from .feynman.search import DynAIFeynman
 from .genetic import GeneticAlgorithm
-from .library import Library, MonomialLibrary, polynomials, trigonometrics
+from .library import Library, polynomials, trigonometrics
 from .limits import Limits
 from .rational import RationalSearch
 from .registry import (
@@ -34,7 +34,6 @@ __all__ = [
     "GeneticAlgorithm",
     "Library",
     "Limits",
-    "MonomialLibrary",
     "Must",
     "Progress",
     "RationalSearch",

@@ -1,5 +1,5 @@
 from .comparison import ComparisonSettings, SystemComparison, SystemFit, may_be_exact, noise_shown
-from .first_look import Look, LookSettings, look, look_again
+from .first_look import Look, look, look_again
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
     Pick,
@@ -29,7 +29,6 @@ __all__ = [
     "Follower",
     "FollowerSettings",
     "Look",
-    "LookSettings",
     "Pick",
     "SelectionSettings",
     "SystemChoice",

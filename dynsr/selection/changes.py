@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 from scipy.linalg import LinAlgError
 
-from dynsr.expression import compile_columns
+from dynsr.expression import OPERATORS, compile_columns
 from dynsr.fit import (
     Probes,
     constant_bits,
@@ -442,11 +442,9 @@ def _add_swaps(
     """Put sin(v) for v or back, and take a factor of a term in or out."""
     names = comparison.columns
     angles = {sympy.Symbol(name) for name in comparison.angles}
-    factors = [
-        f
-        for f, *_ in comparison.settings.factors.factors(comparison.names)
-        if f.is_Symbol or f.free_symbols <= angles
-    ]
+    columns = [sympy.Symbol(name) for name in comparison.names]
+    functions = [OPERATORS[name].sympy for name in comparison.settings.functions]
+    factors = [f for c in columns for f in (c, *(wave(c) for wave in functions if c in angles))]
     others = [*sum_series(expr, map(sympy.Symbol, names)), *toggle_factors(expr, factors)]
     if expr.free_symbols & angles or expr.has(sympy.sin):
         others = [*neighbours(expr), *swap_everywhere(expr), *others]

@@ -27,7 +27,7 @@ from dynsr.fit import (
     simplicity_bits,
     skeleton,
 )
-from dynsr.methods import Demands, MonomialLibrary
+from dynsr.methods import Demands
 from dynsr.selection.costs import (
     cited_bits,
     count_free_powers,
@@ -74,7 +74,7 @@ class ComparisonSettings:
     Parameters
     ----------
     terms : the terms that sums are made of, and that may be added.
-    factors : the library whose factors may come or go in a term.
+    functions : functions of angles that may come or go as factors of a term.
     noisy : systems are compared only where the median noise is above this share of the spread.
         Smaller noise is no larger than errors that a solver at a loose tolerance leaves in its
         states; those have a pattern, and terms would be found for it.
@@ -124,7 +124,7 @@ class ComparisonSettings:
     """
 
     terms: TermSettings = TermSettings()
-    factors: MonomialLibrary = MonomialLibrary()
+    functions: tuple[str, ...] = ("sin", "cos")
     noisy: float = 5e-4
     coarse: float = 5e-5
     dense: float = 50.0

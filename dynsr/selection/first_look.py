@@ -19,7 +19,9 @@ import sympy
 from dynsr.data import Samples
 from dynsr.expression import ByText, compile_columns, evaluate
 from dynsr.fit import (
+    FIT,
     Candidate,
+    FitSettings,
     constant_bits,
     eliminate,
     fit_ratio,
@@ -118,7 +120,7 @@ class LookSettings:
     parts: Parts = Parts()
 
 
-LOOK = LookSettings()
+LOOK: LookSettings = LookSettings()
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,12 @@ class Look:
     final: bool = False
 
 
-def look(samples: Samples, limits: Limits | None = None, settings: LookSettings = LOOK) -> Look:
+def look(
+    samples: Samples,
+    limits: Limits | None = None,
+    settings: LookSettings = LOOK,
+    fit: FitSettings = FIT,
+) -> Look:
     """Look for the equation among sums and ratios of a few terms.
 
     Parameters
@@ -137,6 +144,7 @@ def look(samples: Samples, limits: Limits | None = None, settings: LookSettings 
     samples : of the state whose equation is sought.
     limits : what the user allows.
     settings : the numbers that decide.
+    fit : how simple numbers are taken, and whether any are written.
 
     >>> x = np.linspace(0.2, 3.0, 200)
     >>> s = Samples(x[:, None], 2 * x / (x + 0.5), ("x",), "x", "given", x)
@@ -148,12 +156,12 @@ def look(samples: Samples, limits: Limits | None = None, settings: LookSettings 
         return Look()
     with np.errstate(all="ignore"):
         allowed = limits or Limits()
-        search = _Search.of(samples, allowed, settings)
+        search = _Search.of(samples, allowed, settings, fit)
         found = [one for kind in search.kinds() for one in search.choose(kind)]
         seen = search.conclude(found)
         for angle in find_angles(samples.names, samples.X.T):
             if not seen.final and settings.parts.has("look-angles"):
-                swings = _Search.around(angle, samples, allowed, settings)
+                swings = _Search.around(angle, samples, allowed, settings, fit)
                 again = swings.conclude(list(swings.choose(np.arange(len(swings.exprs)))))
                 seen = again if again.final else seen
         # What is written in simple numbers is the law, whatever else comes near.
@@ -172,6 +180,7 @@ def look_again(
     earlier: Sequence[sympy.Expr] = (),
     limits: Limits | None = None,
     settings: LookSettings = LOOK,
+    fit: FitSettings = FIT,
     *,
     wide: bool = True,
 ) -> Look:
@@ -187,6 +196,7 @@ def look_again(
     earlier : what was found for it before.
     limits : what the user allows.
     settings : the numbers that decide.
+    fit : how simple numbers are taken, and whether any are written.
     wide : whether wide terms are looked at.
 
     >>> from dynsr.expression import parse
@@ -203,7 +213,7 @@ def look_again(
     allowed = limits or Limits()
     others = {s: _in_floats(expr) for s, expr in known.items()}
     with np.errstate(all="ignore"):
-        search = _Search.of(samples, allowed, settings, others)
+        search = _Search.of(samples, allowed, settings, fit, others)
         if not search.is_exact:
             return Look()
         found = [one for kind in search.kinds() for one in search.choose(kind)]
@@ -257,6 +267,7 @@ class _Search:
 
     samples: Samples
     settings: LookSettings
+    fit: FitSettings
     exprs: tuple[sympy.Expr, ...]
     above: int
     values: np.ndarray
@@ -277,6 +288,7 @@ class _Search:
         samples: Samples,
         limits: Limits,
         settings: LookSettings,
+        fit: FitSettings,
         known: Mapping[str, sympy.Expr] | None = None,
     ) -> _Search:
         names = samples.names
@@ -286,19 +298,24 @@ class _Search:
         own = (*limits.terms, *cited)
         terms = Terms.grow(names, samples.X.T, settings.terms, angles, own)
         under = _factors(names, angles, settings.below)
-        found = cls._make(terms.exprs, terms.bits, under, samples, limits, settings)
+        found = cls._make(terms.exprs, terms.bits, under, samples, limits, settings, fit)
         return replace(found, cited=np.array([expr in cited for expr in found.exprs]))
 
     @classmethod
     def around(
-        cls, angle: str, samples: Samples, limits: Limits, settings: LookSettings
+        cls,
+        angle: str,
+        samples: Samples,
+        limits: Limits,
+        settings: LookSettings,
+        fit: FitSettings,
     ) -> _Search:
         """Take what hangs from a joint: products with the sine and cosine of one angle."""
         joint = Joint.of(angle, samples.names, settings.below)
         bits = np.array([structure_bits(0.5 * e) for e in joint.above])
         sine, cosine = sympy.sin(sympy.Symbol(angle)), sympy.cos(sympy.Symbol(angle))
         under = [cosine, sine * cosine, sine**2]
-        return cls._make(joint.above, bits, under, samples, limits, settings)
+        return cls._make(joint.above, bits, under, samples, limits, settings, fit)
 
     @classmethod
     def _make(
@@ -309,6 +326,7 @@ class _Search:
         samples: Samples,
         limits: Limits,
         settings: LookSettings,
+        fit: FitSettings,
     ) -> _Search:
         allowed = [i for i, e in enumerate(above) if limits.allow(e)]
         over = [above[i] for i in allowed]
@@ -322,6 +340,7 @@ class _Search:
         return cls(
             samples,
             settings,
+            fit,
             (*over, *under),
             len(over),
             values,
@@ -604,7 +623,9 @@ class _Search:
     def _in_simple_numbers(self, choice: _Choice, share: float | None) -> sympy.Expr:
         if (choice, share) not in self.simple:
             columns = self.samples.columns
-            self.simple[choice, share] = simplest_form(choice.expr, columns, share=share)
+            # That all constants are simple is no chance, whether they are written so or as fitted.
+            fit = replace(self.fit, snap=True)
+            self.simple[choice, share] = simplest_form(choice.expr, columns, fit, share)
         return self.simple[choice, share]
 
     def _stands_out(self, best: _Choice, found: Sequence[_Choice]) -> bool:
@@ -660,7 +681,8 @@ class _Search:
             sure = [(c, e) for c, e in written if e is not None and _is_simple(e) and simply]
             best, simple = (sure or written)[0]
             if simple is not None:
-                exprs.append(simple)
+                plain = simplest_form(best.expr, self.samples.columns, self.fit)
+                exprs.append(simple if self.fit.snap else plain)
             ranked.sort(key=lambda c: c is not best)
             alone = settings.parts.has("end-alone") and self._stands_out(best, found)
             final = bool(settled) and (bool(sure) or alone) and settings.parts.has("end-look")

@@ -22,6 +22,8 @@ from scipy.linalg import block_diag
 
 from dynsr.expression import ByText, evaluate
 from dynsr.fit import (
+    FIT,
+    FitSettings,
     Measurements,
     constant_bits,
     one_of_each_shape,
@@ -43,7 +45,7 @@ from dynsr.selection.comparison import (
 )
 from dynsr.selection.costs import bare_terms, is_plain, rounded
 from dynsr.selection.couplings import try_couplings
-from dynsr.selection.first_look import look
+from dynsr.selection.first_look import LOOK, LookSettings, look
 from dynsr.selection.polynomials import fit_polynomials, whole_polynomials
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.replacements import try_replacements
@@ -397,7 +399,13 @@ def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
     return one_of_each_shape(map(with_floats, pool))
 
 
-def explore(state: str, data: Measurements, settings: ComparisonSettings) -> list[sympy.Expr]:
+def explore(
+    state: str,
+    data: Measurements,
+    settings: ComparisonSettings,
+    looking: LookSettings = LOOK,
+    fit: FitSettings = FIT,
+) -> list[sympy.Expr]:
     """Give sums of terms that follow one state best, the others read off their curves.
 
     The terms are evaluated along the smoothed states, and their integrals are fitted to the
@@ -410,6 +418,7 @@ def explore(state: str, data: Measurements, settings: ComparisonSettings) -> lis
     state : whose equation is sought.
     data : the measured states, their noise and smoothed curves.
     settings : the numbers that decide.
+    looking, fit : those of the look at the slopes of the smoothed states.
     """
     alone = Alone.of(state, data, settings)
     found, has = alone.rank_sums(), settings.parts.has
@@ -424,7 +433,7 @@ def explore(state: str, data: Measurements, settings: ComparisonSettings) -> lis
     joints = [one for angle in angles for one in alone.sums_around(angle)]
     if not has("look-in-noise"):
         return alone.rank(joints)
-    seen = look(data.samples(state), settings.demands.limits(state))
+    seen = look(data.samples(state), settings.demands.limits(state), looking, fit)
     return alone.rank([*joints, *(c.expr for c in seen.candidates)])
 
 
