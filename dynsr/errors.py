@@ -13,9 +13,14 @@
 
 from __future__ import annotations
 
+import errno
+import re
 from collections.abc import Callable
 from importlib.util import find_spec
 from unicodedata import category
+
+# Torch and Julia have no class of their own for it.
+_OF_MEMORY = re.compile(r"allocate memory|not enough memory|OutOfMemory|out of memory|bad_alloc")
 
 
 class DynsrError(Exception):
@@ -82,18 +87,38 @@ def in_words(error: BaseException) -> str:
 
     >>> in_words(InputError("too few rows; give more"))
     'too few rows; give more'
+    >>> in_words(MemoryError())
+    'there is not enough memory; give fewer rows, a smaller search or fewer jobs'
     >>> in_words(ZeroDivisionError("by zero"))
     'this is a fault in dynsr: ZeroDivisionError: by zero (DYNSR_DEBUG=1 shows where)'
     """
     if isinstance(error, DynsrError):
         return one_line(error)
+    if is_of_memory(error):
+        asked = one_line(error)
+        said = f" ({asked})" if asked else ""
+        return f"there is not enough memory{said}; give fewer rows, a smaller search or fewer jobs"
     if isinstance(error, OSError):
         where = f" {str(error.filename)!r}" if error.filename else ""
         return one_line(f"cannot use{where}: {error.strerror or error}")
-    if isinstance(error, MemoryError):
-        return "out of memory; give fewer rows or a smaller search"
     fault = f"this is a fault in dynsr: {type(error).__name__}: {error}"
     return one_line(f"{fault} (DYNSR_DEBUG=1 shows where)")
+
+
+def is_of_memory(error: BaseException) -> bool:
+    """Whether an error says that the memory did not suffice, as each library says it.
+
+    Parameters
+    ----------
+    error : what was raised.
+
+    >>> is_of_memory(RuntimeError("DefaultCPUAllocator: can't allocate memory: 12 bytes"))
+    True
+    """
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
+    told = isinstance(error, RuntimeError) and _OF_MEMORY.search(str(error)) is not None
+    return told or isinstance(error, MemoryError)
 
 
 def need(module: str, extra: str, user: str) -> None:

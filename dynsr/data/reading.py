@@ -395,9 +395,11 @@ def _read(data: Any, inputs: Sequence[str] | None) -> list[Trajectory]:
         return [data]
     if isinstance(data, (list, tuple)) and data and all(isinstance(d, Trajectory) for d in data):
         return list(data)
-    if isinstance(data, tuple) and len(data) == 2 and not isinstance(data[0], str):
+    if _is_pair(data):
         return [_from_arrays(*data)]
-    if isinstance(data, list) and data and all(isinstance(d, tuple) for d in data):
+    # A tuple of runs is a list of runs.
+    data = list(data) if isinstance(data, tuple) and data else data
+    if isinstance(data, list) and data and all(map(_is_pair, data)):
         return _in_one_unit([_from_arrays(*pair) for pair in data])
     return read_trajectories(data, inputs=inputs).trajectories
 
@@ -417,7 +419,32 @@ def _read_columns(
     return read_trajectories(data, time, states, inputs, trajectory).trajectories
 
 
+def _is_pair(data: Any) -> bool:
+    """Whether data are times and states, not two runs."""
+    if not isinstance(data, tuple) or len(data) != 2 or isinstance(data[0], str):
+        return False
+    t = data[0]
+    runs = isinstance(t, tuple) and any(map(_length, t))
+    flat = len(getattr(t, "shape", (1,))) == 1
+    return flat and not runs and not isinstance(t, (Trajectory, Mapping))
+
+
+def _length(part: Any) -> int:
+    """Count the values of a sequence; 0 for a plain value."""
+    if isinstance(part, (list, tuple)):
+        return len(part)
+    shape = getattr(part, "shape", ())
+    return int(shape[0]) if shape else 0
+
+
 def _from_arrays(t: Any, x: Any) -> Trajectory:
+    for name, values in (("t", t), ("x", x)):
+        lengths = {*map(_length, values)} if isinstance(values, (list, tuple)) else {0}
+        if len(lengths) > 1:
+            raise InputError(
+                f"{name} has parts of {min(lengths)} and {max(lengths)} values; give runs of their "
+                "own times as a list of pairs, [(t1, x1), (t2, x2)]"
+            )
     table, unit = beside(t, x)
     count = table.shape[1] - 1
     names = ("x", "y", "z")[:count] if count <= 3 else tuple(f"x{i + 1}" for i in range(count))

@@ -14,6 +14,9 @@ from dynsr.data.catalogue import DEFINITIONS, find_definition
 from dynsr.errors import InputError
 from dynsr.expression import check_name, parse, to_text
 
+# Of a table that is made: a hundred megabytes as text, some ten times that while it is made.
+_MOST_NUMBERS = 5e6
+
 
 @dataclass(frozen=True)
 class System:
@@ -174,10 +177,24 @@ class System:
         ----------
         span : (start, end) in seconds.
         step : seconds between samples; the system's own by default.
+
+        Raises InputError when these are no two times one after the other and a step that fits
+        between them, or make a table of more than five million numbers.
         """
         step = self.step if step is None else step
-        count = math.floor((span[1] - span[0]) / step + 1e-9) + 1
-        return span[0] + step * np.arange(count)
+        length = span[1] - span[0]
+        if not (0 <= length < math.inf and 0 < step < math.inf):
+            raise InputError(
+                f"span {span[0]:g} to {span[1]:g} s and step {step:g} s must be finite, forward in "
+                "time and above 0"
+            )
+        columns = 1 + len(self.states) + len(self.inputs)
+        if length / step * columns > _MOST_NUMBERS:
+            raise InputError(
+                f"step {step:g} over {length:g} s makes {length / step:.3g} rows of {columns} "
+                f"columns, more than {_MOST_NUMBERS:g} numbers; take a larger step"
+            )
+        return span[0] + step * np.arange(math.floor(length / step + 1e-9) + 1)
 
     def equations(self) -> dict[str, str]:
         """Every state with its right-hand side as text."""

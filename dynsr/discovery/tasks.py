@@ -157,6 +157,9 @@ def search_one(
             found = [] if clock.last is None else list(clock.last.front)
         except Exception as failure:
             error, kind = errors.one_line(failure)[:500], type(failure).__name__
+            if errors.is_of_memory(failure):
+                # Libraries call it by names of their own.
+                error, kind = error or "there is not enough memory", MemoryError.__name__
     if cut:
         found += fit_soon(samples)
     taken = time.monotonic() - began
@@ -369,12 +372,19 @@ def check_found(searched: Sequence[Found], states: Sequence[str]) -> dict[str, s
         own = [found for found in searched if found.target == state]
         failed = [found for found in own if found.error]
         if failed and len(failed) == len(own):
-            raise getattr(errors, failed[0].kind, RuntimeError)(failed[0].error)
+            raise _kinds().get(failed[0].kind, RuntimeError)(failed[0].error)
         said[state] = "".join(
             f" Without {found.method}, which failed ({found.kind}: {found.error})."
             for found in failed
         )
     return said
+
+
+def _kinds() -> dict[str, type[Exception]]:
+    """Name -> an error of dynsr that a task may end with, or want of memory."""
+    found = {n: k for n, k in vars(errors).items() if isinstance(k, type)}
+    own = {n: k for n, k in found.items() if issubclass(k, errors.DynsrError)}
+    return {**own, MemoryError.__name__: MemoryError}
 
 
 def pick_one(

@@ -21,6 +21,8 @@ from dynsr.expression import evaluate, shown
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod
 
 Arrays = Any
+# Rows of a map that is iterated.
+_MOST_STEPS = 1_000_000
 
 
 class TrajectoryRegressor(BaseEstimator):
@@ -161,6 +163,8 @@ class TrajectoryRegressor(BaseEstimator):
         if np.ndim(t) == 0:
             if not self.discrete_time:
                 raise InputError(f"t {t!r} must be the times at which to simulate, one a row")
+            if not 1 <= t <= _MOST_STEPS:
+                raise InputError(f"t {t!r} must be times, or rows from 1 to {_MOST_STEPS}")
             t = np.arange(int(t))
         given = {} if u is None else self._drives(u)
         return self.discovery_.simulate(np.atleast_1d(x0), np.asarray(t), given).x

@@ -125,6 +125,11 @@ class Rival:
     bits: float
 
 
+def _check_level(level: str) -> None:
+    if level not in LEVELS:
+        raise InputError(f"a verdict is {', '.join(LEVELS)}, not {str(level)[:40]!r}")
+
+
 @dataclass(frozen=True)
 class StateVerdict:
     """What is to be thought of one equation.
@@ -152,6 +157,10 @@ class StateVerdict:
     terms: tuple[TermCertainty, ...] = field(default=(), repr=False)
     rivals: tuple[Rival, ...] = field(default=(), repr=False)
 
+    def __post_init__(self) -> None:
+        """Check the level; raises InputError."""
+        _check_level(self.level)
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -172,6 +181,10 @@ class Verdict:
     reason: str
     states: dict[str, StateVerdict] = field(default_factory=dict, repr=False)
     span: float = field(default=0.0, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check the level; raises InputError."""
+        _check_level(self.level)
 
     @property
     def rivals(self) -> dict[str, tuple[Rival, ...]]:

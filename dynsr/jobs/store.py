@@ -29,6 +29,8 @@ T = TypeVar("T")
 MANIFEST = "manifest.json"
 _MOST_BYTES = 1 << 30
 _LONGEST_NAME = 100
+# Records nest some ten levels; Python follows about a thousand.
+_DEEPEST = 64
 
 
 class RecordError(DynsrError, ValueError):
@@ -52,6 +54,8 @@ def read_json(path: Path) -> Any:
         if path.stat().st_size > _MOST_BYTES:
             raise RecordError(f"{str(path)!r} is larger than any record")
         found = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        if _is_deep(found):
+            raise RecordError(f"{str(path)!r} is nested deeper than {_DEEPEST} levels")
         # Half of a pair of UTF-16 could not be written again.
         json.dumps(found, ensure_ascii=False).encode("utf-8")
         return found
@@ -61,6 +65,17 @@ def read_json(path: Path) -> Any:
         raise
     except (ValueError, RecursionError, MemoryError):
         raise RecordError(f"{str(path)!r} is no whole JSON file") from None
+
+
+def _is_deep(value: Any) -> bool:
+    """Whether lists and mappings are nested so deeply that what reads them could not follow."""
+    level = [value] if isinstance(value, (dict, list)) else []
+    for _ in range(_DEEPEST):
+        inner = [v.values() if isinstance(v, dict) else v for v in level]
+        level = [v for items in inner for v in items if isinstance(v, (dict, list))]
+        if not level:
+            return False
+    return True
 
 
 def _refuse_constant(name: str) -> Any:
@@ -330,13 +345,22 @@ class RunFolder:
             old = read_manifest(self.path, work)
         except RecordError as error:
             raise FolderTaken(f"{error}; give a new or an empty folder") from None
-        for name, value in to_plain(settings).items():
-            if old.get(name) != value:
-                there = _words(old.get(name))
+        new = to_plain(settings)
+        for name in dict.fromkeys([*new, *old]):
+            there, here = old.get(name), new.get(name)
+            if there == here:
+                continue
+            if there is None or here is None:
+                which = f"with {name} {_words(there)}" if here is None else f"without {name}"
+                asked = "none" if here is None else f"{name} {_words(here)}"
                 raise FolderTaken(
-                    f"{self.path} holds results with {name} {there}, not {_words(value)}; "
-                    f"give another folder, or {name} {there} to continue them"
+                    f"{self.path} holds results {which}, and {asked} is asked for; give another "
+                    "folder, or ask the same to continue them"
                 )
+            raise FolderTaken(
+                f"{self.path} holds results with {name} {_words(there)}, not {_words(here)}; "
+                f"give another folder, or {name} {_words(there)} to continue them"
+            )
         if read_json(self.path / MANIFEST).get("key") != key:
             raise FolderTaken(f"{self.path} holds results with other options; give another folder")
 
