@@ -2,8 +2,8 @@
 
 Gaussian noise, a share of the standard deviation of all states pooled, as published for Lorenz'
 flow (Fung et al. 2025). Neither a library nor the size of the noise is told. A draw counts where
-every equation has the terms of the true one and no other. Every draw is kept in the folder of --out;
-the next call goes on where this one was stopped.
+every equation has the terms of the true one and no other. Every draw is kept in the folder of
+--out; the next call goes on where this one was stopped.
 """
 
 from __future__ import annotations
