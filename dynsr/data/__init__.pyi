@@ -3,6 +3,7 @@ from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
 from .columns import Columns, bracketed_unit, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
+from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .noise_model import StateNoise, measurement_noise, robust_scale
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
@@ -44,6 +45,7 @@ __all__ = [
     "Columns",
     "Description",
     "DiagnosisSettings",
+    "Forced",
     "Hold",
     "OddSettings",
     "Oddity",
@@ -71,6 +73,7 @@ __all__ = [
     "diagnose",
     "estimate_noise",
     "find_definition",
+    "find_forced",
     "find_system",
     "in_unit",
     "is_own_page",

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dynsr.data.forcing import find_forced
 from dynsr.data.samples import barycentric_weights
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
@@ -49,23 +50,25 @@ def measurement_noise(trajectory: Trajectory) -> np.ndarray:
 
     Each point is compared with the polynomial through its neighbours (a high-order difference);
     the median absolute miss, scaled for the normal law, is noise plus what the polynomial cannot
-    follow, so the smallest over orders 2 to 8 is taken. Times may be uneven.
+    follow, so the smallest over orders 2 to 8 is taken. Times may be uneven. Kinks that held inputs
+    make are no noise.
 
     >>> t = np.linspace(0, 10, 500)
     >>> noisy = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, 500)
     >>> bool(0.008 < measurement_noise(Trajectory(t, noisy[:, None], ("x",)))[0] < 0.012)
     True
     """
+    parts = find_forced([trajectory])
+    smooth = trajectory if parts is None else parts[0].taken_from(trajectory)
     orders = [order for order in (2, 4, 6, 8) if len(trajectory) > order + 2]
     if not orders:
         raise InputError(f"{len(trajectory)} rows are too few to estimate noise; give at least 5")
-    found = [
-        robust_scale(interpolation_residuals(trajectory.t, trajectory.x, o), axis=0) for o in orders
-    ]
+    found = [robust_scale(interpolation_residuals(smooth.t, smooth.x, o), axis=0) for o in orders]
     return np.min(found, axis=0)
 
 
-Column = tuple[np.ndarray, np.ndarray]
+# Times, values, and what was taken from the values: noise may be a share of the sum.
+Column = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -116,20 +119,22 @@ def neighbour_noise(columns: Sequence[Column], settings: NoiseSettings) -> State
 
     Parameters
     ----------
-    columns : (times, values) of the state in every trajectory.
+    columns : (times, values, what was taken from the values) of the state in every trajectory.
     settings : how it is done.
 
     Gives no noise where no trajectory has 5 rows.
     """
-    columns = [(t, x) for t, x in columns if len(t) >= 5]
+    columns = [column for column in columns if len(column[0]) >= 5]
     if not columns:
         return StateNoise(0.0)
     whole = noise = _noise_of_misses(columns, settings)
-    total, kept = sum(len(t) for t, _ in columns), columns
+    total, kept = sum(len(column[0]) for column in columns), columns
     for _ in range(settings.rounds):
-        fresh = [find_outliers(t, x, noise, settings) for t, x in kept]
-        kept = [(t[~out], x[~out]) for (t, x), out in zip(kept, fresh, strict=True)]
-        left = sum(len(t) for t, _ in kept)
+        fresh = [find_outliers(t, x, noise, settings, taken) for t, x, taken in kept]
+        kept = [
+            (t[~out], x[~out], taken[~out]) for (t, x, taken), out in zip(kept, fresh, strict=True)
+        ]
+        left = sum(len(column[0]) for column in kept)
         if left < (1 - settings.share) * total:
             # So many rows off are no outliers: the polynomials do not follow the motion there.
             return whole
@@ -143,7 +148,7 @@ def _noise_of_misses(columns: Sequence[Column], settings: NoiseSettings) -> Stat
     """Fit additive and multiplicative noise to the misses of the best order of interpolation."""
     best: tuple[float, list[tuple[np.ndarray, np.ndarray]]] | None = None
     for order in settings.orders:
-        pieces = [_misses(t, x, order) for t, x in columns if len(t) > order + 2]
+        pieces = [_misses(*column, order) for column in columns if len(column[0]) > order + 2]
         if pieces:
             scale = float(robust_scale(np.concatenate([p[0] for p in pieces])))
             if best is None or scale < best[0]:
@@ -156,12 +161,14 @@ def _noise_of_misses(columns: Sequence[Column], settings: NoiseSettings) -> Stat
     return fit_law(misses**2, level, np.full(len(misses), 0.5), settings)
 
 
-def _misses(t: np.ndarray, x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+def _misses(
+    t: np.ndarray, x: np.ndarray, taken: np.ndarray | float, order: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Misses of the inner rows per unit noise, and the mean squared level that they saw."""
     weights = interpolation_weights(t, order)
     windows = np.lib.stride_tricks.sliding_window_view(x, order + 1)
     # A measured level holds noise itself; that of a few rows holds less.
-    smooth = np.convolve(np.pad(x, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+    smooth = np.convolve(np.pad(x + taken, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     levels = np.lib.stride_tricks.sliding_window_view(smooth, order + 1)
     return np.einsum("ij,ij->i", weights, windows), np.einsum("ij,ij->i", weights**2, levels**2)
 
@@ -215,7 +222,11 @@ def _ascend(
 
 
 def find_outliers(
-    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: NoiseSettings
+    t: np.ndarray,
+    x: np.ndarray,
+    noise: StateNoise,
+    settings: NoiseSettings,
+    taken: np.ndarray | float = 0.0,
 ) -> np.ndarray:
     """Find the rows that miss the polynomial through their neighbours by far too much.
 
@@ -224,6 +235,7 @@ def find_outliers(
     t, x : (n,) times and values of one state.
     noise : the noise that is expected.
     settings : how far is too far.
+    taken : (n,) what was taken from the values.
 
     Gives (n,) flags; of neighbours only the worst has one.
     """
@@ -231,7 +243,7 @@ def find_outliers(
     order = min(4, 2 * ((len(t) - 3) // 2))
     if order < 2 or noise.additive == noise.multiplicative == 0:
         return found
-    misses, level = _misses(t, x, order)
+    misses, level = _misses(t, x, taken, order)
     z = np.abs(misses) / np.sqrt(noise.additive**2 + noise.multiplicative**2 * level)
     half = order // 2
     # An outlier spoils the misses of its neighbours: only the worst of a window is one.

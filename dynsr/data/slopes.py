@@ -13,6 +13,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 
+from dynsr.data.forcing import Forced, find_forced
 from dynsr.data.noise_model import interpolation_residuals, measurement_noise, robust_scale
 from dynsr.data.samples import (
     CENTRAL,
@@ -477,6 +478,10 @@ def choose_samples(
         raise InputError("the trajectories have different columns; give all the same columns")
     given = _own_slopes(runs, target, slopes, settings)
     resolve = scheme == "auto" and slopes is None
+    parts = find_forced(runs) if resolve else None
+    measured = runs
+    if parts is not None:
+        runs = [part.taken_from(run) for run, part in zip(runs, parts, strict=True)]
     # The longest trajectory decides for all: noise and step belong to the instrument.
     longest = max(runs, key=len)
     choices = {state: _choose(longest, state, scheme, settings) for state in runs[0].states}
@@ -485,7 +490,19 @@ def choose_samples(
         fitting = choices if run is longest else _fitting(run, choices, settings)
         piece = _combine(run, target, fitting, own)
         pieces.append(_without_layers(piece, run, settings) if resolve else piece)
+    if parts is not None:
+        added = zip(pieces, measured, parts, strict=True)
+        pieces = [_add_forced(piece, run, part) for piece, run, part in added]
     return replace(join_samples(pieces), scheme=pieces[runs.index(longest)].scheme)
+
+
+def _add_forced(samples: Samples, run: Trajectory, forced: Forced) -> Samples:
+    """Add what held inputs bend to samples of what is left without it."""
+    rows = np.searchsorted(run.t, samples.t)
+    X = samples.X.copy()
+    X[:, : len(run.states)] += forced.x[rows]
+    y = samples.y + forced.slope[rows, run.index(samples.target)]
+    return replace(samples, X=X, y=y)
 
 
 def _choose(trajectory: Trajectory, state: str, scheme: str, settings: SlopeSettings) -> Choice:
@@ -626,8 +643,12 @@ def slope_bias(
     slopes : (n,) slopes in state units per second.
     settings : what the choice of scheme rests on.
     """
+    parts, place = find_forced([trajectory]), trajectory.index(target)
+    if parts is not None:
+        trajectory = parts[0].taken_from(trajectory)
+        slopes = slopes - np.interp(t, trajectory.t, parts[0].slope[:, place])
     choice = _choose(trajectory, target, "auto", settings)
-    x = trajectory.x[:, trajectory.index(target)]
+    x = trajectory.x[:, place]
     best = smooth_column(trajectory.t, x, choice.scheme)
     inside = (t >= trajectory.t[best.rows][0]) & (t <= trajectory.t[best.rows][-1])
     if inside.sum() < 4:

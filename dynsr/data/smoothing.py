@@ -17,8 +17,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
+from dynsr.data.forcing import Forced, find_forced
 from dynsr.data.gaussian_process import Process, ProcessSettings, fit_process, screen
 from dynsr.data.noise_model import (
+    Column,
     NoiseSettings,
     StateNoise,
     find_outliers,
@@ -87,6 +89,7 @@ class SmoothedTrajectory:
     x_sd, slope_sd : (n, k) standard deviations of both.
     noise : (n, k) standard deviation of the measurement noise found at every row; an outlier's is
         as large as its miss.
+    before : (n, k) slopes before a held input steps at the row; ``slope`` is that after it.
     method : for each state, what was smoothed: "time", "log start 0.01", "arc 0.5", ..., with
         "of log" where the logarithm of the values was.
     states : names of the k states.
@@ -100,11 +103,20 @@ class SmoothedTrajectory:
     noise: np.ndarray
     method: tuple[str, ...]
     states: tuple[str, ...]
+    before: np.ndarray | None = None
 
     def curve(self, times: np.ndarray) -> np.ndarray:
         """Give the smoothed states (k, m) at m times within the record, by cubic Hermite pieces."""
         inside = np.clip(times, self.t[0], self.t[-1])
-        return np.asarray(CubicHermiteSpline(self.t, self.x, self.slope)(inside)).T
+        smooth = np.asarray(CubicHermiteSpline(self.t, self.x, self.slope)(inside)).T
+        if self.before is None:
+            return smooth
+        # What a step at the end of a piece changes there.
+        place = np.clip(np.searchsorted(self.t, inside, side="right") - 1, 0, len(self.t) - 2)
+        h = self.t[place + 1] - self.t[place]
+        share = (inside - self.t[place]) / h
+        change = (self.before - self.slope)[place + 1]
+        return smooth + (h * share**2 * (share - 1) * change.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +137,10 @@ class SmoothColumn:
 
 
 def smooth(
-    run: Trajectory, noise: Sequence[StateNoise], settings: SmoothSettings = _SETTINGS
+    run: Trajectory,
+    noise: Sequence[StateNoise],
+    settings: SmoothSettings = _SETTINGS,
+    forced: Forced | None = None,
 ) -> SmoothedTrajectory:
     """Smooth every state of a trajectory by a Gaussian process, with uncertainty.
 
@@ -135,6 +150,7 @@ def smooth(
     noise : the noise of each state, of :func:`dynsr.data.smoothing.estimate_noise`. It may be
         found to be somewhat larger or smaller, the less so the more rows there are.
     settings : what is tried.
+    forced : the part that held inputs bend, which is not smoothed; by default found in this run.
 
     Raises InputError when there are fewer than 4 rows.
 
@@ -147,23 +163,40 @@ def smooth(
     """
     if len(run) < 4:
         raise InputError(f"{len(run)} rows are too few to smooth; give at least 4 a trajectory")
+    if forced is None:
+        found = find_forced([run])
+        forced = None if found is None else found[0]
+    taken = np.zeros_like(run.x) if forced is None else forced.x
     columns = [
-        smooth_values(run.t, run.x[:, k], noise[k], settings) for k in range(len(run.states))
+        smooth_values(run.t, run.x[:, k] - taken[:, k], noise[k], settings, taken[:, k])
+        for k in range(len(run.states))
     ]
     names = ("x", "slope", "x_sd", "slope_sd", "noise")
     stacked = {name: np.column_stack([getattr(c, name) for c in columns]) for name in names}
+    if forced is not None:
+        before = stacked["slope"] + forced.before
+        slope = stacked["slope"] + forced.slope
+        stacked |= {"x": stacked["x"] + taken, "slope": slope, "before": before}
     return SmoothedTrajectory(
         t=run.t, method=tuple(c.method for c in columns), states=run.states, **stacked
     )
 
 
 def smooth_values(
-    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings = _SETTINGS
+    t: np.ndarray,
+    x: np.ndarray,
+    noise: StateNoise,
+    settings: SmoothSettings = _SETTINGS,
+    taken: np.ndarray | None = None,
 ) -> SmoothColumn:
-    """Smooth one column; the parameters are those of :func:`smooth`, for (n,) times and values."""
+    """Smooth one column; the parameters are those of :func:`smooth`, for (n,) times and values.
+
+    ``taken`` (n,) is what was taken from the values, whose noise is that of the sum.
+    """
+    taken = np.zeros(len(t)) if taken is None else taken
     if len(t) > LONGEST_KEPT:
-        return _smooth_anew(t, x, noise, settings)
-    return _smooth_once(as_bytes(t), as_bytes(x), noise, settings)
+        return _smooth_anew(t, x, noise, settings, taken)
+    return _smooth_once(as_bytes(t), as_bytes(x), noise, settings, as_bytes(taken))
 
 
 def as_bytes(values: np.ndarray) -> bytes:
@@ -174,23 +207,24 @@ def as_bytes(values: np.ndarray) -> bytes:
 # A search smooths what its report then shows.
 @lru_cache(maxsize=32)
 def _smooth_once(
-    times: bytes, values: bytes, noise: StateNoise, settings: SmoothSettings
+    times: bytes, values: bytes, noise: StateNoise, settings: SmoothSettings, taken: bytes
 ) -> SmoothColumn:
-    return _smooth_anew(np.frombuffer(times), np.frombuffer(values), noise, settings)
+    t, x, part = (np.frombuffer(own) for own in (times, values, taken))
+    return _smooth_anew(t, x, noise, settings, part)
 
 
 def _smooth_anew(
-    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings
+    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings, taken: np.ndarray
 ) -> SmoothColumn:
     if len(t) <= settings.chunk:
-        return _smooth_piece(t, x, noise, settings)
+        return _smooth_piece(t, x, noise, settings, taken)
     count = int(np.ceil((len(t) - settings.overlap) / (settings.chunk - settings.overlap)))
     edges = np.linspace(0, len(t), count + 1).astype(int)
     pieces = []
     for start, stop in pairwise(edges):
         low = max(start - settings.overlap // 2, 0)
         rows = slice(low, min(stop + settings.overlap // 2, len(t)))
-        piece = _smooth_piece(t[rows], x[rows], noise, settings)
+        piece = _smooth_piece(t[rows], x[rows], noise, settings, taken[rows])
         pieces.append((piece, slice(start - low, stop - low)))
     names = ("x", "slope", "x_sd", "slope_sd", "noise", "leverage", "outlier")
     joined = {n: np.concatenate([getattr(p, n)[rows] for p, rows in pieces]) for n in names}
@@ -240,15 +274,18 @@ def _arc_warps(t: np.ndarray, pilot: Process, settings: SmoothSettings) -> list[
 
 
 def _smooth_piece(
-    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings
+    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings, taken: np.ndarray
 ) -> SmoothColumn:
     """Smooth one column of few enough rows: as it is, or its logarithm."""
     spread = float(np.std(x))
     if spread == 0:
         zero = np.zeros(len(t))
-        sd = noise.sd(x)
+        sd = noise.sd(x + taken)
         return SmoothColumn(x, zero, sd, zero, sd, "constant", zero, zero > 0)
-    found, evidence = _smooth_plain(t, x, noise, settings)
+    found, evidence = _smooth_plain(t, x, noise, settings, taken)
+    if np.any(taken):
+        # The logarithm of what is left says nothing of that of the sum.
+        return found
     typical = float(np.median(np.abs(x)))
     if np.min(x * np.sign(x[0])) <= 0 or noise.multiplicative * typical < noise.additive:
         return found
@@ -256,7 +293,7 @@ def _smooth_piece(
     if not np.max(relative) < 0.5:
         return found
     logs = np.log(np.abs(x)) + relative**2 / 2
-    other, rival = _smooth_plain(t, logs, noise, settings, relative)
+    other, rival = _smooth_plain(t, logs, noise, settings, taken, relative)
     if rival - float(np.sum(np.log(np.abs(x)))) <= evidence:
         return found
     value = np.exp(other.x) * np.sign(x[0])
@@ -277,6 +314,7 @@ def _smooth_plain(
     x: np.ndarray,
     noise: StateNoise,
     settings: SmoothSettings,
+    taken: np.ndarray,
     known: np.ndarray | None = None,
 ) -> tuple[SmoothColumn, float]:
     """Smooth in the warp of greatest evidence; gives that too.
@@ -286,14 +324,17 @@ def _smooth_plain(
     from scipy.ndimage import gaussian_filter1d, median_filter
 
     level = median_filter(x, 3, mode="nearest")
-    sd = noise.sd(gaussian_filter1d(level, 1.0, mode="nearest")) if known is None else known
+    usual = gaussian_filter1d(level, 1.0, mode="nearest") + taken
+    sd = noise.sd(usual) if known is None else known
     sd = np.maximum(sd, 0.1 * np.median(sd))
-    outliers = _spikes(t, x, noise, settings) if known is None else np.zeros(len(t), dtype=bool)
+    outliers = np.zeros(len(t), dtype=bool)
+    if known is None:
+        outliers = _spikes(t, x, noise, settings, taken)
     used = np.where(outliers, np.hypot(sd, x - level), sd)
     warp, best = _best_warp(t, x, used, settings)
     for _ in range(settings.rounds):
         if known is None:
-            sd = noise.sd(np.hypot(best.value, best.value_sd))
+            sd = noise.sd(np.hypot(best.value + taken, best.value_sd))
         # What an outlier misses by is judged by the noise that it would have as a row like others.
         reach = np.where(outliers, np.hypot(sd * best.factor, best.value_sd), np.inf)
         far = np.where(outliers, np.abs(x - best.value) / reach, np.abs(best.left_out))
@@ -343,10 +384,10 @@ def _best_warp(
 
 
 def _spikes(
-    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings
+    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings, taken: np.ndarray
 ) -> np.ndarray:
     """Flag rows that neighbours do not explain; where there are many, that is motion."""
-    found = find_outliers(t, x, noise, settings.noise)
+    found = find_outliers(t, x, noise, settings.noise, taken)
     return found if np.mean(found) <= settings.noise.share else np.zeros(len(t), dtype=bool)
 
 
@@ -394,24 +435,32 @@ def estimate_noise(
     """
     if not runs:
         raise InputError("no trajectory was given; give at least one")
+    parts = find_forced(runs)
+    taken = [np.zeros_like(run.x) for run in runs] if parts is None else [p.x for p in parts]
     return tuple(
-        _state_noise([(run.t, run.x[:, k]) for run in runs if len(run) >= 5], settings)
+        _state_noise(
+            [
+                (run.t, run.x[:, k] - own[:, k], own[:, k])
+                for run, own in zip(runs, taken, strict=True)
+                if len(run) >= 5
+            ],
+            settings,
+        )
         for k in range(len(runs[0].states))
     )
 
 
-def _state_noise(
-    columns: Sequence[tuple[np.ndarray, np.ndarray]], settings: SmoothSettings
-) -> StateNoise:
+def _state_noise(columns: Sequence[Column], settings: SmoothSettings) -> StateNoise:
     """Estimate the noise of one state from neighbours, then from the smoothed trajectories."""
     noise = neighbour_noise(columns, settings.noise)
-    values = np.concatenate([x for _, x in columns]) if columns else np.zeros(1)
-    typical = float(np.sqrt(np.mean(noise.sd(values) ** 2)))
+    values = np.concatenate([x for _, x, _ in columns]) if columns else np.zeros(1)
+    taken = np.concatenate([part for _, _, part in columns]) if columns else np.zeros(1)
+    typical = float(np.sqrt(np.mean(noise.sd(values + taken) ** 2)))
     if len(values) > settings.refined or typical <= 10 * settings.process.finest * np.std(values):
         return noise
     free = replace(settings, process=replace(settings.process, known=settings.unknown))
     for _ in range(settings.rounds - 1):
-        smooths = [smooth_values(t, x, noise, free) for t, x in columns]
+        smooths = [smooth_values(t, x, noise, free, part) for t, x, part in columns]
         level = np.concatenate([s.x for s in smooths])
         share = 1 - np.concatenate([s.leverage for s in smooths])
         outlying = np.concatenate([s.outlier for s in smooths])
@@ -419,6 +468,6 @@ def _state_noise(
         if np.sum(share[kept]) < 2:
             break
         squares = (values - level)[kept] ** 2 / share[kept]
-        law = fit_law(squares, level[kept] ** 2, share[kept], settings.noise)
+        law = fit_law(squares, (level + taken)[kept] ** 2, share[kept], settings.noise)
         noise = replace(law, outliers=float(np.mean(outlying)))
     return noise

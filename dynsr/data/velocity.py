@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dynsr.data.forcing import Forced, find_forced
 from dynsr.data.noise_model import measurement_noise
 from dynsr.data.samples import SCHEMES, Samples, join_samples
 from dynsr.data.slopes import (
@@ -50,19 +51,29 @@ def add_velocities(
     >>> run.states, bool(np.allclose(run.x[:, 1], np.cos(run.t), atol=1e-6))
     (('x', 'v'), True)
     """
-    return [_with_velocities(run, velocities, scheme, settings) for run in runs]
+    parts: Sequence[Forced | None] = find_forced(runs) or [None] * len(runs)
+    pairs = zip(runs, parts, strict=True)
+    return [_with_velocities(run, velocities, scheme, settings, part) for run, part in pairs]
 
 
 def _with_velocities(
-    run: Trajectory, velocities: Mapping[str, str], scheme: str, settings: SlopeSettings
+    run: Trajectory,
+    velocities: Mapping[str, str],
+    scheme: str,
+    settings: SlopeSettings,
+    forced: Forced | None,
 ) -> Trajectory:
     slopes = []
+    smooth = run if forced is None else forced.taken_from(run)
     for state in velocities:
-        x = run.x[:, run.index(state)]
-        chosen = scheme if scheme != "auto" else _choose_first(run, state, settings).scheme
+        x = smooth.x[:, run.index(state)]
+        chosen = scheme if scheme != "auto" else _choose_first(smooth, state, settings).scheme
         slopes.append(smooth_column(run.t, x, chosen))
     rows = slice(max(s.rows.start for s in slopes), min(s.rows.stop for s in slopes))
     columns = [s.slope[rows.start - s.rows.start : rows.stop - s.rows.start] for s in slopes]
+    if forced is not None:
+        bent = [forced.slope[rows, run.index(state)] for state in velocities]
+        columns = [column + own for column, own in zip(columns, bent, strict=True)]
     kept = run.select(rows)
     states = (*kept.states, *velocities.values())
     return replace(kept, x=np.column_stack([kept.x, *columns]), states=states)
@@ -111,11 +122,44 @@ def choose_second_samples(
     >>> bool(np.allclose(samples.y, -samples.columns["x"], atol=1e-4))
     True
     """
+    parts, measured = find_forced(runs), runs
+    if parts is not None:
+        runs = [_take(run, part, velocities) for run, part in zip(runs, parts, strict=True)]
     longest = max(runs, key=len)
     choices = {s: _choose(longest, s, velocities, scheme, settings) for s in longest.states}
     shortest = min(len(longest), _rows_of(choices.values()))
-    pieces = [_samples(r, velocities, target, choices) for r in runs if len(r) >= shortest]
+    some = [i for i, run in enumerate(runs) if len(run) >= shortest]
+    pieces = [_samples(runs[i], velocities, target, choices) for i in some]
+    if parts is not None:
+        pieces = [
+            _add(piece, measured[i], parts[i], velocities)
+            for i, piece in zip(some, pieces, strict=True)
+        ]
     return replace(join_samples(pieces), scheme=pieces[0].scheme)
+
+
+def _take(run: Trajectory, forced: Forced, velocities: Mapping[str, str]) -> Trajectory:
+    """Take what held inputs bend from the states, and its slope from their velocities."""
+    smooth = forced.taken_from(run)
+    x = smooth.x.copy()
+    for state, velocity in velocities.items():
+        own = run.index(velocity)
+        x[:, own] = run.x[:, own] - forced.slope[:, run.index(state)]
+    return replace(smooth, x=x)
+
+
+def _add(
+    samples: Samples, run: Trajectory, forced: Forced, velocities: Mapping[str, str]
+) -> Samples:
+    """Add it again: to the states, their velocities and the slopes of these."""
+    rows, X = np.searchsorted(run.t, samples.t), samples.X.copy()
+    for place, state in enumerate(run.states):
+        if state not in velocities.values():
+            X[:, place] += forced.x[rows, place]
+    for state, velocity in velocities.items():
+        X[:, run.index(velocity)] += forced.slope[rows, run.index(state)]
+    (state,) = (s for s, velocity in velocities.items() if velocity == samples.target)
+    return replace(samples, X=X, y=samples.y + forced.second[rows, run.index(state)])
 
 
 def _rows_of(choices: Iterable[Choice]) -> int:

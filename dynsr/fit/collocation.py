@@ -24,10 +24,12 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError, lapack
 
 from dynsr.data import (
+    Forced,
     Samples,
     SmoothedTrajectory,
     Trajectory,
     estimate_noise,
+    find_forced,
     join_samples,
     smooth,
 )
@@ -704,7 +706,10 @@ class Measurements:
         longest = max(map(len, runs))
         stride = max(1, min(-(-sum(map(len, runs)) // rows), (longest - 1) // 4))
         thinned = [run.select(run.every(stride)) for run in runs if len(run) > 4 * stride]
-        smoothed = [smooth(run, noise) for run in thinned]
+        parts: Sequence[Forced | None] = find_forced(thinned) or [None] * len(thinned)
+        smoothed = [
+            smooth(run, noise, forced=part) for run, part in zip(thinned, parts, strict=True)
+        ]
         return cls(thinned, inputs, smoothed, derived or {})
 
     @cached_property
