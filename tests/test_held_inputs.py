@@ -1,14 +1,16 @@
 """Held inputs: fits, integrations and verdicts see the same input, and no step sees a jump."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import command_line
 import numpy as np
 import pytest
 import sympy
 from scipy.integrate import solve_ivp
 
 import dynsr
-from dynsr.data import Trajectory
+from dynsr.data import Trajectory, read_trajectories
 from dynsr.discovery.prediction import Measured, predict
 from dynsr.engines import Drive, EmbeddedEngine, InitialValueProblem
 from dynsr.engines.adaptive import integrate_in_parts
@@ -192,3 +194,71 @@ def test_the_law_of_a_heater_is_found(level: float) -> None:
         own = constants[truth]
         assert own.value == pytest.approx(truth, rel=1e-6 if level == 0 else 0.03)
         assert own.low <= truth <= own.high or own.value == pytest.approx(truth, rel=1e-9)
+
+
+def test_a_discovery_says_how_its_inputs_were_held_and_goes_on_so(tmp_path: Path) -> None:
+    """The record has it; simulate and score take new values of the input in the same way."""
+    run = heater()
+    found = dynsr.discover([run], preset="quick", jobs=1)
+    assert found.settings["hold"] == {"u": "previous"}
+    found.save(tmp_path / "found.json")
+    again = dynsr.Discovery.load(tmp_path / "found.json")
+    assert again.hold == {"u": "previous"}
+    ramp = np.arange(len(run.t)) / 3
+    made = again.simulate(run.x[0], run.t, {"u": ramp})
+    assert made.hold == {"u": "previous"}
+    straight = again.simulate(run.x[0], run.t, {"u": ramp}, hold="linear")
+    assert np.max(np.abs(straight.x - made.x)) > 0.01
+    # Rows of one level alone say nothing of how the input is held.
+    rising = replace(run, x=made.x, inputs=ramp[:, None], hold={})
+    assert again.score([rising])["T"]["trajectory_rmse"] < 1e-5
+    assert again.score([rising], hold={"u": "linear"})["T"]["trajectory_rmse"] > 0.01
+
+
+def test_the_caller_says_how_inputs_are_held() -> None:
+    """In reading, discovering and the estimator; a wrong name or word is one line."""
+    run = heater(rows=60)
+    table = {"t": run.t, "T": run.x[:, 0], "u": run.inputs[:, 0]}
+    read = read_trajectories(table, inputs=["u"], hold={"u": "linear"})
+    assert read.trajectories[0].hold == {"u": "linear"}
+    assert dict(read.description.hold) == {"u": "linear"}
+    for hold, says in (
+        ({"v": "linear"}, "hold names 'v', which is no input; the inputs are: u"),
+        ({"u": "zoh"}, "input 'u' cannot be held 'zoh'; the ways are: previous, linear, smooth"),
+    ):
+        for call in (
+            lambda hold: read_trajectories(table, inputs=["u"], hold=hold),
+            lambda hold: dynsr.discover([run], hold=hold, jobs=1),
+            lambda hold: dynsr.TrajectoryRegressor(hold=hold).fit(
+                run.x, t=run.t, u=run.inputs, feature_names=["T", "u"]
+            ),
+        ):
+            with pytest.raises(dynsr.InputError, match=says):
+                call(hold)
+    with pytest.raises(dynsr.InputError, match="is an expression in t"):
+        dynsr.discover([run.select(slice(None))], inputs={"w": "sin(t)"}, hold={"w": "linear"})
+    with pytest.raises(dynsr.InputError, match="a map has no time between rows"):
+        dynsr.discover([run], discrete=True, hold="linear")
+
+
+def test_several_files_hold_an_input_alike() -> None:
+    """A file in which an input rests says nothing against one in which it swings."""
+    t = np.linspace(0.0, 10.0, 101)
+    tables = [{"t": t, "x": t, "u": level + 0 * t} for level in (1.0, 2.0)]
+    tables[1]["u"] = np.sin(t)
+    read = read_trajectories([*tables], inputs=["u"])
+    assert [run.hold for run in read.trajectories] == [{"u": "smooth"}] * 2
+
+
+def test_the_command_line_says_it_too(tmp_path: Path) -> None:
+    """discover, describe and score take --hold; what is wrong is one line and exit code 2."""
+    run = heater(rows=60)
+    file = tmp_path / "heater.csv"
+    lines = [f"{t},{x},{u}" for t, x, u in zip(run.t, run.x[:, 0], run.inputs[:, 0], strict=True)]
+    file.write_text("\n".join(["t,T,u", *lines]) + "\n")
+    told = command_line.run("describe", file, "--inputs", "u", "--hold", "u=linear")
+    assert "straight" in told.output
+    for command in ("describe", "discover"):
+        for word, says in (("u=zoh", "cannot be held 'zoh'"), ("=zoh", "must be an input")):
+            wrong = command_line.run(command, file, "--inputs", "u", "--hold", word, code=2)
+            assert says in wrong.output

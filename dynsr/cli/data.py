@@ -26,6 +26,7 @@ def load_table(
     states: options.Names,
     inputs: options.Names,
     trajectory: str | None,
+    hold: options.Names = None,
     say: Callable[[str], None] = output.note,
 ) -> list[Trajectory]:
     """Read the trajectories of files and say how their columns were understood."""
@@ -37,6 +38,7 @@ def load_table(
         options.read_names(states, "--states"),
         inputs,
         trajectory,
+        hold=options.read_hold(hold),
     )
     say(table.guess)
     return table.trajectories
@@ -137,6 +139,7 @@ def describe(
     states: options.StateColumns = None,
     inputs: options.Inputs = None,
     trajectory: options.TrajectoryColumn = None,
+    hold: options.Hold = None,
     json: options.Json = False,
 ) -> None:
     """Show how a table is understood and what looks odd in it, without a search.
@@ -155,6 +158,7 @@ def describe(
         options.read_names(states, "--states"),
         None if inputs is None else known,
         trajectory,
+        hold=options.read_hold(hold),
     )
     if json:
         output.print_json(found.to_dict())

@@ -179,6 +179,7 @@ def discover(
     time_column: options.TimeColumn = None,
     states: options.StateColumns = None,
     inputs: options.Inputs = None,
+    hold: options.Hold = None,
     trajectory: options.TrajectoryColumn = None,
     method: options.MethodName = AUTO,
     preset: options.Preset = DEFAULT_PRESET,
@@ -312,9 +313,10 @@ def discover(
     notes = Notes(quiet)
     with notes:
         if files:
-            data = load_table(files, time_column, states, columns, trajectory, notes.say)
+            data = load_table(files, time_column, states, columns, trajectory, hold, notes.say)
         else:
-            _refuse_columns(time_column, states, trajectory, [*(columns or []), *formulas])
+            given = [*(columns or []), *formulas]
+            _refuse_columns(time_column, states, trajectory, given, hold)
             data, formulas = _training_data(str(system), engine)
         with SearchProgress(quiet) as progress:
             found, folder = _search_in(
@@ -369,7 +371,11 @@ def discover(
 
 
 def _refuse_columns(
-    time_column: str | None, states: options.Names, trajectory: str | None, inputs: list[str]
+    time_column: str | None,
+    states: options.Names,
+    trajectory: str | None,
+    inputs: list[str],
+    hold: options.Names,
 ) -> None:
     """A known system has its columns; only a file leaves them open."""
     for option, value in (
@@ -377,6 +383,7 @@ def _refuse_columns(
         ("--states", states),
         ("--trajectory", trajectory),
         ("--inputs", inputs),
+        ("--hold", hold),
     ):
         if value:
             raise InputError(f"{option} goes with a file of data; a known system has its own")

@@ -159,6 +159,15 @@ Inputs = Annotated[
         rich_help_panel=DATA,
     ),
 ]
+Hold = Annotated[
+    Names,
+    typer.Option(
+        "--hold",
+        help="What inputs do between rows: previous (keep the value), linear or smooth, for all or "
+        "each: u=previous,v=linear.",
+        rich_help_panel=DATA,
+    ),
+]
 TrajectoryColumn = Annotated[
     str | None,
     typer.Option(
@@ -338,6 +347,31 @@ def read_pairs(values: Sequence[str] | None, option: str) -> dict[str, float] | 
         if not name.strip():
             raise InputError(f"{option} {pair!r} must be a name and a number, such as sin=8")
     return found
+
+
+def read_hold(values: Sequence[str] | None) -> dict[str, str] | str | None:
+    """Read ``previous``, or ``u=previous,v=linear``; None where the option was not given.
+
+    Raises InputError that names what is neither.
+
+    >>> read_hold(["u=previous,v=linear"]), read_hold(["smooth"]), read_hold(None)
+    ({'u': 'previous', 'v': 'linear'}, 'smooth', None)
+    """
+    from dynsr.errors import InputError
+
+    names = read_names(values, "--hold")
+    if names is None:
+        return None
+    if len(names) == 1 and "=" not in names[0]:
+        return names[0]
+    pairs = [name.rpartition("=") for name in names]
+    wrong = [name for name, (key, _, _) in zip(names, pairs, strict=True) if not key.strip()]
+    if wrong:
+        raise InputError(
+            f"--hold {wrong[0]!r} must be an input and a word, such as u=previous, or one word "
+            "for all"
+        )
+    return {key.strip(): word.strip() for key, _, word in pairs}
 
 
 def read_orders(values: Sequence[str] | None) -> int | dict[str, int]:

@@ -124,14 +124,15 @@ def score(
     time_column: options.TimeColumn = None,
     states: options.StateColumns = None,
     inputs: options.Inputs = None,
+    hold: options.Hold = None,
     trajectory: options.TrajectoryColumn = None,
     engine: options.OwnEngine = None,
     json: options.Json = False,
 ) -> None:
     """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
     found = load_discovery(model)
-    data = load_table(files, time_column, states, inputs, trajectory, _say_to(json))
-    scores = found.score(data, engine)
+    data = load_table(files, time_column, states, inputs, trajectory, hold, _say_to(json))
+    scores = found.score(data, engine, options.read_hold(hold))
     if json:
         output.print_json(scores)
         return

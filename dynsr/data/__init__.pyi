@@ -22,7 +22,7 @@ from .smoothing import SmoothedTrajectory, estimate_noise, smooth
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .temporary import is_part, open_part, remove_stale
 from .times import check_time_unit
-from .trajectory import Trajectory, columns_of
+from .trajectory import Trajectory, columns_of, settle_hold
 from .velocity import add_velocities, choose_second_samples
 from .weak import weak_form
 from .writing import (
@@ -92,6 +92,7 @@ __all__ = [
     "remove_stale",
     "robust_scale",
     "sample_input",
+    "settle_hold",
     "smooth",
     "smooth_column",
     "split_held_back",

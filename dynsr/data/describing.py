@@ -25,6 +25,7 @@ def describe(
     inputs: Sequence[str] | Mapping[str, str] | str | None = None,
     trajectory: str | None = None,
     *,
+    hold: Mapping[str, str] | str | None = None,
     max_rows: int = MAX_ROWS,
     settings: OddSettings = _SETTINGS,
 ) -> Description:
@@ -36,7 +37,7 @@ def describe(
     ----------
     source : what :func:`dynsr.data.read_trajectories` reads: a file, a frame, a mapping of columns,
         arrays, a Trajectory, or a list of these.
-    time, states, inputs, trajectory, max_rows : as for :func:`dynsr.data.read_trajectories`.
+    time, states, inputs, trajectory, hold, max_rows : as for :func:`dynsr.data.read_trajectories`.
     settings : the numbers that decide what looks odd.
 
     Raises InputError, one line that names the value and the remedy, when the table cannot be used.
@@ -49,7 +50,9 @@ def describe(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", DynsrWarning)
-        table = read_trajectories(source, time, states, inputs, trajectory, max_rows=max_rows)
+        table = read_trajectories(
+            source, time, states, inputs, trajectory, hold=hold, max_rows=max_rows
+        )
     heard = [one_line(w.message) for w in caught if issubclass(w.category, DynsrWarning)]
     return describe_table(table, heard, settings)
 

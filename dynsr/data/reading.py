@@ -57,6 +57,7 @@ def read_trajectories(
     inputs: Sequence[str] | Mapping[str, str] | str | None = None,
     trajectory: str | None = None,
     *,
+    hold: Mapping[str, str] | str | None = None,
     max_rows: int = MAX_ROWS,
 ) -> Table:
     """Read one or many trajectories from a table, a file of one, or a list of such sources.
@@ -72,6 +73,8 @@ def read_trajectories(
     inputs : columns that are known inputs, or expressions in t, such as ``"F=0.5*sin(6*t)"`` or
         ``{"F": "0.5*sin(6*t)"}``.
     trajectory : the column whose value names the trajectory that a row belongs to.
+    hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth";
+        or one of these words for all. By default the values tell.
     max_rows : more rows than this are thinned evenly, with a DynsrWarning.
 
     Times may be uneven. Names that cannot stand in a formula are changed, with a DynsrWarning.
@@ -83,7 +86,7 @@ def read_trajectories(
     the mapping: time 't', 11 rows from 0 to 1 every 0.1; states x, y
     """
     if isinstance(source, list):
-        return _read_list(source, time, states, inputs, trajectory, max_rows)
+        return _read_list(source, time, states, inputs, trajectory, hold, max_rows)
     if time is not None and not isinstance(time, str):
         columns, time = _load_beside(source, time), "t"
     else:
@@ -99,6 +102,9 @@ def read_trajectories(
         _check_first_column(t, columns.label)
     roles = guess_roles(columns, time, t, _listed(states), named, formulas, trajectory)
     runs = _cut(columns, roles, t, unit, formulas, max_rows)
+    if isinstance(hold, Mapping):
+        hold = {roles.renamed.get(name, name): way for name, way in hold.items()}
+    runs = settle_hold(runs, hold)
     understood = describe_runs(
         columns.label, runs, roles, formulas, columns.left_out, columns.notes
     )
@@ -142,9 +148,9 @@ def _told(runs: Sequence[Trajectory], guess: str, understood: Description) -> Ta
 def _read_list(sources: list[Any], *arguments: Any) -> Table:
     if not sources:
         raise InputError("no data was given; give at least one file, frame or array")
-    *options, max_rows = arguments
+    *options, hold, max_rows = arguments
     share = max(max_rows // len(sources), 1)
-    tables = [read_trajectories(source, *options, max_rows=share) for source in sources]
+    tables = [read_trajectories(source, *options, hold=hold, max_rows=share) for source in sources]
     runs = _in_one_unit([run for table in tables for run in table.trajectories])
     for run in runs[1:]:
         if run.states != runs[0].states or run.input_names != runs[0].input_names:
@@ -152,6 +158,9 @@ def _read_list(sources: list[Any], *arguments: Any) -> Table:
                 f"the trajectories have different columns ({', '.join(runs[0].names)} and "
                 f"{', '.join(run.names)}); give all the same columns"
             )
+    if hold is None:
+        # What one file says of an input holds for all.
+        runs = settle_hold([replace(run, hold={}) for run in runs])
     understood = join_descriptions([table.description for table in tables], runs)
     told = _told(runs, "; ".join(dict.fromkeys(table.guess for table in tables)), understood)
     return replace(told, left_out=understood.left_out, notes=understood.notes)
@@ -277,7 +286,7 @@ def _cut(
                 {**origin, "name": own},
             )
         )
-    return settle_hold(runs)
+    return runs
 
 
 def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, str]) -> None:
@@ -336,6 +345,7 @@ def take_trajectories(
     time: str | Sequence[Any] | np.ndarray | None = None,
     states: Sequence[str] | str | None = None,
     trajectory: str | None = None,
+    hold: Mapping[str, str] | str | None = None,
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
@@ -347,7 +357,7 @@ def take_trajectories(
     inputs : names of columns that are inputs, or expressions such as "F=sin(t)"; or input name ->
         expression in ``t``, function of one time, or values at the times, (n,) or a list of one
         such array a trajectory.
-    time, states, trajectory : as for :func:`dynsr.data.reading.read_trajectories`.
+    time, states, trajectory, hold : as for :func:`dynsr.data.reading.read_trajectories`.
 
     Raises InputError when nothing usable is there.
 
@@ -374,7 +384,13 @@ def take_trajectories(
     given = {name: value for name, value in named.items() if not _is_formula(value)}
     drives = {check_name(n, "input"): parse(e, ["t"]) for n, e in named.items() if n not in given}
     runs = [_with_values(run, given, i, len(runs)) for i, run in enumerate(runs)]
-    return settle_hold([_with_drives(run, drives) for run in runs]), drives
+    known = [name for name in drives if isinstance(hold, Mapping) and name in hold]
+    if known:
+        raise InputError(
+            f"input {known[0]!r} is an expression in t, which says what it is between rows; "
+            "leave it out of hold"
+        )
+    return settle_hold([_with_drives(run, drives) for run in runs], hold), drives
 
 
 def _sort_inputs(

@@ -12,11 +12,14 @@ import numpy as np
 import sympy
 
 from dynsr.data import (
+    Hold,
     Samples,
     Trajectory,
+    check_hold,
     check_time_unit,
     choose_samples,
     in_unit,
+    settle_hold,
     take_trajectories,
 )
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
@@ -311,6 +314,7 @@ class Discovery:
         t: Sequence[float] | np.ndarray | None = None,
         inputs: Mapping[str, Any] | None = None,
         engine: str | AbstractEngine | None = None,
+        hold: Mapping[str, str] | str | None = None,
     ) -> Trajectory:
         """Integrate the equations; by default from the start and at the times of the data.
 
@@ -323,6 +327,8 @@ class Discovery:
         inputs : name -> expression in ``t``, function of one time, or (n,) values at the times; by
             default those of the data.
         engine : "embedded", "julia" or an engine; the discovery's own by default. A map has none.
+        hold : input -> what it does between the values that are given, "previous", "linear" or
+            "smooth", or one word for all; by default what it did in the data.
 
         Raises InputError when something is missing or a map is given an engine other than the
         embedded one, EngineUnavailable when the engine is absent, EngineError when the solution
@@ -335,10 +341,24 @@ class Discovery:
             x0 = self.trajectories[0].select(slice(0, 1)).x[0][self._positions()]
         if self.is_map:
             refuse_idle(engine, "a map is iterated")
+            if hold is not None:
+                raise InputError("a map has no time between rows; leave hold out")
             own = inputs_in(self.trajectories[0], self.equations) if t is None else self.inputs
             return iterate(self.equations, x0, times, {**own, **(inputs or {})})
         given = {**self.inputs_of(), **(inputs or {})}
-        return predict(self.equations, x0, times, given, engine or self.engine)
+        for name, value in (inputs or {}).items():
+            if name in self.hold and np.ndim(value) == 1:
+                # What is given at the times themselves is taken as the data were.
+                values = np.asarray(value, dtype=float)
+                given[name] = Measured(name, times, values, self.hold[name])
+        return predict(self.equations, x0, times, given, engine or self.engine, hold)
+
+    @property
+    def hold(self) -> dict[str, Hold]:
+        """Measured input -> what it did between rows: "previous", "linear" or "smooth"."""
+        given = self.settings.get("hold")
+        # A saved discovery may come from anyone.
+        return check_hold(given, list(given)) if isinstance(given, Mapping) else {}
 
     def _positions(self) -> list[int]:
         return [self.trajectories[0].index(state) for state in self.equations]
@@ -366,7 +386,10 @@ class Discovery:
         }
 
     def score(
-        self, data: Any = None, engine: str | AbstractEngine | None = None
+        self,
+        data: Any = None,
+        engine: str | AbstractEngine | None = None,
+        hold: Mapping[str, str] | str | None = None,
     ) -> dict[str, dict[str, float]]:
         """Score on data (the data of the discovery by default), state by state.
 
@@ -381,6 +404,8 @@ class Discovery:
         data : what :func:`dynsr.discover` takes.
         engine : what integrates the whole trajectories; the discovery's own by default. The many
             short forecasts are integrated by the embedded one.
+        hold : input -> what it does between rows, or one word for all; by default what it did in
+            the data of the discovery.
 
         Raises InputError when there are no data or a map is given an engine other than the embedded
         one, EngineUnavailable when the engine is absent.
@@ -391,7 +416,9 @@ class Discovery:
         runs = list(self.trajectories) if data is None else take_trajectories(data, self.inputs)[0]
         if not runs:
             raise InputError("the data are not here; give some to score on")
-        runs = in_unit(runs, self.time_unit)
+        own = {n: way for n, way in self.hold.items() if n in runs[0].input_names}
+        asked = check_hold(hold, runs[0].input_names)
+        runs = in_unit(settle_hold(runs, {**own, **asked}), self.time_unit)
         if self.is_map:
             return score_map(self.equations, runs)
         form = form_of(self.settings)

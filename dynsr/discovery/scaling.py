@@ -180,8 +180,9 @@ def in_fitting_units(search: Search) -> Search:
     def scaled(data: Any, **settings: Any) -> Discovery:
         # What cannot integrate is refused before the data are read.
         start_engine(settings.get("engine", DEFAULT_ENGINE))
-        named = [settings.pop(name, None) for name in ("time", "states", "trajectory")]
-        runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), *named)
+        asked = {n: settings.pop(n, None) for n in ("time", "states", "trajectory")}
+        asked["hold"] = settings.get("hold")
+        runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), **asked)
         seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
         units = Units.of(runs)

@@ -120,6 +120,7 @@ def discover(
     preset: str = DEFAULT_PRESET,
     targets: str | Sequence[str] = "all",
     inputs: Mapping[str, Any] | Sequence[str] | str | None = None,
+    hold: Mapping[str, str] | str | None = None,
     known: Mapping[str, str | sympy.Expr] | None = None,
     seed: int = 0,
     jobs: int = -1,
@@ -161,6 +162,8 @@ def discover(
     targets : the states whose equations are sought; "all" of them by default.
     inputs : columns that are inputs, or input name -> expression in ``t``, function of one time,
         or values at the times.
+    hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth";
+        or one of these words for all. By default the values tell.
     known : state -> the part of its equation that is given; the rest is searched.
     seed : all chance comes from it; the result does not depend on ``jobs``.
     jobs : searches at a time; -1 uses every core.
@@ -239,7 +242,7 @@ def discover(
     jobs = check_jobs(jobs)
     chosen, workers = find_engine(engine), effective_n_jobs(jobs)
     shared = share_engine(chosen, workers)
-    runs, drives = take_trajectories(data, inputs, time, states, trajectory)
+    runs, drives = take_trajectories(data, inputs, time, states, trajectory, hold)
     seed = check_asked(
         runs[0].states,
         seed,
@@ -288,6 +291,7 @@ def discover(
         "methods": list(methods),
         **({"known": {s: to_text(e) for s, e in given.items()}} if given else {}),
         **form.record,
+        **_record_hold(runs[0], drives, discrete, hold),
         **demands.as_record(),
         **({} if units is None else {"column_units": column_units(runs[0], units)}),
         **({"complexity": bits} if bits else {}),
@@ -346,6 +350,16 @@ def discover(
         settings=record,
         seconds=monotonic() - began,
     )
+
+
+def _record_hold(
+    run: Trajectory, drives: Mapping[str, sympy.Expr], discrete: bool, hold: Any
+) -> dict[str, dict[str, str]]:
+    """Give what measured inputs do between rows, for the record; a map has nothing there."""
+    if discrete and hold is not None:
+        raise InputError("a map has no time between rows; leave hold out")
+    held = {} if discrete else {n: way for n, way in run.holds.items() if n not in drives}
+    return {"hold": dict(held)} if held else {}
 
 
 def _follow(

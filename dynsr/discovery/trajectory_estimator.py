@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
-from dynsr.data import Trajectory
+from dynsr.data import Trajectory, settle_hold
 from dynsr.discovery.orders import form_of, write_lines
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
@@ -37,6 +37,8 @@ class TrajectoryRegressor(BaseEstimator):
         DynsrWarning, since the data choose terms, thresholds and slopes here.
     method : "auto", the name of a method, a method with its settings, or several.
     preset : "best", "quick" or "paper".
+    hold : input -> what it does between rows: "previous", "linear" or "smooth"; or one word for
+        all. By default the values tell.
     discrete_time : whether to find a map from row to row instead of slopes.
     random_state : seed of all chance.
     jobs : searches at a time; -1 uses every core.
@@ -61,6 +63,7 @@ class TrajectoryRegressor(BaseEstimator):
         *,
         method: str | AbstractMethod | Sequence[str | AbstractMethod] = AUTO,
         preset: str = DEFAULT_PRESET,
+        hold: Mapping[str, str] | str | None = None,
         discrete_time: bool = False,
         random_state: int = 0,
         jobs: int = -1,
@@ -71,6 +74,7 @@ class TrajectoryRegressor(BaseEstimator):
         self.differentiation_method = differentiation_method
         self.method = method
         self.preset = preset
+        self.hold = hold
         self.discrete_time = discrete_time
         self.random_state = random_state
         self.jobs = jobs
@@ -106,6 +110,7 @@ class TrajectoryRegressor(BaseEstimator):
             runs,
             method=self.method,
             preset=self.preset,
+            hold=self.hold,
             discrete=self.discrete_time,
             seed=self.random_state,
             jobs=self.jobs,
@@ -197,7 +202,7 @@ class TrajectoryRegressor(BaseEstimator):
         metric_kws : what else it takes.
         """
         check_is_fitted(self, "discovery_")
-        runs = self._take(x, t, u)
+        runs = settle_hold(self._take(x, t, u), self.discovery_.hold)
         slopes = {} if x_dot is None else self._slopes(x_dot)
         form = form_of(self.discovery_.settings)
         scores = []
