@@ -30,6 +30,10 @@ class DynsrError(Exception):
 class InputError(DynsrError, ValueError):
     """What the user gave cannot be used; the message names the value and the remedy in one line."""
 
+    def __str__(self) -> str:
+        """Give the message; a value that it shows may be an array of several lines."""
+        return one_line(super().__str__())
+
 
 class MissingExtra(InputError):
     """What was asked for needs an optional package; the message holds the command to install it."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dynsr.arguments import checked
 from dynsr.data.description import Description
 from dynsr.data.oddities import OddSettings, merge_places, odd_states, odd_times, odd_values
 from dynsr.data.reading import MAX_ROWS, Table, read_trajectories
@@ -18,6 +19,7 @@ from dynsr.errors import DynsrWarning, one_line
 _SETTINGS = OddSettings()
 
 
+@checked
 def describe(
     source: Any,
     time: str | Sequence[Any] | np.ndarray | None = None,

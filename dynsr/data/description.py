@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dynsr.arguments import checked
 from dynsr.data.oddities import OddSettings
 from dynsr.data.roles import Roles, clean_name
 from dynsr.data.trajectory import Trajectory
@@ -73,6 +74,7 @@ class RunRows:
     last: float
 
 
+@checked
 @dataclass(frozen=True)
 class Description:
     """How a table is understood.

@@ -85,6 +85,8 @@ def read_trajectories(
     >>> print(table.guess)
     the mapping: time 't', 11 rows from 0 to 1 every 0.1; states x, y
     """
+    if max_rows < 1:
+        raise InputError(f"max_rows {max_rows} must be a whole number from 1 up")
     if isinstance(source, list):
         return _read_list(source, time, states, inputs, trajectory, hold, max_rows)
     if time is not None and not isinstance(time, str):

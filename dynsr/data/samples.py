@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dynsr.arguments import checked
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Samples:
     """One scalar regression problem: find f with y = f(X).
@@ -151,6 +153,7 @@ def barycentric_weights(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return gaps, 1.0 / np.prod(gaps / scale, axis=2)
 
 
+@checked
 def make_samples(
     trajectories: Trajectory | Sequence[Trajectory], target: str, scheme: str = "forward"
 ) -> Samples:

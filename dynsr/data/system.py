@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data.catalogue import DEFINITIONS, find_definition
 from dynsr.errors import InputError
 from dynsr.expression import check_name, parse, to_text
@@ -18,6 +19,7 @@ from dynsr.expression import check_name, parse, to_text
 _MOST_NUMBERS = 5e6
 
 
+@checked
 @dataclass(frozen=True)
 class System:
     """A first-order system of k ordinary differential equations, dx/dt = f(x, u(t), t).
@@ -228,6 +230,7 @@ SIR = SYSTEMS["sir"]
 PAPER_SYSTEMS = (LOTKA_VOLTERRA, PENDULUM, CART_POLE)
 
 
+@checked
 def find_system(name: str) -> System:
     """Give the system of that name; raises InputError that lists the names when there is none.
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dynsr.arguments import checked
 from dynsr.data.holding import (
     Hold,
     check_hold,
@@ -116,6 +117,7 @@ def _as_one_kind(array: np.ndarray) -> np.ndarray:
     return array
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """States (and inputs) of one run of a system.

@@ -12,6 +12,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 from sympy import Expr, Float
 
+from dynsr.arguments import checked
 from dynsr.data import Samples
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
 from dynsr.errors import InputError
@@ -47,6 +48,7 @@ _COPIES = 8
 _EXACT = 1e-6
 
 
+@checked
 class DynsrRegressor(RegressorMixin, BaseEstimator):
     """Find y = f(X) as a formula; slopes of a state for y make it one equation of a system.
 

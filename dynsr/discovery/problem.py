@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import (
     Samples,
     SlopeSettings,
@@ -92,6 +93,7 @@ COMPARED = "comparing whole systems with the states"
 _BELIEVED = 3
 
 
+@checked
 @dataclass(frozen=True)
 class DiscoverySettings:
     """The numbers that decide in a discovery outside its methods; they stand in its record.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import (
     Hold,
     Samples,
@@ -100,6 +101,7 @@ class Inclusion:
         return f"{self.term}: {self.probability:.0%}, {self.low:.4g} to {self.high:.4g}"
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class Discovery:
     """The equations found for the states of a system, with everything that led to them.

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import System
 from dynsr.engines import AbstractEngine, InitialValueProblem, find_engine
 from dynsr.errors import EngineError
@@ -37,6 +38,7 @@ _AT_ONCE = 256
 _LOSSES = ("equation_rmse", "printed_loss", "trajectory_loss")
 
 
+@checked
 @dataclass(frozen=True)
 class Score:
     """One equation that a method found, with its losses.
@@ -75,6 +77,7 @@ class Score:
         return {name: value for name, value in values.items() if value is not None}
 
 
+@checked
 def equation_rmse(
     system: System,
     expr: sympy.Expr,
@@ -101,6 +104,7 @@ def equation_rmse(
     return _Test.of(system, find_engine(engine)).equation_rmse(expr, target or system.target)
 
 
+@checked
 def trajectory_loss(
     system: System,
     expr: sympy.Expr,
@@ -155,6 +159,7 @@ def trajectory_losses(
     return test.trajectory_losses(exprs, target or system.target, start, states)
 
 
+@checked
 def score_expressions(
     system: System,
     exprs: Sequence[sympy.Expr],

@@ -12,6 +12,7 @@ import sympy
 from joblib import effective_n_jobs
 
 from dynsr import __version__
+from dynsr.arguments import checked
 from dynsr.data import (
     Samples,
     Trajectory,
@@ -108,6 +109,7 @@ from dynsr.selection import lead_with, rank_by_length
 _FEWEST = 16
 
 
+@checked
 @with_progress
 @in_fitting_units
 def discover(

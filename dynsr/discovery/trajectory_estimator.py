@@ -12,6 +12,7 @@ from sklearn.base import BaseEstimator
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
+from dynsr.arguments import checked
 from dynsr.data import Trajectory, settle_hold
 from dynsr.discovery.orders import form_of, write_lines
 from dynsr.discovery.result import Discovery
@@ -25,6 +26,7 @@ Arrays = Any
 _MOST_STEPS = 1_000_000
 
 
+@checked
 class TrajectoryRegressor(BaseEstimator):
     """Find the equations of trajectories, with the verbs and arguments of ``pysindy.SINDy``.
 

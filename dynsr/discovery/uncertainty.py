@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import Trajectory, weak_form
 from dynsr.discovery.result import Discovery, Inclusion
 from dynsr.errors import InputError
@@ -31,7 +32,7 @@ from dynsr.fit import (
     residual_noise,
     structure_bits,
 )
-from dynsr.jobs import spread
+from dynsr.jobs import check_seed, spread
 
 _TOO_FEW = "{} rows are too few for an ensemble; give at least 24"
 
@@ -46,6 +47,7 @@ class Term:
     interval: tuple[float, float]
 
 
+@checked
 def bootstrap(
     found: Discovery,
     *,
@@ -84,7 +86,7 @@ def bootstrap(
     if members < 2 or not 0 < level < 1:
         raise InputError(f"{members} members at level {level}; give two or more and 0 < level < 1")
     result = {}
-    sequences = np.random.SeedSequence(seed).spawn(len(found.equations))
+    sequences = np.random.SeedSequence(check_seed(seed)).spawn(len(found.equations))
     for (state, expr), sequence in zip(found.equations.items(), sequences, strict=True):
         exprs, bottom = _terms(expr, [c.expr for c in list(found.front[state])[-alternatives:]])
         runs = [_weaken(run, state, exprs, bottom, pieces) for run in found.trajectories]

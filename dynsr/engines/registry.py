@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from typing import TYPE_CHECKING
 
+from dynsr.arguments import checked
 from dynsr.engines.julia.setup import require_julia
 from dynsr.errors import InputError
 
@@ -20,6 +21,7 @@ START_NOTES = {
 _STARTED: dict[str, AbstractEngine] = {}
 
 
+@checked
 def find_engine(name: str | AbstractEngine = DEFAULT_ENGINE) -> AbstractEngine:
     """Give the engine of that name, the same object each time; an engine is given back.
 

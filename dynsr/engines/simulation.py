@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import System, Trajectory
 from dynsr.engines.adaptive import Motion, describe_end, follow, rows_of
 from dynsr.engines.base import (
@@ -30,6 +31,7 @@ _NEAR = 100.0
 DRIVEN = "on measured inputs"
 
 
+@checked
 def simulate(
     system: System,
     x0: Sequence[float] | np.ndarray | None = None,
@@ -144,6 +146,7 @@ def training_trajectory(
     return simulate(system, None, times, DEFAULT_RELTOL, DEFAULT_ABSTOL, engine)
 
 
+@checked
 def add_noise(trajectory: Trajectory, relative: float, rng: np.random.Generator) -> Trajectory:
     """Add Gaussian noise with ``relative`` times each state's own standard deviation.
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.errors import InputError
 from dynsr.expression.operators import CONSTANTS, FUNCTIONS, OPERATORS
 
@@ -70,6 +71,7 @@ def check_name(name: str, role: str = "variable") -> str:
     return name
 
 
+@checked
 def parse(
     text: str | float | sympy.Expr,
     names: Iterable[str] | None = None,

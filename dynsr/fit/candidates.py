@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import Samples
 from dynsr.expression import ByText, complexity, evaluate, shown, to_latex_formula
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+@checked
 @dataclass(frozen=True)
 class Candidate:
     """One formula found for a target.
@@ -64,6 +66,7 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
     return Candidate(expr, missed, complexity(expr), source)
 
 
+@checked
 @dataclass(frozen=True, repr=False)
 class ParetoFront:
     """Candidates of which none is both simpler and better than another, simplest first.

@@ -47,7 +47,7 @@ _ROUNDING = 1e-6
 _BEGIN = 0.1
 
 Constraints = Mapping[str, Mapping[str, str | int]] | Sequence[str] | str
-Must = Mapping[str, Any] | Sequence[str] | str
+Must = Mapping[str, str | sympy.Expr | Sequence[str | sympy.Expr]] | Sequence[str] | str
 
 
 @dataclass(frozen=True)

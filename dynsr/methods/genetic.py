@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import Samples
 from dynsr.errors import InputError
 from dynsr.expression import NAMED_FUNCTIONS
@@ -30,6 +31,7 @@ from dynsr.methods.limits import Limits
 from dynsr.methods.own_terms import extend_samples
 
 
+@checked
 @dataclass(frozen=True)
 class GeneticAlgorithm(AbstractMethod):
     """Evolve bitstrings that decode to words of a grammar.

@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import Samples
 from dynsr.expression import complexity, evaluate, number_bits
 from dynsr.fit import (
@@ -220,6 +221,7 @@ def _solve(systems: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.linalg.solve(systems + 1e-12 * np.eye(systems.shape[1]), right)
 
 
+@checked
 @dataclass(frozen=True)
 class RationalSearch(AbstractMethod):
     """Search for a short sum of features, or a ratio of two.

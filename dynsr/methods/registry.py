@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from dynsr.arguments import checked
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
@@ -139,6 +140,7 @@ def find_method(name: str) -> MethodEntry:
     raise InputError(f"unknown method {name!r}; the methods are: {name_methods()}")
 
 
+@checked
 def make_method(name: str, preset: str = DEFAULT_PRESET, **changes: Any) -> AbstractMethod:
     """Give the method ``name`` with the settings called ``preset``.
 

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import Samples
 from dynsr.engines import (
     DEFAULT_ENGINE,
@@ -186,6 +187,7 @@ def _unit_rows(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return theta / scale[:, None], scale
 
 
+@checked
 @dataclass(frozen=True)
 class SINDy(AbstractMethod):
     """Sparse identification (Brunton et al. 2016), explicit or implicit (Kaheman et al. 2020).

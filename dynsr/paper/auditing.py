@@ -10,6 +10,7 @@ from decimal import ROUND_DOWN, Decimal
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import find_system
 from dynsr.discovery import Score
 from dynsr.engines import AbstractEngine, find_engine
@@ -50,6 +51,7 @@ class AuditRow:
     unrounded_agrees: bool | None = None
 
 
+@checked
 def audit(
     engine: str | AbstractEngine = "embedded",
     unrounded: Models | None = None,

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import PAPER_SYSTEMS, SYSTEMS, Samples, System, Trajectory
 from dynsr.discovery import Score, score_expressions, trajectory_losses
 from dynsr.engines import (
@@ -238,6 +239,7 @@ def printed_losses(
     )
 
 
+@checked
 def printed_loss(
     system: System,
     expr: sympy.Expr,

@@ -19,6 +19,7 @@ import numpy as np
 from joblib import effective_n_jobs
 
 from dynsr import __version__
+from dynsr.arguments import checked
 from dynsr.data import (
     SYSTEMS,
     Samples,
@@ -252,6 +253,7 @@ class Replication:
         return write_results(self.folder, self.records, self.settings)
 
 
+@checked
 def replicate(
     systems: Sequence[str | System] = PAPER_NAMES,
     methods: Sequence[str] = PAPER_METHODS,

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import Samples
 from dynsr.errors import InputError, MissingExtra, need
 from dynsr.fit import Candidate, ParetoFront, choose, score_candidate, snap_best
@@ -120,6 +121,7 @@ class ExactStages:
         )
 
 
+@checked
 @dataclass(frozen=True)
 class DynAIFeynman(AbstractMethod):
     """AI Feynman 2.0 (Udrescu et al. 2020) extended to the slopes of trajectories.
