@@ -89,8 +89,9 @@ SHORT: dict[str, dict[str, Any]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in DOORS if name not in LONG])
-def test_every_public_door_names_an_argument_of_a_wrong_type(name, usual):
+def test_every_public_door_names_an_argument_of_a_wrong_type(name, usual, tmp_path, monkeypatch):
     """Whatever one argument is, the call gives a result or one line of dynsr's own."""
+    monkeypatch.chdir(tmp_path)
     door = getattr(dynsr, name)
     parameters = inspect.signature(door).parameters.values()
     due = [p for p in parameters if p.default is p.empty and p.kind is not p.VAR_KEYWORD]
