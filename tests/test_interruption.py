@@ -10,6 +10,7 @@ import joblib
 import numpy as np
 import pytest
 
+from dynsr.discovery.problem import Problem
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
 from dynsr.errors import InputError
@@ -86,6 +87,30 @@ def test_fronts_of_running_searches_count(decay, jobs):
     assert set(found.explanation) == {"x", "y"}
     assert all(len(found.front[state]) for state in found.equations)
     assert ("nothing yet" in found.explanation["y"]) == (jobs == 1)
+
+
+def test_ctrl_c_while_equations_are_judged_gives_them_unjudged(decay, monkeypatch):
+    """What was found is given also where the interrupt comes when the searches are over."""
+
+    def interrupt(self, found, rivals):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Problem, "judge_in_time", interrupt)
+    found = discover(decay, method=QUICK, jobs=1)
+    assert set(found.equations) == {"x", "y"} and not found.complete
+    assert found.verdict is None and found.heading == "Not judged."
+
+
+def test_a_search_that_was_cut_short_is_not_judged(decay, monkeypatch):
+    """Who ends a search waits for no judgement of what it had."""
+
+    def judge(self, found, rivals):
+        raise AssertionError
+
+    monkeypatch.setattr(Problem, "judge_in_time", judge)
+    ctrl_c = Interrupt(lambda step: step.done and has_formula(step))
+    found = discover(decay, method=[QUICK, ENDLESS], targets="y", jobs=1, progress=ctrl_c)
+    assert ctrl_c.sent and found.verdict is None and "best so far" in found.explanation["y"]
 
 
 def test_searches_in_threads_stop_too(decay):

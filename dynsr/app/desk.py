@@ -16,6 +16,8 @@ from dynsr.app.worker import END, LEAVE, STOP, run
 from dynsr.errors import InputError
 
 READ, SEARCH, REDRAW, WRITE = "read", "search", "redraw", "write"
+_KEEP, _RESTORE = "keep", "restore"
+_RESULTS = ("found", "progress", "picture")
 _SECONDS_TO_STOP = 10.0
 _SECONDS_TO_LEAVE = 6.0
 _SECONDS_TO_DRAW = 20.0
@@ -62,6 +64,9 @@ class Desk:
         self._job: _Job | None = None
         self._stopped = False
         self._source: dict[str, Any] | None = None
+        # What the search that runs was asked for, and state -> the best formula that it told.
+        self._options: Mapping[str, Any] = {}
+        self._best: dict[str, str] = {}
         self._closed = self._lost = False
         self._start()
         self.show("busy", "")
@@ -118,17 +123,18 @@ class Desk:
         if verb in (READ, SEARCH):
             # Columns that were corrected a moment before are read first.
             self._drop(*(job for job in self._waiting if verb == READ or job.verb != READ))
-            for name in ("found", "progress", "picture"):
+            for name in _RESULTS:
                 self.show(name, None)
         if verb == READ:
             self._source = arguments
+        if verb == SEARCH:
+            self._options, self._best = arguments["options"], {}
         # Of several pictures only the last will be looked at.
         self._drop(*(job for job in self._waiting if job.verb == verb == REDRAW))
-        job = _Job(verb, arguments, self._loop.create_future())
-        self._waiting.append(job)
+        ended = self._put(verb, **arguments)
         self.show("said", "")
         self._go_on()
-        return job.ended
+        return ended
 
     def ask_again(self, roles: Mapping[str, str], units: Mapping[str, str]) -> None:
         """Have the file read with other roles and units of its columns.
@@ -213,7 +219,10 @@ class Desk:
             number, error = content
             if number == self._number and self._job is not None:
                 self._finish(self._job, error)
-        elif not (name == "progress" and self._stopped):
+            return
+        if name == "progress" and content["best"]:
+            self._best = {s: one["formula"] for s, one in content["best"].items()}
+        if not (name == "progress" and self._stopped):
             self.show(name, content)
 
     def _finish(self, job: _Job, error: str) -> None:
@@ -222,7 +231,9 @@ class Desk:
         if job.verb == SEARCH:
             self.show("progress", None)
         product = {READ: "table", SEARCH: "found"}.get(job.verb)
-        if self._stopped and product and not error and not self.part(product):
+        if job.verb == SEARCH and self._best and not self.part("found"):
+            self._keep()
+        elif self._stopped and product and not error and not self.part(product):
             error = "stopped before anything was found"
         if self._stopped and job.verb == REDRAW:
             error = _TOO_LONG
@@ -241,10 +252,26 @@ class Desk:
             self._job = self._waiting.pop(0)
             self._number += 1
             self._stopped = False
+            if self._job.verb in (READ, SEARCH):
+                # What the job before it still had to tell.
+                for name in filter(self.part, _RESULTS):
+                    self.show(name, None)
             self._tell(self._number, self._job.verb, self._job.arguments)
             if self._job.verb == REDRAW:
                 self._loop.call_later(_SECONDS_TO_DRAW, self._give_up, self._number)
-        self.show("busy", self._doing if self._doing in (READ, SEARCH) else "")
+        doing = {READ: READ, SEARCH: SEARCH, _KEEP: "stopping", _RESTORE: "stopping"}
+        self.show("busy", doing.get(self._doing, ""))
+
+    def _keep(self) -> None:
+        """Have the formulas taken that a search had told before it ended without a result."""
+        formulas, self._best = self._best, {}
+        self._put(_KEEP, formulas=formulas, options=self._options)
+        self._put(REDRAW, values={}, run=0)
+
+    def _put(self, verb: str, **arguments: Any) -> asyncio.Future[str]:
+        job = _Job(verb, arguments, self._loop.create_future())
+        self._waiting.append(job)
+        return job.ended
 
     def _tell(self, number: int, verb: str, arguments: Mapping[str, Any]) -> None:
         with suppress(OSError, ValueError):  # it has died, of which another thread hears
@@ -261,10 +288,14 @@ class Desk:
             self._process.kill()
 
     def _replace(self) -> None:
-        """Start another worker in the place of one that died, and read the data again."""
+        """Start another worker in the place of one that died, with the data and what was found."""
         self._kill()
         job, self._job = self._job, None
-        said = "stopped" if self._stopped else _DIED
+        found = self.part("found") and not (job and job.verb == _RESTORE)
+        searched = job is not None and job.verb == SEARCH
+        said = _DIED
+        if self._stopped:
+            said = _TOO_LONG if job and job.verb == REDRAW else "stopped"
         for one in (job, *self._waiting):
             if one is not None:
                 one.end(said)
@@ -283,7 +314,16 @@ class Desk:
             self.show("preview", None)
             self.show("busy", "")
         else:
+            best = self._best
             self.ask(READ, **self._source)
+            if found:
+                self._put(_RESTORE)
+                # What was found may itself take too long to draw.
+                if job is None or job.verb != REDRAW or job.arguments["values"]:
+                    self._put(REDRAW, values={}, run=0)
+            elif searched and best:
+                self._keep()
+                said = "" if self._stopped else f"{_DIED}; these are the best so far"
         self.show("said", said)
 
     def _kill(self) -> None:

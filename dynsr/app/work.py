@@ -25,9 +25,17 @@ from dynsr.data import (
     read_trajectories,
     write_text,
 )
-from dynsr.discovery import Discovery, discover, inputs_in, write_lines, write_map_mathml
+from dynsr.discovery import (
+    Discovery,
+    beside_data,
+    discover,
+    inputs_in,
+    keep_formulas,
+    write_lines,
+    write_map_mathml,
+)
 from dynsr.errors import DynsrError, DynsrWarning, InputError, one_line
-from dynsr.expression import NAMED_FUNCTIONS, shown, to_mathml
+from dynsr.expression import NAMED_FUNCTIONS, parse, shown, to_mathml, to_text
 from dynsr.fit import ParetoFront, tidy
 from dynsr.jobs import clock, say_left
 from dynsr.methods import DEFAULT_PRESET, PRESETS
@@ -41,6 +49,8 @@ if TYPE_CHECKING:
 
 # What the page calls the files, and what they are.
 REPORT, CODE, RECORD = FILES = ("report.html", "model.py", "discovery.json")
+# What was found, for a process that takes the place of one that was ended by force.
+_KEPT = "kept.json"
 TIME, TRAJECTORY, STATE, INPUT, UNUSED = ("time", "trajectory", "state", "input", "unused")
 _PREVIEW_ROWS = 8
 _LONGEST_CELL = 40
@@ -49,6 +59,8 @@ _MOST_ROWS = 2000
 _MOST_STEPS = 200
 _MOST_COLUMNS = 200
 _MOST_PANELS = 4
+# What is kept of a search that was ended by force.
+_OF_RECORD = ("order", "explicit_time", "discrete", "preset", "seed", "column_units")
 _NUMBERS = ("max_complexity", "time_budget", "seed")
 _SWITCHES = ("snap", "explicit_time", "discrete", "ensemble")
 _NOTHING = "there are no equations yet; press Find equations first"
@@ -169,17 +181,44 @@ class Work:
         if not self._runs:
             raise InputError("there are no data to search; drop a file first")
         self._found = None
+        settings = self._read_options(options)
+        watch = Live(self._runs[0].states, self._say)
+        with _heard() as notes:
+            found = discover(list(self._runs), jobs=self._jobs, progress=watch, **settings)
+        self._take(found, notes)
+        self.redraw({}, 0)
+
+    def keep(self, formulas: Mapping[str, str], options: Mapping[str, Any]) -> None:
+        """Take the formulas that a search had told when it was ended by force, judged by nobody.
+
+        Parameters
+        ----------
+        formulas : state -> the formula.
+        options : what the search was asked for.
+        """
+        asked = self._read_options(options)
+        asked |= {"column_units": asked["units"]} if "units" in asked else {}
+        known = {n: asked[n] for n in _OF_RECORD if n in asked}
+        exprs = {state: parse(text) for state, text in formulas.items()}
+        self._take(keep_formulas(exprs, self._runs, **known), [])
+
+    def restore(self) -> None:
+        """Take again what was found by a process that was ended by force later."""
+        found = beside_data(Discovery.load(self._folder / _KEPT), self._runs)
+        self._take(found, [])
+
+    def _read_options(self, options: Mapping[str, Any]) -> dict[str, Any]:
         settings = read_options(options, self._runs[0].states)
         if options.get("units"):
             if not self._units:
                 raise InputError("no column has a unit; type one below its name")
             settings["units"] = column_units(self._runs[0], self._units)
-        watch = Live(self._runs[0].states, self._say)
-        with _heard() as notes:
-            found = discover(list(self._runs), jobs=self._jobs, progress=watch, **settings)
+        return settings
+
+    def _take(self, found: Discovery, notes: Sequence[str]) -> None:
         self._found = found
+        found.save(self._folder / _KEPT)
         self._say("found", {**show_found(found), "notes": list(dict.fromkeys(notes))})
-        self.redraw({}, 0)
 
     def write(self, name: str) -> None:
         """Write one of FILES of what was found, for downloading.
@@ -219,7 +258,9 @@ class Work:
         except DynsrError as error:
             model, said = None, one_line(error)
         svg = _draw(thin, model)
-        self._say("picture", {"svg": svg, "run": run, "lines": lines, "said": said})
+        moved = {state: list(own) for state, own in values.items()}
+        content = {"svg": svg, "run": run, "lines": lines, "said": said, "values": moved}
+        self._say("picture", content)
 
 
 _ROLES = (TIME, TRAJECTORY, STATE, INPUT, UNUSED)
@@ -416,6 +457,7 @@ class Live:
             words = {"mathml": to_mathml(expr, state), "text": f"{state}' = {shown(expr, 4)}"}
             stage = "chosen, not judged yet" if state in self._chosen else "best so far"
             words |= {"error": f"misses the slopes by {knee.loss:.2g}", "stage": stage}
+            words |= {"formula": to_text(expr)}
             self._shown[state] = knee.expr, words
         return self._shown[state][1]
 

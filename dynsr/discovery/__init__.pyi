@@ -1,3 +1,4 @@
+from .cut_short import beside_data, keep_formulas
 from .estimator import DynsrRegressor
 from .maps import inputs_in, iterate, pair_rows, write_map_mathml
 from .orders import write_lines
@@ -27,12 +28,14 @@ __all__ = [
     "TrajectoryRegressor",
     "Verdict",
     "VerdictSettings",
+    "beside_data",
     "bootstrap",
     "discover",
     "equation_rmse",
     "inputs_in",
     "is_own_record",
     "iterate",
+    "keep_formulas",
     "pair_rows",
     "predict",
     "score_expressions",

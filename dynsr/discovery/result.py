@@ -122,7 +122,7 @@ class Discovery:
     complete : False when Ctrl-C ended the searches and these are the best formulas so far.
     engine : what integrates the equations.
     verdict : whether the equations are a law, an approximation or not found; None where nobody
-        judged them.
+        judged them, as where the search was cut short.
     details : state -> how its formulas compared in bits, in words.
     ensemble : state -> the terms of an ensemble, where one was asked for.
 

@@ -225,8 +225,8 @@ def discover(
         law of these data too, nothing else is searched.
 
     Ctrl-C ends the searches: what they have found is given as a Discovery whose ``complete`` is
-    False, and the same call on the same ``out`` goes on from there; with nothing found yet it
-    raises KeyboardInterrupt.
+    False and which nobody judged, and the same call on the same ``out`` goes on from there; with
+    nothing found yet it raises KeyboardInterrupt.
 
     Part of the data is held back from the searches to choose among their formulas; then the
     constants are fitted to all of it. Raises InputError when the data cannot be used, ``out``
@@ -331,21 +331,14 @@ def discover(
     along = EXPLORATION in first and not shown
     record["engines"] = name_engines(ran, chosen, measured, along, FIRST_LOOK in first)
     record["engines"] |= ENGINES if discrete else {}
-    settled = None if demands.conserved else found.verdict
-    verdict = settled or problem.judge_in_time(found, rivals)
-    if settled is None and _left_to_us(method, preset):
-        found, verdict = _follow(problem, found, verdict, record)
+    found = replace(found, verdict=None) if demands.conserved else found
+    if found.complete and found.verdict is None:
+        found = _judge(problem, found, rivals, record, _left_to_us(method, preset))
     if cut := list(dict.fromkeys([*cut, *problem.cut])):
         record["ended_by_budget"] = cut
     return replace(
         found,
-        verdict=verdict,
-        explanation={
-            s: explain(s, found.equations[s], verdict.states[s], discrete, settings.verdict) + why
-            if s in verdict.states
-            else why
-            for s, why in found.explanation.items()
-        },
+        explanation=_explain(found, problem),
         trajectories=tuple(runs),
         inputs=drives,
         engine=chosen,
@@ -362,6 +355,37 @@ def _record_hold(
         raise InputError("a map has no time between rows; leave hold out")
     held = {} if discrete else {n: way for n, way in run.holds.items() if n not in drives}
     return {"hold": dict(held)} if held else {}
+
+
+def _explain(found: Discovery, problem: Problem) -> dict[str, str]:
+    """Put what the verdict says before the words on where each equation comes from."""
+    states = found.verdict.states if found.verdict else {}
+    form, settings = problem.form, problem.settings.verdict
+    said = {
+        s: explain(s, found.equations[s], own, form.discrete, settings) for s, own in states.items()
+    }
+    return {s: said.get(s, "") + why for s, why in found.explanation.items()}
+
+
+def _judge(
+    problem: Problem,
+    found: Discovery,
+    rivals: Rivals | None,
+    record: dict[str, Any],
+    follow: bool,
+) -> Discovery:
+    """Give the equations with their verdict, or others that keep closer to the data.
+
+    Where Ctrl-C ends this, the equations are as they were, and nobody has judged them.
+    """
+    try:
+        verdict = problem.judge_in_time(found, rivals)
+        other = found
+        if follow:
+            other, verdict = _follow(problem, found, verdict, record)
+    except KeyboardInterrupt:
+        return replace(found, complete=False)
+    return replace(other, verdict=verdict)
 
 
 def _follow(
