@@ -183,6 +183,54 @@ def test_a_search_is_cancelled(browser, page):
     assert "Cancelled; the best so far." in said or "stopped" in said
 
 
+def test_a_page_that_is_loaded_again_shows_the_same(browser, page):
+    """Moved sliders, the curve and its formula are one state, and As found is there to go back."""
+    page.drop(rabbits(), "rabbits.csv")
+    page.post("search", options={"preset": "quick", "functions": []})
+    browser.open(page.url, DESK)
+    browser.wait(FOUND)
+    constants = "[...document.querySelectorAll('.constants input[type=number]')].map(e => +e.value)"
+    lines = "document.getElementById('lines').innerText"
+    reset = "document.getElementById('reset').hidden"
+    browser.wait(f'{lines}.startsWith("x\' = -x*y")')
+    assert browser.run(constants) == [-1, 1.5, 1, -3] and browser.run(reset) is True
+    change(browser, ".constants input[type=range]", "-0.8", "input")
+    browser.wait(f"{lines}.startsWith(\"x' = -0.8*x*y\") && !document.querySelector('.waiting')")
+    moved = browser.run("document.getElementById('svg').innerHTML")
+    for _ in range(2):
+        browser.open(page.url, DESK)
+        browser.wait(FOUND)
+        assert browser.run(constants) == [-0.8, 1.5, 1, -3]
+        assert browser.run(lines).startswith("x' = -0.8*x*y + 1.5*x")
+        assert browser.run("document.getElementById('svg').innerHTML") == moved
+        assert browser.run(reset) is False
+    # A second slider moves from where the first was left.
+    change(browser, ".constants tr:nth-child(3) input", "1.25")
+    browser.wait(f'{lines}.startsWith("x\' = -0.8*x*y + 1.25*x")')
+    click(browser, "#reset")
+    browser.wait(f'{lines}.startsWith("x\' = -x*y + 1.5*x")')
+    assert browser.run(constants) == [-1, 1.5, 1, -3] and browser.run(reset) is True
+    assert browser.complaints() == []
+
+
+def test_two_windows_show_the_same(browser, page):
+    """What another window moves moves here too; what is moved here is not pulled back."""
+    page.drop(rabbits(), "rabbits.csv")
+    page.post("search", options={"preset": "quick", "functions": []})
+    browser.open(page.url, DESK)
+    browser.wait(FOUND)
+    lines = "document.getElementById('lines').innerText"
+    constants = "[...document.querySelectorAll('.constants input[type=number]')].map(e => +e.value)"
+    page.post("redraw", values={"y": [2.0, -3.0]}, run=0)
+    browser.wait(f'{lines}.includes("y\' = 2*x*y")')
+    assert browser.run(constants) == [-1, 1.5, 2, -3]
+    for value in ("-0.5", "-0.6", "-0.7"):
+        change(browser, ".constants input[type=range]", value, "input")
+        time.sleep(0.2)
+    browser.wait(f'{lines}.startsWith("x\' = -0.7*x*y")')
+    assert browser.run(constants) == [-0.7, 1.5, 2, -3]
+
+
 def test_names_of_columns_are_only_words(browser, page, tmp_path):
     """A name that is markup, or a file called so, is shown as it is written and never run."""
     bad = '<img src=x onerror="document.title=1">'

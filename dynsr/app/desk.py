@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import multiprocessing
+import shutil
+import tempfile
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
@@ -17,12 +19,14 @@ from dynsr.errors import InputError
 
 READ, SEARCH, REDRAW, WRITE = "read", "search", "redraw", "write"
 _KEEP, _RESTORE = "keep", "restore"
+_DATA = "data-"
 _RESULTS = ("found", "progress", "picture")
 _SECONDS_TO_STOP = 10.0
 _SECONDS_TO_LEAVE = 6.0
 _SECONDS_TO_DRAW = 20.0
+_NONE = "there are no equations; find them first"
 _BUSY = "a search is running; cancel it first"
-_TOO_LONG = "the equations take too long to integrate with these constants; move them back"
+_TOO_LONG = "the equations take too long to integrate with these constants; those before are back"
 _NO_START = "the process that is to do this does not start; the shell says why, or dynsr doctor"
 _DIED = "the process that did this died, perhaps for want of memory; give fewer rows"
 
@@ -67,6 +71,8 @@ class Desk:
         # What the search that runs was asked for, and state -> the best formula that it told.
         self._options: Mapping[str, Any] = {}
         self._best: dict[str, str] = {}
+        # The folders of files that come in or wait to be read.
+        self._coming: set[Path] = set()
         self._closed = self._lost = False
         self._start()
         self.show("busy", "")
@@ -120,6 +126,8 @@ class Desk:
         # What is found is shown a moment before the search ends, and may be asked for then.
         if self._doing == SEARCH and (verb in (READ, SEARCH) or not self.part("found")):
             raise InputError(_BUSY)
+        if verb == WRITE and not self.part("found"):
+            raise InputError(_NONE)
         if verb in (READ, SEARCH):
             # Columns that were corrected a moment before are read first.
             self._drop(*(job for job in self._waiting if verb == READ or job.verb != READ))
@@ -144,6 +152,36 @@ class Desk:
         if self._source is None:
             raise InputError("there are no data; drop a file first")
         self.ask(READ, **{**self._source, "roles": dict(roles), "units": dict(units)})
+
+    def place_for(self, name: str) -> Path:
+        """Give a path for a file that comes in; :meth:`read` or :meth:`drop` it in the end."""
+        folder = Path(tempfile.mkdtemp(prefix=_DATA, dir=self.folder))
+        self._coming.add(folder)
+        return folder / name
+
+    def read(self, path: Path) -> None:
+        """Have a file read that came in; those before it, which nobody needs then, go.
+
+        Raises InputError while a search runs.
+        """
+
+        def done(_: asyncio.Future[str]) -> None:
+            self._coming.discard(path.parent)
+            self._clear_away()
+
+        self.ask(READ, path=str(path)).add_done_callback(done)
+
+    def drop(self, path: Path) -> None:
+        """Keep nothing of a file that came in."""
+        self._coming.discard(path.parent)
+        shutil.rmtree(path.parent, ignore_errors=True)
+
+    def _clear_away(self) -> None:
+        """Remove the files that were read, but that which the page is about."""
+        needed = {*self._coming, *([Path(self._source["path"]).parent] if self._source else ())}
+        for folder in self.folder.glob(f"{_DATA}*"):
+            if folder not in needed:
+                shutil.rmtree(folder, ignore_errors=True)
 
     @property
     def stem(self) -> str:
@@ -174,6 +212,7 @@ class Desk:
         for name in ("table", "preview", "found", "progress", "picture"):
             self.show(name, None)
         self.show("said", "")
+        self._clear_away()
 
     def close(self) -> None:
         """End the worker and all that it started."""
@@ -293,8 +332,8 @@ class Desk:
         job, self._job = self._job, None
         found = self.part("found") and not (job and job.verb == _RESTORE)
         searched = job is not None and job.verb == SEARCH
-        said = _DIED
-        if self._stopped:
+        said, stopped = _DIED, self._stopped
+        if stopped:
             said = _TOO_LONG if job and job.verb == REDRAW else "stopped"
         for one in (job, *self._waiting):
             if one is not None:
@@ -323,7 +362,7 @@ class Desk:
                     self._put(REDRAW, values={}, run=0)
             elif searched and best:
                 self._keep()
-                said = "" if self._stopped else f"{_DIED}; these are the best so far"
+                said = "" if stopped else f"{_DIED}; these are the best so far"
         self.show("said", said)
 
     def _kill(self) -> None:

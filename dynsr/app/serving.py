@@ -14,10 +14,8 @@ import logging
 import os
 import re
 import secrets
-import shutil
 import signal
 import sys
-import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -31,6 +29,7 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler, stream_request_body
 
 from dynsr.app.desk import READ, REDRAW, SEARCH, WRITE, Desk
+from dynsr.data import own_folder
 from dynsr.errors import InputError, in_words, one_line
 
 HOST = "127.0.0.1"
@@ -44,7 +43,10 @@ _PATIENCE = 20.0
 # What is too large is taken and thrown away up to so many times the limit; then the line is cut.
 _DRAINED = 20
 _TABLES = (".csv", ".tsv", ".txt", ".dat")
-_LONGEST_NAME = 80
+# In bytes; a name may have 255.
+_LONGEST_NAME, _LONGEST_SUFFIX = 80, 10
+# Digits of the size of a file.
+_LONGEST_SIZE = 18
 _KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _DOWNLOADS = {
     "report.html": "text/html",
@@ -90,12 +92,9 @@ def serve(
         raise InputError(f"there is no file {str(data)!r}; check the name")
     # What is amiss with requests is no business of the terminal's.
     logging.getLogger("tornado").setLevel(logging.CRITICAL)
-    folder = Path(tempfile.mkdtemp(prefix="dynsr-app-"))
-    try:
-        own = data and data.absolute()
+    own = data and data.absolute()
+    with own_folder("dynsr-app-") as folder:
         ended_by = asyncio.run(_serve(folder, own, port, jobs, megabytes, browse, say))
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
     if ended_by:
         signal.raise_signal(ended_by)
 
@@ -205,6 +204,7 @@ class _Guarded(RequestHandler):
 
     def initialize(self, token: str, hosts: tuple[str, ...], desk: Desk) -> None:
         self.token, self.hosts, self.desk = token, hosts, desk
+        self.trusted = False
 
     def set_default_headers(self) -> None:
         self.clear_header("Server")
@@ -215,14 +215,17 @@ class _Guarded(RequestHandler):
         """Refuse what is not the page itself, before anything of it is read."""
         host, headers = self.request.host.lower(), self.request.headers
         own = (None, f"http://{host}")
-        given = self.request.path.split("/")[1]
+        given = self.request.path.partition("/")[2].partition("/")[0]
         if (
             host not in self.hosts
             or headers.get("Origin") not in own
             or headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin")
         ):
             self.refuse(403)
-        elif not hmac.compare_digest(given.encode(), self.token.encode()) or type(self) is _Guarded:
+            return
+        if hmac.compare_digest(given.encode(errors="replace"), self.token.encode()):
+            self.trusted = type(self) is not _Guarded
+        if not self.trusted:
             self.refuse(404)
 
     def refuse(self, status: int, error: str = "") -> None:
@@ -233,6 +236,10 @@ class _Guarded(RequestHandler):
     def write_error(self, status_code: int, **about: Any) -> None:
         """Answer with the line that says what went wrong."""
         error = (about.get("exc_info") or (None, None))[1]
+        if not self.trusted:
+            # Whatever was odd about the request, it is nobody's that is answered.
+            self.refuse(404)
+            return
         if isinstance(error, InputError):
             self.set_status(400)
         elif isinstance(error, HTTPError):
@@ -324,16 +331,17 @@ class _Upload(_Guarded):
         super().initialize(**common)
         self.largest = largest
         self.name = self.error = ""
+        self.status = 400
         self.target: Path | None = None
         self.file: BinaryIO | None = None
 
     def prepare(self) -> None:
         """Look at name and size before the first byte comes."""
         super().prepare()
-        if self._finished:
+        if self._finished or self.request.method != "POST":
             return
         size = self.request.headers.get("Content-Length", "")
-        if not size.isdecimal():
+        if not size.isdecimal() or len(size) > _LONGEST_SIZE:
             self.refuse(411)
             return
         # A browser that is refused before it has sent all shows no reason.
@@ -341,11 +349,23 @@ class _Upload(_Guarded):
         self.name = _clean(self.get_query_argument("name", "data.csv"))
         self.error = self._fault(int(size))
         if not self.error:
-            self.target = Path(tempfile.mkdtemp(prefix="data-", dir=self.desk.folder)) / self.name
-            self.file = self.target.open("wb")
+            with self._disk():
+                self.target = self.desk.place_for(self.name)
+                self.file = self.target.open("xb")
+
+    @contextmanager
+    def _disk(self) -> Iterator[None]:
+        """Write in here; where that cannot be, nothing is kept, and the reason names no place."""
+        try:
+            yield
+        except OSError as error:
+            self.status = 507
+            self.error = f"{self.name!r} cannot be kept: {error.strerror or type(error).__name__}"
+            self._drop()
 
     def _fault(self, size: int) -> str:
         if size > self.largest:
+            self.status = 413
             return (
                 f"{self.name!r} has {size / _MEGABYTE:.1f} MB, more than the "
                 f"{self.largest / _MEGABYTE:g} MB that are taken; give fewer rows, or start dynsr "
@@ -361,40 +381,51 @@ class _Upload(_Guarded):
     def data_received(self, chunk: bytes) -> None:
         """Keep a piece of the file."""
         if self.file is not None:
-            self.file.write(chunk)
+            with self._disk():
+                self.file.write(chunk)
 
     def post(self) -> None:
         """Have the file read."""
+        if self.file is not None:
+            with self._disk():
+                # A disk may be full at the last moment.
+                self.file.close()
         if self.file is None or self.target is None:
-            self.refuse(413 if "MB" in self.error else 400, self.error)
+            self.refuse(self.status, self.error)
             return
-        self.file.close()
-        try:
-            self.desk.ask(READ, path=str(self.target))
-        except InputError:
-            self._drop(self.target.parent)
-            raise
-        for older in self.desk.folder.glob("data-*"):
-            if older != self.target.parent:
-                self._drop(older)
+        self.desk.read(self.target)
+        # It is the desk's now.
+        self.file = self.target = None
         self.finish({})
+
+    def on_finish(self) -> None:
+        """Keep nothing of a file that nobody reads, whatever the request was."""
+        self._drop()
 
     def on_connection_close(self) -> None:
         """Keep nothing of a file that did not come whole."""
-        if self.file is not None and self.target is not None and not self.file.closed:
-            self.file.close()
-            self._drop(self.target.parent)
+        self._drop()
 
-    @staticmethod
-    def _drop(folder: Path) -> None:
-        shutil.rmtree(folder, ignore_errors=True)
+    def _drop(self) -> None:
+        """Keep nothing of this file."""
+        if self.file is not None:
+            with suppress(OSError):
+                self.file.close()
+        if self.target is not None:
+            self.desk.drop(self.target)
+        self.file = self.target = None
 
 
 def _clean(name: str) -> str:
-    """Give the name of a file without folders and odd signs, at most so long."""
+    """Give the name of a file without folders and odd signs, at most so many bytes."""
     name = re.sub(r"[^\w .()+,=-]", "_", name.replace("\\", "/").rpartition("/")[2]).lstrip(". ")
     stem, dot, suffix = name.rpartition(".")
-    return f"{(stem or 'data')[:_LONGEST_NAME]}{dot}{suffix[:10]}"
+    return f"{_cut(stem or 'data', _LONGEST_NAME)}{dot}{_cut(suffix, _LONGEST_SUFFIX)}"
+
+
+def _cut(text: str, count: int) -> str:
+    """Give the first whole letters that take no more bytes."""
+    return text.encode(errors="replace")[:count].decode(errors="ignore")
 
 
 class _Download(_Guarded):

@@ -62,8 +62,8 @@ _MOST_PANELS = 4
 # What is kept of a search that was ended by force.
 _OF_RECORD = ("order", "explicit_time", "discrete", "preset", "seed", "column_units")
 _NUMBERS = ("max_complexity", "time_budget", "seed")
-_SWITCHES = ("snap", "explicit_time", "discrete", "ensemble")
 _NOTHING = "there are no equations yet; press Find equations first"
+_SWITCHES = ("snap", "explicit_time", "discrete", "ensemble")
 
 Say = Callable[[str, Any], None]
 

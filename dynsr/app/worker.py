@@ -56,6 +56,8 @@ def run(connection: Connection, folder: Path, jobs: int) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     worker.said.put(None)
     teller.join(_SECONDS_TO_LEAVE)
+    # What a job wrote meanwhile.
+    worker.clear()
 
 
 class _Worker:
@@ -69,7 +71,7 @@ class _Worker:
         self._jobs: SimpleQueue[tuple[int, str, dict[str, Any]]] = SimpleQueue()
         self.said: SimpleQueue[tuple[str, Any] | None] = SimpleQueue()
         self._current = self._taken = 0
-        self._loaded = self._leaving = False
+        self._loaded = self._leaving = self.orphaned = False
 
     def listen(self) -> None:
         """Take jobs, and requests to stop, until nobody is there any more."""
@@ -86,18 +88,25 @@ class _Worker:
                 self._jobs.put((number, verb, arguments))
         self._leaving = True
         loaded = self._loaded
+        # Who made the folder may be gone without a word, and data are not left behind. First of
+        # all: what ends with the main thread is this thread too.
+        self.orphaned = verb != LEAVE
+        self.clear()
         if loaded:
             signal_main(signal.SIGINT)
             self._jobs.put((0, LEAVE, {}))
-        if verb != LEAVE:
-            # Who made the folder is gone without a word, and data are not left behind.
-            shutil.rmtree(self._folder, ignore_errors=True)
-        if not loaded:
+        else:
             # Compiled modules tell an interrupt of their import as an error of their own.
             os._exit(0)
         # Of itself the process ends before that, with all that it started.
         time.sleep(_SECONDS_TO_LEAVE)
+        self.clear()
         os._exit(1)
+
+    def clear(self) -> None:
+        """Remove the folder where nobody else will."""
+        if self.orphaned:
+            shutil.rmtree(self._folder, ignore_errors=True)
 
     def tell(self) -> None:
         """Send what is said."""

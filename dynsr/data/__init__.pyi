@@ -20,7 +20,7 @@ from .samples import SCHEMES, Samples, join_samples, make_samples
 from .slopes import SMOOTHERS, SlopeSettings, choose_samples, smooth_column
 from .smoothing import SmoothedTrajectory, estimate_noise, smooth
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
-from .temporary import is_part, open_part, remove_stale
+from .temporary import is_part, open_part, own_folder, remove_stale
 from .times import check_time_unit
 from .trajectory import Trajectory, columns_of, settle_hold
 from .velocity import add_velocities, choose_second_samples
@@ -87,6 +87,7 @@ __all__ = [
     "odd_times",
     "odd_values",
     "open_part",
+    "own_folder",
     "read_names_only",
     "read_trajectories",
     "remove_stale",

@@ -1,11 +1,17 @@
-"""Temporary files: one maker of their names, which nobody can foresee, and one recogniser."""
+"""Temporary files and folders: one maker of each, names that nobody can foresee, one recogniser."""
 
 from __future__ import annotations
 
+import os
 import re
 import secrets
+import shutil
 import stat
+import sys
+import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -35,3 +41,55 @@ def remove_stale(folder: Path) -> None:
     for path in folder.iterdir():
         if is_part(path) and time.time() - path.lstat().st_mtime > _STALE_SECONDS:
             path.unlink(missing_ok=True)
+
+
+# The name of the file by whose lock a folder's owner is known to live.
+_OWNER = "owner"
+
+
+@contextmanager
+def own_folder(prefix: str) -> Iterator[Path]:
+    """Give a temporary folder that goes at the end; those whose owners were killed go now.
+
+    Parameters
+    ----------
+    prefix : the beginning of its name, such as "dynsr-app-". Folders of that name go when they are
+        this user's and nobody holds the lock in them any more.
+    """
+    _remove_left_over(prefix)
+    folder = Path(tempfile.mkdtemp(prefix=prefix))
+    lock = (folder / f"{_OWNER}-to-be").open("xb")
+    try:
+        # Where nothing can be locked the folder has no owner, and nobody else removes it.
+        with suppress(OSError):
+            if _lock(lock.fileno()):
+                os.rename(lock.name, folder / _OWNER)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        lock.close()
+
+
+def _lock(number: int) -> bool:
+    """Lock an open file until it is closed, as it is when its process ends in any way."""
+    if sys.platform == "win32":
+        return False
+    import fcntl
+
+    fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return True
+
+
+def _remove_left_over(prefix: str) -> None:
+    for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+        # It may be a link, somebody else's, or go in this moment.
+        with suppress(OSError, AttributeError):
+            about = folder.lstat()
+            if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.getuid():
+                continue
+            number = os.open(folder / _OWNER, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                if _lock(number):
+                    shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(number)

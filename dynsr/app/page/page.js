@@ -121,17 +121,31 @@ const showProgress = progress => {
 };
 
 // ---- what was found
-let sliders = [], waiting = 0;
+// The picture says what it shows, and sliders follow it, but where they were moved since.
+let sliders = [], waiting = 0, asked = null;
+const isMoved = () => sliders.some(one => one.value !== one.found);
+const nameOf = (values, run) => JSON.stringify([values, run]);
 const redraw = () => {
   clearTimeout(waiting);
-  waiting = setTimeout(() => {
-    const values = {};
-    for (const one of sliders) (values[one.state] ||= []).push(one.value);
-    const moved = sliders.some(one => one.value !== one.found);
-    show("reset", moved);
+  waiting = setTimeout(async () => {
+    waiting = 0;
+    const values = {}, run = Number($("run").value) || 0;
+    if (isMoved()) for (const one of sliders) (values[one.state] ||= []).push(one.value);
+    show("reset", isMoved());
     $("svg").classList.add("waiting");
-    post("redraw", { values: moved ? values : {}, run: Number($("run").value) || 0 });
+    asked = nameOf(values, run);
+    if (!await post("redraw", { values, run })) follow(parts.picture, true);
   }, 120);
+};
+const follow = (picture, anyway) => {
+  if (!picture) { asked = null; return; }
+  if (anyway || asked === nameOf(picture.values, picture.run)) asked = null;
+  if (waiting || asked !== null) return;
+  const left = Object.fromEntries(Object.entries(picture.values).map(([state, own]) => [state, [...own]]));
+  for (const one of sliders) one.put(left[one.state] ? left[one.state].shift() : one.found);
+  $("run").value = picture.run;
+  show("reset", isMoved());
+  $("svg").classList.remove("waiting");
 };
 const slider = (one, left, unit) => {
   const own = { state: one.state, value: one.value, found: one.value };
@@ -144,7 +158,7 @@ const slider = (one, left, unit) => {
     range.min = Math.min(one.value - reach, value); range.max = Math.max(one.value + reach, value);
     range.value = value; number.value = Number(value.toPrecision(6));
   };
-  own.reset = () => put(own.found);
+  own.put = put;
   range.addEventListener("input", () => { put(range.valueAsNumber); redraw(); });
   number.addEventListener("change", () => { put(number.valueAsNumber); redraw(); });
   put(one.value);
@@ -157,6 +171,9 @@ const slider = (one, left, unit) => {
 const showFound = (found, fresh) => {
   show("found", found);
   show("code", found);
+  clearTimeout(waiting);
+  waiting = 0;
+  asked = null;
   if (!found) { sliders = []; show("constants", false); return; }
   $("verdict").textContent = (found.complete ? "" : "Cancelled; the best so far. ") + found.heading;
   $("verdict").className = `banner ${level(found.level)}`;
@@ -173,7 +190,7 @@ const showFound = (found, fresh) => {
 };
 const showPicture = picture => {
   show("picture", picture);
-  $("svg").classList.remove("waiting");
+  follow(picture);
   if (!picture) { $("svg").replaceChildren(); return; }
   $("svg").innerHTML = picture.svg;
   $("picture-said").textContent = picture.said || "";
@@ -184,8 +201,10 @@ const showPicture = picture => {
 const DRAW = { preview: svg => { $("preview").innerHTML = svg || ""; }, choices: showChoices, table: showTable, picture: showPicture, said: complain };
 const draw = (changed, first) => {
   Object.assign(parts, changed);
-  for (const name of Object.keys(changed)) if (DRAW[name]) DRAW[name](parts[name]);
   if ("found" in changed) showFound(parts.found, !first);
+  for (const name of Object.keys(changed)) if (DRAW[name]) DRAW[name](parts[name]);
+  // What was asked for could not be drawn.
+  if (changed.said) follow(parts.picture, true);
   if ("progress" in changed || "busy" in changed) showProgress(parts.progress);
   if ("about" in changed) $("limit").textContent = `Up to ${parts.about.largest / 2 ** 20} MB`;
   const idle = !parts.busy, table = parts.table;
@@ -230,7 +249,7 @@ $("options").addEventListener("submit", event => { event.preventDefault(); post(
 $("stop").addEventListener("click", () => post("stop"));
 $("forget").addEventListener("click", () => post("forget"));
 $("quit").addEventListener("click", async () => { if (await post("quit")) leave("dynsr has ended; this page can be closed"); });
-$("reset").addEventListener("click", () => { for (const one of sliders) one.reset(); redraw(); });
+$("reset").addEventListener("click", () => { for (const one of sliders) one.put(one.found); redraw(); });
 $("run").addEventListener("change", redraw);
 $("latex").addEventListener("click", async () => {
   await navigator.clipboard.writeText(parts.found.latex).catch(() => {});

@@ -15,9 +15,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 
+from dynsr.data import own_folder
 from dynsr.errors import EngineError, EngineUnavailable
 
 INSTALL = "pip install 'dynsr[julia]', then dynsr doctor --install"
@@ -232,9 +234,9 @@ def own_depot() -> str:
     depot = os.path.join(caches or os.path.join(home, ".cache"), "dynsr", "julia")
     if _takes_files(depot):
         return depot
-    depot = tempfile.mkdtemp(prefix="dynsr-julia-")
-    atexit.register(shutil.rmtree, depot, ignore_errors=True)
-    return depot
+    stack = ExitStack()
+    atexit.register(stack.close)
+    return str(stack.enter_context(own_folder("dynsr-julia-")))
 
 
 def _takes_files(folder: str) -> bool:
