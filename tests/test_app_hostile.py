@@ -331,7 +331,7 @@ def test_the_equations_on_the_screen_are_kept(fresh, monkeypatch, end):
                 child.kill()
     parts = fresh.wait(lambda parts: not parts["busy"] and parts["picture"])
     found = parts["found"]
-    assert found["complete"] is False and found["heading"] == "Not judged."
+    assert found["complete"] is False and found["heading"].endswith("Not judged.")
     assert {e["state"] for e in found["equations"]} == {"a", "b"}
     assert [e["level"] for e in found["equations"]] == ["", ""]
     assert ("died" in parts["said"]) == (end == "kill")
