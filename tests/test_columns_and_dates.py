@@ -49,7 +49,7 @@ def test_a_text_column_that_names_no_trajectory_is_refused_with_both_remedies():
 
 def test_text_that_is_constant_within_trajectories_is_no_state():
     """A second label is left out, and the guess names it; labels that do not split stay labels."""
-    data = experiments(drug=["yes", "yes", "no"], well=["A", "B", "C"])
+    data = experiments(drug=["KCl", "KCl", "none"], well=["A", "B", "C"])
     table = read_trajectories(data)
     assert "named by 'well'" in table.guess
     assert "labels of trajectories, not used: 'drug'" in table.guess

@@ -137,7 +137,9 @@ ODD = ["\x85", "\x0c", "\x0b", "\x1c", "\x1d", "\x1e", "\u2028", "\u2029", "\u00
 @pytest.mark.parametrize("odd", ODD)
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_odd_characters_in_comments_cost_no_row(odd, end, tmp_path):
-    """What ends a line for str.splitlines or begins a quotation ends none here; no row is lost."""
+    """What ends a line for str.splitlines or begins a quotation ends none here; no row is lost, and
+    a remark between the rows is told.
+    """
     rows = [f"{t!r},{x!r}" for t, x in zip(T.tolist(), X.tolist(), strict=True)]
     head = [f"# a note{odd}of {odd} it", "# units: s, m", "t,x"]
     middle = [f"# half{odd}way"]
@@ -147,7 +149,8 @@ def test_odd_characters_in_comments_cost_no_row(odd, end, tmp_path):
     with gzip.open(tmp_path / "odd.csv.gz", "wb") as file:
         file.write(text.encode())
     for source in (path, tmp_path / "odd.csv.gz"):
-        run = read(source)
+        with pytest.warns(DynsrWarning, match="1 remark was skipped between the rows"):
+            run = read(source)
         assert run.t.tolist() == T.tolist() and run.x[:, 0].tolist() == X.tolist()
 
 

@@ -78,7 +78,6 @@ BAD_DATA = {
     "directory": (lambda path: path.mkdir(), "is a directory"),
     "missing": (lambda path: None, "there is no file"),
     "time alone": (text("t\n" + "\n".join(map(str, range(20)))), "no column left for a state"),
-    "name twice": (text("t,x,x\n" + "0,1,2\n" * 12), "'x' is used twice"),
     "no time": (text("a,b\n" + "1,2\n" * 12), "looks like the time"),
 }
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynsr.data import columns
+from dynsr.data import text
 from dynsr.data.columns import load_columns
 from dynsr.errors import InputError
 
@@ -43,7 +43,7 @@ def test_numpy_reads_what_pandas_reads(tmp_path_factory, data) -> None:
     lines = [",".join(row) for row in [head, *data.draw(st.lists(rows, max_size=5))]]
     path = tmp_path_factory.mktemp("plain") / "x.csv"
     path.write_text(end.join(lines) + data.draw(st.sampled_from(["", end])), newline="")
-    with patch.object(columns, "_load_plain", return_value=None):
+    with patch.object(text, "_load_plain", return_value=None):
         expected = read(path)
     np.testing.assert_equal(read(path), expected)
 

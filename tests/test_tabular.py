@@ -212,7 +212,6 @@ REFUSED = {
         "looks like the time",
     ),
     "time alone": ("t\n" + "\n".join(map(str, range(20))), "no column left for a state"),
-    "same name twice": (table_text(header="t,x,x"), "'x' is used twice"),
     "binary": (bytes(range(256)) * 20, "is binary"),
     "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "is a picture"),
     "Excel file": (b"PK\x03\x04" + bytes(100), "Excel"),
@@ -306,6 +305,11 @@ WARNED = {
     ),
     "keyword": (table_text(header="t,lambda,y"), "'lambda' -> lambda_1", ("lambda_1", "y")),
     "clash after change": (table_text(header="t,x!,x"), "'x!' -> x_2", ("x_2", "x")),
+    "same name twice": (
+        table_text(header="t,x,x"),
+        "'x' is used twice in data.csv; one of them is called 'x_2' here",
+        ("x", "x_2"),
+    ),
     "Latin-1": (table_text(header="t,é,y").encode("latin-1"), "read as Latin-1", ("é", "y")),
 }
 

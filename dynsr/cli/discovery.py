@@ -166,7 +166,10 @@ def show_files(found: Discovery, saved: Sequence[Path], folder: Path | None) -> 
 def discover(
     files: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[FILE]...", help="CSV, TSV, Parquet or .npz; one or many."),
+        typer.Argument(
+            metavar="[FILE]...",
+            help="Text (CSV), Excel, Parquet, .mat, .h5, .nc, .npz; one or many.",
+        ),
     ] = None,
     system: Annotated[
         str | None,

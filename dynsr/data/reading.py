@@ -22,7 +22,7 @@ from dynsr.data.grouping import group_rows
 from dynsr.data.oddities import OddSettings
 from dynsr.data.roles import Roles, clean_name, find_time, guess_roles
 from dynsr.data.table_checks import check_rows, check_values, thin, to_numbers, to_times
-from dynsr.data.times import convert_times
+from dynsr.data.times import convert_times, unit_in_name
 from dynsr.data.trajectory import Trajectory, as_floats, settle_hold
 from dynsr.data.writing import write_new
 from dynsr.errors import DynsrWarning, InputError
@@ -64,7 +64,8 @@ def read_trajectories(
 
     Parameters
     ----------
-    source : a CSV, TSV, Parquet, .npz or .npy file; a pandas or polars frame; a mapping of
+    source : a file of delimited text, Excel (.xlsx, .xls, .ods), MATLAB (.mat), HDF5 (.h5), NetCDF
+        (.nc), Parquet, .npz or .npy; a frame of pandas or polars; a dataset of xarray; a mapping of
         columns; a pair of arrays (t (n,), x (n, k)); an array whose first column is the time; a
         Trajectory; or a list of any of these, one or more trajectories each.
     time : name of the time column, or the (n,) times themselves; guessed by default.
@@ -98,8 +99,9 @@ def read_trajectories(
         warnings.warn(note, DynsrWarning, stacklevel=2)
     named, formulas = _split_inputs(inputs)
     time = find_time(columns, time)
+    columns.check_usable([time])
     t, unit = to_times(columns.values[columns.names.index(time)], time, columns.label)
-    unit = columns.time_unit or unit
+    unit = columns.time_unit or unit or unit_in_name(f"[{columns.units.get(time, '')}]")
     if isinstance(source, np.ndarray) and not columns.named:
         _check_first_column(t, columns.label)
     roles = guess_roles(columns, time, t, _listed(states), named, formulas, trajectory)
@@ -258,6 +260,7 @@ def _cut(
 ) -> list[Trajectory]:
     by_name = dict(zip(columns.names, columns.values, strict=True))
     wanted = [*roles.states, *roles.inputs]
+    columns.check_usable([*wanted, *roles.trajectory])
     data = [to_numbers(by_name[name], name, columns.label) for name in wanted]
     groups = group_rows(by_name[roles.trajectory[0]] if roles.trajectory else None, t)
     check_rows(t, roles.time, groups, columns.label)
@@ -265,7 +268,8 @@ def _cut(
     table = np.column_stack(data)
     functions = compile_numpy([parse(text, ["t"]) for text in formulas.values()], ["t"])
     count = len(roles.states)
-    units = {roles.renamed[name]: text for name in wanted if (text := bracketed_unit(name))}
+    told = {name: columns.units.get(name) or bracketed_unit(name) for name in wanted}
+    units = {roles.renamed[name]: unit for name, unit in told.items() if unit}
     origin = {
         "source": columns.label,
         **({"time_unit": unit} if unit else {}),

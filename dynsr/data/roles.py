@@ -138,8 +138,17 @@ def _shown(names: Sequence[str]) -> str:
 
 def _find(name: str, columns: Columns, role: str) -> str:
     """Find a column by its name in the source or by the name it gets in formulas."""
+    if name in columns.twice:
+        raise InputError(
+            f"column name {name!r} for the {role} is used twice in {columns.label}; rename one"
+        )
     if name in columns.names:
         return name
+    if name in columns.left_out:
+        raise InputError(
+            f"column {name!r} of {columns.label} was left out since it {columns.left_out[name]}; "
+            f"it cannot be the {role}"
+        )
     # A name that looks the same may be written otherwise, as the micro sign is.
     alike = unicodedata.normalize("NFKC", name)
     for original in columns.names:

@@ -1,0 +1,422 @@
+"""Assembling: named columns, and how they are put together from frames, mappings and arrays."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynsr.data.trajectory import as_floats, as_times, refuse_mask
+from dynsr.errors import InputError, one_line, printable
+
+# What a file may hold, unpacked. Larger ones would be thinned to MAX_ROWS anyway.
+MAX_BYTES = 1 << 30
+# A unit in brackets or after a blank bracket: "x [m/s]", "theta (rad)".
+_UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
+# Array of names in an archive -> the matrix whose columns they name.
+LABELS = {"states": "x", "input_names": "inputs", "columns": "data"}
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Named columns as they stood in the source.
+
+    Parameters
+    ----------
+    names : the names, in the order of the source.
+    values : one array (n,) a column: float64, dates, or objects where a cell is no number.
+    label : what a message calls the source.
+    notes : what was noticed on reading, a sentence each.
+    named : whether the names are the source's own.
+    inputs : names of the columns that the source declares to be inputs.
+    time_unit : what the first column is counted in where that is known to be the time.
+    units : column -> its unit, where a row below the header or the cells themselves name it.
+    left_out : column that was left out on reading -> the reason.
+    faults : column that cannot be used as it stands -> what is said when it is needed.
+    twice : names that several columns of the source have, the first of which keeps its name.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[np.ndarray, ...]
+    label: str
+    notes: tuple[str, ...] = ()
+    named: bool = True
+    inputs: tuple[str, ...] = ()
+    time_unit: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    faults: Mapping[str, str] = field(default_factory=dict)
+    twice: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that there are columns of one length, each with a name of its own."""
+        # The name of a file may be any bytes; the label goes into records, pages and tables.
+        object.__setattr__(self, "label", printable(self.label))
+        if not self.names:
+            raise InputError(f"{self.label} holds no columns; it needs times and states")
+        if not len(self.values[0]):
+            raise InputError(f"{self.label} holds no rows; it needs rows of times and states")
+        often = Counter(self.names)
+        for name, value in zip(self.names, self.values, strict=True):
+            if name and often[name] > 1:
+                raise InputError(f"column name {name!r} is used twice in {self.label}; rename one")
+            if len(value) != len(self.values[0]):
+                raise InputError(
+                    f"column {name!r} of {self.label} has {len(value)} rows but "
+                    f"{self.names[0]!r} has {len(self.values[0])}; "
+                    "give all columns the same length"
+                )
+
+    def only(self, names: Sequence[str]) -> Columns:
+        """Give some of the columns, in the order of the source.
+
+        Parameters
+        ----------
+        names : names of the source; others are left out.
+
+        Raises InputError when none is left.
+        """
+        pairs = [p for p in zip(self.names, self.values, strict=True) if p[0] in names]
+        return replace(
+            self,
+            names=tuple(name for name, _ in pairs),
+            values=tuple(values for _, values in pairs),
+            inputs=tuple(name for name in self.inputs if name in names),
+            twice=(),  # the caller knows them by the names that they have here
+        )
+
+    def check_usable(self, names: Sequence[str]) -> None:
+        """Raise InputError when one of these columns cannot be used as it stands."""
+        for name in names:
+            if name in self.faults:
+                raise InputError(f"column {name!r} of {self.label} {self.faults[name]}")
+
+
+def assemble(
+    names: Sequence[str],
+    columns: Sequence[np.ndarray],
+    label: str,
+    *,
+    units: Sequence[str] = (),
+    notes: Sequence[str] = (),
+    inputs: Sequence[str] = (),
+    decimal: str | None = None,
+    delimiter: str = "",
+) -> Columns:
+    """Put columns together: cells are read, empty columns and rows are left out, names are told.
+
+    Parameters
+    ----------
+    names : one a column, "" for none; no names at all for a source without.
+    columns : one array (n,) each.
+    label : what messages call the source.
+    units : one a column, "" for none; empty where the source has no such row.
+    notes, inputs : as in :class:`Columns`.
+    decimal, delimiter : as :func:`dynsr.data.cells.read_columns` takes them.
+
+    Raises InputError when nothing is left.
+
+    >>> columns = [np.array([0.0, 1.0]), np.array(["ON", "OFF"]), np.array(["", "-"])]
+    >>> found = assemble(["t", "valve", "note"], columns, "data.csv")
+    >>> found.names, found.values[1].tolist(), found.left_out
+    (('t', 'valve'), [1.0, 0.0], {'note': 'has no value in any row'})
+    """
+    from dynsr.data.cells import read_columns
+
+    _check_lengths(names, columns, label)
+    called = list(names) or list(generated_names(len(columns)))
+    readings = read_columns(columns, decimal, delimiter)
+    there = np.any([_has_value(reading.values) for reading in readings], axis=0)
+    if not there.any():
+        raise InputError(f"{label} holds no rows with a value; it needs rows of times and states")
+    new, repeats, renamed = _tell_apart(called, [reading.values for reading in readings])
+    left_out: dict[str, str] = {}
+    found: list[tuple[str, np.ndarray]] = []
+    told, units_of, faults = list(notes), {}, {}
+    for j, (name, reading) in enumerate(zip(new, readings, strict=True)):
+        reason = reading.left_out or repeats.get(j, "")
+        if reason:
+            if name or reading.unit or _has_value(reading.values).any():
+                left_out[name if name and j not in repeats else f"column {j + 1}"] = reason
+            continue
+        found.append((name, reading.values[there]))
+        told += [f"column {name!r} of {label}: {note}" for note in reading.notes]
+        if unit := (units[j] if j < len(units) else "") or reading.unit:
+            units_of[name] = unit
+        if reading.fault:
+            faults[name] = reading.fault
+    told += [
+        f"column name {old!r} is used twice in {label}; one of them is called {name!r} here"
+        for old, name in renamed
+    ]
+    return Columns(
+        tuple(name for name, _ in found),
+        tuple(values for _, values in found),
+        label,
+        tuple(told),
+        named=bool(names),
+        inputs=tuple(inputs),
+        units=units_of,
+        left_out=left_out,
+        faults=faults,
+        twice=tuple(dict.fromkeys(old for old, _ in renamed)),
+    )
+
+
+def _check_lengths(names: Sequence[str], columns: Sequence[np.ndarray], label: str) -> None:
+    if not len(columns):
+        raise InputError(f"{label} holds no columns; it needs times and states")
+    if not len(columns[0]):
+        raise InputError(f"{label} holds no rows; it needs rows of times and states")
+    for name, column in zip(names, columns, strict=False):
+        if len(column) != len(columns[0]):
+            raise InputError(
+                f"column {name!r} of {label} has {len(column)} rows but {names[0]!r} has "
+                f"{len(columns[0])}; give all columns the same length"
+            )
+
+
+def _has_value(values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind in "mM":
+        return ~np.isnat(values)
+    if values.dtype.kind == "f":
+        return ~np.isnan(values)
+    import pandas
+
+    return ~np.asarray(pandas.isna(values), dtype=bool)
+
+
+def _tell_apart(
+    names: Sequence[str], values: Sequence[np.ndarray]
+) -> tuple[list[str], dict[int, str], list[tuple[str, str]]]:
+    """Give each column a name of its own, and say which repeat one before and which are renamed."""
+    first: dict[str, int] = {}
+    told, repeats, renamed = list(names), {}, []
+    for j, name in enumerate(names):
+        if not name or not _has_value(values[j]).any():
+            continue
+        if name not in first:
+            first[name] = j
+        elif _equal(values[first[name]], values[j]):
+            repeats[j] = f"repeats column {name!r}"
+        else:
+            number = 2
+            while f"{name}_{number}" in (*names, *told):
+                number += 1
+            told[j] = f"{name}_{number}"
+            renamed.append((name, told[j]))
+    return told, repeats, renamed
+
+
+def _equal(one: np.ndarray, other: np.ndarray) -> bool:
+    floats = one.dtype.kind == other.dtype.kind == "f"
+    return bool(np.array_equal(one, other, equal_nan=floats))
+
+
+def check_size(path: Path, size: int) -> None:
+    """Raise InputError when what a file holds, unpacked, is more than is read."""
+    if size > MAX_BYTES:
+        raise InputError(
+            f"{path.name!r} holds {size / 2**30:.1f} GB of data, more than the "
+            f"{MAX_BYTES / 2**30:.3g} GB that are read; give fewer rows or columns"
+        )
+
+
+def unreadable(path: Path, kind: str, error: Exception) -> InputError:
+    """Give the error of a file that cannot be read: it holds objects, or it is damaged."""
+    if "pickle" in str(error).lower() or "object array" in str(error).lower():
+        return InputError(
+            f"{path.name!r} holds Python objects, which could run code when read; "
+            "save plain numbers (dtype float64) instead"
+        )
+    return InputError(f"{path.name!r} is damaged or not a {kind}; write it again and retry")
+
+
+def load_frame(source: Any, label: str, decimal: str | None = None) -> Columns:
+    """Load the columns of a frame, its index among them where that has a name or is a time."""
+    index = getattr(source, "index", None)
+    named = [name for name in getattr(index, "names", ()) if name is not None]
+    if clash := [name for name in named if name in source.columns]:
+        raise InputError(
+            f"{clash[0]!r} is the index and a column of {label}; drop or rename one of the two"
+        )
+    if not named and _is_time_index(index) and "time" not in source.columns:
+        source, named = source.rename_axis(index="time"), ["time"]
+    if named:
+        source = source.reset_index()  # pandas: a named index is a column too
+    return assemble(*_take_apart(source, label), label, decimal=decimal)
+
+
+def _take_apart(source: Any, label: str) -> tuple[list[str], list[np.ndarray]]:
+    """Give the names and the columns of a frame; the one place that meets errors of its library."""
+    import narwhals
+
+    pandas = sys.modules.get("pandas")
+    try:
+        if pandas is not None and isinstance(source, pandas.DataFrame):
+            # Its columns may share a name or have one of several levels, unlike those of others.
+            names = [_flat(name) for name in source.columns]
+            parts = [source.iloc[:, j] for j in range(source.shape[1])]
+            found = [narwhals.from_native(part, series_only=True).to_numpy() for part in parts]
+        else:
+            frame = narwhals.from_native(source)
+            frame = frame.collect() if isinstance(frame, narwhals.LazyFrame) else frame
+            names = [str(name) for name in frame.columns]
+            found = [column.to_numpy() for column in frame.iter_columns()]
+    except narwhals.exceptions.DuplicateError:
+        names = [str(name) for name in getattr(source, "column_names", source.columns)]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"column name {twice!r} is used twice in {label}; rename one") from None
+    except Exception as error:  # each library has its own, and a lazy frame has anything
+        raise InputError(f"cannot read {label}: {one_line(error)[:120]}") from None
+    return names, [_plain(column) for column in found]
+
+
+def _flat(name: Any) -> str:
+    """Give the name of a column, several levels of it in one."""
+    return "_".join(str(n) for n in name if str(n)) if isinstance(name, tuple) else str(name)
+
+
+def _is_time_index(index: Any) -> bool:
+    """Whether the index of a frame of pandas holds dates, durations or rising fractions."""
+    kind = getattr(getattr(index, "dtype", None), "kind", "")
+    return kind in ("m", "M") or (kind == "f" and bool(index.is_monotonic_increasing))
+
+
+def load_mapping(arrays: Mapping[str, Any], label: str, decimal: str | None = None) -> Columns:
+    """Spread matrices over columns; an array of strings names the columns of the one before."""
+    labels = {k: tuple(map(str, v)) for k, v in arrays.items() if _is_text(v) and k in LABELS}
+    names: list[str] = []
+    values: list[np.ndarray] = []
+    single = [k for k, v in arrays.items() if isinstance(v, np.ndarray) and v.ndim == 0]
+    for key, value in arrays.items():
+        if key in labels or key in single:
+            continue
+        refuse_mask(value)
+        try:
+            array = np.asarray(value)
+        except ValueError:
+            raise InputError(f"{key!r} of {label} has rows of different lengths") from None
+        if array.ndim == 1:
+            names.append(str(key))
+            values.append(_plain(array))
+        elif array.ndim == 2:
+            names += _matrix_names(str(key), array, labels)
+            values += [_plain(column) for column in array.T]
+        elif array.ndim == 0:
+            raise InputError(
+                f"{key!r} of {label} is a {type(value).__name__}, not a column; "
+                "give one value a row"
+            )
+        else:
+            raise InputError(
+                f"array {key!r} of {label} has {array.ndim} dimensions; "
+                "give one column (n,) or a table (n, k), one row a time"
+            )
+    inputs = tuple(name for name in labels.get("input_names", ()) if name)
+    # Such as the step or a parameter beside the columns of an archive.
+    notes = (f"{', '.join(map(repr, single))} of {label} is no column; left out",) if single else ()
+    return assemble(names, values, label, notes=notes, inputs=inputs, decimal=decimal)
+
+
+def _matrix_names(
+    key: str, matrix: np.ndarray, labels: Mapping[str, tuple[str, ...]]
+) -> Sequence[str]:
+    for label, named in LABELS.items():
+        if key == named and len(labels.get(label, ())) == matrix.shape[1]:
+            return labels[label]
+    return [f"{key}{j + 1}" for j in range(matrix.shape[1])]
+
+
+def _is_text(value: Any) -> bool:
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        return False
+    return array.ndim == 1 and array.dtype.kind in "US"
+
+
+def _plain(array: np.ndarray) -> np.ndarray:
+    """Give numbers, dates and durations as they are, and all else as objects."""
+    refuse_mask(array)
+    return np.asarray(array) if array.dtype.kind in "mMfiubc" else array.astype(object)
+
+
+def bare_name(name: str) -> str:
+    """Give the name of a column without a unit in brackets behind it.
+
+    >>> bare_name("theta (rad)")
+    'theta'
+    """
+    return _UNIT.sub("", name).strip()
+
+
+def bracketed_unit(name: str) -> str:
+    """Give the unit in brackets behind the name of a column; "" where there is none.
+
+    >>> bracketed_unit("v [m/s]")
+    'm/s'
+    """
+    found = _UNIT.search(name)
+    return "" if found is None else found[0].strip().strip("[]()").strip()
+
+
+def beside(t: Any, x: Any) -> tuple[np.ndarray, str]:
+    """Put times (n,) and states (n,) or (n, k) beside each other as one array (n, 1 + k).
+
+    Gives it with the unit of the times, "" where they are plain numbers. Raises InputError when
+    they are no numbers or their shapes do not fit.
+
+    >>> beside([0.0, 1.0], [2.0, 3.0])[0].tolist()
+    [[0.0, 2.0], [1.0, 3.0]]
+    """
+    t, unit = as_times(t, "t")
+    x = as_floats(x, "x")
+    if t.ndim != 1 or x.ndim not in (1, 2) or len(x) != len(t):
+        raise InputError(f"t {t.shape} and x {x.shape} do not fit; give t (n,) and x (n, k)")
+    return np.column_stack([t, x]), unit
+
+
+def with_times(columns: Columns, t: Any) -> Columns:
+    """Give columns with times that stand apart from them as their first one, ``t``.
+
+    Parameters
+    ----------
+    columns : those of a source without times.
+    t : (n,) the times.
+
+    Raises InputError when there is a column ``t`` already or the lengths differ.
+    """
+    if "t" in columns.names:
+        raise InputError(f"{columns.label} has a column 't'; drop it, or leave time= out")
+    t, unit = as_times(t, "time")
+    names, values = ("t", *columns.names), (t, *columns.values)  # noqa: PD011
+    return replace(columns, names=names, values=values, time_unit=unit)
+
+
+def load_array(array: np.ndarray, label: str) -> Columns:
+    """Load the columns of an array, the first of which is the time, or of its named fields."""
+    refuse_mask(array)
+    if array.dtype.names:
+        return load_mapping({name: array[name] for name in array.dtype.names}, label)
+    if array.ndim != 2 or array.shape[1] < 2:
+        raise InputError(
+            f"{label} has shape {array.shape} and so no times; give them too: (t, x), time=t, or "
+            "an array (n, 1 + k) whose first column they are"
+        )
+    return assemble((), [_plain(c) for c in array.T], label)
+
+
+def generated_names(count: int) -> tuple[str, ...]:
+    """Name the columns of a table without a header: t, then x or x1, x2, ...
+
+    >>> generated_names(3)
+    ('t', 'x1', 'x2')
+    """
+    return ("t", "x") if count == 2 else ("t", *(f"x{j}" for j in range(1, count)))

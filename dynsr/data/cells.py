@@ -1,0 +1,307 @@
+"""Cells: what the text in a cell of a table says, decided by the evidence of its whole column."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynsr.data.amounts import Amount, is_missing, is_unit, parse_number
+from dynsr.data.trajectory import as_floats
+from dynsr.errors import InputError
+
+_SWITCH = {
+    **dict.fromkeys(("on", "yes", "true", "open", "opened"), 1.0),
+    **dict.fromkeys(("off", "no", "false", "closed", "close", "shut"), 0.0),
+}
+_SWITCHES = (
+    {"on", "off"},
+    {"yes", "no"},
+    {"true", "false"},
+    {"open", "opened", "closed", "close", "shut"},
+)
+_EMPTY = "has no value in any row"
+_TRUTH = "true and false were read as 1 and 0"
+# A number of one cell a line that shows its decimal mark: that mark cannot set thousands apart.
+_SHOWN = {
+    mark: re.compile(
+        rf"^[-+]?(?:0?{sign}|[0-9]{{4,}}{sign}|[0-9]+{sign}(?![0-9]{{3}}\n))", re.MULTILINE
+    )
+    for mark, sign in ((".", r"\."), (",", ","))
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a column says.
+
+    Parameters
+    ----------
+    values : (n,) float64, dates or durations; objects where a cell is none of these.
+    unit : the unit that stands in its cells; "" for none.
+    notes : what was decided on reading, a clause each that begins with the column.
+    left_out : why it is of no use as a column; "" where it is.
+    fault : what a message says once the column is needed; "" for nothing.
+    """
+
+    values: np.ndarray
+    unit: str = ""
+    notes: tuple[str, ...] = ()
+    left_out: str = ""
+    fault: str = ""
+
+
+def read_columns(
+    columns: Sequence[np.ndarray], decimal: str | None = None, delimiter: str = ""
+) -> list[Reading]:
+    """Read the cells of columns; which decimal mark they have is decided by all of them together.
+
+    Parameters
+    ----------
+    columns : one array (n,) each; arrays of numbers and dates stay as they are.
+    decimal : "." or ",", as the user says; found by default.
+    delimiter : what stands between the cells of a text.
+
+    >>> column = np.array(["1.633,0", "867", "n.d."], dtype=object)
+    >>> read_columns([column])[0].values
+    array([1633.,  867.,   nan])
+    """
+    looks = [_look(column) for column in columns]
+    own = [look.mark for look in looks if isinstance(look, _Look) and len(look.decisive) == 1]
+    other = own[0] if len(set(own)) == 1 else ""
+    return [
+        look.read(decimal, other, delimiter) if isinstance(look, _Look) else look for look in looks
+    ]
+
+
+def _look(column: np.ndarray) -> Reading | _Look:
+    """Read a column whose cells need no parsing, or make ready to parse its text."""
+    if column.dtype.kind in "mM":
+        return Reading(column, left_out="" if (~np.isnat(column)).any() else _EMPTY)
+    if column.dtype.kind == "b":
+        return Reading(column.astype(float), notes=(_TRUTH,))
+    if column.dtype.kind in "fiuc":
+        return _as_numbers(column)
+    import pandas
+
+    try:
+        look = _Look(column.astype(object))
+    except TypeError:  # cells that hold lists or such
+        return Reading(column.astype(object))
+    if len(look.texts) or not look.others.any():
+        return look
+    inferred = pandas.api.types.infer_dtype(look.distinct, skipna=True)
+    filled = pandas.Series(column.astype(object)).where(look.there, None)
+    if inferred == "boolean":
+        return Reading(filled.astype(float).to_numpy(), notes=(_TRUTH,))
+    if inferred in ("datetime", "datetime64", "date", "timedelta", "timedelta64"):
+        as_dates = pandas.to_timedelta if inferred.startswith("timedelta") else pandas.to_datetime
+        try:
+            return Reading(as_dates(filled).to_numpy())
+        except (ValueError, TypeError, OverflowError):
+            return Reading(column)
+    if inferred == "time":
+        return Reading(filled.map(str, na_action="ignore").to_numpy(object))
+    return _as_numbers(filled.to_numpy(object, na_value=np.nan))
+
+
+def _as_numbers(column: np.ndarray) -> Reading:
+    try:
+        numbers = as_floats(column, "it")
+    except InputError as error:
+        # An identity of many digits stops a table only where it is wanted as a number.
+        return Reading(column.astype(object), fault=str(error).removeprefix("it "))
+    return Reading(numbers, left_out=_EMPTY if len(numbers) and np.isnan(numbers).all() else "")
+
+
+class _Look:
+    """The distinct cells of a column with text in it, and the evidence that they give."""
+
+    def __init__(self, column: np.ndarray) -> None:
+        import pandas
+
+        self.column = column
+        self.codes, self.distinct = pandas.factorize(column)
+        self.counts = np.bincount(self.codes[self.codes >= 0], minlength=len(self.distinct))
+        self.decisive: dict[str, str] = {}
+        self.parsed: list[Amount | None] = []
+        self.numbers = self._all_alike(self.distinct)
+        if self.numbers is not None:
+            self.there, self.places = self.codes >= 0, np.arange(len(self.distinct))
+            self.others, self.texts = np.zeros(len(self.distinct), dtype=bool), self.distinct
+            return
+        self._find_texts(np.array([is_missing(cell) for cell in self.distinct], dtype=bool))
+        if self.others.any() or len(self.texts) == len(self.distinct):
+            self._parse()
+            return
+        self.numbers = self._all_alike(self.texts)
+        if self.numbers is None:
+            self._parse()
+
+    def _find_texts(self, empty: np.ndarray) -> None:
+        """Find the places of the distinct cells that are texts, and of those that are not."""
+        self.there = np.append(~empty, False)[self.codes]
+        words = np.array([isinstance(cell, str) for cell in self.distinct], dtype=bool)
+        self.places = np.flatnonzero(words & ~empty)
+        self.others = ~words & ~empty
+        self.texts = [self.distinct[j].strip() for j in self.places]
+
+    def _parse(self) -> None:
+        """Take each text apart as a number, and note which decimal marks are shown."""
+        self.parsed = [parse_number(text) for text in self.texts]
+        self._drop_odd_units()
+        for number in filter(None, self.parsed):
+            if len(number.marks) == 1:
+                self.decisive.setdefault(next(iter(number.marks)), number.text)
+
+    @property
+    def mark(self) -> str:
+        """The decimal mark that cells of this column show, where there is one."""
+        return next(iter(self.decisive))
+
+    def _count(self, wanted: Callable[[Amount | None], bool]) -> int:
+        """Count the cells of text that are numbers of a kind."""
+        pairs = zip(self.places, self.parsed, strict=True)
+        return sum(int(self.counts[j]) for j, number in pairs if wanted(number))
+
+    def _spread(self, values: Sequence[Any] | np.ndarray, others: bool = False) -> np.ndarray:
+        """Give the column with a value for each distinct text; the rest as it is, or NaN."""
+        table = np.full(len(self.distinct) + 1, np.nan, dtype=object)
+        table[self.places] = values
+        if others:
+            table[:-1][self.others] = self.distinct[self.others]
+        return table[self.codes]
+
+    def _all_alike(self, cells: Sequence[Any]) -> np.ndarray | None:
+        """Give the numbers where all cells are numbers of one mark that one of them shows."""
+        try:
+            lines = "\n".join([*cells, ""])
+            signs = lines.encode("ascii")
+        except (TypeError, UnicodeError):  # not texts alone, or signs of no plain number
+            return None
+        for mark, pattern in _SHOWN.items():
+            shown = pattern.search(lines)
+            if shown and not signs.translate(None, b"0123456789+-eE\n" + mark.encode()):
+                try:
+                    numbers = np.array(lines.replace(",", ".").split("\n")[:-1], dtype=float)
+                except ValueError:
+                    return None
+                self.decisive = {mark: shown[0]}
+                return numbers
+        return None
+
+    def _drop_odd_units(self) -> None:
+        """Take an unknown word behind numbers for a unit only where it stands behind all."""
+        units = {n.unit for n in self.parsed if n is not None}
+        alone = len(units) == 1 and None not in self.parsed
+        whole = all(n is None or (n.text.isdigit() and not n.apart) for n in self.parsed)
+        for j, number in enumerate(self.parsed):
+            if number is None or not number.unit:
+                continue
+            letter = len(number.unit) == 1 and number.unit.isupper()
+            if (letter and whole) or not (alone or is_unit(number.unit)):
+                self.parsed[j] = None
+
+    def read(self, decimal: str | None, other: str, delimiter: str) -> Reading:
+        """Read the column.
+
+        Parameters
+        ----------
+        decimal : the decimal mark, as the user says.
+        other : the mark that other columns show, "" for none.
+        delimiter : what stands between cells.
+        """
+        if not self.there.any():
+            return Reading(np.full(len(self.column), np.nan), left_out=_EMPTY)
+        if self.numbers is not None and decimal in (None, self.mark):
+            return Reading(self._spread(self.numbers).astype(float))
+        if self.numbers is not None:
+            self.texts = list(self.texts)
+            self._parse()
+        words = {text.lower() for text in self.texts}
+        if not self.others.any() and any(words <= pair for pair in _SWITCHES):
+            said = " and ".join(f"{word!r} as {_SWITCH[word]:g}" for word in sorted(words))
+            values = self._spread([_SWITCH[text.lower()] for text in self.texts])
+            return Reading(values.astype(float), notes=(f"was read with {said}",))
+        bad = self._count(lambda number: number is None)
+        beyond = self._count(lambda number: number is not None and number.limit != "")
+        good = int(self.there.sum()) - beyond - bad
+        if beyond and not good and not bad:
+            reason = f"is beyond a limit in every row ({self._limits()})"
+            return Reading(np.full(len(self.column), np.nan), left_out=reason)
+        return self._as_numbers(decimal, other, delimiter) if good > bad else self._as_text()
+
+    def _as_text(self) -> Reading:
+        blank = np.array([not isinstance(c, str) or bool(c.strip()) for c in self.distinct], bool)
+        cells = [cell.strip() if isinstance(cell, str) else cell for cell in self.distinct]
+        table = np.array([*cells, np.nan], dtype=object)
+        table[:-1][~blank] = np.nan
+        values = table[self.codes]
+        filled = int(self.there.sum())
+        # Less than half of the rows: a text that names a run stands in each of its rows.
+        if 2 * filled < len(values) and not self.others.any():
+            return Reading(values, left_out=f"holds remarks in {filled} of {len(values)} rows")
+        return Reading(values)
+
+    def _limits(self) -> str:
+        pairs = zip(self.texts, self.parsed, strict=True)
+        found = [text for text, number in pairs if number is not None and number.limit]
+        return ", ".join(found[:3]) + (", ..." if len(found) > 3 else "")
+
+    def _as_numbers(self, decimal: str | None, other: str, delimiter: str) -> Reading:
+        mark, notes, doubt = self._choose_mark(decimal, other, delimiter)
+        units = sorted({n.unit for n in self.parsed if n is not None and n.unit})
+        if not doubt and len(units) > 1:
+            doubt = f"holds numbers in {units[0]!r} and in {units[1]!r}; give it one unit"
+        if doubt:
+            return Reading(self.column, fault=doubt)
+        table: list[Any] = []
+        for text, own in zip(self.texts, self.parsed, strict=True):
+            value = None if own is None else own.value(mark)
+            table.append(text if value is None else np.nan if own and own.limit else value)
+        if beyond := self._count(lambda number: number is not None and number.limit != ""):
+            cells = "1 cell is" if beyond == 1 else f"{beyond} cells are"
+            notes += (f"{cells} beyond a limit ({self._limits()}) and so without a value",)
+        values = self._spread(table, others=True)
+        unit = units[0] if units else ""
+        if any(isinstance(value, str) for value in table):
+            return Reading(values, unit, notes)
+        try:
+            return Reading(values.astype(float), unit, notes)
+        except (TypeError, ValueError, OverflowError):  # dates among numbers
+            return Reading(values, unit, notes)
+
+    def _choose_mark(
+        self, decimal: str | None, other: str, delimiter: str
+    ) -> tuple[str, tuple[str, ...], str]:
+        """Give the decimal mark, what is said of the choice, and the doubt where there is none."""
+        if decimal:
+            return decimal, (), ""
+        if len(self.decisive) == 2:
+            point, comma = self.decisive["."], self.decisive[","]
+            doubt = f"holds both {point!r} and {comma!r}, so that no one knows its decimal mark"
+            return "", (), f"{doubt}; write one mark throughout, or say it (--decimal)"
+        if self.decisive:
+            return self.mark, (), ""
+        unclear = [n for n in self.parsed if n is not None and n.ambiguous]
+        signs = {"," if "," in n.text else "." for n in unclear}
+        # A point is the decimal mark where nothing speaks for a comma.
+        if not unclear or (signs == {"."} and other != ","):
+            return ".", (), ""
+        first, sign = unclear[0], min(signs)
+        # Digits in threes beside whole numbers below 1000 that have no mark: a number with three
+        # decimals would be whole once in a thousand times.
+        bare = any(n is not None and n.bare for n in self.parsed)
+        large = any(n is not None and n.text.isdigit() and len(n.text) > 3 for n in self.parsed)
+        groups = (bare and not large) or (delimiter == "," and sign == ",")
+        found = {other} if other else set()
+        found |= {"." if sign == "," else ","} if groups else set()
+        if len(signs) == 1 and len(found) == 1:
+            mark = found.pop()
+            return mark, (f"{first.text!r} was read as {first.value(mark):.12g}",), ""
+        values = f"{first.value('.'):.12g} or {first.value(','):.12g}"
+        doubt = f"holds {first.text!r}, which may be {values}"
+        return "", (), f"{doubt}; say the decimal mark (--decimal), or write it otherwise"

@@ -1,0 +1,412 @@
+"""Scientific formats: MATLAB, HDF5, NetCDF and datasets of xarray; none runs what it holds."""
+
+from __future__ import annotations
+
+import re
+import struct
+import warnings
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynsr.data.assembling import (
+    LABELS,
+    MAX_BYTES,
+    Columns,
+    assemble,
+    check_size,
+    load_mapping,
+    unreadable,
+)
+from dynsr.errors import InputError, need
+
+_TIME = re.compile(r"t|tout|time\w*|times?|\w*_time|zeit|seconds|hours|days", re.IGNORECASE)
+# A dimension of a dataset that counts runs of the same system.
+_RUNS = re.compile(
+    r"(runs?|trials?|replicates?|reps?|experiments?|batch(es)?|samples?|wells?|subjects?|stations?|"
+    r"members?|ensemble|series|traj(ectory|ectories)?|realizations?)(_?(id|no|nr|number))?",
+    re.IGNORECASE,
+)
+
+
+def fit_rows(arrays: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Keep the arrays that have a value for each row of a table, turned where rows lie sideways.
+
+    Parameters
+    ----------
+    arrays : name -> array of any shape, or anything else, which stays.
+
+    Gives the arrays, and name -> why it was left out. The rows are those of an array that is
+    called a time, or else those that most arrays have.
+
+    >>> found, left_out = fit_rows({"t": np.arange(5.0), "x": np.ones((2, 5)), "p": np.ones(3)})
+    >>> found["x"].shape, left_out
+    ((5, 2), {'p': 'has the shape (3,) where the table has 5 rows'})
+    """
+    shapes = {k: v.shape for k, v in arrays.items() if isinstance(v, np.ndarray) and 0 < v.ndim < 3}
+    times = [max(shape) for key, shape in shapes.items() if _TIME.fullmatch(key)]
+    counts = Counter(shape[0] for shape in shapes.values() if max(shape) > 1)
+    if not counts:
+        return dict(arrays), {}
+    rows = times[0] if times else max(counts, key=lambda n: (counts[n], n))
+    kept: dict[str, Any] = {}
+    left_out: dict[str, str] = {}
+    for key, value in _with_names(arrays, shapes, rows).items():
+        shape = value.shape if isinstance(value, np.ndarray) and 0 < value.ndim < 3 else None
+        if isinstance(value, np.ndarray) and value.ndim > 2:
+            left_out[key] = f"has {value.ndim} dimensions"
+        elif shape is None or shape[0] == rows or (key in LABELS and value.dtype.kind in "US"):
+            kept[key] = value
+        elif len(shape) == 2 and shape[1] == rows:
+            kept[key] = value.T
+        else:
+            left_out[key] = f"has the shape {shape} where the table has {rows} rows"
+    return kept, left_out
+
+
+def _is_time(name: str) -> bool:
+    return _TIME.fullmatch(name) is not None
+
+
+def _with_names(
+    arrays: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], rows: int
+) -> dict[str, Any]:
+    """Let a list of texts name the columns of the one matrix that has as many."""
+    found = dict(arrays)
+    for key, value in arrays.items():
+        if key not in shapes or key in LABELS or value.dtype.kind not in "US" or value.ndim > 1:
+            continue
+        fits = [k for k, shape in shapes.items() if sorted(shape) == sorted((rows, len(value)))]
+        if len(fits) == 1 and len(value) != rows and fits[0] in found:
+            matrix = found.pop(fits[0])
+            matrix = matrix if matrix.shape[0] == rows else matrix.T
+            del found[key]
+            found.update({str(name): matrix[:, j] for j, name in enumerate(value)})
+    return found
+
+
+def without(columns: Columns, left_out: Mapping[str, str]) -> Columns:
+    """Add what was left out before the columns were put together."""
+    return replace(columns, left_out={**columns.left_out, **left_out})
+
+
+def load_mat(path: Path, decimal: str | None = None) -> Columns:
+    """Load the numbers of a MATLAB file of version 4, 5 or 7.3; its objects and functions stay."""
+    with open(path, "rb") as file:
+        if b"MATLAB 7.3" in file.read(128) or (file.seek(512) and file.read(4) == b"\x89HDF"):
+            return load_hdf5(path, decimal)
+    import scipy.io
+
+    try:
+        check_size(path, sum(_mat_sizes(path)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            there = scipy.io.whosmat(path)
+            check_size(
+                path, sum(8 * int(np.prod(s, dtype=object)) for _, s, c in there if c != "cell")
+            )
+            wanted = [
+                name for name, _, kind in there if kind not in ("object", "function", "opaque")
+            ]
+            arrays = scipy.io.loadmat(path, variable_names=wanted, chars_as_strings=True)
+    except InputError:
+        raise
+    except Exception as error:  # zlib, struct and scipy each have their own
+        raise unreadable(path, "MATLAB file", error) from None
+    return from_mat(arrays, path.name, decimal)
+
+
+def _mat_sizes(path: Path) -> Iterator[int]:
+    """Give the unpacked sizes of the packed elements of a MATLAB 5 file."""
+    with open(path, "rb") as file:
+        order = {b"IM": "<", b"MI": ">"}.get(file.read(128)[126:])
+        while order and len(tag := file.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            if kind != 15:  # miCOMPRESSED
+                file.seek(size, 1)
+                continue
+            unpack, total, left = zlib.decompressobj(), 0, size
+            while left > 0 and total <= MAX_BYTES and (chunk := file.read(min(left, 1 << 16))):
+                left -= len(chunk)
+                while chunk and total <= MAX_BYTES:
+                    total += len(unpack.decompress(chunk, 1 << 20))
+                    chunk = unpack.unconsumed_tail
+            yield total
+
+
+def from_mat(arrays: Mapping[str, Any], label: str, decimal: str | None = None) -> Columns:
+    """Give the columns of what scipy.io.loadmat read: vectors, matrices, and structures of them."""
+    found = {name: value for name, value in arrays.items() if not name.startswith("__")}
+    structures = {n: v for n, v in found.items() if isinstance(v, np.ndarray) and v.dtype.names}
+    plain = {name: value for name, value in found.items() if name not in structures}
+    groups = {"": _numbers(plain)}
+    for name, value in structures.items():
+        for number, one in enumerate(value.ravel(), start=1):
+            fields = {key: one[key] for key in value.dtype.names}
+            groups[name if value.size == 1 else f"{name}({number})"] = _numbers(fields)
+    return _from_groups(groups, label, decimal)
+
+
+def _numbers(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Keep numbers and text of a MATLAB file, vectors as such."""
+    kept = {}
+    for name, value in arrays.items():
+        array = np.asarray(value)
+        if (
+            array.dtype.kind == "O"
+            and array.size
+            and all(
+                isinstance(cell, np.ndarray) and cell.dtype.kind == "U" for cell in array.ravel()
+            )
+        ):
+            array = np.array([str(cell.ravel()[0]) if cell.size else "" for cell in array.ravel()])
+        if array.dtype.kind not in "fiubcU" or array.ndim > 2:
+            continue
+        if array.dtype.kind == "U":
+            array = np.array([str(text).strip() for text in array.ravel()])
+        kept[name] = array.ravel() if 1 in array.shape and array.size > 1 else array
+    return {k: v.reshape(()) if v.size == 1 else v for k, v in kept.items() if v.size}
+
+
+def _from_groups(
+    groups: Mapping[str, Mapping[str, np.ndarray]], label: str, decimal: str | None
+) -> Columns:
+    """Give the columns of groups of arrays: those of the same names are runs, others are joined."""
+    tables = {n: dict(g) for n, g in groups.items() if any(v.ndim for v in g.values())}
+    if not tables:
+        raise InputError(f"{label} holds no columns of numbers; it needs times and states")
+    names = {frozenset(table) for table in tables.values()}
+    # Beside runs there may be values that belong to none.
+    alike = [n for n in tables if n]
+    if len(alike) > 1 and len({frozenset(tables[n]) for n in alike}) == 1:
+        return _stack({name: tables[name] for name in alike}, label, decimal)
+    if len(names) > 1 or len(tables) > 1:
+        often = Counter(key for table in tables.values() for key in table)
+        joined = {
+            key if often[key] == 1 else f"{name}_{key}".strip("_").replace("/", "_"): value
+            for name, table in tables.items()
+            for key, value in table.items()
+        }
+    else:
+        joined = next(iter(tables.values()))
+    # Names have no order there; a time stands first in all other sources.
+    arrays, left_out = fit_rows(
+        dict(sorted(joined.items(), key=lambda item: not _is_time(item[0])))
+    )
+    return without(load_mapping(arrays, label, decimal), left_out)
+
+
+def _stack(
+    tables: Mapping[str, Mapping[str, np.ndarray]], label: str, decimal: str | None
+) -> Columns:
+    """Put runs below each other, with a first column that names them."""
+    parts = []
+    for name, table in tables.items():
+        arrays, left_out = fit_rows(table)
+        single = {key: value for key, value in arrays.items() if value.ndim == 0}
+        part = load_mapping({k: v for k, v in arrays.items() if k not in single}, label, decimal)
+        # A single value of a run is a parameter of it.
+        rows = len(part.values[0])
+        extra = {k: np.full(rows, v[()]) for k, v in single.items() if v.dtype.kind in "fiub"}
+        parts.append((name, {**dict(zip(part.names, part.values, strict=True)), **extra}, left_out))
+    shared = [key for key in parts[0][1] if all(key in columns for _, columns, _ in parts)]
+    labels = np.array([n for n, columns, _ in parts for _ in columns[shared[0]]], dtype=object)
+    columns = [np.concatenate([columns[key] for _, columns, _ in parts]) for key in shared]
+    found = assemble(["run", *shared], [labels, *columns], label, decimal=decimal)
+    return without(found, parts[0][2])
+
+
+def load_hdf5(path: Path, decimal: str | None = None) -> Columns:
+    """Load the numbers of an HDF5 file, or of a MATLAB file of version 7.3; links stay closed."""
+    need("h5py", "tables", f"reading {path.name!r}")
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            groups = _read_groups(file, path)
+    except InputError:
+        raise
+    except Exception as error:  # h5py has its own and those of the system
+        raise unreadable(path, "HDF5 file", error) from None
+    return _from_groups(groups, path.name, decimal)
+
+
+def _read_groups(file: Any, path: Path) -> dict[str, dict[str, np.ndarray]]:
+    import h5py
+
+    datasets: list[tuple[str, Any]] = []
+    # Neither links to other files nor what is stored in them.
+    file.visititems(lambda name, item: datasets.append((name, item)))
+    kept = []
+    for name, item in datasets:
+        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+            continue
+        if item.external or item.is_virtual or item.shape is None or item.ndim > 2:
+            continue
+        kept.append((name, item))
+    check_size(path, sum(int(item.size) * item.dtype.itemsize for _, item in kept))
+    groups: dict[str, dict[str, np.ndarray]] = {}
+    for name, item in kept:
+        group, _, key = name.rpartition("/")
+        for own, array in _read_dataset(file, key, item):
+            groups.setdefault(group, {})[own] = array
+    return {name: _pandas_blocks(group) for name, group in groups.items()}
+
+
+def _read_dataset(file: Any, key: str, item: Any) -> Iterator[tuple[str, np.ndarray]]:
+    """Give the arrays of a dataset: fields of a compound, text of bytes, MATLAB's way round."""
+    import h5py
+
+    matlab = item.attrs.get("MATLAB_class", b"")
+    matlab = matlab.decode() if isinstance(matlab, bytes) else str(matlab)
+    if item.attrs.get("MATLAB_empty", 0) or matlab in ("function_handle", "struct"):
+        return
+    if h5py.check_ref_dtype(item.dtype) is not None:
+        texts = [_characters(file[one]) for one in item[()].ravel()] if matlab == "cell" else []
+        if texts and all(text is not None for text in texts):
+            yield key, np.array(texts)
+        return
+    if matlab == "char":
+        yield key, np.array(_characters(item))
+        return
+    values = item.asstr()[()] if h5py.check_string_dtype(item.dtype) else item[()]
+    array = np.asarray(values)
+    if array.dtype.names:
+        for name in array.dtype.names:
+            part = array[name]
+            yield name, part.astype(str) if part.dtype.kind in "SO" else part
+        return
+    if array.dtype.kind in "SO":
+        array = array.astype(str)
+    if matlab:
+        array = array.T
+    if array.ndim == 2 and 1 in array.shape and array.size > 1:
+        array = array.ravel()
+    if array.dtype.kind in "fiubcU":
+        yield key, array.reshape(()) if array.size == 1 and matlab else array
+
+
+def _characters(item: Any) -> str | None:
+    """Give the text of a MATLAB array of characters."""
+    if item.dtype.kind != "u" or item.size > 1 << 10:
+        return None
+    return "".join(map(chr, np.asarray(item[()]).T.ravel()))
+
+
+def _pandas_blocks(group: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Give the columns of a frame that pandas wrote in its fixed form; other groups as they are."""
+    if not {"axis0", "axis1"} <= set(group):
+        return group
+    columns = {"index": group["axis1"]}
+    for key, values in group.items():
+        block = re.fullmatch(r"block(\d+)_values", key)
+        items = group.get(f"block{block[1]}_items") if block else None
+        if items is not None and values.ndim == 2:
+            columns.update({str(name): values[:, j] for j, name in enumerate(items)})
+        elif items is not None:
+            columns[str(items.ravel()[0])] = values
+    return columns
+
+
+def load_netcdf(path: Path, decimal: str | None = None) -> Columns:
+    """Load the variables of a NetCDF file that have the dimension of the time."""
+    need("xarray", "tables", f"reading {path.name!r}")
+    import xarray
+
+    with open(path, "rb") as file:
+        classic = file.read(3) == b"CDF"
+    if not classic:
+        need("h5netcdf", "tables", f"reading {path.name!r}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            engine: Any = "scipy" if classic else "h5netcdf"
+            with xarray.open_dataset(path, engine=engine) as dataset:
+                check_size(path, int(dataset.nbytes))
+                dataset.load()
+    except InputError:
+        raise
+    except Exception as error:  # h5netcdf, scipy and xarray each have their own
+        raise unreadable(path, "NetCDF file", error) from None
+    return from_xarray(dataset, path.name)
+
+
+def from_xarray(source: Any, label: str) -> Columns:
+    """Give the columns of a Dataset or DataArray of xarray.
+
+    Parameters
+    ----------
+    source : its rows are the dimension that is called a time or holds dates, or the longest one.
+        Along a dimension that counts runs there is one trajectory a value; along others one column
+        a value.
+    label : what messages call it.
+
+    Raises InputError when no variable has rows.
+    """
+    if hasattr(source, "to_dataset"):
+        source = source.to_dataset(name=str(source.name or "x"))
+    if not source.sizes:
+        raise InputError(f"{label} has no dimensions; it needs times and states")
+    rows = _row_dimension(source)
+    along = {d for value in source.variables.values() if rows in value.dims for d in value.dims}
+    over = [d for d in source.sizes if d in along - {rows} and _RUNS.fullmatch(str(d))]
+    left_out = {
+        str(name): f"does not run along {rows!r}"
+        for name, value in source.variables.items()
+        if rows not in value.dims and name not in source.sizes
+    }
+    blocks: list[dict[str, np.ndarray]] = []
+    for chosen in np.ndindex(*(source.sizes[d] for d in over)):
+        block = source.isel(dict(zip(over, chosen, strict=True)))
+        named = {
+            str(d): block[d].item() if d in source.coords else int(i) + 1
+            for d, i in zip(over, chosen, strict=True)
+        }
+        columns = _block_columns(block, rows)
+        count = source.sizes[rows]
+        blocks.append({**{k: np.full(count, v) for k, v in named.items()}, **columns})
+    names = list(blocks[0])
+    if len(names) <= len(over):
+        raise InputError(f"{label} holds no variables along {rows!r}; it needs times and states")
+    units = [str(source[n].attrs.get("units", "")) if n in source else "" for n in names]
+    found = assemble(
+        names, [np.concatenate([b[n] for b in blocks]) for n in names], label, units=units
+    )
+    return without(found, left_out)
+
+
+def _row_dimension(source: Any) -> Any:
+    dates = [d for d in source.sizes if d in source.coords and source[d].dtype.kind in "mM"]
+    called = [d for d in source.sizes if _TIME.fullmatch(str(d))]
+    return (dates or called or [max(source.sizes, key=lambda d: source.sizes[d])])[0]
+
+
+def _block_columns(block: Any, rows: Any) -> dict[str, np.ndarray]:
+    """Give the columns of one run: the row coordinate first, then each variable along the rows."""
+    found: dict[str, np.ndarray] = {}
+    if rows in block.coords:
+        found[str(rows)] = block[rows].to_numpy()
+    several = sum(rows in value.dims and value.ndim > 1 for value in block.data_vars.values())
+    for name in [*block.coords, *block.data_vars]:
+        value = block[name]
+        if rows not in value.dims or name == rows:
+            continue
+        others = [d for d in value.dims if d != rows]
+        table = value.transpose(rows, *others).to_numpy().reshape(block.sizes[rows], -1)
+        for j, index in enumerate(np.ndindex(*(block.sizes[d] for d in others))):
+            parts = [
+                str(block[d].to_numpy()[i]) if d in block.coords else str(i + 1)
+                for d, i in zip(others, index, strict=True)
+            ]
+            bare = not any(d in block.coords for d in others)
+            text = all(d in block.coords and block[d].dtype.kind in "OUT" for d in others)
+            alone = bool(others) and text and several == 1
+            own = "_".join(parts if alone else [str(name), *parts])
+            own = f"{name}{'_'.join(parts)}" if bare else own
+            found[own] = table[:, j]
+    return found

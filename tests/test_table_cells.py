@@ -1,0 +1,280 @@
+"""What cells say: missing and limited values, units, thousands, switches; by evidence, and told."""
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+from dynsr.data import read_trajectories
+from dynsr.data.amounts import is_unit, parse_number
+from dynsr.data.cells import read_columns
+from dynsr.data.columns import load_columns
+from dynsr.errors import DynsrWarning, InputError
+
+NAN = float("nan")
+
+
+def read(*cells, **options):
+    """Read one column of text."""
+    return read_columns([np.array(cells, dtype=object)], **options)[0]
+
+
+def table(folder, delimiter, **columns):
+    """Write columns of text with a time before them, and give the path."""
+    rows = zip(*columns.values(), strict=True)
+    lines = [
+        delimiter.join(["t", *columns]),
+        *(f"{j}{delimiter}{delimiter.join(r)}" for j, r in enumerate(rows)),
+    ]
+    (folder / "cells.txt").write_text("\n".join(lines))
+    return folder / "cells.txt"
+
+
+MISSING = "n.d.|n.a.|NA|N/A|n/a|NaN|nan|NULL|None|.|..|-|--|\u2013|?|*|BDL|<LOD|#N/A|#DIV/0!|#NV|| "
+
+
+@pytest.mark.parametrize("mark", MISSING.split("|"))
+def test_marks_of_a_missing_value_are_one(mark):
+    """In a column of numbers, whatever the others look like, with a point or a comma."""
+    for numbers, wanted in ((("4.25", "1e-3"), (4.25, 1e-3)), (("4,25", "-0,5"), (4.25, -0.5))):
+        reading = read(numbers[0], mark, numbers[1])
+        np.testing.assert_array_equal(reading.values, [wanted[0], NAN, wanted[1]])
+        assert not reading.notes and not reading.fault
+
+
+def test_marks_in_a_column_of_labels_are_labels():
+    """A treatment may be called none, and a strain NA."""
+    assert read("none", "KCl", "none", "NA").values.tolist() == ["none", "KCl", "none", "NA"]
+
+
+@pytest.mark.parametrize(
+    "cell", ["<0.5", "< 0.5", "> 80", ">=80", "\u2264 0.5", "<0.5 mg/L", "<0,5"]
+)
+def test_a_value_beyond_a_limit_is_missing_and_told(cell):
+    """How many cells, and the limit, are told."""
+    others = ("3,5", "4,25") if "," in cell else ("3.5", "4.25")
+    reading = read(others[0], cell, others[1], cell)
+    np.testing.assert_array_equal(reading.values, [3.5, NAN, 4.25, NAN])
+    assert reading.notes == (f"2 cells are beyond a limit ({cell}) and so without a value",)
+
+
+def test_a_column_beyond_its_limit_throughout_is_left_out():
+    """And one of ranges is text."""
+    assert read("<2", "<2", "n.d.").left_out == "is beyond a limit in every row (<2)"
+    assert read("<5", "5-10", ">10").values.tolist() == ["<5", "5-10", ">10"]
+
+
+UNITS = [
+    (("38 %", "38.5 %", "40 %"), (38, 38.5, 40), "%"),
+    (("38%", "38.5%"), (38, 38.5), "%"),
+    (("7 C", "9 C"), (7, 9), "C"),
+    (("7.5C", "9.0C"), (7.5, 9), "C"),
+    (("1.5 mmol/L", "n.d.", "2 mmol/L"), (1.5, NAN, 2), "mmol/L"),
+    (("1,5 m s^-1", "2,25 m s^-1"), (1.5, 2.25), "m s^-1"),
+    (("0 h", "2 h", "4 h"), (0, 2, 4), "h"),
+    (("$4.50", "$1,200.00"), (4.5, 1200), "$"),
+    (("3 [bar]", "4 [bar]"), (3, 4), "bar"),
+    (("12 \u00b0C", "13.5"), (12, 13.5), "\u00b0C"),
+    (("4 strokes", "9 strokes"), (4, 9), "strokes"),
+]
+
+
+@pytest.mark.parametrize(("cells", "wanted", "unit"), UNITS)
+def test_numbers_with_a_unit_are_numbers_and_the_unit_is_kept(cells, wanted, unit):
+    """40 % stays 40."""
+    reading = read(*cells)
+    np.testing.assert_array_equal(reading.values, wanted)
+    assert reading.unit == unit
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        ("1a", "2a"),
+        ("1A", "2A", "1A"),
+        ("5 Jan", "6 Jan"),
+        ("2:05 PM", "2:06 PM"),
+        ("12.03.2024", "13.03.2024"),
+        ("A1", "B2"),
+        ("3-4", "5-6"),
+        ("1.2.3", "1.2.4"),
+    ],
+)
+def test_names_dates_and_clocks_are_no_numbers(cells):
+    """They stay as they stand."""
+    assert read(*cells).values.tolist() == list(cells)
+
+
+def test_two_units_in_a_column_stop_who_needs_it(tmp_path):
+    """5 ms and 2 s are no one column of numbers."""
+    path = table(tmp_path, ",", x=["5 ms", "2 s"] * 6, y=[str(j * j) for j in range(12)])
+    assert read_trajectories(path, states=["y"]).trajectories[0].states == ("y",)
+    with pytest.raises(
+        InputError, match=r"'x' of cells.txt holds numbers in 'ms' and in 's'; give it one unit"
+    ):
+        read_trajectories(path)
+
+
+THOUSANDS = [
+    (("5.000,00", "619,35"), (5000, 619.35)),
+    (("1,234,567", "12"), (1234567, 12)),
+    (("5,000.00", "619.35"), (5000, 619.35)),
+    (("5 000,00", "12 619,35"), (5000, 12619.35)),
+    (("5\u00a0000,5", "1"), (5000.5, 1)),
+    (("5'000", "619", "12'345.5"), (5000, 619, 12345.5)),
+    (("1.234.567", "0,5"), (1234567, 0.5)),
+    (("0,125", "1,633"), (0.125, 1.633)),
+    (("1633,500", "2,125"), (1633.5, 2.125)),
+    (("1.633", "867", "12.25"), (1.633, 867, 12.25)),
+    (("1,633e2", "5,1e3"), (163.3, 5100)),
+    (("1.5D-03", "2.0d+1"), (1.5e-3, 20)),
+    (("\u22121,5", "+2,25"), (-1.5, 2.25)),
+]
+
+
+@pytest.mark.parametrize(("cells", "wanted"), THOUSANDS)
+def test_marks_of_decimals_and_thousands_are_told_by_the_cells_that_show_them(cells, wanted):
+    """One cell that can only be read in one way decides for its column."""
+    reading = read(*cells)
+    np.testing.assert_array_equal(reading.values, wanted)
+    assert not reading.notes and not reading.fault
+
+
+@pytest.mark.parametrize("delimiter", ["\t", ";"])
+def test_threes_of_digits_beside_whole_numbers_are_thousands(tmp_path, delimiter):
+    """1,204 beside 953 and 87 is never 1.204; what was decided is told."""
+    counts = ["1,633", "1,204", "953", "867", "433", "100", "87", "60", "41", "25", "12", "7"]
+    columns = load_columns(table(tmp_path, delimiter, cells=counts))
+    np.testing.assert_array_equal(columns.values[1], [float(c.replace(",", "")) for c in counts])
+    assert columns.notes == ("column 'cells' of cells.txt: '1,633' was read as 1633",)
+
+
+def test_other_columns_tell_the_mark_too(tmp_path):
+    """Where one column shows a decimal comma, another's is one, and a point parts thousands."""
+    shown = ["0,5", "1,5", "2,25"]
+    path = table(tmp_path, ";", a=shown, b=["1,633", "2,867", "3,125"], c=["1.633", "867", "2.450"])
+    columns = load_columns(path)
+    assert columns.values[2].tolist() == [1.633, 2.867, 3.125]
+    assert columns.values[3].tolist() == [1633.0, 867.0, 2450.0]
+    assert len(columns.notes) == 2
+
+
+UNDECIDED = {
+    "threes throughout": ["1,633", "2,450", "3,125"] * 4,
+    "both marks": ["1,5", "2.5", "3,5"] * 4,
+}
+
+
+@pytest.mark.parametrize("case", UNDECIDED)
+def test_what_nothing_decides_is_refused_only_where_it_is_needed(tmp_path, case):
+    """One line names the column, the value and the remedy; other columns are read."""
+    path = table(tmp_path, "\t", x=UNDECIDED[case], y=[str(j * j) for j in range(12)])
+    assert read_trajectories(path, states=["y"]).trajectories[0].states == ("y",)
+    with pytest.raises(InputError, match=r"'x' of cells.txt holds .*'1,.*--decimal"):
+        read_trajectories(path)
+
+
+def test_the_user_may_say_the_decimal_mark(tmp_path):
+    """Then it is that one; anything else is refused."""
+    path = table(tmp_path, "\t", x=UNDECIDED["threes throughout"])
+    assert load_columns(path, decimal=",").values[1][0] == 1.633
+    assert load_columns(path, decimal=".").values[1][0] == 1633
+    with pytest.raises(InputError, match=r"decimal ';' must be '.' or ','"):
+        load_columns(path, decimal=";")
+
+
+SWITCHES = [
+    ("ON", "OFF"),
+    ("on", "Off"),
+    ("yes", "no"),
+    ("TRUE", "FALSE"),
+    ("True", "False"),
+    ("true", "false"),
+    ("open", "closed"),
+    ("Yes", "NO"),
+]
+
+
+@pytest.mark.parametrize(("high", "low"), SWITCHES)
+def test_words_of_a_switch_are_one_and_zero_and_it_is_told(tmp_path, high, low):
+    """From a file as from frames; an empty cell is missing."""
+    cells = [high, low, low, high, "", high]
+    path = table(tmp_path, ",", valve=cells, x=[str(j) for j in range(6)])
+    arrays = {"x": np.arange(6.0), "valve": np.array(cells)}
+    for source in (path, pd.DataFrame(arrays), pl.DataFrame(arrays), arrays):
+        columns = load_columns(source)
+        place = columns.names.index("valve")
+        np.testing.assert_array_equal(columns.values[place], [1, 0, 0, 1, NAN, 1])
+        assert len(columns.notes) == 1 and "1" in columns.notes[0]
+
+
+def test_a_switch_is_a_column_of_numbers(tmp_path):
+    """It is an input or a state, no label and no text that is refused."""
+    path = table(tmp_path, ",", x=[f"{j * j}" for j in range(12)], pump=["on", "off", "off"] * 4)
+    with pytest.warns(DynsrWarning, match="'off' as 0 and 'on' as 1"):
+        (run,) = read_trajectories(path, inputs=["pump"]).trajectories
+    assert run.inputs[:4, 0].tolist() == [1, 0, 0, 1]
+
+
+def test_units_and_numbers_of_one_cell():
+    """Units that are known, powers and compounds; words are none."""
+    known = [
+        "mg/L",
+        "1/s",
+        "W/m^2",
+        "m s\u207b\u00b9",
+        "degC",
+        "\u00b0F",
+        "\u00b5M",
+        "kWh",
+        "cells/mL",
+        "rpm",
+        "mmHg",
+    ]
+    assert all(map(is_unit, known))
+    assert not any(map(is_unit, ["biomass", "tank A", "x", "t2", "a", "control"]))
+    assert parse_number("1.2.3") is None and parse_number("0x12") is None
+    assert parse_number("1_000") is None and parse_number("12 34") is None
+
+
+def test_frames_whose_columns_share_a_name_or_have_levels():
+    """A second column of a name is renamed; levels are joined; an arrow table is refused."""
+    rows = [[0.0, 1.0, 2.0], [1.0, 3.0, 5.0]]
+    assert load_columns(pd.DataFrame(rows, columns=["t", "x", "x"])).names == ("t", "x", "x_2")
+    levels = pd.MultiIndex.from_tuples([("t", ""), ("x", "a"), ("x", "b")])
+    assert load_columns(pd.DataFrame(rows, columns=levels)).names == ("t", "x_a", "x_b")
+    same = pd.DataFrame([[0.0, 1.0, 1.0], [1.0, 3.0, 3.0]], columns=["t", "x", "x"])
+    assert load_columns(same).left_out == {"column 3": "repeats column 'x'"}
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        np.empty((5, 0)),
+        np.empty((0, 3)),
+        np.array(3.0),
+        pd.DataFrame(index=range(3)),
+        pl.DataFrame({"t": [1.0]}).lazy().select(pl.col("none")),
+        pl.DataFrame(),
+        {},
+        {"t": [], "x": []},
+        (np.arange(3), np.empty((3, 0))),
+    ],
+    ids=repr,
+)
+def test_what_holds_no_columns_is_one_line(source):
+    """No error of NumPy, pandas or narwhals comes through."""
+    with pytest.raises(InputError) as caught:
+        read_trajectories(source)
+    assert "\n" not in str(caught.value)
+
+
+def test_digits_that_float64_would_round_stop_only_who_needs_them(tmp_path):
+    """An identity of nineteen digits is no number; the others are read."""
+    ids = [str(2**60 + j % 2) for j in range(12)]
+    path = table(tmp_path, ",", device=ids, x=[str(j * j) for j in range(12)])
+    assert read_trajectories(path, states=["x"]).trajectories[0].states == ("x",)
+    with pytest.raises(
+        InputError, match=r"'device' of cells.txt holds whole numbers of more than 16"
+    ):
+        read_trajectories(path, states=["device"])

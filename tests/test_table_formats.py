@@ -1,0 +1,315 @@
+"""Files that are no text, datasets of xarray, and sizes that are looked at before they are read."""
+
+import datetime
+import gzip
+import sys
+import zipfile
+
+import h5py
+import numpy as np
+import openpyxl
+import pandas as pd
+import pytest
+import scipy.io
+import xarray as xr
+
+from dynsr.data import assembling, read_trajectories, text
+from dynsr.data.columns import load_columns, read_names_only
+from dynsr.errors import DynsrWarning, InputError, MissingExtra
+
+T = np.arange(16) * 0.5
+A, B = np.exp(-T), np.cos(T)
+X = np.column_stack([A, B])
+
+
+def check(columns, names=("t", "a", "b")):
+    """See that a table holds these numbers."""
+    assert columns.names == names
+    for found, wanted in zip(columns.values, (T, A, B), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-15)
+
+
+def write_book(path, **sheets):
+    """Write rows as the sheets of a workbook."""
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for name, rows in sheets.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(list(row))
+    book.save(path)
+    return path
+
+
+TABLE = [("t", "a", "b"), *zip(T.tolist(), A.tolist(), B.tolist(), strict=True)]
+
+
+def test_a_sheet_of_a_workbook_is_read(tmp_path):
+    """Plain, below other lines with units and a summary, and away from the corner."""
+    check(load_columns(write_book(tmp_path / "a.xlsx", Sheet=TABLE)))
+    assert read_names_only(tmp_path / "a.xlsx") == ("t", "a", "b")
+    rows = [("Logger 5",), (), TABLE[0], ("h", "mg/L", "%"), *TABLE[1:], (), ("Mean", 3, 4)]
+    columns = load_columns(write_book(tmp_path / "b.xlsx", Notes=[("made", "by NN")], Data=rows))
+    check(columns)
+    assert columns.units == {"t": "h", "a": "mg/L", "b": "%"}
+    assert "sheet 'Data'" not in str(columns.left_out)
+    aside = [(), *((None, None, *row) for row in TABLE)]
+    check(load_columns(write_book(tmp_path / "c.xlsx", Sheet=aside)))
+
+
+def test_of_several_sheets_the_first_with_a_table_is_read_and_told(tmp_path):
+    """The others are named."""
+    sheets = {"About": [("by", "NN"), ("in", 2024)], "First": TABLE, "Second": TABLE[:12]}
+    columns = load_columns(write_book(tmp_path / "d.xlsx", **sheets))
+    check(columns)
+    assert any("sheet 'First' of d.xlsx was read, not" in note for note in columns.notes)
+
+
+def test_cells_of_a_workbook_have_their_kinds(tmp_path):
+    """Dates, clocks, switches, and text among numbers."""
+    start = datetime.datetime(2024, 3, 1, 7, 0)  # noqa: DTZ001
+    rows = [
+        (start + datetime.timedelta(minutes=j), j % 2 == 0, "n.d." if j == 3 else j * 1.5, f"{j},5")
+        for j in range(12)
+    ]
+    columns = load_columns(write_book(tmp_path / "e.xlsx", S=[("when", "on", "x", "y"), *rows]))
+    assert columns.values[0].dtype.kind == "M"
+    assert columns.values[1].tolist()[:2] == [1, 0]
+    np.testing.assert_array_equal(columns.values[2][2:5], [3, np.nan, 6])
+    assert columns.values[3].tolist()[:2] == [0.5, 1.5]
+    with pytest.warns(DynsrWarning, match="true and false"):
+        (run,) = read_trajectories(columns, states=["y"]).trajectories
+    assert run.time_unit == "min"
+
+
+MATLAB = {
+    "columns": {"t": T, "a": A, "b": B},
+    "rows": {"t": T[None], "a": A[None], "b": B[None]},
+    "a matrix and its names": {"t": T, "X": X, "names": np.array(["a", "b"], dtype=object)},
+    "a matrix that lies": {"t": T, "X": X.T, "names": np.array(["a", "b"], dtype=object)},
+    "a structure": {"run": {"t": T, "a": A, "b": B}},
+    "other things beside": {
+        "t": T,
+        "a": A,
+        "b": B,
+        "p": np.ones(3),
+        "note": "by NN",
+        "cube": np.ones((2, 2, 2)),
+    },
+}
+
+
+@pytest.mark.parametrize("form", MATLAB)
+@pytest.mark.parametrize("packed", [False, True])
+def test_matlab_files_are_read(tmp_path, form, packed):
+    """Vectors either way round, matrices and structures; what has other sizes is left out."""
+    scipy.io.savemat(tmp_path / "a.mat", MATLAB[form], do_compression=packed, oned_as="column")
+    check(load_columns(tmp_path / "a.mat"))
+    check(load_columns(scipy.io.loadmat(tmp_path / "a.mat")))
+
+
+def test_structures_of_the_same_fields_are_runs(tmp_path):
+    """Each element is a trajectory; a single value of it is a parameter."""
+    kinds = [("t", object), ("x", object), ("rate", object)]
+    runs = np.array([(T, A, 1.0), (T[:12], 2 * A[:12], 2.0)], dtype=kinds)
+    scipy.io.savemat(tmp_path / "r.mat", {"runs": runs})
+    table = read_trajectories(tmp_path / "r.mat")
+    assert [len(run) for run in table.trajectories] == [16, 12]
+    assert table.trajectories[0].states == ("x",)
+
+
+def write_matlab_73(path, **arrays):
+    """Write arrays as MATLAB 7.3 does: HDF5 with a header, turned, each with its class."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, array in arrays.items():
+            file[name] = np.atleast_2d(array)
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        file["title"] = np.array([[ord(c)] for c in "by NN"], dtype="u2")
+        file["title"].attrs["MATLAB_class"] = np.bytes_("char")
+    content = bytearray(path.read_bytes())
+    content[:128] = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM"
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::dynsr.errors.DynsrWarning")
+def test_matlab_files_of_version_7_3_are_read(tmp_path):
+    """A column of n values stands there as one row, a matrix turned."""
+    check(load_columns(write_matlab_73(tmp_path / "n.mat", t=T, a=A, b=B)))
+    found = load_columns(write_matlab_73(tmp_path / "m.mat", t=T, X=X.T))
+    np.testing.assert_array_equal(found.values[2], B)
+
+
+def test_hdf5_files_are_read(tmp_path):
+    """Data sets, a group of them, a compound one, and groups that are runs."""
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.update({"t": T, "a": A, "b": B})
+    with h5py.File(tmp_path / "b.hdf5", "w") as file:
+        file.update({"log/t": T, "log/a": A, "log/b": B, "log/gain": np.ones(2)})
+    with h5py.File(tmp_path / "c.h5", "w") as file:
+        kinds = [("t", float), ("a", float), ("b", float)]
+        file["table"] = np.array(list(zip(T, A, B, strict=True)), dtype=kinds)
+    for name in ("a.h5", "b.hdf5", "c.h5"):
+        check(load_columns(tmp_path / name))
+    with h5py.File(tmp_path / "d.h5", "w") as file:
+        for number in (1, 2):
+            file.update({f"run_{number}/time": T, f"run_{number}/x": number * A})
+    first, second = read_trajectories(tmp_path / "d.h5").trajectories
+    np.testing.assert_array_equal(second.x, 2 * first.x)
+
+
+def test_hdf5_opens_no_other_file(tmp_path):
+    """Links and data kept elsewhere stay closed."""
+    (tmp_path / "secret").write_bytes(T.tobytes())
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["a"] = A
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["t"] = T
+        file["a"] = h5py.ExternalLink("other.h5", "/a")
+        file.create_dataset("b", (16,), "f8", external=[("secret", 0, 128)])
+        layout = h5py.VirtualLayout((16,), "f8")
+        layout[:] = h5py.VirtualSource("other.h5", "a", (16,))
+        file.create_virtual_dataset("c", layout)
+    assert load_columns(tmp_path / "a.h5").names == ("t",)
+
+
+def dataset(**extra):
+    """Give a Dataset with a unit, a value apart and another dimension."""
+    return xr.Dataset(
+        {
+            "a": ("t", A, {"units": "mg/L"}),
+            "b": ("t", B),
+            "k": 3.0,
+            "depths": ("depth", [1.0, 2.0]),
+            **extra,
+        },
+        {"t": ("t", T, {"units": "h"})},
+    )
+
+
+def test_netcdf_and_xarray_are_read(tmp_path):
+    """Variables along the time are columns, with their units; the others are left out."""
+    dataset().to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    dataset().to_netcdf(tmp_path / "b.nc", engine="scipy")
+    for source in (dataset(), tmp_path / "a.nc", tmp_path / "b.nc"):
+        columns = load_columns(source)
+        check(columns)
+        assert columns.units == {"t": "h", "a": "mg/L"} and set(columns.left_out) == {"k", "depths"}
+    assert read_trajectories(dataset()).trajectories[0].time_unit == "h"
+
+
+def test_dates_of_a_dataset_are_times(tmp_path):
+    """Decoded as xarray does, from a file too."""
+    dates = pd.date_range("2024-02-28", periods=16, freq="D")
+    days = xr.Dataset({"x": ("when", A)}, {"when": dates})
+    days.to_netcdf(tmp_path / "d.nc", engine="scipy")
+    for source in (days, tmp_path / "d.nc"):
+        (run,) = read_trajectories(source).trajectories
+        assert run.time_unit == "days" and run.t.tolist() == list(range(16))
+
+
+def test_a_dataarray_has_columns_and_runs(tmp_path):
+    """Names along a dimension are states; a dimension that counts runs gives trajectories."""
+    array = xr.DataArray(X, dims=("t", "species"), coords={"t": T, "species": ["a", "b"]})
+    check(load_columns(array))
+    both = xr.concat([array, 2 * array], pd.Index(["one", "two"], name="replicate"))
+    first, second = read_trajectories(both).trajectories
+    assert first.states == ("a", "b")
+    np.testing.assert_array_equal(second.x, 2 * first.x)
+
+
+def test_cells_of_parquet_and_npz_are_read_as_others(tmp_path):
+    """Text in them is read; an array of another length is left out with the reason."""
+    pd.DataFrame({"t": T, "v": ["on", "off"] * 8}).to_parquet(tmp_path / "a.parquet")
+    assert load_columns(tmp_path / "a.parquet").values[1].tolist()[:2] == [1, 0]
+    np.savez(tmp_path / "a.npz", t=T, a=A, b=B, weights=np.ones(3))
+    columns = load_columns(tmp_path / "a.npz")
+    check(columns)
+    assert columns.left_out == {"weights": "has the shape (3,) where the table has 16 rows"}
+
+
+SUFFIXES = [".xlsx", ".xls", ".ods", ".mat", ".h5", ".nc", ".parquet", ".npz", ".npy"]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"PK\3\4" + bytes(60),
+        b"\x89HDF\r\n\x1a\n" + bytes(90),
+        b"CDF\1" + bytes(9),
+        b"t,x\n0,1\n",
+        b"MATLAB 5.0" + bytes(300),
+    ],
+)
+def test_damaged_files_are_one_line(tmp_path, suffix, content):
+    """Whatever stands under the suffix: no error of a library, no traceback."""
+    path = tmp_path / f"bad{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        load_columns(path)
+    assert "\n" not in str(caught.value) and "bad" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [("a.xlsx", "python_calamine"), ("a.h5", "h5py"), ("a.nc", "xarray"), ("a.parquet", "pyarrow")],
+)
+def test_what_is_not_installed_is_one_line(tmp_path, monkeypatch, name, module):
+    """It names the extra that brings it."""
+    (tmp_path / name).write_bytes(b"something")
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtra, match=rf"reading '{name}' needs {module}.*dynsr\[tables\]"):
+        load_columns(tmp_path / name)
+
+
+def large(folder, form):
+    """Write a small file that holds much."""
+    path = folder / f"bomb.{form}"
+    zeros = bytes(1 << 20)
+    if form == "npz":
+        np.savez_compressed(path, t=np.zeros(1 << 18), x=np.zeros(1 << 18))
+    elif form == "npy":
+        head = (
+            b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }".ljust(117)
+            + b"\n"
+        )
+        path.write_bytes(b"\x93NUMPY\1\0" + len(head).to_bytes(2, "little") + head + bytes(80))
+    elif form == "csv.gz":
+        with gzip.open(path, "wb", 1) as file:
+            file.write(b"t,x\n" + b"1.5,2.5\n" * (1 << 18))
+    elif form == "xlsx":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("xl/worksheets/sheet1.xml", zeros * 4)
+    elif form == "mat":
+        scipy.io.savemat(path, {"t": np.zeros(1 << 18)}, do_compression=True)
+    elif form in {"h5", "nc"}:
+        with h5py.File(path, "w") as file:
+            file.create_dataset("t", (1 << 40,), "f8", chunks=True)
+    else:
+        pd.DataFrame({"t": np.zeros(1 << 18)}).to_parquet(path)
+    return path
+
+
+@pytest.mark.parametrize("form", ["npz", "npy", "csv.gz", "xlsx", "mat", "h5", "nc", "parquet"])
+def test_sizes_are_looked_at_before_anything_is_unpacked(tmp_path, monkeypatch, form):
+    """A file that holds more than is read is refused in one line; here the bound is a megabyte."""
+    path = large(tmp_path, form)
+    for module in (assembling, text, sys.modules["dynsr.data.scientific"]):
+        monkeypatch.setattr(module, "MAX_BYTES", 1 << 20)
+    with pytest.raises(InputError) as caught:
+        load_columns(path)
+    said = str(caught.value)
+    assert ("that are read; give fewer rows" in said) or (
+        form in ("npy", "nc") and "damaged" in said
+    )
+
+
+def test_a_line_without_an_end_is_one_line(tmp_path):
+    """No line of more than 16 MB is taken into memory whole, at the beginning or later."""
+    for start in (b"", b"t,x\n0,1\n1,2\n" * 3000):
+        with open(tmp_path / "long.csv", "wb") as file:
+            file.write(start + b"1" * 100)
+            file.write(b"1,2," * (5 << 20))
+        with pytest.raises(InputError, match="longer than 16 MB"):
+            load_columns(tmp_path / "long.csv")
