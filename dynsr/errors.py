@@ -26,6 +26,10 @@ _OF_MEMORY = re.compile(r"allocate memory|not enough memory|OutOfMemory|out of m
 class DynsrError(Exception):
     """Root of every error that dynsr raises on purpose."""
 
+    def __str__(self) -> str:
+        """Give the message; a name or a cell that it shows steers no terminal."""
+        return printable(super().__str__(), "\n")
+
 
 class InputError(DynsrError, ValueError):
     """What the user gave cannot be used; the message names the value and the remedy in one line."""
@@ -49,6 +53,10 @@ class EngineUnavailable(EngineError):
 
 class DynsrWarning(UserWarning):
     """The input was usable only after a change, or looks wrong; the message names it."""
+
+    def __str__(self) -> str:
+        """Give the message on one line; a name or a cell that it shows steers no terminal."""
+        return one_line(super().__str__())
 
 
 def printable(text: str, keep: str = "", escaped: Callable[[str], str] = ascii) -> str:

@@ -118,6 +118,7 @@ def test_odd_headers_are_no_fault(page, header, path):
     assert page.ask("changes?after=0")[0] == 200
 
 
+@pytest.mark.slow
 def test_random_requests_are_no_fault(page):
     """Three hundred requests with a byte put in or changed: never a fault, never a place."""
     draw = random.Random(3)
@@ -190,6 +191,7 @@ def held(page):
     return {p.name for p in files if p.name.startswith(page.token[:6])}
 
 
+@pytest.mark.slow
 def test_only_the_file_that_is_shown_is_kept(fresh):
     """Files that were read before, broken off or refused are gone, and all after Other data."""
     mark = fresh.token[:6]

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import sys
+import traceback
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,16 @@ from dynsr.data.reading import read_trajectories
 from dynsr.data.trajectory import Trajectory
 from dynsr.data.writing import write_text
 from dynsr.discovery.result import Discovery
-from dynsr.errors import InputError, in_words, one_line, printable
-from dynsr.jobs.store import read_json, to_json, write_json
+from dynsr.errors import (
+    DynsrError,
+    DynsrWarning,
+    EngineError,
+    InputError,
+    in_words,
+    one_line,
+    printable,
+)
+from dynsr.jobs.store import RunFolder, read_json, to_json, write_json
 
 SMALL = ("--preset", "quick", "--functions", "none", "-j", 1)
 T = np.linspace(0, 6, 60)
@@ -38,6 +47,7 @@ def write_table(path, names=("t", "x")):
     path.write_text("\n".join(rows))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_file_of_any_name_is_searched_and_its_results_are_kept(name, tmp_path, monkeypatch):
     """Search, record, report, score and simulation work; the files are text that can be read."""
@@ -77,6 +87,7 @@ def test_a_source_is_called_by_a_name_that_can_be_shown(name, tmp_path):
     assert not BAD & set(table.guess + json.dumps(made.origin, ensure_ascii=False))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in NO_CELLS])
 def test_a_column_of_any_name_is_told_without_its_signs(name, tmp_path):
     """Warnings, guesses and errors name a column by what can be seen of it."""
@@ -136,6 +147,20 @@ def test_commands_print_in_one_place():
     for path in sorted(commands.glob("*.py")):
         found = re.findall(r"typer\.echo|(?<![.\w])print\(|sys\.std(?:out|err)", path.read_text())
         assert path.name in own or not found, path
+
+
+def test_errors_and_warnings_steer_no_terminal(tmp_path):
+    """What Python itself prints of an error or a warning is safe too, folders and records named."""
+    evil = "a\x1b[2J\u202eb\udcff"
+    seen = "a\\x1b[2J\\u202eb\\udcff"
+    for kind in (DynsrError, InputError, EngineError, DynsrWarning):
+        assert str(kind(evil)) == seen
+    folder = tmp_path / evil
+    folder.mkdir()
+    (folder / f"x{evil}").write_text("mine")
+    with pytest.raises(InputError) as caught:
+        RunFolder(folder).claim("discovery", {})
+    assert not BAD & set("".join(traceback.format_exception(caught.value)))
 
 
 def test_halves_of_pairs_reach_no_file(tmp_path):

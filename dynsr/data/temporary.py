@@ -66,8 +66,9 @@ def own_folder(prefix: str) -> Iterator[Path]:
                 os.rename(lock.name, folder / _OWNER)
         yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        # Windows removes no file that is open.
         lock.close()
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _lock(number: int) -> bool:
