@@ -278,3 +278,29 @@ def test_digits_that_float64_would_round_stop_only_who_needs_them(tmp_path):
         InputError, match=r"'device' of cells.txt holds whole numbers of more than 16"
     ):
         read_trajectories(path, states=["device"])
+
+
+@pytest.mark.parametrize(
+    ("on", "off"), [("AUF", "ZU"), ("ja", "nein"), ("an", "aus"), ("ouvert", "fermé"), ("Sí", "No")]
+)
+def test_a_switch_is_one_in_other_languages(on, off):
+    """German, French and Spanish words of a switch are 1 and 0; two other words stay text."""
+    cells = np.array([on, off, on, "", off], dtype=object)
+    np.testing.assert_array_equal(read_columns([cells])[0].values, [1, 0, 1, np.nan, 0])
+    other = np.array([on, "rot", on, off], dtype=object)
+    assert read_columns([other])[0].values.dtype.kind == "O"
+
+
+def test_semicolons_between_cells_say_that_a_comma_is_the_decimal_mark():
+    """Three decimals behind a comma are no thousands where semicolons stand between the cells."""
+    cells = np.array(["41,000", "37,193", "33,749"], dtype=object)
+    values = read_columns([cells], delimiter=";")[0].values
+    np.testing.assert_allclose(values, [41, 37.193, 33.749])
+    assert "--decimal" in read_columns([cells], delimiter="\t")[0].fault
+
+
+def test_a_decimal_comma_of_one_column_is_that_of_quoted_cells_too():
+    """Commas between quoted cells set no thousands apart where another column shows decimals."""
+    time, cells = (np.array(c, dtype=object) for c in (["0,0", "0,5"], ["41,000", "37,193"]))
+    np.testing.assert_allclose(read_columns([time, cells], delimiter=",")[1].values, [41, 37.193])
+    np.testing.assert_allclose(read_columns([cells], delimiter=",")[0].values, [41000, 37193])

@@ -321,3 +321,24 @@ def test_any_mix_of_dialects_reads_back_the_same_numbers(tmp_path_factory, data)
     ]
     for found, own in zip(columns.values, wanted, strict=False):
         np.testing.assert_array_equal(found, np.array(own))
+
+
+@pytest.mark.parametrize(
+    "names", [[f'"{k}"' for k in range(1, 13)], [f'"a{k}"' for k in range(12)]]
+)
+def test_row_names_of_r_have_no_name_themselves(tmp_path, names):
+    """write.table writes one name less than cells: the first column names or counts the rows."""
+    rows = [f"{name} {k / 2} {2.0**-k!r}" for k, name in enumerate(names)]
+    path = tmp_path / "r.txt"
+    path.write_text("\n".join(['"t" "x"', *rows]))
+    columns = load_columns(path)
+    assert columns.names[-2:] == ("t", "x")
+    np.testing.assert_allclose(columns.values[-1], 2.0 ** -np.arange(12))
+
+
+def test_a_name_that_is_missing_is_refused(tmp_path):
+    """One name less than cells, above numbers that count nothing, is a fault of the header."""
+    path = tmp_path / "short.txt"
+    path.write_text("\n".join(["t x", *(f"{k / 2} {k} {k * k}" for k in range(12))]))
+    with pytest.raises(InputError, match="names 2 columns but row 1 has 3"):
+        load_columns(path)

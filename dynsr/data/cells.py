@@ -13,16 +13,32 @@ from dynsr.data.amounts import Amount, is_missing, is_unit, parse_number
 from dynsr.data.trajectory import as_floats
 from dynsr.errors import InputError
 
-_SWITCH = {
-    **dict.fromkeys(("on", "yes", "true", "open", "opened"), 1.0),
-    **dict.fromkeys(("off", "no", "false", "closed", "close", "shut"), 0.0),
-}
-_SWITCHES = (
-    {"on", "off"},
-    {"yes", "no"},
-    {"true", "false"},
-    {"open", "opened", "closed", "close", "shut"},
+# Words of a switch that is on, and of the same one off; a column holds those of one pair.
+_PAIRS = (
+    ("on", "off"),
+    ("yes", "no"),
+    ("true", "false"),
+    ("open opened", "closed close shut"),
+    ("high", "low"),
+    ("running started start", "stopped stop"),
+    ("enabled", "disabled"),
+    ("active", "inactive"),
+    ("an ein", "aus"),
+    ("ja", "nein"),
+    ("wahr", "falsch"),
+    ("auf offen ge\u00f6ffnet", "zu geschlossen"),
+    ("oui", "non"),
+    ("vrai", "faux"),
+    ("ouvert ouverte", "ferm\u00e9 ferm\u00e9e ferme"),
+    ("marche", "arr\u00eat arret"),
+    ("si s\u00ed", "no"),
+    ("verdadero", "falso"),
+    ("abierto abierta", "cerrado cerrada"),
+    ("encendido", "apagado"),
 )
+_SWITCHES = [
+    {**dict.fromkeys(on.split(), 1.0), **dict.fromkeys(off.split(), 0.0)} for on, off in _PAIRS
+]
 _EMPTY = "has no value in any row"
 _TRUTH = "true and false were read as 1 and 0"
 # A number of one cell a line that shows its decimal mark: that mark cannot set thousands apart.
@@ -222,9 +238,10 @@ class _Look:
             self.texts = list(self.texts)
             self._parse()
         words = {text.lower() for text in self.texts}
-        if not self.others.any() and any(words <= pair for pair in _SWITCHES):
-            said = " and ".join(f"{word!r} as {_SWITCH[word]:g}" for word in sorted(words))
-            values = self._spread([_SWITCH[text.lower()] for text in self.texts])
+        switch = next((pair for pair in _SWITCHES if words <= pair.keys()), None)
+        if switch is not None and not self.others.any():
+            said = " and ".join(f"{word!r} as {switch[word]:g}" for word in sorted(words))
+            values = self._spread([switch[text.lower()] for text in self.texts])
             return Reading(values.astype(float), notes=(f"was read with {said}",))
         bad = self._count(lambda number: number is None)
         beyond = self._count(lambda number: number is not None and number.limit != "")
@@ -296,9 +313,11 @@ class _Look:
         # decimals would be whole once in a thousand times.
         bare = any(n is not None and n.bare for n in self.parsed)
         large = any(n is not None and n.text.isdigit() and len(n.text) > 3 for n in self.parsed)
-        groups = (bare and not large) or (delimiter == "," and sign == ",")
+        groups = (bare and not large) or (not other and delimiter == sign == ",")
         found = {other} if other else set()
         found |= {"." if sign == "," else ","} if groups else set()
+        # Semicolons stand between cells where commas stand in numbers.
+        found |= {","} if not found and delimiter == ";" and sign == "," else set()
         if len(signs) == 1 and len(found) == 1:
             mark = found.pop()
             return mark, (f"{first.text!r} was read as {first.value(mark):.12g}",), ""

@@ -200,8 +200,13 @@ def _find_head(rows: Sequence[Row], numeric: Sequence[int], width: int) -> list[
     plain = False
     for row in reversed(rows):
         fits = row.width == width and not plain if row.comment else row.width > (width > 1)
-        if fits and (_is_head(row, numeric) or _as_units(row) is not None):
+        # R names the rows in a column without a name.
+        short = not head and not other and numeric[:1] == [1] and row.width == width - 1
+        short = short and set(row.kinds) == {TEXT}
+        if fits and (short or _is_head(row, numeric) or _as_units(row) is not None):
             head.append(row)
+            if short:
+                return head
         elif row.comment:
             plain = True  # below a remark a comment names nothing
         elif head or other == _ENOUGH:

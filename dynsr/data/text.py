@@ -288,6 +288,8 @@ def _fit_names(label: str, head: _Head, frame: Any) -> list[str]:
             split = re.split(pattern, line.strip())
             if len(split) == width:
                 return split
+    if len(names) == width - 1 and _are_row_names(frame[0]):
+        return ["", *names]
     while len(names) > width and not names[-1]:
         names.pop()
     first = len(_cells(head.lines[head.layout.first], head.delimiter))
@@ -310,6 +312,13 @@ def _fit_names(label: str, head: _Head, frame: Any) -> list[str]:
         f"the header of {label!r} names {len(names)} columns but row 1 has "
         f"{first} cells; use one delimiter throughout and one name a column"
     )
+
+
+def _are_row_names(column: Any) -> bool:
+    """Whether a first column that has no name counts the rows from 1, or names each, as R does."""
+    if column.dtype.kind in "iu":
+        return column.tolist() == list(range(1, len(column) + 1))
+    return column.dtype.kind not in "fb" and bool(column.notna().all() and column.is_unique)
 
 
 def _shows_commas(frame: Any) -> bool:
