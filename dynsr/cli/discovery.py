@@ -183,6 +183,7 @@ def discover(
     states: options.StateColumns = None,
     inputs: options.Inputs = None,
     hold: options.Hold = None,
+    doses: options.Doses = None,
     trajectory: options.TrajectoryColumn = None,
     method: options.MethodName = AUTO,
     preset: options.Preset = DEFAULT_PRESET,
@@ -319,7 +320,7 @@ def discover(
             data = load_table(files, time_column, states, columns, trajectory, hold, notes.say)
         else:
             given = [*(columns or []), *formulas]
-            _refuse_columns(time_column, states, trajectory, given, hold)
+            _refuse_columns(time_column, states, trajectory, given, [*(hold or []), *(doses or [])])
             data, formulas = _training_data(str(system), engine)
         with SearchProgress(quiet) as progress:
             found, folder = _search_in(
@@ -331,6 +332,7 @@ def discover(
                 scheme=scheme,
                 targets=options.read_names(targets, "--targets") or "all",
                 inputs=formulas or None,
+                doses=options.read_doses(doses),
                 known=read_equations(known) if known else None,
                 snap=snap,
                 order=options.read_orders(order),
@@ -378,7 +380,7 @@ def _refuse_columns(
     states: options.Names,
     trajectory: str | None,
     inputs: list[str],
-    hold: options.Names,
+    hold: list[str],
 ) -> None:
     """A known system has its columns; only a file leaves them open."""
     for option, value in (
@@ -386,7 +388,7 @@ def _refuse_columns(
         ("--states", states),
         ("--trajectory", trajectory),
         ("--inputs", inputs),
-        ("--hold", hold),
+        ("--hold or --dose", hold),
     ):
         if value:
             raise InputError(f"{option} goes with a file of data; a known system has its own")

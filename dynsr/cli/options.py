@@ -168,6 +168,16 @@ Hold = Annotated[
         rich_help_panel=DATA,
     ),
 ]
+Doses = Annotated[
+    Names,
+    typer.Option(
+        "--dose",
+        "--doses",
+        help="State that jumps, and the column of amounts by which it does right after each row: "
+        "x=dose.",
+        rich_help_panel=DATA,
+    ),
+]
 TrajectoryColumn = Annotated[
     str | None,
     typer.Option(
@@ -372,6 +382,26 @@ def read_hold(values: Sequence[str] | None) -> dict[str, str] | str | None:
             "for all"
         )
     return {key.strip(): word.strip() for key, _, word in pairs}
+
+
+def read_doses(values: Sequence[str] | None) -> dict[str, str] | None:
+    """Read ``x=dose`` as the column of the amounts given to a state; None without the option.
+
+    Raises InputError that names what is no such pair.
+
+    >>> read_doses(["x=dose"]), read_doses(None)
+    ({'x': 'dose'}, None)
+    """
+    from dynsr.errors import InputError
+
+    names = read_names(values, "--dose")
+    if names is None:
+        return None
+    pairs = {name: name.partition("=") for name in names}
+    for name, (state, _, column) in pairs.items():
+        if not state.strip() or not column.strip():
+            raise InputError(f"--dose {name!r} must be a state and a column, such as x=dose")
+    return {state.strip(): column.strip() for state, _, column in pairs.values()}
 
 
 def read_orders(values: Sequence[str] | None) -> int | dict[str, int]:

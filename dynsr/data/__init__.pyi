@@ -3,6 +3,7 @@ from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
 from .columns import Columns, bracketed_unit, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
+from .dosing import cut_at_doses
 from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .noise_model import StateNoise, measurement_noise, robust_scale
@@ -68,6 +69,7 @@ __all__ = [
     "choose_second_samples",
     "column_units",
     "columns_of",
+    "cut_at_doses",
     "describe",
     "describe_table",
     "diagnose",

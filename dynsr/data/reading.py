@@ -18,6 +18,7 @@ import sympy
 
 from dynsr.data.columns import Columns, beside, bracketed_unit, load_columns, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
+from dynsr.data.dosing import FEWEST_ROWS, cut_at_doses
 from dynsr.data.grouping import group_rows
 from dynsr.data.oddities import OddSettings
 from dynsr.data.roles import Roles, clean_name, find_time, guess_roles
@@ -342,9 +343,6 @@ def write_csv(
     write_new(target, text, force)
 
 
-_FEWEST_ROWS = 8
-
-
 def take_trajectories(
     data: Any,
     inputs: Mapping[str, Any] | Sequence[str] | str | None = None,
@@ -352,6 +350,7 @@ def take_trajectories(
     states: Sequence[str] | str | None = None,
     trajectory: str | None = None,
     hold: Mapping[str, str] | str | None = None,
+    doses: Mapping[str, str] | None = None,
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
@@ -364,6 +363,8 @@ def take_trajectories(
         expression in ``t``, function of one time, or values at the times, (n,) or a list of one
         such array a trajectory.
     time, states, trajectory, hold : as for :func:`dynsr.data.reading.read_trajectories`.
+    doses : state -> column of amounts: the state jumps by the amount right after that row, which
+        was measured before. Each part between doses counts as a trajectory.
 
     Raises InputError when nothing usable is there.
 
@@ -381,11 +382,12 @@ def take_trajectories(
         raise InputError("there is no trajectory in the data; give at least one")
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
+    runs = cut_at_doses(runs, doses)
     short = min(runs, key=len)
-    if len(short) < _FEWEST_ROWS:
+    if len(short) < FEWEST_ROWS:
         raise InputError(
             f"{len(short)} rows are too few to find equations in; "
-            f"give at least {_FEWEST_ROWS} a trajectory"
+            f"give at least {FEWEST_ROWS} a trajectory"
         )
     given = {name: value for name, value in named.items() if not _is_formula(value)}
     drives = {check_name(n, "input"): parse(e, ["t"]) for n, e in named.items() if n not in given}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,54 @@ def predict(
         exact,
     )
     return simulate(system, start, times, _RELTOL, abstol, chosen)
+
+
+def predict_with_doses(
+    equations: Mapping[str, sympy.Expr],
+    x0: Sequence[float] | np.ndarray,
+    t: Sequence[float] | np.ndarray,
+    doses: Mapping[str, Any] | None,
+    inputs: Mapping[str, Any] | None = None,
+    engine: str | AbstractEngine = DEFAULT_ENGINE,
+    hold: Mapping[str, str] | str | None = None,
+) -> Trajectory:
+    """Integrate as :func:`predict` does; states jump where amounts are given to them.
+
+    Parameters
+    ----------
+    doses : state -> (n,) amounts that are added right after each time; None for none.
+    equations, x0, t, inputs, engine, hold : as for :func:`predict`.
+
+    Raises InputError too when a state is unknown or the amounts do not fit the times.
+
+    >>> decay = {"x": -2 * sympy.Symbol("x")}
+    >>> found = predict_with_doses(decay, [0.0], [0.0, 1.0, 2.0], {"x": [1.0, 0.0, 0.0]})
+    >>> bool(np.allclose(found.x[:, 0], [0.0, np.exp(-2), np.exp(-4)]))
+    True
+    """
+    times = np.asarray(t, dtype=float)
+    if not doses:
+        return predict(equations, x0, times, inputs, engine, hold)
+    given = np.zeros((len(times), len(equations)))
+    for state, amounts in doses.items():
+        if state not in equations:
+            raise InputError(
+                f"doses are given to a state, and {state!r} is none; the states are: "
+                f"{', '.join(equations)}"
+            )
+        given[:, list(equations).index(state)] = sample_input(f"doses of {state}", amounts, times)
+    # Values at the times are read once, over all of them.
+    read = {**(inputs or {}), **_take_measured(dict(inputs or {}), times, hold)}
+    at = np.flatnonzero(given[:-1].any(axis=1)).tolist()
+    edges = sorted({0, *at, len(times) - 1})
+    start, parts = np.asarray(x0, dtype=float), []
+    for begin, end in pairwise(edges):
+        part = predict(equations, start + given[begin], times[begin : end + 1], read, engine)
+        start = part.x[-1]
+        parts.append(part)
+    x = np.concatenate([np.asarray(x0, dtype=float)[None], *(part.x[1:] for part in parts)])
+    rows = [part.inputs[int(i > 0) :] for i, part in enumerate(parts)]
+    return replace(parts[0], t=times, x=x, inputs=np.concatenate(rows))
 
 
 @dataclass(frozen=True, eq=False)

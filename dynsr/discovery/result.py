@@ -19,6 +19,7 @@ from dynsr.data import (
     check_hold,
     check_time_unit,
     choose_samples,
+    cut_at_doses,
     in_unit,
     settle_hold,
     take_trajectories,
@@ -34,7 +35,7 @@ from dynsr.discovery.maps import (
     write_map_latex,
 )
 from dynsr.discovery.orders import form_of, write_lines
-from dynsr.discovery.prediction import Measured, predict
+from dynsr.discovery.prediction import Measured, predict, predict_with_doses
 from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
 from dynsr.discovery.verdict import Verdict, VerdictSettings, explain, judge
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
@@ -317,6 +318,7 @@ class Discovery:
         inputs: Mapping[str, Any] | None = None,
         engine: str | AbstractEngine | None = None,
         hold: Mapping[str, str] | str | None = None,
+        doses: Mapping[str, Any] | None = None,
     ) -> Trajectory:
         """Integrate the equations; by default from the start and at the times of the data.
 
@@ -331,6 +333,7 @@ class Discovery:
         engine : "embedded", "julia" or an engine; the discovery's own by default. A map has none.
         hold : input -> what it does between the values that are given, "previous", "linear" or
             "smooth", or one word for all; by default what it did in the data.
+        doses : state -> (n,) amounts by which it jumps right after each time; none by default.
 
         Raises InputError when something is missing or a map is given an engine other than the
         embedded one, EngineUnavailable when the engine is absent, EngineError when the solution
@@ -343,8 +346,8 @@ class Discovery:
             x0 = self.trajectories[0].select(slice(0, 1)).x[0][self._positions()]
         if self.is_map:
             refuse_idle(engine, "a map is iterated")
-            if hold is not None:
-                raise InputError("a map has no time between rows; leave hold out")
+            if hold is not None or doses is not None:
+                raise InputError("a map has no time between rows; leave hold and doses out")
             own = inputs_in(self.trajectories[0], self.equations) if t is None else self.inputs
             return iterate(self.equations, x0, times, {**own, **(inputs or {})})
         given = {**self.inputs_of(), **(inputs or {})}
@@ -353,7 +356,8 @@ class Discovery:
                 # What is given at the times themselves is taken as the data were.
                 values = np.asarray(value, dtype=float)
                 given[name] = Measured(name, times, values, self.hold[name])
-        return predict(self.equations, x0, times, given, engine or self.engine, hold)
+        chosen = engine or self.engine
+        return predict_with_doses(self.equations, x0, times, doses, given, chosen, hold)
 
     @property
     def hold(self) -> dict[str, Hold]:
@@ -415,7 +419,7 @@ class Discovery:
         chosen = find_engine(engine or self.engine)
         if self.is_map:
             refuse_idle(engine, "a map is iterated")
-        runs = list(self.trajectories) if data is None else take_trajectories(data, self.inputs)[0]
+        runs = list(self.trajectories) if data is None else self._read(data)
         if not runs:
             raise InputError("the data are not here; give some to score on")
         own = {n: way for n, way in self.hold.items() if n in runs[0].input_names}
@@ -442,6 +446,14 @@ class Discovery:
                 "trajectory_rmse": rmse(np.concatenate([w[:, position] for w in whole]), truth),
             }
         return scores
+
+    def _read(self, data: Any) -> list[Trajectory]:
+        """Read other data, cut at doses as those of the discovery were."""
+        runs, given = take_trajectories(data, self.inputs)[0], self.settings.get("doses")
+        # Trajectories of the discovery itself are cut already.
+        if isinstance(given, Mapping) and set(given.values()) <= set(runs[0].names):
+            return cut_at_doses(runs, given)
+        return runs
 
     def _whole(self, run: Trajectory, engine: AbstractEngine) -> np.ndarray:
         start = [run.x[0, run.index(state)] for state in self.equations]

@@ -123,6 +123,7 @@ def discover(
     targets: str | Sequence[str] = "all",
     inputs: Mapping[str, Any] | Sequence[str] | str | None = None,
     hold: Mapping[str, str] | str | None = None,
+    doses: Mapping[str, str] | None = None,
     known: Mapping[str, str | sympy.Expr] | None = None,
     seed: int = 0,
     jobs: int = -1,
@@ -166,6 +167,8 @@ def discover(
         or values at the times.
     hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth";
         or one of these words for all. By default the values tell.
+    doses : state -> column of amounts: the state jumps by the amount right after that row, which
+        was measured before. Each part between doses counts as a trajectory.
     known : state -> the part of its equation that is given; the rest is searched.
     seed : all chance comes from it; the result does not depend on ``jobs``.
     jobs : searches at a time; -1 uses every core.
@@ -244,7 +247,7 @@ def discover(
     jobs = check_jobs(jobs)
     chosen, workers = find_engine(engine), effective_n_jobs(jobs)
     shared = share_engine(chosen, workers)
-    runs, drives = take_trajectories(data, inputs, time, states, trajectory, hold)
+    runs, drives = take_trajectories(data, inputs, time, states, trajectory, hold, doses)
     seed = check_asked(
         runs[0].states,
         seed,

@@ -1,0 +1,119 @@
+"""Doses: a state jumps by the amount given right after a row, in every fit and integration."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import command_line
+import numpy as np
+import pytest
+
+import dynsr
+from dynsr.data import Trajectory, choose_samples, cut_at_doses
+from dynsr.errors import DynsrWarning
+
+RATE = 0.6
+
+
+def course(level: float = 0.0) -> Trajectory:
+    """Give a drug that is eliminated by V x/(K + x), five doses, rows of uneven times."""
+    from scipy.integrate import solve_ivp
+
+    def slope(_: float, c: np.ndarray) -> np.ndarray:
+        return np.asarray(-2.0 * c / (3.0 + c))
+
+    rng = np.random.default_rng(5)
+    t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 0.3, 149))])
+    dose = np.zeros(len(t))
+    dose[[0, 30, 60, 90, 120]] = [10.0, 6.0, 8.0, 12.0, 5.0]
+    x = [0.0]
+    for i in range(len(t) - 1):
+        start = [x[-1] + dose[i]]
+        found = solve_ivp(slope, t[i : i + 2], start, rtol=1e-11, atol=1e-12)
+        x.append(found.y[0, -1])
+    noise = rng.normal(size=len(t)) * level * np.std(x)
+    return Trajectory(t, (np.array(x) + noise)[:, None], ("c",), dose[:, None], ("dose",))
+
+
+def test_no_slope_reaches_over_a_dose() -> None:
+    """Slopes between doses are those of the law, from the first row after each on."""
+    parts = cut_at_doses([course()], {"c": "dose"})
+    assert [len(part) for part in parts] == [31, 31, 31, 31, 30]
+    samples = choose_samples(parts, "c")
+    c = samples.columns["c"]
+    assert samples.y == pytest.approx(-2 * c / (3 + c), abs=1e-4)
+    assert parts[0].names == ("c",)
+
+
+def test_a_simulation_jumps_at_each_dose() -> None:
+    """The law with the doses of the data gives the data, from the first row to the last."""
+    run = course()
+    law = dynsr.discover([run], doses={"c": "dose"}, preset="quick", jobs=1)
+    assert law.settings["doses"] == {"c": "dose"}
+    found = law.simulate(run.x[0], run.t, doses={"c": run.inputs[:, 0]})
+    assert np.max(np.abs(found.x - run.x)) < 1e-3
+    without = law.simulate(run.x[0], run.t)
+    assert np.max(np.abs(without.x - run.x)) > 5
+    assert law.score([run])["c"]["trajectory_rmse"] < 1e-3
+    assert law.score(list(law.trajectories)) == law.score()
+
+
+def test_a_state_column_may_hold_the_amounts() -> None:
+    """What was read as a state is none where it holds doses."""
+    run = course()
+    both = Trajectory(run.t, np.column_stack([run.x, run.inputs]), ("c", "dose"))
+    parts = cut_at_doses([both], {"c": "dose"})
+    assert parts[0].states == ("c",)
+    assert parts[1].x[0, 0] == pytest.approx(run.x[30, 0] + 6.0)
+
+
+def test_short_parts_are_left_out_and_said() -> None:
+    """Two doses close together leave a part of too few rows between them."""
+    run = course()
+    close = run.inputs.copy()
+    close[33] = 1.0
+    with pytest.warns(DynsrWarning, match="1 of 6 parts between doses have fewer than 8 rows"):
+        assert len(cut_at_doses([replace(run, inputs=close)], {"c": "dose"})) == 5
+
+
+@pytest.mark.parametrize(
+    ("doses", "says"),
+    [
+        ({"c": "pill"}, "there is no column 'pill'; the columns are: c, dose"),
+        ({"b": "dose"}, "doses are given to a state, and 'b' is none; the states are: c"),
+        ("dose", "must say state -> column of amounts"),
+    ],
+)
+def test_wrong_names_are_one_line(doses: object, says: str) -> None:
+    """An unknown state or column is answered with those that there are."""
+    with pytest.raises(dynsr.InputError, match=says):
+        dynsr.discover([course()], doses=doses, jobs=1)  # type: ignore[arg-type]
+
+
+def test_the_command_line_takes_doses(tmp_path: Path) -> None:
+    """--dose c=dose finds the law of what is eliminated; what is no pair is one line."""
+    run = course()
+    file = tmp_path / "drug.csv"
+    rows = [
+        f"{t!r},{c!r},{d!r}"
+        for t, c, d in zip(*map(np.ndarray.tolist, (run.t, *run.columns.T)), strict=True)
+    ]
+    file.write_text("\n".join(["t,c,dose", *rows]) + "\n")
+    wrong = command_line.run("discover", file, "--dose", "dose", code=2)
+    assert "must be a state and a column, such as x=dose" in wrong.output
+    found = command_line.run(
+        "discover", file, "--dose", "c=dose", "--preset", "quick", "-q", "-j", 1
+    )
+    assert "c' = -2*c/(c + 3)" in found.output
+
+
+@pytest.mark.slow
+def test_the_law_of_noisy_doses_is_found() -> None:
+    """With 1 % noise the constants are within 5 %, in intervals that hold the truth."""
+    found = dynsr.discover([course(0.01)], doses={"c": "dose"}, jobs=1)
+    assert found.verdict is not None
+    assert found.verdict.level == "law"
+    by_size = sorted(found.constants["c"], key=lambda c: abs(c.value))
+    two, three = by_size[-2:]
+    assert abs(two.value) == pytest.approx(2.0, rel=0.05)
+    assert three.value == pytest.approx(3.0, rel=0.05)
+    assert three.low <= 3.0 <= three.high
