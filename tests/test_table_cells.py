@@ -304,3 +304,13 @@ def test_a_decimal_comma_of_one_column_is_that_of_quoted_cells_too():
     time, cells = (np.array(c, dtype=object) for c in (["0,0", "0,5"], ["41,000", "37,193"]))
     np.testing.assert_allclose(read_columns([time, cells], delimiter=",")[1].values, [41, 37.193])
     np.testing.assert_allclose(read_columns([cells], delimiter=",")[0].values, [41000, 37193])
+
+
+@pytest.mark.parametrize("sign", [" ± ", "±", " +/- "])
+def test_an_error_behind_a_value_gets_a_column_of_its_own(tmp_path, sign):
+    """A cell 1.2 ± 0.1 is 1.2, with 0.1 in a column beside it; a lone sign in text does nothing."""
+    cells = [f"{k + 1.5}{sign}{k / 8 + 0.25}" for k in range(11)] + ["n.d."]
+    columns = load_columns(table(tmp_path, ";", **{"x [g]": cells, "what": ["a"] * 11 + ["± b"]}))
+    assert columns.names == ("t", "x [g]", "x_sd", "what")
+    np.testing.assert_array_equal(columns.values[1], [*np.arange(1.5, 12), np.nan])
+    np.testing.assert_array_equal(columns.values[2], [*np.arange(11) / 8 + 0.25, np.nan])

@@ -19,6 +19,10 @@ from dynsr.errors import InputError, one_line, printable
 MAX_BYTES = 1 << 30
 # A unit in brackets or after a blank bracket: "x [m/s]", "theta (rad)".
 _UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
+# A value with its error, such as "1.2 ± 0.1".
+_WITH_ERROR = re.compile(
+    r"(?P<value>[^\u00b1]*\d[^\u00b1]*?)\s*(?:\u00b1|\+/-|\+-)\s*(?P<error>[^\u00b1]*\d[^\u00b1]*)"
+)
 # Array of names in an archive -> the matrix whose columns they name.
 LABELS = {"states": "x", "input_names": "inputs", "columns": "data"}
 
@@ -131,6 +135,7 @@ def assemble(
 
     _check_lengths(names, columns, label)
     called = list(names) or list(generated_names(len(columns)))
+    called, columns, units = _apart(called, columns, units)
     readings = read_columns(columns, decimal, delimiter)
     there = np.any([_has_value(reading.values) for reading in readings], axis=0)
     if not there.any():
@@ -167,6 +172,26 @@ def assemble(
         faults=faults,
         twice=tuple(dict.fromkeys(old for old, _ in renamed)),
     )
+
+
+def _apart(
+    names: Sequence[str], columns: Sequence[np.ndarray], units: Sequence[str]
+) -> tuple[list[str], list[np.ndarray], list[str]]:
+    """Give the errors of cells such as "1.2 ± 0.1" a column of their own, called so."""
+    found: list[tuple[str, np.ndarray, str]] = []
+    for j, (name, column) in enumerate(zip(names, columns, strict=True)):
+        unit = units[j] if j < len(units) else ""
+        cells = column.tolist() if column.dtype.kind == "O" else []
+        pairs = [_WITH_ERROR.fullmatch(c) if isinstance(c, str) else None for c in cells]
+        if 2 * sum(pair is not None for pair in pairs) <= len(column):
+            found.append((name, column, unit))
+            continue
+        both = [
+            (p["value"], p["error"]) if p else (c, None) for p, c in zip(pairs, cells, strict=True)
+        ]
+        values, errors = (np.array(part, dtype=object) for part in zip(*both, strict=True))
+        found += [(name, values, unit), (f"{bare_name(name)}_sd", errors, unit)]
+    return [f[0] for f in found], [f[1] for f in found], [f[2] for f in found]
 
 
 def _check_lengths(names: Sequence[str], columns: Sequence[np.ndarray], label: str) -> None:
