@@ -28,6 +28,7 @@ WORDS = [
     *("../..", "/dev/null", "/", "\udcff", "😀", "lorenz", "pendulum", "embedded", "julia", "ga"),
     *("x=1", "F=sin(t)", "F=1/0", "F=x", "x'=-x", "x'=1/0; y'=x", "x'=9**9**9", "t'=1"),
     *("x'=" + "sin(" * 50 + "x" + ")" * 50, "sin'=x", "x'=-x; x'=x", "x'=zoo", "µ'=-µ"),
+    *("a\x1b[31m", "\x07", "a\rb", "\u202ex", "x\x9b2J", "x'=-x\x1b]0;t\x07"),
     *("savgol(4,9)", "savgol(999,2)", "forward", "auto", "best", "quick", "typo", "sindy,typo"),
 ]
 EQUATIONS = [
@@ -187,6 +188,8 @@ def fault_of(words) -> str:
         return traceback.format_exc()
     lines = done.stderr.splitlines()
     errors = [line for line in lines if line.startswith("error: ")]
+    if steering := {"\x1b", "\x07", "\r", "\u202e", "\x9b"} & set(done.output):
+        return f"steers a terminal: {steering}"
     if done.exit_code == 0:
         return ""
     if done.exit_code != 2 or len(errors) > 1 or "Traceback" in done.output:
