@@ -5,8 +5,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dynsr
-from dynsr.expression import shown
-from dynsr.fit import tidy
+from dynsr.data import Trajectory
+from dynsr.discovery.adoption import adopt_better
+from dynsr.discovery.orders import Form
+from dynsr.discovery.problem import DISCOVERY, Problem
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.verdict import follows_to
+from dynsr.expression import parse, shown
+from dynsr.fit import ParetoFront, score_candidate, tidy
+from dynsr.jobs import Budget
+from dynsr.methods import read_demands
 
 QUICK = {"preset": "quick", "jobs": 1, "progress": False}
 
@@ -29,3 +37,92 @@ def test_the_source_and_the_bits_are_those_of_the_answer():
     assert "every column" not in found.explanation["v"]
     for state, expr in found.equations.items():
         assert found.details[state].startswith(f"{state}' = {shown(tidy(expr))} takes ")
+
+
+SPRING = {"x": "v", "v": "-0.4*v - 0.5*x**3 - 2*x"}
+WRONG = {"x": "v", "v": "-0.3*v - 0.1*v*Abs(v) - 0.45*x**3 - 2.1*x"}
+
+
+def pose(run, form=None, **asked):
+    """Give the problem of one run, with what is asked of its equations."""
+    demands = read_demands(run.states, run.names, **asked)
+    return Problem([run], {}, "auto", {}, {}, form or Form(), DISCOVERY, demands, Budget(None))
+
+
+def spring(noise):
+    """Give sixty rows of a spring that stiffens as it is pulled."""
+    t = np.linspace(0, 20, 60)
+    x = solve(lambda _, s: [s[1], -0.4 * s[1] - 0.5 * s[0] ** 3 - 2 * s[0]], [2.0, 0.5], t, noise)
+    return Trajectory(t, x, ("x", "v"))
+
+
+def answer(problem, equations, fronts):
+    """Give a discovery of these equations, with other formulas on its fronts."""
+    exprs = {s: parse(e) for s, e in equations.items()}
+    front = {
+        s: ParetoFront(
+            score_candidate(parse(e), problem.samples(s, problem.runs), "sindy") for e in own
+        )
+        for s, own in fronts.items()
+    }
+    said = dict.fromkeys(exprs, " Found by rational. A note.")
+    return Discovery(exprs, dict.fromkeys(exprs, ()), front, said)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+def test_what_is_shorter_and_better_becomes_the_answer(noise):
+    """An answer with one term too many gives way to the law on its front, which is judged."""
+    problem = pose(spring(noise))
+    found = answer(problem, WRONG, {"x": ["v"], "v": ["-0.41*v - 0.51*x**3 - 1.98*x", "-2.5*x"]})
+    verdict = problem.judge(found, None)
+    assert verdict.level == "approximation" and verdict.rivals["v"][0].bits < 0
+    better, judged = adopt_better(problem, found, verdict, None)
+    assert judged.level == "law" and len(better.equations["v"].args) == 3
+    assert better.explanation["v"] == " Found by sindy. A note."
+    assert "takes" in better.details["v"] and "Abs(v)" in better.details["v"]
+    assert better.errors["v"] and all(one.bits > 8 for one in judged.rivals["v"])
+
+
+def test_what_only_seems_better_is_tried_and_not_called_so():
+    """What a comparison calls 50 bits better and is far worse once it is fitted is none."""
+    problem = pose(spring(0.01))
+    found = answer(problem, SPRING, {"x": ["v"], "v": [SPRING["v"]]})
+    rivals = {"x": [], "v": [(parse("-2.9*x"), -50.0)]}
+    verdict = problem.judge(found, rivals)
+    assert "follows them better" in verdict.states["v"].reason
+    same, judged = adopt_better(problem, found, verdict, rivals)
+    assert same.equations == found.equations and "better" not in judged.reason
+    assert "-2.9*x" not in [one.equation for one in judged.rivals["v"]]
+
+
+def test_what_the_user_forbids_is_not_adopted():
+    """An alternative that breaks what is asked is not returned, and so it is not called better."""
+    problem = pose(spring(0.01), constraints={"v": {"v": "+"}})
+    found = answer(problem, WRONG, {"x": ["v"], "v": [WRONG["v"]]})
+    rivals = {"x": [], "v": [(parse(SPRING["v"]), -900.0)]}
+    same, judged = adopt_better(problem, found, problem.judge(found, rivals), rivals)
+    assert same.equations == found.equations
+    assert "better" not in judged.reason
+    assert all(one.bits >= 0 for one in judged.rivals["v"])
+
+
+def test_a_map_gives_way_to_a_better_one():
+    """A cubic map gives way to the logistic one on its front; constants are no alternatives."""
+    x = [0.3]
+    for _ in range(80):
+        x.append(3.7 * x[-1] * (1 - x[-1]))
+    values = np.array(x) + 1e-4 * np.random.default_rng(0).normal(size=81)
+    problem = pose(Trajectory(np.arange(81.0), values[:, None], ("x",)), Form(discrete=True))
+    fronts = {"x": ["0.66", "3.7*x - 3.7*x**2"]}
+    found = answer(problem, {"x": "3.5*x - 3.4*x**2 - 0.1*x**3"}, fronts)
+    verdict = problem.judge(found, None)
+    assert [one.equation for one in verdict.rivals["x"]] == ["-3.7*x**2 + 3.7*x"]
+    better, judged = adopt_better(problem, found, verdict, None)
+    assert better.equations["x"] == parse(fronts["x"][1]) and judged.level == "law"
+    assert better.details["x"].startswith("x[n+1] = ")
+
+
+def test_nothing_is_said_to_zero_percent():
+    """However close an approximation comes, what it misses is not told as 0."""
+    assert " 0 %" not in follows_to(1.0) and "less than 0.1 %" in follows_to(1.0 - 1e-8)
+    assert follows_to(1 - 0.05**2) == "follows the data to 5 % of the spread"

@@ -109,7 +109,7 @@ def test_a_different_formula_that_does_as_well_keeps_an_equation_from_being_a_la
     found = judge(true, [data], front=front).states["p"]
     assert found.level == "approximation" and found.rivals[0].bits < 8
     assert "cannot be told apart from" in found.reason and "*q" in found.rivals[0].equation
-    assert "follows the trajectories better" in explain("p", true["p"], found)
+    assert explain("p", true["p"], found).count(found.rivals[0].equation) == 1
 
 
 def test_a_formula_that_can_be_the_same_function_is_no_rival():

@@ -15,6 +15,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import diagnose
+from dynsr.discovery.adoption import adopt_better
 from dynsr.discovery.problem import Problem
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.verdict import (
@@ -71,10 +72,10 @@ def follow_anyway(
     best = _rounded(best, trail)
     match = untouched_match(best.exprs, runs, problem.inputs, problem.settings.selection.fit)
     changed = _put(problem, found, match)
-    judged = problem.judge(changed, None)
+    changed, judged = adopt_better(problem, changed, problem.judge(changed, None), None)
     if verdict.level == APPROXIMATION and not whole and not _closer(judged, verdict):
         return None
-    judged = _approximate(judged, trail, match.exprs, least)
+    judged = _approximate(judged, trail, changed.equations, least)
     if LEVELS.index(judged.level) > LEVELS.index(verdict.level):
         return None
     return changed, judged

@@ -298,12 +298,13 @@ def _judge_state(
         said = f"the equation does not give the next row (R2 of one step {r2:.2g})."
         return replace(found, reason=said + _because(step, runs, settings))
     doubts = _doubts(step, found, free, surprise, settings)
+    exact = step.size <= step.finest
     follows = f"gives the next row to {100 * size:.2g} % of the spread"
+    follows = "gives the next row exactly" if exact else follows
     if doubts:
         said = f"{follows}, but {'; '.join(doubts)}."
         said += _because(step, runs, settings)
         return replace(found, level=APPROXIMATION, reason=said)
-    follows = "gives the next row exactly" if step.size <= step.finest else follows
     runs_on = f"free runs of {settings.steps} steps miss by no more than these add up to"
     return replace(
         found, level=LAW, reason=f"{follows}; {runs_on}, and each of its terms is needed."
@@ -369,7 +370,8 @@ def _compare(
 
     own, found = length(step.expr, step.misses), []
     for candidate in front:
-        if candidate is None:
+        # What does not change with the rows is no alternative for a state that moves.
+        if candidate is None or not candidate.expr.free_symbols:
             continue
         values = np.broadcast_to(evaluate(candidate.expr, columns), rows)
         apart = float(np.sqrt(np.mean((values - step.samples.y + step.misses) ** 2)))

@@ -45,6 +45,7 @@ from dynsr.fit import (
     is_noisy,
     loosen_all,
     match_trajectories,
+    noise_of,
     polish,
     refit,
     score_candidate,
@@ -65,6 +66,7 @@ from dynsr.selection import (
     Compared,
     FollowerSettings,
     Pick,
+    RankedCandidate,
     SelectionSettings,
     SystemChoice,
     SystemComparison,
@@ -257,15 +259,16 @@ class Problem:
             s: e if self.demands.keeps(s, e, self.columns) else picked[s]
             for s, e in choice.exprs.items()
         } | given
-        fitted = self._polish(system, picks)
+        noise = {s: picks[self.form.velocities.get(s, s)].noise for s in system}
+        fitted = self._polish(system, noise)
         mended = {s: self.demands.drop_broken(s, e) for s, e in fitted.exprs.items()}
         if mended != fitted.exprs:
             system = mended
-            fitted = self._polish(system, picks)
+            fitted = self._polish(system, noise)
         fitted = self._with_forced(fitted, picks)
         exact = self._confirm_fitted(fitted)
         if exact is not None:
-            fitted, choice = self._polish(exact, picks), SystemChoice(picked)
+            fitted, choice = self._polish(exact, noise), SystemChoice(picked)
         rivals = None
         if choice.fit is not None:
             rivals = choice.different(self.settings.selection.comparison.apart)
@@ -290,14 +293,73 @@ class Problem:
         Whole systems and the last fit may come to another form than slopes preferred.
         """
         own = expr - self.known.get(pick.state, sympy.S.Zero)
-        shape = skeleton(with_floats(own))
-        if skeleton(with_floats(pick.candidate.expr)) == shape:
+        if _alike(pick.candidate.expr, own):
             return pick
-        alike = (c for c in pool if skeleton(with_floats(c.expr)) == shape)
-        first = next(alike, None)
-        samples = self.samples(pick.state, self.runs)
-        source = COMPARED if first is None else first.source
-        return lead_with(pick, score_candidate(own, samples, source), samples)
+        source = next((c.source for c in pool if _alike(c.expr, own)), "")
+        samples = self.samples_in_time(pick.state)
+        return lead_with(pick, score_candidate(own, samples, source or COMPARED), samples)
+
+    def with_equation(self, found: Discovery, state: str, expr: sympy.Expr) -> Discovery | None:
+        """Put another equation of a state in the place of the one found, and fit all constants.
+
+        None where that does not keep to what the user asks, or to data that are exact.
+
+        Parameters
+        ----------
+        found : the equations.
+        state, expr : whose equation is another one, and what it is.
+        """
+        system = {**found.equations, state: expr}
+        if state in self.form.known or not self.is_allowed(state, expr):
+            return None
+        samples = {s: self.samples(s, self.runs, known_left_out=False) for s in system}
+        noise = {
+            s: noise_of([*found.front.get(s, ()), score_candidate(e, samples[s])], samples[s])
+            for s, e in system.items()
+        }
+        if self.form.discrete:
+            final = {s: tidy(e) for s, e in system.items()}
+            steps = {s: measure_step_errors(e, samples[s]) for s, e in final.items()}
+            errors = {s: own for s, (own, _) in steps.items()}
+            fitted = {s: own for s, (_, own) in steps.items()}
+            match = Match(final, errors, np.empty(0), True, fitted, found.reach)
+        elif self.confirmed:
+            fit = self.settings.selection.fit
+            exact = confirm(system, self.runs, self.inputs, fit)
+            if exact is None:
+                return None
+            match = polish(system, self.runs, self.inputs, samples, noise, fit, None, exact)
+        else:
+            match = self._polish(system, noise)
+        if not self.is_allowed(state, match.exprs[state]):
+            return None
+        return self._as_answer(found, match, state, noise[state])
+
+    def _as_answer(self, found: Discovery, match: Match, state: str, noise: Noise) -> Discovery:
+        """Give a discovery with fitted equations, of which that of one state is another one."""
+        given = self.known.get(state, sympy.S.Zero)
+        samples = self.samples(state, self.runs)
+        new, old = (match.exprs[state] - given, found.equations[state] - given)
+        source = next((c.source for c in found.front.get(state, ()) if _alike(c.expr, new)), "")
+        both = [score_candidate(e, samples, source or COMPARED) for e in (new, old)]
+        ranked = [RankedCandidate(c, description_length(c, samples, noise), None) for c in both]
+        details = Pick(state, tuple(ranked), noise).explanation
+        _, _, notes = found.explanation.get(state, "").partition("Found by ")[2].partition(".")
+        front = found.front.get(state, ParetoFront([])).add(both[0])
+        return replace(
+            found,
+            equations=match.exprs,
+            errors=match.errors,
+            fitted=match.fitted,
+            reach=match.reach,
+            front={**found.front, state: front},
+            explanation={**found.explanation, state: found_by(both[0].source) + notes},
+            details={**found.details, state: self._named(state, details)},
+        )
+
+    def _named(self, state: str, details: str) -> str:
+        """Write the details of a map as such."""
+        return details.replace(f"{state}' =", f"{state}[n+1] =") if self.form.discrete else details
 
     def _confirm_fitted(self, fitted: Match) -> Mapping[str, sympy.Expr] | None:
         """Give equations that exact states confirm, which had looked noisy.
@@ -337,12 +399,11 @@ class Problem:
             fitted={s: fitted for s, (_, fitted) in found.items()},
             front={s: self._front(pools[s], p) for s, p in picks.items()},
             explanation={s: found_by(p.candidate.source) + notes[s] for s, p in picks.items()},
-            details={s: p.explanation.replace(f"{s}' =", f"{s}[n+1] =") for s, p in picks.items()},
+            details={s: self._named(s, p.explanation) for s, p in picks.items()},
         )
 
-    def _polish(self, system: Mapping[str, sympy.Expr], picks: Mapping[str, Pick]) -> Match:
+    def _polish(self, system: Mapping[str, sympy.Expr], noise: Mapping[str, Noise]) -> Match:
         samples = {s: self.samples(s, self.runs, known_left_out=False) for s in system}
-        noise = {s: picks[self.form.velocities.get(s, s)].noise for s in system}
         whole = self.settings.selection.fit
         shortly = replace(whole, snap_rounds=0, match_trials=2)
         as_chosen = {s: tidy(e) for s, e in system.items()}
@@ -714,6 +775,11 @@ def _as_near(candidates: Sequence[Candidate]) -> list[sympy.Expr]:
     """Give the first formula and those that come as near to the slopes."""
     first, *others = candidates
     return [first.expr, *(c.expr for c in others if c.loss <= _AS_NEAR * first.loss)]
+
+
+def _alike(one: sympy.Expr, other: sympy.Expr) -> bool:
+    """Whether formulas differ in their constants alone."""
+    return bool(skeleton(with_floats(one)) == skeleton(with_floats(other)))
 
 
 def found_by(source: str) -> str:

@@ -67,7 +67,7 @@ def compare_rivals(
     bits = _bits_above(equations, chosen, followed, places, course)
     found: dict[str, list[tuple[sympy.Expr, float]]] = {state: [] for state in equations}
     for (state, expr), value in zip(chosen, bits, strict=True):
-        more = _count(expr) - _count(equations[state])
+        more = count_constants(expr) - count_constants(equations[state])
         cost = structure_bits(expr) - structure_bits(with_floats(equations[state]))
         rows = sum(z.size for z in followed.misses) * course.thinned
         found[state].append((expr, float(value) + cost + more * constant_bits(rows)))
@@ -90,8 +90,13 @@ def _columns(followed: Followed) -> dict[str, np.ndarray]:
     return dict(zip(names, np.concatenate(parts, axis=1), strict=True))
 
 
-def _count(expr: sympy.Expr) -> int:
-    """Count the constants of a formula, coefficients of 1 among them."""
+def count_constants(expr: sympy.Expr) -> int:
+    """Count the constants of a formula, coefficients of 1 among them.
+
+    Parameters
+    ----------
+    expr : the formula.
+    """
     return len(free_constants(loosen(expr), "constant ")[1])
 
 
@@ -116,8 +121,8 @@ def _closest(
         "given",
         columns["t"][::every],
     )
-    allowed = _count(own) + _MORE_CONSTANTS
-    pool = [c for c in front if c.expr.free_symbols and _count(c.expr) <= allowed]
+    allowed = count_constants(own) + _MORE_CONSTANTS
+    pool = [c for c in front if c.expr.free_symbols and count_constants(c.expr) <= allowed]
     found = []
     for candidate in sorted(pool, key=lambda c: c.loss)[: 2 * most]:
         if not {str(s) for s in candidate.expr.free_symbols} <= set(names):

@@ -19,6 +19,7 @@ from dynsr.data import (
     column_units,
     take_trajectories,
 )
+from dynsr.discovery.adoption import adopt_better, adopt_in_time
 from dynsr.discovery.asked import check_asked
 from dynsr.discovery.asking import (
     add_conserved,
@@ -377,15 +378,15 @@ def _judge(
     record: dict[str, Any],
     follow: bool,
 ) -> Discovery:
-    """Give the equations with their verdict, or others that keep closer to the data.
+    """Give the equations with their verdict, or others that are better or keep closer to the data.
 
     Where Ctrl-C ends this, the equations are as they were, and nobody has judged them.
     """
     try:
         verdict = problem.judge_in_time(found, rivals)
-        other = found
+        other, verdict = adopt_in_time(problem, found, verdict, rivals)
         if follow:
-            other, verdict = _follow(problem, found, verdict, record)
+            other, verdict = _follow(problem, other, verdict, record)
     except KeyboardInterrupt:
         return replace(found, complete=False)
     return replace(other, verdict=verdict)
@@ -603,7 +604,7 @@ class _Steps:
         found, rivals = problem.fit(picks, pools, dict.fromkeys(picks, held))
         if not all(problem.is_allowed(s, e) for s, e in found.equations.items()):
             return None
-        verdict = problem.judge(found, rivals)
+        found, verdict = adopt_better(problem, found, problem.judge(found, rivals), rivals)
         if verdict.level != LAW:
             return None
         record["methods"] = [START]

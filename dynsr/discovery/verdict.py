@@ -57,6 +57,8 @@ class VerdictSettings:
     stand_in_bits : the same for a formula with a root, a logarithm, an exponential, tanh, a sine, a
         cosine or a bare reciprocal, in noise: over one record each may do for what the law has.
     rivals : formulas of the front that are fitted to the trajectories, for each state.
+    adopted : of those that seem better, how many are tried in the place of the answer, for each
+        state.
     different : rms difference, in shares of the slopes' spread, of formulas that are different.
     held_back : share of each trajectory's end that is forecast.
     rows : rows that are judged, at most; of more, evenly spaced ones are.
@@ -83,6 +85,7 @@ class VerdictSettings:
     rival_bits: float = 8.0
     stand_in_bits: float = 40.0
     rivals: int = 3
+    adopted: int = 3
     different: float = 1e-5
     held_back: float = 0.25
     rows: int = 400
@@ -98,6 +101,8 @@ class VerdictSettings:
 JUDGE = VerdictSettings()
 # Causes of what looks like noise between neighbouring rows and is none.
 _JUMPING = ("map", "sampling too coarse")
+# Share of the spread below which nothing is said of how much less is missed.
+_LEAST = 1e-3
 # Of more terms that the data are not sure of, the first are named.
 _NAMED = 5
 # Causes that the same data may have, of which all are said.
@@ -750,10 +755,13 @@ def follows_to(r2: float) -> str:
     ----------
     r2 : share of the variance of a state that they explain.
 
-    >>> follows_to(0.9)
-    'follows the data to 32 % of the spread'
+    >>> follows_to(0.9), follows_to(1.0)
+    ('follows the data to 32 % of the spread', 'follows the data to less than 0.1 % of the spread')
     """
-    return f"follows the data to {_percent(math.sqrt(max(0.0, 1 - r2)))} of the spread"
+    # Of R2 six digits are kept.
+    missed = math.sqrt(max(0.0, 1 - r2))
+    said = _percent(missed) if missed >= _LEAST else f"less than {_percent(_LEAST)}"
+    return f"follows the data to {said} of the spread"
 
 
 def likely_cause(runs: Sequence[Trajectory], state: str) -> str:
@@ -816,6 +824,8 @@ def explain(
     if not verdict.rivals or verdict.level == NOT_FOUND:
         return said
     rival = verdict.rivals[0]
+    if rival.equation in verdict.reason:
+        return said
     other = rival.equation if len(rival.equation) <= 80 else rival.equation[:77] + "..."
     if rival.bits < 0:
         return f"{said} A different formula, {other}, follows the trajectories better."

@@ -3,6 +3,7 @@ from .first_look import Look, look, look_again
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
     Pick,
+    RankedCandidate,
     SelectionSettings,
     explains_all,
     forecast_miss,
@@ -30,6 +31,7 @@ __all__ = [
     "FollowerSettings",
     "Look",
     "Pick",
+    "RankedCandidate",
     "SelectionSettings",
     "SystemChoice",
     "SystemComparison",

@@ -126,9 +126,11 @@ class SystemChoice:
             count, curved = constants(mine), bool(mine.atoms(sympy.Function))
             near = found[state] = []
             terms = bare_terms(mine)
+            # A constant is no alternative for a state that moves.
+            moving = [pair for pair in others if pair[0].free_symbols][:60]
             # What has one term more than the law, and a small one, is no other law, and neither is
             # one with a constant that the law has as 1.
-            for expr, more in [o for o in others[:60] if not terms <= bare_terms(rounded(o[0]))]:
+            for expr, more in [o for o in moving if not terms <= bare_terms(rounded(o[0]))]:
                 apart = apart_by(own, expr, columns)
                 told = apart > share or apart_by(aside, expr, beside) > _ASIDE * share
                 # Two functions of a short arc may be one there, and part where a run goes further.
@@ -475,7 +477,7 @@ def other_in_halves(
         other = best.exprs[state]
         columns = alone.comparison.mesh.columns
         apart = apart_by(evaluate(mine.exprs[state], columns), other, columns)
-        if best.bits < mine.bits and apart > settings.different:
+        if other.free_symbols and best.bits < mine.bits and apart > settings.different:
             return other
     return None
 

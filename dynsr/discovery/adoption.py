@@ -1,0 +1,160 @@
+"""Adoption: a formula that follows the data better than the answer becomes the answer.
+
+Alternatives are compared with the answer by a linearised fit. One that seems better there is
+fitted to all data and judged as the answer was: where it is better it takes its place, and where it
+is not, what it takes more is told of it. So no answer stands beside one that is called better.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import sympy
+
+from dynsr.discovery.problem import Problem, Rivals
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.rivals import count_constants
+from dynsr.discovery.verdict import LEVELS, NOT_FOUND, Rival, Verdict
+from dynsr.expression import parse, shown
+from dynsr.fit import ParetoFront, constant_bits, structure_bits, tidy, with_floats
+from dynsr.jobs import finish_by
+
+# Misses, squared in units of the noise, below which nothing is told apart.
+_FINEST = 1e-3
+
+
+def adopt_better(
+    problem: Problem, found: Discovery, verdict: Verdict, rivals: Rivals | None
+) -> tuple[Discovery, Verdict]:
+    """Give the answer after each alternative that seemed better was tried in its place.
+
+    Parameters
+    ----------
+    problem : the data and what is given of their equations.
+    found : what was found.
+    verdict : what is thought of it.
+    rivals : state -> (formula, bits above the equation) where they were compared before.
+    """
+    for _ in range(problem.settings.verdict.adopted * len(found.equations)):
+        state = _doubted(verdict)
+        if state is None:
+            return found, verdict
+        rival = min(verdict.states[state].rivals, key=lambda one: one.bits)
+        expr = _formula(found, rivals, state, rival)
+        other = None if problem.demands.conserved else problem.with_equation(found, state, expr)
+        if other is not None:
+            moved = None if rivals is None else _seen_from(rivals, found, state, rival.bits)
+            judged = problem.judge(other, moved)
+            more = _behind(problem, (found, verdict), (other, judged))
+            if more < 0:
+                found, verdict, rivals = other, judged, moved
+                continue
+        else:
+            more = math.inf
+        found, verdict, rivals = _told(problem, found, verdict, {(state, rival.equation): more})
+    # Nothing is called better that was not tried.
+    left = {
+        (state, one.equation): 0.0
+        for state, own in verdict.states.items()
+        for one in own.rivals
+        if one.bits < 0
+    }
+    return _told(problem, found, verdict, left)[:2] if left else (found, verdict)
+
+
+def adopt_in_time(
+    problem: Problem, found: Discovery, verdict: Verdict, rivals: Rivals | None
+) -> tuple[Discovery, Verdict]:
+    """Do the same by the time that the verdict has; where that ends, all is as it was.
+
+    Parameters
+    ----------
+    problem, found, verdict, rivals : as for :func:`adopt_better`.
+    """
+    best, cut = finish_by(
+        problem.until("verdict"),
+        lambda: adopt_better(problem, found, verdict, rivals),
+        lambda: (found, verdict),
+    )
+    problem.cut.extend(["alternatives"] if cut else [])
+    return best
+
+
+def _doubted(verdict: Verdict) -> str | None:
+    """Name the state of which an alternative seems better by most; None where none does."""
+    least = {
+        state: min((one.bits for one in own.rivals), default=0.0)
+        for state, own in verdict.states.items()
+        if own.level != NOT_FOUND
+    }
+    state = min(least, key=least.__getitem__, default=None)
+    return state if state is not None and least[state] < 0 else None
+
+
+def _formula(found: Discovery, rivals: Rivals | None, state: str, rival: Rival) -> sympy.Expr:
+    """Give an alternative with all its digits where they are known."""
+    known = [e for e, _ in (rivals or {}).get(state, ())]
+    known += [c.expr for c in found.front.get(state, ())]
+    alike = (e for e in known if shown(tidy(e), 4) == rival.equation)
+    return next(alike, None) or parse(rival.equation)
+
+
+def _seen_from(rivals: Rivals, found: Discovery, state: str, bits: float) -> Rivals:
+    """Give the alternatives beside another answer, which takes so many bits more."""
+    own = [(e, more - bits) for e, more in rivals.get(state, ()) if more != bits]
+    return {**rivals, state: [*own, (found.equations[state], -bits)]}
+
+
+def _behind(
+    problem: Problem, own: tuple[Discovery, Verdict], other: tuple[Discovery, Verdict]
+) -> float:
+    """Bits that another answer takes more, once it is fitted and judged; inf for a worse level.
+
+    A better level goes before bits, and what is followed for longer is told better.
+    """
+    ranks = [
+        sorted((LEVELS.index(one.level) for one in judged.states.values()), reverse=True)
+        for _, judged in (own, other)
+    ]
+    if ranks[0] != ranks[1]:
+        return math.inf if ranks[1] > ranks[0] else -math.inf
+    if other[1].span < own[1].span:
+        return math.inf
+    return _length(problem, *other) - _length(problem, *own)
+
+
+def _length(problem: Problem, found: Discovery, verdict: Verdict) -> float:
+    """Bits of the misses, of the formulas and of their constants."""
+    rows = sum(map(len, problem.runs))
+    bits = 0.0
+    for state, expr in found.equations.items():
+        own = verdict.states[state]
+        square = own.noise**2 if problem.form.discrete else max(own.chi_square, _FINEST)
+        bits += rows / 2 * math.log2(max(square, 1e-300))
+        bits += structure_bits(with_floats(expr))
+        bits += count_constants(expr) * constant_bits(rows)
+    return bits
+
+
+def _told(
+    problem: Problem, found: Discovery, verdict: Verdict, bits: Mapping[tuple[str, str], float]
+) -> tuple[Discovery, Verdict, Rivals]:
+    """Judge the same answer again, with what alternatives take more once they were tried."""
+    rivals = {
+        state: [
+            (_formula(found, None, state, one), more)
+            for one in own.rivals
+            if math.isfinite(more := bits.get((state, one.equation), one.bits))
+        ]
+        for state, own in verdict.states.items()
+    }
+    if not problem.form.discrete:
+        return found, problem.judge(found, rivals), rivals
+    # What one step tells of a map is exact: what was tried and is worse is none beside it.
+    beaten = {
+        state: ParetoFront(c for c in own if (state, shown(tidy(c.expr), 4)) not in bits)
+        for state, own in found.front.items()
+    }
+    return found, problem.judge(replace(found, front=beaten), None), rivals
