@@ -5,12 +5,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dynsr
-from dynsr.data import Trajectory
+from dynsr.data import Trajectory, diagnose
 from dynsr.discovery.adoption import adopt_better
 from dynsr.discovery.orders import Form
 from dynsr.discovery.problem import DISCOVERY, Problem
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import follows_to
+from dynsr.discovery.verdict import follows_to, likely_cause
 from dynsr.expression import parse, shown
 from dynsr.fit import ParetoFront, score_candidate, tidy
 from dynsr.jobs import Budget
@@ -83,6 +83,7 @@ def test_what_is_shorter_and_better_becomes_the_answer(noise):
     assert better.errors["v"] and all(one.bits > 8 for one in judged.rivals["v"])
 
 
+@pytest.mark.slow
 def test_what_only_seems_better_is_tried_and_not_called_so():
     """What a comparison calls 50 bits better and is far worse once it is fitted is none."""
     problem = pose(spring(0.01))
@@ -126,3 +127,48 @@ def test_nothing_is_said_to_zero_percent():
     """However close an approximation comes, what it misses is not told as 0."""
     assert " 0 %" not in follows_to(1.0) and "less than 0.1 %" in follows_to(1.0 - 1e-8)
     assert follows_to(1 - 0.05**2) == "follows the data to 5 % of the spread"
+
+
+def enzyme(rows, noise, seed, hidden=False):
+    """Give four runs of a substrate and its product; or the substrate alone, where each run has
+    another amount of enzyme, which nobody measured.
+    """
+    rng, t, runs = np.random.default_rng(seed), np.linspace(0, 10, rows), []
+    for number in range(4):
+        top = 0.5 + 0.5 * number if hidden else 1.2
+        start = [4.0 + 0.3 * number if hidden else 2.0**number / 2, 0.0]
+
+        def rates(_, s, top=top):
+            rate = top * s[0] / (0.8 + s[0])
+            return [-rate, rate]
+
+        x = solve_ivp(rates, (0, 10), start, t_eval=t, rtol=1e-10, atol=1e-12).y.T
+        x += noise * x.std(axis=0) * rng.normal(size=x.shape)
+        names = ("substrate", "product")
+        runs.append(Trajectory(t, x[:, :1], names[:1]) if hidden else Trajectory(t, x, names))
+    return runs
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.03])
+@pytest.mark.slow
+def test_nothing_is_missing_where_an_equation_explains_near_rows(noise):
+    """Near rows of enzyme runs are not equal; an enzyme that is hidden is told, with may."""
+    for seed in range(2):
+        for rows in (15, 30):
+            told = diagnose(enzyme(rows, noise, seed), "substrate")
+            assert [c.kind for c in told if c.kind == "missing state"] == []
+            (missing,) = diagnose(enzyme(rows, noise, seed, hidden=True), "substrate")
+            assert missing.kind == "missing state" and " may be missing " in missing.sentence
+
+
+@pytest.mark.slow
+def test_no_cause_is_named_of_what_leaves_nothing_but_noise():
+    """An equation that is only unsure of a term lacks no state, whatever near rows look like."""
+    runs = enzyme(15, 0.01, 0, hidden=True)
+    assert "missing" in likely_cause(runs, "substrate")
+    assert likely_cause(runs, "substrate", explained=True) == ""
+    problem = pose(spring(0.03))
+    unsure = {"x": "v", "v": "-0.4*v - 0.5*x**3 - 2*x + 0.003*x**2"}
+    found = answer(problem, unsure, {"x": ["v"], "v": [SPRING["v"]]})
+    reason = problem.judge(found, {"x": [], "v": []}).states["v"].reason
+    assert "not sure of x**2" in reason and "missing" not in reason

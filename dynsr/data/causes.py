@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -44,6 +45,9 @@ class DiagnosisSettings:
     noise_factor : how far noise may be underestimated, in variance.
     second : the share that is left open at most, beside noise and distance, where a column and
         its slope determine the second derivative.
+    trend : degree of the polynomial of the columns that is taken off the slopes of near rows, which
+        are not at the same place.
+    rows_a_term : rows to each of its terms, at least.
     neighbours_within : neighbours further than this (in spreads) tell nothing.
     forced : share of the differences that a sinusoid in time explains at least, where time is
         named as the cause.
@@ -66,6 +70,8 @@ class DiagnosisSettings:
     unexplained_runs: float = 0.01
     noise_factor: float = 5.0
     second: float = 0.005
+    trend: int = 3
+    rows_a_term: float = 5.0
     neighbours_within: float = 0.4
     forced: float = 0.9
     nearest_part: float = 0.3
@@ -275,7 +281,9 @@ def _of_noise(
 class _Motion:
     """Slopes of the target: the samples of every run, and all of them as one orbit.
 
-    ``columns`` are the target's values at all rows of these runs, those without a slope too.
+    ``columns`` are the target's values at all rows of these runs, those without a slope too;
+    ``noise`` is the variance of the slopes' noise as a share of theirs, of all rows together, and
+    ``by_run`` (runs,) that of each run, where its mean square counts and not its median.
     """
 
     samples: tuple[Samples, ...]
@@ -283,6 +291,17 @@ class _Motion:
     orbit: Orbit
     t: np.ndarray
     noise: float
+    by_run: np.ndarray
+
+    def noise_of(self, pairs: Pairs, orbit: Orbit) -> float:
+        """Give the noise that near rows have, but no less than that of all rows.
+
+        Runs differ in their noise, and near rows may all be of the noisier ones.
+        """
+        if not len(pairs.first):
+            return self.noise
+        run = orbit.run[np.concatenate([pairs.first, pairs.second])]
+        return max(self.noise, float(np.mean(self.by_run[run])))
 
 
 def _samples(run: Trajectory, target: str) -> Samples | None:
@@ -303,8 +322,10 @@ def _motion(runs: Sequence[Trajectory], target: str) -> _Motion | None:
         [Orbit(s.X, s.y, np.full(len(s), i), np.arange(len(s))) for i, s in enumerate(samples)]
     )
     variance = float(np.var(orbit.values)) or 1.0
-    noise = float(np.mean([(s.noise or 0.0) ** 2 for s in samples])) / variance
-    return _Motion(samples, columns, orbit, np.concatenate([s.t for s in samples]), noise)
+    own = np.array([(s.noise or 0.0) ** 2 for s in samples]) / variance
+    uneven = np.array([_unevenness(run, target) for run, _ in pairs])
+    t = np.concatenate([s.t for s in samples])
+    return _Motion(samples, columns, orbit, t, float(np.mean(own)), own * uneven)
 
 
 def _unevenness(run: Trajectory, target: str) -> float:
@@ -329,10 +350,12 @@ def _of_slopes(
             {"share of the slopes": float(np.sqrt(motion.noise))},
         )
         return
-    pairs = nearest_pairs(motion.orbit.thinned(settings.rows))
-    # Near rows with another slope may be those where noise is largest.
-    noise = motion.noise * _unevenness(max(runs, key=len), target)
-    if not _lacks(motion, pairs, noise, settings):
+    orbit = motion.orbit.thinned(settings.rows)
+    pairs = nearest_pairs(orbit)
+    noise = motion.noise_of(pairs, orbit)
+    if not _lacks(motion, pairs, noise, settings) or not _lacks(
+        motion, _beside_trend(orbit, pairs, settings), noise, settings
+    ):
         yield from _of_time_in_runs(motion, target, pairs, noise, settings)
         return
     second = _is_second_order(motion, target, pairs, settings)
@@ -346,7 +369,8 @@ def _missing(motion: _Motion, target: str, pairs: Pairs) -> Cause:
     return Cause(
         "missing state",
         f"{target}{others} comes back to the same values with different slopes: a state or an "
-        f"input that moves {target} is not among the columns. Measure it too.",
+        f"input that moves {target} may be missing among the columns. Measure it too, if there is "
+        "one.",
         {"left open": pairs.share, "noise": motion.noise, "distance": pairs.distance},
     )
 
@@ -355,6 +379,38 @@ def _is_open(pairs: Pairs, noise: float, settings: DiagnosisSettings) -> bool:
     """Say whether near rows differ in slope by more than noise and their distance explain."""
     bound = settings.unexplained + settings.noise_factor * noise + pairs.distance**2
     return bool(pairs.distance <= settings.neighbours_within and pairs.share > bound)
+
+
+def _beside_trend(orbit: Orbit, pairs: Pairs, settings: DiagnosisSettings) -> Pairs:
+    """Give the same pairs with what a polynomial of the columns leaves of their differences.
+
+    Rows of few runs are near, not equal: slopes that bend between them differ as well. What an
+    equation of the columns explains of that is no missing state.
+    """
+    points = (orbit.points - orbit.points.mean(axis=0)) / np.maximum(
+        orbit.points.std(axis=0), 1e-300
+    )
+    rows, width = points.shape
+    best, left = pairs, pairs.share
+    for degree in range(1, settings.trend + 1):
+        columns = np.column_stack(
+            [np.ones(rows)]
+            + [
+                np.prod(points[:, list(chosen)], axis=1)
+                for power in range(1, degree + 1)
+                for chosen in combinations_with_replacement(range(width), power)
+            ]
+        )
+        freedom = rows - columns.shape[1]
+        if columns.shape[1] > rows / settings.rows_a_term:
+            break
+        weights, *_ = np.linalg.lstsq(columns, orbit.values, rcond=None)
+        rest = orbit.values - columns @ weights
+        difference = (rest[pairs.first] - rest[pairs.second]) * np.sqrt(rows / freedom)
+        share = float(np.mean(difference**2)) / 2 / float(np.var(orbit.values))
+        if share < left:
+            best, left = replace(pairs, difference=difference, share=share), share
+    return best
 
 
 def _lacks(motion: _Motion, pairs: Pairs, noise: float, settings: DiagnosisSettings) -> bool:

@@ -105,6 +105,8 @@ _JUMPING = ("map", "sampling too coarse")
 _LEAST = 1e-3
 # Of more terms that the data are not sure of, the first are named.
 _NAMED = 5
+# Causes that leave an equation unsure which explains all.
+_OF_MORE = ("too few rows", "too much noise")
 # Causes that the same data may have, of which all are said.
 _ALIKE = ("second order", "time dependence", "missing state")
 
@@ -558,12 +560,14 @@ class _Bench:
             return replace(found, reason=said + self._because(state, cause))
         if doubts:
             said = f"{follows_to(r2)}{self._while(followed)}, but {'; '.join(doubts)}."
-            return replace(found, level=APPROXIMATION, reason=said + self._because(state, cause))
+            explained = self._leaves_noise(place, evidence, found, self._rows(followed))
+            because = self._because(state, cause, explained)
+            return replace(found, level=APPROXIMATION, reason=said + because)
         return replace(found, level=LAW, reason=self._praise(place, noise, followed, evidence))
 
-    def _because(self, state: str, cause: str | None) -> str:
+    def _because(self, state: str, cause: str | None, explained: bool = False) -> str:
         """Give the likeliest cause, by default what the data themselves tell."""
-        cause = likely_cause(self.course.runs, state) if cause is None else cause
+        cause = likely_cause(self.course.runs, state, explained) if cause is None else cause
         return f" {cause}" if cause else ""
 
     def _rests(self, place: int) -> bool:
@@ -609,17 +613,8 @@ class _Bench:
                 "its columns keep a relation along the data, so that other forms are the same "
                 "there: a run from another start tells them apart"
             )
-        chi = found.chi_square
-        rows = sum(z.shape[0] * z.shape[2] for z in followed.misses) * self.course.thinned
-        if self.clean[place]:
-            within = chi <= 4.0 / max(1.0, len(found.terms) / 3) ** 2
-        else:
-            loose = settings.excess + 4 * math.sqrt(2 / max(rows, 1))
-            white = not evidence.systematic[place] or (
-                evidence.correlation[place] < settings.correlated
-            )
-            within = white and chi <= (4 * loose if evidence.correlation[place] < 0.1 else loose)
-        if not within:
+        rows = self._rows(followed)
+        if not self._leaves_noise(place, evidence, found, rows):
             doubts.append(f"what is left over is not noise{_where(followed, place)}")
         share = found.forecast
         # The errors of a solver add up over the forecast; they are no chance.
@@ -644,6 +639,22 @@ class _Bench:
         if rows < settings.fewest * max(1, len(found.terms)):
             doubts.append(f"{rows:.0f} rows are too few to be sure")
         return doubts
+
+    def _rows(self, followed: Followed) -> float:
+        """Rows of the data that were followed."""
+        return sum(z.shape[0] * z.shape[2] for z in followed.misses) * self.course.thinned
+
+    def _leaves_noise(
+        self, place: int, evidence: _Evidence, found: StateVerdict, rows: float
+    ) -> bool:
+        """Say whether what the equations miss of a state is nothing but its noise."""
+        chi, settings = found.chi_square, self.settings
+        if self.clean[place]:
+            return chi <= 4.0 / max(1.0, len(found.terms) / 3) ** 2
+        correlation = float(evidence.correlation[place])
+        loose = settings.excess + 4 * math.sqrt(2 / max(rows, 1))
+        white = not evidence.systematic[place] or correlation < settings.correlated
+        return white and chi <= (4 * loose if correlation < 0.1 else loose)
 
     def _divides_by_zero(self, state: str) -> bool:
         """Whether a line of the equation passes through 0 along a run, as no solution can."""
@@ -710,8 +721,7 @@ class _Bench:
     def _terms(
         self, state: str, evidence: _Evidence, followed: Followed
     ) -> tuple[TermCertainty, ...]:
-        rows = sum(z.shape[0] * z.shape[2] for z in followed.misses) * self.course.thinned
-        found = []
+        rows, found = self._rows(followed), []
         for term, ratio in evidence.ratios[state]:
             doubt = math.exp(max(-700.0, -(ratio**2) / 2)) * math.sqrt(rows)
             name = "a constant inside it" if term is None else shown(term)
@@ -764,19 +774,21 @@ def follows_to(r2: float) -> str:
     return f"follows the data to {said} of the spread"
 
 
-def likely_cause(runs: Sequence[Trajectory], state: str) -> str:
+def likely_cause(runs: Sequence[Trajectory], state: str, explained: bool = False) -> str:
     """Say what the data themselves tell of why an equation is not found; "" for nothing.
 
     Parameters
     ----------
     runs : the trajectories.
     state : whose equation it is.
+    explained : whether an equation leaves nothing but noise, so that nothing is missing but rows
+        or precision.
 
     >>> t = np.linspace(0, 20, 400)
     >>> likely_cause([Trajectory(t, np.sin(t)[:, None], ("z",))], "z")[:21]
     'z looks second-order:'
     """
-    told = diagnose(runs, state)
+    told = [c for c in diagnose(runs, state) if not explained or c.kind in _OF_MORE]
     alike = [c for c in told if told[0].kind in _ALIKE and c.kind in _ALIKE][:2]
     return " ".join(c.sentence for c in alike or told[:1])
 
