@@ -140,7 +140,7 @@ def test_another_start_is_another_discovery(earlier: dynsr.Discovery, tmp_path: 
     options = {"method": "sindy", "jobs": 1, "out": tmp_path / "out"}
     dynsr.discover(prey(150, 6), start=earlier, **options)
     assert dynsr.discover(prey(150, 6), start=earlier, **options).settings["methods"] == ["start"]
-    with pytest.raises(InputError, match="holds results with start .*; give another folder"):
+    with pytest.raises(InputError, match=r"holds results with start .*; give another folder"):
         dynsr.discover(prey(150, 6), **options)
 
 
