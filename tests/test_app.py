@@ -29,7 +29,7 @@ pytest.importorskip("tornado", reason="the extra app is not installed")
 # One worker runs them all, so that one page is served.
 pytestmark = pytest.mark.xdist_group("app")
 
-TABLE = "t,x,y\n" + "\n".join(f"{k / 10:g},{k},{k * k}" for k in range(30))
+TABLE = "t,x,y\n" + "\n".join(f"{k / 10:g},{k**3},{k * k}" for k in range(30))
 MEGABYTES = 0.25
 
 

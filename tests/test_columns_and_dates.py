@@ -48,7 +48,7 @@ def test_a_text_column_that_names_no_trajectory_is_refused_with_both_remedies():
 
 
 def test_text_that_is_constant_within_trajectories_is_no_state():
-    """A second label is left out, and the guess names it; labels that do not split stay labels."""
+    """A second label is left out, and the guess names it; labels that split together are both."""
     data = experiments(drug=["KCl", "KCl", "none"], well=["A", "B", "C"])
     table = read_trajectories(data)
     assert "named by 'well'" in table.guess
@@ -56,8 +56,8 @@ def test_text_that_is_constant_within_trajectories_is_no_state():
     table = read_trajectories(
         experiments(drug=["x", "x", "y", "y"], animal=["1a", "2a", "1a", "2a"])
     )
-    assert len(table.trajectories) == 4
-    assert "labels of trajectories, not used: 'drug', 'animal'" in table.guess
+    assert table.names == ("x, 1a", "x, 2a", "y, 1a", "y, 2a")
+    assert "4 trajectories named by 'drug', 'animal'" in table.guess
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def test_restarting_time():
 
 def test_list_of_sources(tmp_path):
     """A list gives one trajectory a source; differing columns are refused."""
-    table = read_trajectories([put(tmp_path, table_text()), {"t": T, "x": T, "y": T**2}])
+    table = read_trajectories([put(tmp_path, table_text()), {"t": T, "x": T**3, "y": T**2}])
     assert len(table.trajectories) == 2
     with pytest.raises(InputError, match="different columns"):
         read_trajectories([{"t": T, "x": T}, {"t": T, "y": T}])
@@ -152,7 +152,7 @@ def test_inputs_by_name_column_and_formula():
     assert np.array_equal(part.inputs[:, 0], T**2)
     assert read_trajectories(columns, inputs=[]).trajectories[0].states == ("x", "F")
     # FitzHugh-Nagumo's states are called u and v.
-    assert read_trajectories({"t": T, "u": T, "v": T**2}).trajectories[0].states == ("u", "v")
+    assert read_trajectories({"t": T, "u": T**3, "v": T**2}).trajectories[0].states == ("u", "v")
 
 
 def test_dates_become_seconds():
@@ -191,21 +191,18 @@ REFUSED = {
     "one row": ("t,x\n0,1\n", "1 row,"),
     "unknown delimiter": (table_text(delimiter="!"), "cannot tell the columns"),
     "ragged rows": (table_text() + "3,1,2,4\n", "one cell a column"),
-    "short last row": (table_text() + "3,1\n", "'y' of data.csv has no value"),
     "duplicate time": (bent(5, 0, T[4]), "time 't' repeats in row 6 of data.csv (0.4 twice)"),
     "unsorted time": (bent(5, 0, 0.1), "runs backwards at row 6 of data.csv (0.4 then 0.1)"),
-    "reversed time": (table_text(rows=np.column_stack([T, X])[::-1]), "runs backwards at row 2"),
-    "time not a number": (bent(3, 0, "nan"), "time 't' of data.csv is nan in row 4"),
-    "NaN run": (
-        table_text(rows=np.column_stack([T, np.where((T > 0.9) & (T < 1.4), np.nan, T), T**2])),
-        "'x' of data.csv has no value (NaN) in rows 11 to 14 (4 in all)",
+    "few values": (
+        table_text(rows=np.column_stack([T, np.where(T > 0.65, np.nan, T**3), T**2])),
+        "'x' is empty in 14 of 21 rows of data.csv, which leaves 7 rows",
     ),
     "infinite value": (bent(7, 2, "inf"), "'y' of data.csv holds inf in row 8"),
     "text cell": (bent(7, 1, "broken"), "'x' of data.csv holds the text 'broken' in row 8"),
     "dangerous cell": (bent(7, 1, "__import__('os')"), "holds the text"),
-    "constant column": (
-        table_text(rows=np.column_stack([T, T**2, 0 * T + 3])),
-        "'y' of data.csv is 3 in every row",
+    "constant columns": (
+        table_text(rows=np.column_stack([T, 0 * T + 2, 0 * T + 3])),
+        "'x' of data.csv is 2 in every row",
     ),
     "no time": (
         table_text(header="a,x,y", rows=np.column_stack([X[:, 0], X])),

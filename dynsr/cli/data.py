@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,20 +28,30 @@ def load_table(
     inputs: options.Names,
     trajectory: str | None,
     hold: options.Names = None,
+    quantity: str | None = None,
     say: Callable[[str], None] = output.note,
 ) -> list[Trajectory]:
     """Read the trajectories of files and say how their columns were understood."""
     from dynsr.data import read_trajectories
 
-    table = read_trajectories(
-        list(files) if len(files) > 1 else files[0],
-        time_column,
-        options.read_names(states, "--states"),
-        inputs,
-        trajectory,
-        hold=options.read_hold(hold),
-    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        table = read_trajectories(
+            list(files) if len(files) > 1 else files[0],
+            time_column,
+            options.read_names(states, "--states"),
+            inputs,
+            trajectory,
+            quantity=quantity,
+            hold=options.read_hold(hold),
+        )
+    warned = {str(warning.message) for warning in caught}
+    for own in caught:
+        warnings.warn_explicit(own.message, own.category, own.filename, own.lineno)
     say(table.guess)
+    for note in table.notes:
+        if note not in warned:
+            say(note)
     return table.trajectories
 
 
@@ -139,6 +150,7 @@ def describe(
     states: options.StateColumns = None,
     inputs: options.Inputs = None,
     trajectory: options.TrajectoryColumn = None,
+    quantity: options.Quantity = None,
     hold: options.Hold = None,
     json: options.Json = False,
 ) -> None:
@@ -158,6 +170,7 @@ def describe(
         options.read_names(states, "--states"),
         None if inputs is None else known,
         trajectory,
+        quantity=quantity,
         hold=options.read_hold(hold),
     )
     if json:

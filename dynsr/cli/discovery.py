@@ -185,6 +185,7 @@ def discover(
     hold: options.Hold = None,
     doses: options.Doses = None,
     trajectory: options.TrajectoryColumn = None,
+    quantity: options.Quantity = None,
     method: options.MethodName = AUTO,
     preset: options.Preset = DEFAULT_PRESET,
     targets: Annotated[
@@ -317,10 +318,13 @@ def discover(
     notes = Notes(quiet)
     with notes:
         if files:
-            data = load_table(files, time_column, states, columns, trajectory, hold, notes.say)
+            data = load_table(
+                files, time_column, states, columns, trajectory, hold, quantity, notes.say
+            )
         else:
             given = [*(columns or []), *formulas]
-            _refuse_columns(time_column, states, trajectory, given, [*(hold or []), *(doses or [])])
+            given_beside = [*(hold or []), *(doses or [])]
+            _refuse_columns(time_column, states, trajectory, given, given_beside, quantity)
             data, formulas = _training_data(str(system), engine)
         with SearchProgress(quiet) as progress:
             found, folder = _search_in(
@@ -381,6 +385,7 @@ def _refuse_columns(
     trajectory: str | None,
     inputs: list[str],
     hold: list[str],
+    quantity: str | None,
 ) -> None:
     """A known system has its columns; only a file leaves them open."""
     for option, value in (
@@ -389,6 +394,7 @@ def _refuse_columns(
         ("--trajectory", trajectory),
         ("--inputs", inputs),
         ("--hold or --dose", hold),
+        ("--quantity", quantity),
     ):
         if value:
             raise InputError(f"{option} goes with a file of data; a known system has its own")

@@ -182,7 +182,16 @@ TrajectoryColumn = Annotated[
     str | None,
     typer.Option(
         "--trajectory",
-        help="Column that names trajectories.",
+        help="Column that names trajectories, or several by commas.",
+        autocompletion=complete_column,
+        rich_help_panel=DATA,
+    ),
+]
+Quantity = Annotated[
+    str | None,
+    typer.Option(
+        "--quantity",
+        help="Column of a long table that says which quantity a row is of; none for none.",
         autocompletion=complete_column,
         rich_help_panel=DATA,
     ),

@@ -25,8 +25,9 @@ def describe(
     time: str | Sequence[Any] | np.ndarray | None = None,
     states: Sequence[str] | str | None = None,
     inputs: Sequence[str] | Mapping[str, str] | str | None = None,
-    trajectory: str | None = None,
+    trajectory: Sequence[str] | str | None = None,
     *,
+    quantity: str | None = None,
     hold: Mapping[str, str] | str | None = None,
     max_rows: int = MAX_ROWS,
     settings: OddSettings = _SETTINGS,
@@ -39,7 +40,8 @@ def describe(
     ----------
     source : what :func:`dynsr.data.read_trajectories` reads: a file, a frame, a mapping of columns,
         arrays, a Trajectory, or a list of these.
-    time, states, inputs, trajectory, hold, max_rows : as for :func:`dynsr.data.read_trajectories`.
+    time, states, inputs, trajectory, quantity, hold, max_rows : as for
+        :func:`dynsr.data.read_trajectories`.
     settings : the numbers that decide what looks odd.
 
     Raises InputError, one line that names the value and the remedy, when the table cannot be used.
@@ -53,7 +55,14 @@ def describe(
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", DynsrWarning)
         table = read_trajectories(
-            source, time, states, inputs, trajectory, hold=hold, max_rows=max_rows
+            source,
+            time,
+            states,
+            inputs,
+            trajectory,
+            quantity=quantity,
+            hold=hold,
+            max_rows=max_rows,
         )
     heard = [one_line(w.message) for w in caught if issubclass(w.category, DynsrWarning)]
     return describe_table(table, heard, settings)

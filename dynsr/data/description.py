@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from dynsr.arguments import checked
+from dynsr.data.names import clean_name
 from dynsr.data.oddities import OddSettings
-from dynsr.data.roles import Roles, clean_name
+from dynsr.data.roles import Roles
 from dynsr.data.trajectory import Trajectory
 
 _UNITS = {"s": "seconds", "min": "minutes", "h": "hours"}
@@ -26,7 +27,7 @@ class TimeColumn:
 
     Parameters
     ----------
-    column : the name in the source.
+    column : the name in the source; those of the date and the clock, with a comma between.
     unit : "s", "min", "h", "days" or such; "" where nothing says it.
     step : the median of the steps, in that unit.
     steps : the shortest and the longest of them.
@@ -261,7 +262,7 @@ def describe_runs(
     """
     steps = np.concatenate([np.diff(run.t) for run in runs])
     time = TimeColumn(
-        roles.time,
+        ", ".join([roles.time, *([roles.clock] if roles.clock else [])]),
         runs[0].time_unit,
         float(np.median(steps)),
         (float(steps.min()), float(steps.max())),
@@ -269,7 +270,6 @@ def describe_runs(
     used = {name: roles.renamed[name] for name in (*roles.states, *roles.inputs)}
     parameters = tuple(used[name] for name in roles.parameters)
     inputs = tuple(used[name] for name in roles.inputs if name not in roles.parameters)
-    unused = {name: left_out.get(name, "has no role") for name in roles.ignored}
     found = Description(
         source,
         time,
@@ -284,7 +284,7 @@ def describe_runs(
         {name: new for name, new in used.items() if name != new},
         {roles.renamed.get(state, state): column for state, column in roles.noise.items()},
         roles.labels,
-        {**unused, **left_out},
+        dict(left_out),
         tuple(notes),
     )
     return replace(found, options=dict(_options(found)))

@@ -14,11 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from dynsr.data.trajectory import Trajectory
+from dynsr.data.trajectory import FEWEST_ROWS, Trajectory
 from dynsr.errors import DynsrWarning, InputError
-
-# A part of fewer rows tells too little of slopes and noise.
-FEWEST_ROWS = 8
 
 
 def cut_at_doses(

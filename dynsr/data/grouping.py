@@ -3,41 +3,59 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from dynsr.data.columns import Columns, bare_name
+from dynsr.data.time_columns import Times
 
-_NAMED = re.compile(
-    r"(traj(ectory)?|run|trial|episode|experiment|series|replicate|sample|group)(_?(id|no|nr))?|id",
-    re.IGNORECASE,
+_RUN = (
+    r"traj(ectory)?|run|trial|episode|exp(eriment)?|series|rep(lica(te)?|eat|l)?|sample|group|"
+    r"lauf|versuch|wiederholung|essai|r[ée]p[ée]tition|r[ée]plicat|ensayo|r[ée]plica"
 )
+_NAMED = re.compile(rf"({_RUN})([ _.-]?(id|no|nr|number|name))?|id", re.IGNORECASE)
 # Names of what is watched, which as numbers may count it too.
 _SUBJECT = re.compile(
     r"(wells?|subjects?|mouse|mice|rat|animals?|patients?|plants?|specimen|individuals?|participants?|"
-    r"person|cage|batch|colony|culture|device|tank|plot|station|unit|cell|fish|bird)"
+    r"person|cage|batch|colony|culture|device|tank|plot|station|unit|cell|fish|bird|flask|tube|vial|"
+    r"dish|plate|bottle|pot|pond|chamber|block|site|donor|clone|line|strain|probe|kolben|platte)"
     r"(_?(id|no|nr|number|name))?|\w+_id",
     re.IGNORECASE,
 )
 _ROWS_EACH = 5
+_MOST_TOGETHER = 3
+# Rows that were put in order by time and change by more than this share of what independent ones
+# would (von Neumann 1941) may be those of several trajectories.
+_ROUGH = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grouping:
     """What tells trajectories apart, and what it says of them.
 
     Parameters
     ----------
-    trajectory : the column that names the trajectory of a row; None where the time alone tells.
-    labels : columns that say no more than which trajectory it is.
+    codes : (n,) the number of the trajectory of each row, in order of appearance.
+    names : those of the trajectories.
+    trajectory : the columns that together name the trajectory of a row; none where the time alone
+        tells.
+    labels : further columns that say no more than which trajectory it is.
     parameters : numbers that are constant within each trajectory and differ between them.
     """
 
-    trajectory: str | None = None
+    codes: np.ndarray
+    names: tuple[str, ...]
+    trajectory: tuple[str, ...] = ()
     labels: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
+
+    def rows(self) -> Iterator[tuple[str, np.ndarray]]:
+        """Give the name and the rows of each trajectory."""
+        for code, name in enumerate(self.names):
+            yield name, np.flatnonzero(self.codes == code)
 
 
 def is_run_name(name: str) -> bool:
@@ -45,133 +63,298 @@ def is_run_name(name: str) -> bool:
     return _NAMED.fullmatch(bare_name(name)) is not None
 
 
-def group_rows(labels: np.ndarray | None, t: np.ndarray) -> dict[str, np.ndarray]:
-    """Give the rows of each trajectory, in order of appearance; a time that restarts begins one.
+def is_label_name(name: str) -> bool:
+    """Whether a column of that name is one of trajectories, or of what is watched in each."""
+    return is_run_name(name) or _SUBJECT.fullmatch(bare_name(name)) is not None
+
+
+def is_text(values: np.ndarray) -> bool:
+    """Whether all cells that are not empty are text and no numbers."""
+    if values.dtype.kind != "O":
+        return False
+    there = [cell for cell in values if not _is_missing(cell)]
+    return bool(there) and all(isinstance(cell, str) and not _is_number(cell) for cell in there)
+
+
+def find_restarts(t: np.ndarray) -> np.ndarray:
+    """Give the number of the trajectory of each row where only the time tells.
 
     Parameters
     ----------
-    labels : (n,) names of the trajectories, or None where only the time tells.
-    t : (n,) times.
+    t : (n,) finite times.
 
-    >>> group_rows(None, np.array([0.0, 1.0, 0.0, 1.0]))
-    {'1': array([0, 1]), '2': array([2, 3])}
+    A trajectory begins where the time falls back to its first value, or to any time before the end
+    of the rows before where it then rises over rows enough.
+
+    >>> find_restarts(np.array([0.0, 1.0, 2.0, 0.0, 1.0, 2.0]))
+    array([0, 0, 0, 1, 1, 1])
     """
-    if labels is not None:
-        whole = labels.dtype.kind == "f" and bool(np.all(labels == np.round(labels)))
-        text = np.array([f"{label:.0f}" if whole else str(label) for label in labels])
-        _, first, inverse = np.unique(text, return_index=True, return_inverse=True)
-        return {text[first[g]]: np.flatnonzero(inverse == g) for g in np.argsort(first)}
-    starts = np.flatnonzero((np.diff(t) < 0) & (t[1:] == t[0])) + 1
-    pieces = np.split(np.arange(len(t)), starts)
-    return {str(i + 1): piece for i, piece in enumerate(pieces)}
+    falls = np.flatnonzero(np.diff(t) < 0) + 1
+    if not len(falls):
+        return np.zeros(len(t), dtype=int)
+    # Beside a single cell that is wrong the times go on from those before it.
+    falls = falls[falls + 1 < len(t)]
+    falls = falls[(t[np.minimum(falls + 1, len(t) - 1)] <= t[falls - 1])]
+    falls = falls[(falls < 2) | (t[falls] <= t[falls - 2])]
+    ends = np.append(falls[1:], len(t)) if len(falls) else falls
+    starts = np.append(0, falls[:-1]) if len(falls) else falls
+    kept: list[int] = []
+    for begin, fall, end in zip(starts.tolist(), falls.tolist(), ends.tolist(), strict=True):
+        long = min(fall - begin, end - fall) >= _ROWS_EACH
+        # Pieces of other times may be parts of one trajectory in the wrong order.
+        over = np.max(t[fall:end]) > np.min(t[begin:fall])
+        if t[fall] == t[0] or (long and over):
+            kept.append(fall)
+    codes = np.zeros(len(t), dtype=int)
+    # Rows that fall back elsewhere too stand in no order that would tell.
+    if set(falls.tolist()) <= set(kept):
+        codes[kept] = 1
+    return np.cumsum(codes)
 
 
+# Numbers of cells may be of any size; what overflows is no evidence of anything.
+@np.errstate(over="ignore", invalid="ignore")
 def guess_grouping(
-    columns: Columns, t: np.ndarray, candidates: Sequence[str], trajectory: str | None
+    columns: Columns,
+    time: Times,
+    candidates: Sequence[str],
+    trajectory: Sequence[str] | None,
 ) -> Grouping:
     """Find what tells trajectories apart.
 
     Parameters
     ----------
     columns : the columns of the source.
-    t : (n,) times.
+    time : its times, all of which are there.
     candidates : the columns that nobody gave a role.
-    trajectory : the column that the caller named; None to guess it.
+    trajectory : the columns that the caller named; None to guess them.
 
-    A column is taken for the name of the trajectory when it is called so and has few values; when
-    it is text and times increase within each of its values; or when it holds few whole numbers,
-    within which times increase and without which they do not.
+    All columns that are called names of trajectories and have few values tell them apart; and as
+    few as it needs of those of text, or else of few numbers, so that within each trajectory times
+    increase, or no time repeats. A text that changes within what these give is one more such
+    column where the other columns go on more smoothly within its values than across them.
     """
-    look = _Look(columns, t)
-    free = [name for name in candidates if name != trajectory]
-    if trajectory is None:
-        trajectory = look.trajectory(free)
-        free = [name for name in free if name != trajectory]
-    label = None if trajectory is None else columns.values[columns.names.index(trajectory)]
-    codes = _number(label) if label is not None else look.restarts
+    look = _Look(columns, time)
+    chosen = look.choose(candidates) if trajectory is None else list(trajectory)
+    chosen.sort(key=columns.names.index)
+    codes = look.join(chosen)
+    if trajectory is None and chosen and not look.is_apart(codes):
+        both = _number(np.column_stack([codes, look.restarts]))
+        if look.increases(both) and len(both) >= _ROWS_EACH * (both.max() + 1):
+            codes = both
+    if not chosen:
+        codes = look.restarts
+    free = [name for name in candidates if name not in chosen]
     count = int(codes.max()) + 1
     constant = [name for name in free if look.is_constant(name, codes, count)]
     labels = [n for n in constant if look.is_text(n) or (count > 1 and look.is_label(n, codes))]
-    varied = [n for n in constant if count > 1 and n not in labels and look.differs(n)]
-    if trajectory is None and count > 1:
-        trajectory = next((name for name in labels if look.separates(name)), None)
-    labels = [name for name in labels if name != trajectory]
-    return Grouping(trajectory, tuple(labels), tuple(varied))
+    if trajectory is None and not chosen and count > 1:
+        chosen = sorted(look.fewest(labels, codes), key=columns.names.index)
+    labels = [name for name in labels if name not in chosen]
+    varied = [n for n in constant if count > 1 and n not in (*labels, *chosen) and look.differs(n)]
+    if trajectory is None:
+        varied += [n for n in chosen if look.is_parameter(n)]
+    return Grouping(codes, look.name(codes, chosen), tuple(chosen), tuple(labels), tuple(varied))
 
 
-def _number(labels: np.ndarray) -> np.ndarray:
-    """Number the values of a column in order of appearance."""
-    keys = labels if labels.dtype.kind == "f" else np.array([str(label) for label in labels])
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first))[inverse]
+def _number(keys: np.ndarray) -> np.ndarray:
+    """Number the values of a column, or the rows of several, in order of appearance."""
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True, axis=0)
+    return np.asarray(np.argsort(np.argsort(first))[inverse.reshape(-1)])
 
 
-@dataclass(frozen=True, eq=False)
+def label_of(cell: object) -> str:
+    """Give a cell as the name of a trajectory; whole numbers have no decimals.
+
+    >>> label_of(2.0), label_of("warm")
+    ('2', 'warm')
+    """
+    if isinstance(cell, float):
+        return "" if np.isnan(cell) else f"{cell:.12g}"
+    return "" if cell is None else str(cell).strip()
+
+
+def _is_missing(cell: object) -> bool:
+    return cell is None or (isinstance(cell, float) and np.isnan(cell))
+
+
 class _Look:
     """Looks at the columns of a source beside its times."""
 
-    columns: Columns
-    t: np.ndarray
-
-    @property
-    def restarts(self) -> np.ndarray:
-        """The number of the trajectory of each row where only the time tells."""
-        again = (np.diff(self.t) < 0) & (self.t[1:] == self.t[0])
-        return np.concatenate([[0], np.cumsum(again)])
+    def __init__(self, columns: Columns, time: Times) -> None:
+        """Remember the columns."""
+        self.columns, self.time = columns, time
+        self._one = np.zeros(len(time.values), dtype=int)
+        self._texts: dict[str, np.ndarray] = {}
+        self.restarts = find_restarts(time.within(self._one))
 
     def values(self, name: str) -> np.ndarray:
-        return self.columns.values[self.columns.names.index(name)]
+        """Give the cells of a column; a name that stands once above its rows is that of all."""
+        values = self.columns.values[self.columns.names.index(name)]
+        if values.dtype.kind != "O":
+            return values
+        if name not in self._texts:
+            cells = np.array([label_of(cell) for cell in values], dtype=object)
+            there = np.flatnonzero(cells != "")
+            starts = np.flatnonzero(np.diff(self.time.values, prepend=np.inf) < 0)
+            if 0 < len(there) < len(cells) and np.array_equal(there, starts):
+                cells = cells[there][np.cumsum(cells != "") - 1]
+            self._texts[name] = cells
+        return self._texts[name]
+
+    def codes(self, name: str) -> np.ndarray:
+        """Number the values of a column."""
+        values = self.values(name)
+        return _number(values.astype(str) if values.dtype.kind == "O" else values)
+
+    def join(self, names: Sequence[str]) -> np.ndarray:
+        """Number what several columns say together."""
+        if not names:
+            return self._one
+        return _number(np.column_stack([self.codes(name) for name in names]))
+
+    def name(self, codes: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
+        """Name the trajectories by the values of columns; by number where those do not tell."""
+        first = np.unique(codes, return_index=True)[1]
+        found = [", ".join(label_of(self.values(n)[row]) for n in names) for row in first]
+        if not names:
+            return tuple(str(i + 1) for i in range(len(first)))
+        seen: dict[str, int] = {}
+        for i, own in enumerate(found):
+            seen[own] = seen.get(own, 0) + 1
+            if found.count(own) > 1 or seen[own] > 1:
+                found[i] = f"{own}, {seen[own]}"
+        return tuple(found)
 
     def is_text(self, name: str) -> bool:
-        values = self.values(name)
-        return values.dtype.kind == "O" and all(
-            isinstance(cell, str) and not _is_number(cell) for cell in values
-        )
+        """Whether a column holds text."""
+        return is_text(self.columns.values[self.columns.names.index(name)])
 
-    def trajectory(self, free: Sequence[str]) -> str | None:
+    def choose(self, free: Sequence[str]) -> list[str]:
+        """Choose the columns that tell trajectories apart."""
         named = [n for n in free if is_run_name(n) and self.has_few(n)]
-        if named:
-            return named[0]
-        texts = [n for n in free if self.is_text(n) and self.has_few(n) and self.separates(n)]
-        if texts:
-            return min(texts, key=lambda n: len(set(self.values(n))))
-        if self.increases(self.restarts):
-            return None
-        whole = [n for n in free if self.is_whole(n) and self.has_few(n) and self.separates(n)]
-        return whole[0] if len(whole) == 1 else None
+        texts = [n for n in free if n not in named and self.is_text(n) and self.has_few(n)]
+        texts = [n for n in texts if self.differs(n)]
+        base = self.join(named) if named else self.restarts
+        if self.increases(base) and (named or base.any()):
+            chosen = named or self.fewest(texts, base)
+            return self._with_rough(chosen, texts) if chosen or not texts else []
+        if not named and self.increases(base):
+            # All times rise: a text that stands in one piece each names parts.
+            pieces = [n for n in texts if np.all(np.diff(self.codes(n)) >= 0)]
+            pieces.sort(key=lambda n: len(set(self.values(n))))
+            return pieces[:1] or self._with_rough([], texts)
+        for fits in (self.increases, self.is_apart):
+            chosen = self._smallest(texts, named, fits)
+            if chosen:
+                return self._with_rough([*named, *chosen], texts)
+            if fits(base if named else self._one):
+                return self._with_rough(named, texts)
+            numbers = [n for n in free if n not in (*named, *texts) and self.is_whole(n)]
+            chosen = self._smallest(
+                [*texts, *filter(self.has_few, numbers)], named, fits, only=True
+            )
+            if chosen:
+                return self._with_rough([*named, *chosen], texts)
+        # Several rows of one time within all that is known.
+        return [*named, *(n for n in texts if is_label_name(n) or self._is_smoother(n, named))]
+
+    def _smallest(
+        self,
+        pool: Sequence[str],
+        named: Sequence[str],
+        fits: Callable[[np.ndarray], bool],
+        only: bool = False,
+    ) -> list[str]:
+        """Give the fewest columns, beside those named, that tell the rows of a time apart.
+
+        ``only`` refuses to choose where several do as well.
+        """
+        for count in range(1, _MOST_TOGETHER + 1):
+            sets = [list(own) for own in combinations(pool[: _MOST_TOGETHER * 4], count)]
+            found = [own for own in sets if fits(self.join([*named, *own]))]
+            few = [own for own in found if self._many_rows(self.join([*named, *own]))]
+            if only and len(few) > 1:
+                return []
+            if few:
+                return min(few, key=lambda own: int(self.join([*named, *own]).max()))
+        return []
+
+    def _many_rows(self, codes: np.ndarray) -> bool:
+        return bool(codes.any()) and _ROWS_EACH * (int(codes.max()) + 1) <= len(codes)
+
+    def _with_rough(self, chosen: Sequence[str], texts: Sequence[str]) -> list[str]:
+        """Add texts within whose values the other columns go on more smoothly than across them."""
+        found = list(chosen)
+        for name in texts:
+            codes = self.join(found)
+            varies = name not in found and np.any(self.join([*found, name]) != codes)
+            if varies and self._is_smoother(name, found):
+                found.append(name)
+        return found
+
+    def _is_smoother(self, name: str, beside: Sequence[str]) -> bool:
+        split, merged = self.join([*beside, name]), self.join(beside)
+        if not self._many_rows(split):
+            return False
+        votes = []
+        for values in self._numbers():
+            alone, together = (self._step(values, codes) for codes in (split, merged))
+            votes.append(alone < together)
+        return bool(votes) and sum(votes) > len(votes) / 2
+
+    def _numbers(self) -> list[np.ndarray]:
+        names = [n for n in self.columns.names if n not in self.time.columns]
+        columns = [self.columns.values[self.columns.names.index(n)] for n in names]
+        return [v for v in columns if v.dtype.kind == "f" and len(np.unique(v)) > _ROWS_EACH]
+
+    def _step(self, values: np.ndarray, codes: np.ndarray) -> float:
+        """Give the usual change from one row to the next in time."""
+        order = np.lexsort([self.time.within(codes), codes])
+        steps, same = np.abs(np.diff(values[order])), np.diff(codes[order]) == 0
+        there = steps[same & np.isfinite(steps)]
+        return float(np.median(there)) if there.size else np.inf
+
+    def fewest(self, texts: Sequence[str], codes: np.ndarray) -> list[str]:
+        """Give the fewest columns that tell apart what is known to be apart."""
+        for count in range(1, _MOST_TOGETHER + 1):
+            for own in combinations(texts[: _MOST_TOGETHER * 4], count):
+                if np.array_equal(self.join(own), codes):
+                    return list(own)
+        return []
 
     def is_whole(self, name: str) -> bool:
+        """Whether a column holds whole numbers."""
         values = self.values(name)
         return values.dtype.kind == "f" and bool(
             np.isfinite(values).all() and np.all(values == np.round(values))
         )
 
     def has_few(self, name: str) -> bool:
+        """Whether a column has several rows for each of its values."""
         values = self.values(name)
         if values.dtype.kind != "O" and not self.is_whole(name):
             return False
-        distinct = len(set(map(str, values)) if values.dtype.kind == "O" else np.unique(values))
-        return distinct * _ROWS_EACH <= len(values)
-
-    def separates(self, name: str) -> bool:
-        """Whether times increase within each value of a column, of which there are several.
-
-        Where times increase as a whole, a value must stand in one piece: day and night do not.
-        """
-        codes = _number(self.values(name))
-        if not codes.any() or not self.increases(codes):
-            return False
-        one_piece = bool(np.all(np.diff(codes) >= 0))
-        return one_piece or not self.increases(np.zeros(len(codes), dtype=int))
+        return (int(self.codes(name).max()) + 1) * _ROWS_EACH <= len(values)
 
     def increases(self, codes: np.ndarray) -> bool:
-        if np.all(np.diff(self.t) > 0):
+        """Whether times increase from row to row within each trajectory."""
+        t = self.time.within(codes)
+        if np.all(np.diff(t) > 0):
             return True
         order = np.argsort(codes, kind="stable")
-        steps, same = np.diff(self.t[order]), np.diff(codes[order]) == 0
+        steps, same = np.diff(t[order]), np.diff(codes[order]) == 0
+        return bool(np.all(steps[same] > 0))
+
+    def is_apart(self, codes: np.ndarray) -> bool:
+        """Whether no time repeats within a trajectory, in whatever order its rows stand."""
+        t = self.time.within(codes)
+        order = np.lexsort([t, codes])
+        steps, same = np.diff(t[order]), np.diff(codes[order]) == 0
         return bool(np.all(steps[same] > 0))
 
     def is_constant(self, name: str, codes: np.ndarray, count: int) -> bool:
+        """Whether a column has one value in each trajectory."""
         values = self.values(name)
         text = values.dtype.kind == "O"
         if text and not self.is_text(name):
@@ -184,6 +367,7 @@ class _Look:
         return bool(np.all(values == values[first][codes]))
 
     def differs(self, name: str) -> bool:
+        """Whether a column has more than one value."""
         values = self.values(name)
         return bool(np.any(values != values[0]))
 
@@ -195,8 +379,27 @@ class _Look:
         own = self.values(name)[first]
         alone = len(np.unique(own)) == len(own)
         counts = np.array_equal(own - own[0], np.arange(len(own))) and own[0] in (0, 1)
-        called = _SUBJECT.fullmatch(bare_name(name)) or is_run_name(name)
-        return bool(alone and (called or counts))
+        return bool(is_label_name(name) or (alone and counts))
+
+    def is_parameter(self, name: str) -> bool:
+        """Whether numbers that help to tell trajectories apart may act in their equations too."""
+        if self.is_text(name) or not self.is_whole(name) or is_label_name(name):
+            return False
+        own = np.unique(self.values(name))
+        return not np.array_equal(own, np.arange(1, len(own) + 1))
+
+
+def is_rough(values: np.ndarray) -> bool:
+    """Whether values in order of time change as if several trajectories were put into one.
+
+    Parameters
+    ----------
+    values : (n,) numbers; NaN where there is none.
+    """
+    there = values[np.isfinite(values)] if values.dtype.kind == "f" else values[:0]
+    if len(there) < _ROWS_EACH or not np.ptp(there) > 0:
+        return False
+    return bool(np.mean(np.diff(there) ** 2) > 2 * _ROUGH * np.var(there))
 
 
 def _is_number(text: str) -> bool:

@@ -6,6 +6,7 @@ input; checks name what is wrong and the remedy.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -16,15 +17,16 @@ from typing import Any
 import numpy as np
 import sympy
 
-from dynsr.data.columns import Columns, beside, bracketed_unit, load_columns, with_times
+from dynsr.data.columns import Columns, beside, load_columns, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
-from dynsr.data.dosing import FEWEST_ROWS, cut_at_doses
-from dynsr.data.grouping import group_rows
+from dynsr.data.dosing import cut_at_doses
+from dynsr.data.grouping import find_restarts
+from dynsr.data.names import clean_name
 from dynsr.data.oddities import OddSettings
-from dynsr.data.roles import Roles, clean_name, find_time, guess_roles
-from dynsr.data.table_checks import check_rows, check_values, thin, to_numbers, to_times
-from dynsr.data.times import convert_times, unit_in_name
-from dynsr.data.trajectory import Trajectory, as_floats, settle_hold
+from dynsr.data.roles import Roles
+from dynsr.data.times import convert_times
+from dynsr.data.trajectory import FEWEST_ROWS, Trajectory, as_floats, settle_hold
+from dynsr.data.understanding import Asked, understand
 from dynsr.data.writing import write_new
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name, compile_numpy, parse
@@ -56,8 +58,9 @@ def read_trajectories(
     time: str | Sequence[Any] | np.ndarray | None = None,
     states: Sequence[str] | str | None = None,
     inputs: Sequence[str] | Mapping[str, str] | str | None = None,
-    trajectory: str | None = None,
+    trajectory: Sequence[str] | str | None = None,
     *,
+    quantity: str | None = None,
     hold: Mapping[str, str] | str | None = None,
     max_rows: int = MAX_ROWS,
 ) -> Table:
@@ -69,18 +72,24 @@ def read_trajectories(
         (.nc), Parquet, .npz or .npy; a frame of pandas or polars; a dataset of xarray; a mapping of
         columns; a pair of arrays (t (n,), x (n, k)); an array whose first column is the time; a
         Trajectory; or a list of any of these, one or more trajectories each.
-    time : name of the time column, or the (n,) times themselves; guessed by default.
+    time : name of the time column, of the date and the clock ("date,clock"), or the (n,) times
+        themselves; guessed by default.
     states : names of the state columns; every other column by default. A source without
         names, such as an array, takes these names.
     inputs : columns that are known inputs, or expressions in t, such as ``"F=0.5*sin(6*t)"`` or
         ``{"F": "0.5*sin(6*t)"}``.
-    trajectory : the column whose value names the trajectory that a row belongs to.
+    trajectory : the column, or columns, whose values together name the trajectory of a row.
+    quantity : the column of a long table that says which quantity a row is of, each of which then
+        gets a column of its own; guessed by default, and "none" for no such column.
     hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth";
         or one of these words for all. By default the values tell.
     max_rows : more rows than this are thinned evenly, with a DynsrWarning.
 
-    Times may be uneven. Names that cannot stand in a formula are changed, with a DynsrWarning.
-    Raises InputError, one line that names the value and the remedy, when the table cannot be used.
+    Times may be uneven, and rows may stand in any order where it is known which belong together.
+    Rows of one time are averaged, rows where a column has no value are left out, and what else was
+    assumed stands in the table's notes. Names that cannot stand in a formula are changed, with a
+    DynsrWarning. Raises InputError, one line that names the value and the remedy, when the table
+    cannot be used.
 
     >>> t = np.linspace(0, 1, 11)
     >>> table = read_trajectories({"t": t, "x": t**2, "y": t**3})
@@ -89,32 +98,43 @@ def read_trajectories(
     """
     if max_rows < 1:
         raise InputError(f"max_rows {max_rows} must be a whole number from 1 up")
+    asked = Asked(
+        _listed(states), *_split_inputs(inputs), _listed(trajectory), _chosen(quantity), max_rows
+    )
     if isinstance(source, list):
-        return _read_list(source, time, states, inputs, trajectory, hold, max_rows)
-    if time is not None and not isinstance(time, str):
-        columns, time = _load_beside(source, time), "t"
-    else:
-        columns = load_columns(source)
+        return _read_list(source, time, states, inputs, trajectory, quantity, hold, max_rows)
+    times = None if time is None or _is_named(time, source) else time
+    name: Any = time if times is None else "t"
+    columns = load_columns(source) if times is None else _load_beside(source, times)
     columns = _with_names(columns, states)
     for note in columns.notes:
         warnings.warn(note, DynsrWarning, stacklevel=2)
-    named, formulas = _split_inputs(inputs)
-    time = find_time(columns, time)
-    columns.check_usable([time])
-    t, unit = to_times(columns.values[columns.names.index(time)], time, columns.label)
-    unit = columns.time_unit or unit or unit_in_name(f"[{columns.units.get(time, '')}]")
-    if isinstance(source, np.ndarray) and not columns.named:
-        _check_first_column(t, columns.label)
-    roles = guess_roles(columns, time, t, _listed(states), named, formulas, trajectory)
-    runs = _cut(columns, roles, t, unit, formulas, max_rows)
+    if isinstance(source, Trajectory) and states is None:
+        asked = asked.keeping(source.states, source.input_names)
+    if isinstance(source, np.ndarray) and not columns.named and time is None:
+        _check_first_column(columns.values[0], columns.label)
+    found = understand(columns, name, asked)
     if isinstance(hold, Mapping):
-        hold = {roles.renamed.get(name, name): way for name, way in hold.items()}
-    runs = settle_hold(runs, hold)
+        hold = {found.roles.renamed.get(name, name): way for name, way in hold.items()}
+    runs = settle_hold(found.runs, hold)
     understood = describe_runs(
-        columns.label, runs, roles, formulas, columns.left_out, columns.notes
+        columns.label, runs, found.roles, asked.formulas, found.left_out, found.notes
     )
     told = _told(runs, understood.sentence, understood)
-    return replace(told, roles=roles, left_out=columns.left_out, notes=columns.notes)
+    return replace(told, roles=found.roles, left_out=found.left_out, notes=found.notes)
+
+
+def _is_named(time: Any, source: Any) -> bool:
+    """Whether times are the names of columns, and not the times themselves."""
+    if isinstance(time, str):
+        return True
+    few = isinstance(time, (list, tuple)) and len(time) <= 2
+    return few and all(isinstance(name, str) for name in time) and not isinstance(source, tuple)
+
+
+def _chosen(quantity: str | None) -> str | None:
+    """Give the column of quantities; "" where there is to be none."""
+    return "" if quantity is not None and quantity.strip().lower() in ("", "none") else quantity
 
 
 def _load_beside(source: Any, t: Any) -> Columns:
@@ -126,8 +146,9 @@ def _load_beside(source: Any, t: Any) -> Columns:
 
 def _check_first_column(t: np.ndarray, label: str) -> None:
     """Refuse an array whose first column is no time; warn where it may be a state."""
-    groups = group_rows(None, t)
-    steps = np.concatenate([np.diff(t[rows]) for rows in groups.values()] or [np.empty(0)])
+    t = t if t.dtype.kind == "f" else np.arange(float(len(t)))
+    codes = find_restarts(t)
+    steps = np.diff(t)[np.diff(codes) == 0]
     if np.any(steps <= 0):
         raise InputError(
             f"the first column of {label} does not increase, so that it is no time; give the "
@@ -153,9 +174,13 @@ def _told(runs: Sequence[Trajectory], guess: str, understood: Description) -> Ta
 def _read_list(sources: list[Any], *arguments: Any) -> Table:
     if not sources:
         raise InputError("no data was given; give at least one file, frame or array")
-    *options, hold, max_rows = arguments
-    share = max(max_rows // len(sources), 1)
-    tables = [read_trajectories(source, *options, hold=hold, max_rows=share) for source in sources]
+    *options, quantity, hold, max_rows = arguments
+    _refuse_twice(sources)
+    share = max(max_rows // len(sources), FEWEST_ROWS)
+    tables = [
+        read_trajectories(source, *options, quantity=quantity, hold=hold, max_rows=share)
+        for source in sources
+    ]
     runs = _in_one_unit([run for table in tables for run in table.trajectories])
     for run in runs[1:]:
         if run.states != runs[0].states or run.input_names != runs[0].input_names:
@@ -169,6 +194,19 @@ def _read_list(sources: list[Any], *arguments: Any) -> Table:
     understood = join_descriptions([table.description for table in tables], runs)
     told = _told(runs, "; ".join(dict.fromkeys(table.guess for table in tables)), understood)
     return replace(told, left_out=understood.left_out, notes=understood.notes)
+
+
+def _refuse_twice(sources: Sequence[Any]) -> None:
+    """Refuse a file that is given twice: its rows are no second measurement."""
+    seen: dict[bytes, str] = {}
+    for source in sources:
+        if not isinstance(source, (str, os.PathLike)) or not os.path.isfile(source):
+            continue
+        content = hashlib.sha256(Path(source).read_bytes()).digest()
+        if content in seen:
+            both = f"{seen[content]!r} and {str(source)!r}"
+            raise InputError(f"files {both} are the same rows twice; give them once")
+        seen[content] = str(source)
 
 
 def _in_one_unit(runs: list[Trajectory]) -> list[Trajectory]:
@@ -251,62 +289,6 @@ def _split_inputs(
     return (None if formulas and not columns else columns), formulas
 
 
-def _cut(
-    columns: Columns,
-    roles: Roles,
-    t: np.ndarray,
-    unit: str,
-    formulas: Mapping[str, str],
-    max_rows: int,
-) -> list[Trajectory]:
-    by_name = dict(zip(columns.names, columns.values, strict=True))
-    wanted = [*roles.states, *roles.inputs]
-    columns.check_usable([*wanted, *roles.trajectory])
-    data = [to_numbers(by_name[name], name, columns.label) for name in wanted]
-    groups = group_rows(by_name[roles.trajectory[0]] if roles.trajectory else None, t)
-    check_rows(t, roles.time, groups, columns.label)
-    check_values(data, wanted, roles, columns.label)
-    table = np.column_stack(data)
-    functions = compile_numpy([parse(text, ["t"]) for text in formulas.values()], ["t"])
-    count = len(roles.states)
-    told = {name: columns.units.get(name) or bracketed_unit(name) for name in wanted}
-    units = {roles.renamed[name]: unit for name, unit in told.items() if unit}
-    origin = {
-        "source": columns.label,
-        **({"time_unit": unit} if unit else {}),
-        **({"units": units} if units else {}),
-    }
-    names = [roles.renamed[name] for name in wanted]
-    runs = []
-    kept = thin(groups, len(t), max_rows, columns.label)
-    for own, rows in zip(groups, kept, strict=True):
-        extra = functions(t[rows][None]).T
-        inputs = np.column_stack([table[rows, count:], extra])
-        _check_formulas(extra, t[rows], formulas)
-        runs.append(
-            Trajectory(
-                t[rows],
-                table[rows, :count],
-                tuple(names[:count]),
-                inputs,
-                (*names[count:], *formulas),
-                {**origin, "name": own},
-            )
-        )
-    return runs
-
-
-def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, str]) -> None:
-    bad = np.argwhere(~np.isfinite(values))
-    if bad.size:
-        row, column = bad[0]
-        name, text = list(formulas.items())[column]
-        raise InputError(
-            f"input {name} = {text} is {values[row, column]} at t = {t[row]:g}; "
-            "give a formula that is finite over the whole data"
-        )
-
-
 def write_csv(
     trajectories: Trajectory | Sequence[Trajectory],
     path: str | os.PathLike[str],
@@ -348,9 +330,10 @@ def take_trajectories(
     inputs: Mapping[str, Any] | Sequence[str] | str | None = None,
     time: str | Sequence[Any] | np.ndarray | None = None,
     states: Sequence[str] | str | None = None,
-    trajectory: str | None = None,
+    trajectory: Sequence[str] | str | None = None,
     hold: Mapping[str, str] | str | None = None,
     doses: Mapping[str, str] | None = None,
+    quantity: str | None = None,
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
@@ -362,7 +345,8 @@ def take_trajectories(
     inputs : names of columns that are inputs, or expressions such as "F=sin(t)"; or input name ->
         expression in ``t``, function of one time, or values at the times, (n,) or a list of one
         such array a trajectory.
-    time, states, trajectory, hold : as for :func:`dynsr.data.reading.read_trajectories`.
+    time, states, trajectory, hold, quantity : as for
+        :func:`dynsr.data.reading.read_trajectories`.
     doses : state -> column of amounts: the state jumps by the amount right after that row, which
         was measured before. Each part between doses counts as a trajectory.
 
@@ -373,8 +357,8 @@ def take_trajectories(
     (('x', 'F'), {'F': sin(t)})
     """
     columns, named = _sort_inputs(inputs)
-    if time is not None or states is not None or trajectory is not None:
-        runs = _read_columns(data, columns, time, states, trajectory)
+    if any(own is not None for own in (time, states, trajectory, quantity)):
+        runs = _read_columns(data, columns, time, states, trajectory, quantity)
     else:
         runs = _read(data, columns)
     runs = [_as_inputs(run, columns or []) for run in runs]
@@ -433,14 +417,15 @@ def _read_columns(
     inputs: Sequence[str] | None,
     time: str | Sequence[Any] | np.ndarray | None,
     states: Sequence[str] | str | None,
-    trajectory: str | None,
+    trajectory: Sequence[str] | str | None,
+    quantity: str | None,
 ) -> list[Trajectory]:
     """Read trajectories whose columns the caller names."""
     data = data.trajectories if isinstance(data, Table) else data
-    apart = time is not None and not isinstance(time, str)
+    apart = time is not None and not _is_named(time, data)
     if apart and states is None and isinstance(data, np.ndarray) and not data.dtype.names:
         return [_from_arrays(time, data)]
-    return read_trajectories(data, time, states, inputs, trajectory).trajectories
+    return read_trajectories(data, time, states, inputs, trajectory, quantity=quantity).trajectories
 
 
 def _is_pair(data: Any) -> bool:

@@ -1,9 +1,8 @@
-"""Roles of columns: which is the time, which are states, inputs, or the name of a trajectory."""
+"""Roles of columns: states, inputs, parameters, noise, or what only says the row or the time."""
 
 from __future__ import annotations
 
 import re
-import unicodedata
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,18 +10,25 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynsr.data.columns import Columns, bare_name
-from dynsr.data.grouping import guess_grouping
-from dynsr.data.times import read_times, unit_in_name
+from dynsr.data.columns import Columns, bare_name, bracketed_unit
+from dynsr.data.grouping import Grouping, is_text
+from dynsr.data.lines import is_second_time, numbers_rows
+from dynsr.data.names import clean_name, find_column, list_names, rename
+from dynsr.data.steps import is_noted_at_changes, is_set
+from dynsr.data.time_columns import Times
+from dynsr.data.times import is_time_name, unit_in_name
 from dynsr.errors import DynsrWarning, InputError
-from dynsr.expression import check_name
 
-_TIME = re.compile(
-    r"t|time|times|timestamps?|datetime|date|sec|secs|seconds?|zeit|temps", re.IGNORECASE
-)
 _INPUT = re.compile(r"(f|force|forcing)|(input|control|forcing)s?_?\w*|u_?\d*", re.IGNORECASE)
-
-
+_ERROR = (
+    r"s\.?d\.?|se|sem|std(?:[ _.]?(?:dev|err|error))?|stdev|stderr|err(?:or)?|sigma|uncertainty|unc"
+)
+_ERROR_BEHIND = re.compile(rf"(?P<stem>.+?)[\s_.-]+(?:{_ERROR})", re.IGNORECASE)
+_ERROR_BEFORE = re.compile(
+    rf"(?:(?:{_ERROR})[\s_.-]+(?:of[\s_.-]+)?|±\s*|\+/?-\s*)(?P<stem>.+)", re.IGNORECASE
+)
+_ERROR_ALONE = re.compile(rf"(?:{_ERROR}|±|\+/?-)", re.IGNORECASE)
+_MEAN = re.compile(r"[\s_.-]*(?:mean|avg|average|median|value|mittel\w*|mw)[\s_.-]*", re.IGNORECASE)
 _MANY = 30
 
 
@@ -30,13 +36,14 @@ _MANY = 30
 class Roles:
     """Columns by their role, under their names in the source.
 
-    ``renamed`` gives every state and input the name that it has in formulas; ``ignored`` are
-    columns that no role was found for; ``chosen`` says that the caller named the states;
-    ``parameters`` are those inputs that were taken for such since they are constant within each
-    trajectory, and ``labels`` what only tells trajectories apart beside ``trajectory``; ``noise``
-    maps a state to the column of its measurement errors. ``trajectory`` are the columns whose
-    values together name a trajectory; ``clock`` is the column of the time of the day where ``time``
-    holds only the date, and ``quantity`` the column whose values became states or inputs.
+    ``renamed`` gives every state and input the name that it has in formulas; ``chosen`` says that
+    the caller named the states; ``parameters`` are those inputs that were taken for such since they
+    are constant within each trajectory, and ``labels`` what only tells trajectories apart beside
+    ``trajectory``, the columns whose values together name one; ``noise`` maps a state to the column
+    of its measurement errors; ``clock`` is the column of the time of the day where ``time`` holds
+    only the date, and ``quantity`` the column whose values became states or inputs; ``held`` are
+    inputs that were taken for such since they keep their value and step; ``left_out`` gives each
+    column that is not used with the reason.
     """
 
     time: str
@@ -44,56 +51,77 @@ class Roles:
     inputs: tuple[str, ...]
     trajectory: tuple[str, ...] = ()
     renamed: Mapping[str, str] = field(default_factory=dict)
-    ignored: tuple[str, ...] = ()
     chosen: bool = False
     parameters: tuple[str, ...] = ()
     labels: tuple[str, ...] = ()
     noise: Mapping[str, str] = field(default_factory=dict)
     clock: str | None = None
     quantity: str | None = None
+    held: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
 
+# Numbers of cells may be of any size; what overflows is no evidence of anything.
+@np.errstate(over="ignore", invalid="ignore")
 def guess_roles(
     columns: Columns,
-    time: str,
-    t: np.ndarray,
+    time: Times,
+    grouping: Grouping,
     states: Sequence[str] | None,
     inputs: Sequence[str] | None,
     formulas: Mapping[str, str],
-    trajectory: str | None,
+    quantity: str | None = None,
 ) -> Roles:
-    """Give each column its role: as the caller said, or else by its name and its values.
+    """Give each column its role: as the caller said, or else by its values and its name.
 
     Parameters
     ----------
     columns : the columns of the source.
-    time : name of the time column in the source, as :func:`find_time` gives it.
-    t : (n,) its numbers.
-    states, inputs, trajectory : names in the source or in formulas; None where guessed.
+    time : the times, all of which are there.
+    grouping : the trajectories.
+    states, inputs : names in the source or in formulas; None where guessed.
     formulas : inputs that are expressions in ``t``, by name.
+    quantity : the column whose values were given columns of their own.
 
-    Raises InputError that lists the columns when one that was named is not there, when no column
-    can be the time, or when no column is left for a state.
+    Raises InputError that lists the columns when one that was named is not there, or when no column
+    is left for a state.
     """
-    if trajectory:
-        trajectory = _find(trajectory, columns, "trajectory")
-    known = None if inputs is None else [_find(name, columns, "input") for name in inputs]
-    chosen = None if states is None else [_find(name, columns, "state") for name in states]
-    said = {time, *(chosen or []), *(known or []), *columns.inputs}
-    candidates = [name for name in columns.names if name not in said]
-    grouping = guess_grouping(columns, t, candidates, trajectory or None)
-    others = [name for name in columns.names if name not in (time, grouping.trajectory)]
-    apart = (*grouping.labels, *grouping.parameters)
-    parameters: tuple[str, ...] = ()
+    look = _Look(columns, time, grouping)
+    known = None if inputs is None else [find_column(name, columns, "input") for name in inputs]
+    chosen = None if states is None else [find_column(name, columns, "state") for name in states]
+    taken = {*time.columns, *grouping.trajectory, *grouping.labels, *(known or []), *(chosen or [])}
+    left_out = dict(time.left_out)
+    free = [n for n in columns.names if n not in taken and n not in left_out]
+    noise: dict[str, str] = {}
+    for name in free:
+        if clean_name(name) in formulas:
+            left_out[name] = "is given as a formula"
+    free = [n for n in free if n not in left_out]
+    apart = [n for n in (*grouping.parameters,) if n not in (known or ())]
+    parameters: list[str] = []
+    held: list[str] = []
+    if chosen is None:
+        left_out |= look.redundant([n for n in free if n not in apart], known or [])
+        moving = [n for n in free if n not in left_out and n not in apart]
+        noise = look.noise(moving)
+        left_out |= {own: f"is the noise of {state!r}" for state, own in noise.items()}
+    free = [n for n in free if n not in left_out]
     if known is None:
-        free = [n for n in others if n not in (chosen or []) and clean_name(n) not in formulas]
         known = _guess_inputs([n for n in free if n not in apart], columns, chosen)
+        rest = [n for n in free if n not in (*known, *apart, *(chosen or []))]
+        held = [n for n in rest if look.is_held(n)]
+        if chosen is None and len(held) == len(rest):
+            held = []
+        known += held
         if chosen is None:
-            parameters = tuple(n for n in grouping.parameters if n in free)
+            parameters = [n for n in grouping.parameters if n not in known and n not in left_out]
             known += parameters
     if chosen is None:
-        given = [n for n in others if clean_name(n) in formulas or _is_row_number(n, columns)]
-        chosen = [n for n in others if n not in (*known, *given, *apart)]
+        chosen = [n for n in free if n not in (*known, *apart)]
+        still = look.constants(chosen)
+        if len(still) < len(chosen):
+            left_out |= still
+            chosen = [n for n in chosen if n not in still]
     _check_roles(time, chosen, known, columns)
     if states is None and len(chosen) + len(known) > _MANY:
         warnings.warn(
@@ -103,95 +131,150 @@ def guess_roles(
             stacklevel=4,
         )
     used = [*chosen, *known]
+    for name in columns.names:
+        if name not in (*used, *time.columns, *grouping.trajectory, *grouping.labels):
+            left_out.setdefault(name, "has no role")
     return Roles(
-        time,
+        time.name,
         tuple(chosen),
         tuple(known),
-        () if grouping.trajectory is None else (grouping.trajectory,),
-        _rename(used, formulas),
-        tuple(name for name in others if name not in (*used, *grouping.labels)),
+        grouping.trajectory,
+        rename(used, formulas),
         states is not None,
-        parameters,
+        tuple(parameters),
         tuple(name for name in grouping.labels if name not in used),
+        {state: own for state, own in noise.items() if state in chosen},
+        time.clock,
+        quantity,
+        tuple(held),
+        left_out,
     )
 
 
-def _check_roles(time: str, states: Sequence[str], inputs: Sequence[str], columns: Columns) -> None:
-    both = [name for name in states if name in inputs or name == time]
+def _check_roles(
+    time: Times, states: Sequence[str], inputs: Sequence[str], columns: Columns
+) -> None:
+    both = [name for name in states if name in inputs or name in time.columns]
     if both:
-        role = "the time" if both[0] == time else "an input"
+        role = "the time" if both[0] in time.columns else "an input"
         raise InputError(f"column {both[0]!r} is both a state and {role}; give it one role")
     twice = [name for name, often in Counter([*states, *inputs]).items() if often > 1]
     if twice:
         raise InputError(f"column {twice[0]!r} is named twice; name each once")
     if not states:
         raise InputError(
-            f"{columns.label} has no column left for a state (columns: {_shown(columns.names)}); "
-            "give a time column and at least one state"
+            f"{columns.label} has no column left for a state (columns: "
+            f"{list_names(columns.names)}); give a time column and at least one state"
         )
 
 
-def _shown(names: Sequence[str]) -> str:
-    listed = ", ".join(names[:12])
-    return listed if len(names) <= 12 else f"{listed}, ... ({len(names)} in all)"
+class _Look:
+    """Looks at the columns beside the times and the trajectories."""
+
+    def __init__(self, columns: Columns, time: Times, grouping: Grouping) -> None:
+        """Put the rows of each trajectory in order."""
+        self._columns = columns
+        self._codes = grouping.codes
+        self._t = time.within(grouping.codes)
+        self._rows = [rows[np.argsort(self._t[rows], kind="stable")] for _, rows in grouping.rows()]
+
+    def _values(self, name: str) -> np.ndarray:
+        return self._columns.values[self._columns.names.index(name)]
+
+    def _is_number(self, name: str) -> bool:
+        return self._values(name).dtype.kind == "f"
+
+    def _pieces(self, name: str) -> list[np.ndarray]:
+        return [self._values(name)[rows] for rows in self._rows]
+
+    def redundant(self, names: Sequence[str], kept: Sequence[str]) -> dict[str, str]:
+        """Give the columns that say nothing of the states, with the reason; not all of them."""
+        found = {}
+        for name in names:
+            values = self._values(name)
+            if is_text(values) and self._is_remark(values):
+                found[name] = "holds text"
+            elif values.dtype.kind == "f":
+                if not np.isfinite(values).any() and np.isnan(values).all():
+                    found[name] = "has no value in any row"
+                elif name not in self._columns.inputs and not _INPUT.fullmatch(bare_name(name)):
+                    reason = self._as_line(name, values)
+                    if reason:
+                        found[name] = reason
+        if len(found) == len(names):
+            lines = [n for n in found if self._is_number(n) and np.isfinite(self._values(n)).any()]
+            return {n: why for n, why in found.items() if n not in lines}
+        return found
+
+    @staticmethod
+    def _is_remark(values: np.ndarray) -> bool:
+        """Whether text is one of remarks: in few rows, or another in almost every one."""
+        there = [cell for cell in values if isinstance(cell, str)]
+        return len(there) < len(values) / 2 or 2 * len(set(there)) > len(there)
+
+    def _as_line(self, name: str, values: np.ndarray) -> str:
+        called = (is_time_name(bare_name(name)) and len(name) > 1) or bool(unit_in_name(name))
+        unit = self._columns.units.get(name) or bracketed_unit(name)
+        # What is measured in a unit is more than a number of a row.
+        if not np.all(np.isfinite(values)) or (unit and not unit_in_name(f"t [{unit}]")):
+            return ""
+        if numbers_rows(name, values, self._codes):
+            return "numbers the rows"
+        return "is a second time" if is_second_time(values, self._t, self._codes, called) else ""
+
+    def noise(self, names: Sequence[str]) -> dict[str, str]:
+        """Give the columns of measurement errors, by the column whose errors they are."""
+        numbers = [n for n in names if self._is_number(n)]
+        found: dict[str, str] = {}
+        for name in numbers:
+            values = self._values(name)
+            if np.any(values < 0):
+                continue
+            state = self._state_of(name, [n for n in numbers if n != name])
+            if state is not None and state not in found.values() and state not in found:
+                found[state] = name
+        return found
+
+    @staticmethod
+    def _state_of(name: str, others: Sequence[str]) -> str | None:
+        own = bare_name(name)
+        if _ERROR_ALONE.fullmatch(own):
+            alone = [n for n in others if not _is_error_name(n)]
+            return alone[0] if len(alone) == 1 else None
+        match = _ERROR_BEHIND.fullmatch(own) or _ERROR_BEFORE.fullmatch(own)
+        if match is None:
+            return None
+        stem = _stem(match["stem"])
+        return next((n for n in others if not _is_error_name(n) and _stem(n) == stem), None)
+
+    def is_held(self, name: str) -> bool:
+        """Whether a column holds its value and steps."""
+        if not self._is_number(name):
+            return False
+        pieces = self._pieces(name)
+        return is_set(name, pieces) or is_noted_at_changes(name, pieces)
+
+    def constants(self, names: Sequence[str]) -> dict[str, str]:
+        """Give the columns that have one value in all rows."""
+        found = {}
+        for name in names:
+            values = self._values(name)
+            if values.dtype.kind == "f":
+                there = values[np.isfinite(values)]
+                if len(there) and there.min() == there.max():
+                    found[name] = f"is {there[0]:g} in every row"
+        return found
 
 
-def _find(name: str, columns: Columns, role: str) -> str:
-    """Find a column by its name in the source or by the name it gets in formulas."""
-    if name in columns.twice:
-        raise InputError(
-            f"column name {name!r} for the {role} is used twice in {columns.label}; rename one"
-        )
-    if name in columns.names:
-        return name
-    if name in columns.left_out:
-        raise InputError(
-            f"column {name!r} of {columns.label} was left out since it {columns.left_out[name]}; "
-            f"it cannot be the {role}"
-        )
-    # A name that looks the same may be written otherwise, as the micro sign is.
-    alike = unicodedata.normalize("NFKC", name)
-    for original in columns.names:
-        if clean_name(original) == name or unicodedata.normalize("NFKC", original) == alike:
-            return original
-    raise InputError(
-        f"no column {name!r} for the {role} in {columns.label}; "
-        f"its columns are: {_shown(columns.names)}"
-    )
+def _is_error_name(name: str) -> bool:
+    own = bare_name(name)
+    return any(p.fullmatch(own) for p in (_ERROR_ALONE, _ERROR_BEHIND, _ERROR_BEFORE))
 
 
-def find_time(columns: Columns, time: str | None) -> str:
-    """Give the column of the times: as the caller said, or else by its name and its values.
-
-    Parameters
-    ----------
-    columns : the columns of the source.
-    time : its name in the source or in formulas; None to guess it.
-
-    Raises InputError that lists the columns when it is not there or none can be the time.
-    """
-    if time:
-        return _find(time, columns, "time")
-    for name in columns.names:
-        if _TIME.fullmatch(bare_name(name)) or re.fullmatch(r"(t|time)_\w+", name, re.IGNORECASE):
-            return name
-    if not columns.named:
-        return columns.names[0]
-    for name, values in zip(columns.names, columns.values, strict=True):
-        if values.dtype.kind in "mM" or (
-            values.dtype.kind == "O" and read_times(values) is not None
-        ):
-            return name
-        rising = values.dtype.kind == "f" and len(values) > 1 and bool(np.all(np.diff(values) > 0))
-        if rising and name:
-            return name
-    counted = [name for name in columns.names if unit_in_name(name)]
-    if len(counted) == 1:
-        return counted[0]
-    raise InputError(
-        f"no column of {columns.label} looks like the time (columns: {_shown(columns.names)}); "
-        "name it, e.g. --time seconds, or add a column t"
-    )
+def _stem(name: str) -> str:
+    """Give the name of a quantity without a word for its mean."""
+    own = bare_name(name)
+    return (_MEAN.sub("", own) or own).strip(" _.-").lower()
 
 
 def _guess_inputs(
@@ -204,50 +287,3 @@ def _guess_inputs(
     if {bare_name(name).lower() for name in names} & {"v", "w"}:  # u beside v or w is a state
         fits = [name for name in fits if bare_name(name).lower() != "u"]
     return fits if len(fits) < len(names) or states is not None else []
-
-
-def _is_row_number(name: str, columns: Columns) -> bool:
-    values = columns.values[columns.names.index(name)]
-    unnamed = not name or name.startswith("Unnamed:") or name == "index"
-    return unnamed and values.dtype.kind == "f" and bool(np.all(np.diff(values) == 1))
-
-
-def clean_name(name: str) -> str:
-    """Give the name that a column has in formulas: its own where that can stand in one.
-
-    Units in brackets go, other signs become underscores, and names of functions get a number.
-
-    >>> [clean_name(name) for name in ("theta (rad)", "x-1", "sin", "2nd", "inf_")]
-    ['theta', 'x_1', 'sin_1', 'x2nd', 'inf_']
-    """
-    text = unicodedata.normalize("NFKC", bare_name(name) or name)
-    if not text.isidentifier():
-        text = re.sub(r"_{2,}", "_", re.sub(r"\W", "_", text)).strip("_") or "x"
-    if not text.isidentifier():
-        text = f"x{text}"
-    try:
-        return check_name(text)
-    except InputError:
-        return f"{text}_1"
-
-
-def _rename(names: Sequence[str], formulas: Mapping[str, str]) -> dict[str, str]:
-    renamed: dict[str, str] = {}
-    taken = {"t", *formulas}
-    own = {name for name in names if clean_name(name) == name} - taken
-    for name in names:
-        new, number = clean_name(name), 1
-        while new in taken or (new in own and new != name):
-            number += 1
-            new = f"{clean_name(name)}_{number}"
-        taken.add(new)
-        renamed[name] = new
-    changed = {name: new for name, new in renamed.items() if name != new}
-    if changed:
-        shown = ", ".join(f"{name[:60]!r} -> {new}" for name, new in changed.items())
-        warnings.warn(
-            f"columns were renamed so that they can stand in formulas: {shown}",
-            DynsrWarning,
-            stacklevel=4,
-        )
-    return renamed

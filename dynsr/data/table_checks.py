@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 
 from dynsr.data.roles import Roles
-from dynsr.data.times import count_times, read_compact_dates, read_times, unit_in_name
-from dynsr.data.trajectory import as_floats
+from dynsr.data.trajectory import FEWEST_ROWS, as_floats
 from dynsr.errors import DynsrWarning, InputError
 
-MIN_ROWS = 10
-_MIN_ROWS_EACH = 5
 _SCALE_RATIO = 1e6
 
 
@@ -47,87 +44,11 @@ def to_numbers(values: np.ndarray, name: str, label: str) -> np.ndarray:
     return np.array(numbers, dtype=float)
 
 
-def to_times(values: np.ndarray, name: str, label: str) -> tuple[np.ndarray, str]:
-    """Give the column of the times as float64 with its unit, "" where nothing says it.
-
-    Parameters
-    ----------
-    values : (n,) cells: numbers, dates or durations.
-    name, label : what a message calls the column and its source; the name may say the unit.
-
-    Raises InputError that names the first cell which is no time.
-    """
-    numbers = values.dtype.kind == "f" or (
-        values.dtype.kind == "O" and _as_number(values[0]) is not None
-    )
-    if numbers:
-        dates = read_compact_dates(to_numbers(values, name, label), name)
-    else:
-        dates = read_times(values)
-    if dates is not None:
-        return count_times(dates)
-    if values.dtype.kind == "O" and not numbers:
-        raise InputError(
-            f"time {name!r} of {label} holds {str(values[0])[:40]!r} in row 1; give numbers, or "
-            "dates such as 2024-12-31"
-        )
-    return to_numbers(values, name, label), unit_in_name(name)
-
-
 def _as_number(cell: Any) -> float | None:
     try:
         return np.nan if cell is None else float(cell)
     except (TypeError, ValueError, OverflowError):
         return None
-
-
-def check_rows(t: np.ndarray, time: str, groups: Mapping[str, np.ndarray], label: str) -> None:
-    """Check that each trajectory has rows enough and times that increase.
-
-    Parameters
-    ----------
-    t : (n,) times.
-    time, label : what a message calls the column and its source.
-    groups : trajectory -> its rows.
-
-    Raises InputError that names the first row which is wrong.
-    """
-    if len(t) < MIN_ROWS:
-        raise InputError(
-            f"{label} has {len(t)} row{'s' * (len(t) != 1)}, which cannot show an equation; "
-            f"give at least {MIN_ROWS}"
-        )
-    bad = np.flatnonzero(~np.isfinite(t))
-    if bad.size:
-        raise InputError(
-            f"time {time!r} of {label} is {t[bad[0]]} in row {bad[0] + 1}{_more(bad)}; "
-            "remove or repair such rows"
-        )
-    for name, rows in groups.items():
-        where = f" of trajectory {name}" if len(groups) > 1 else ""
-        if len(rows) < _MIN_ROWS_EACH:
-            raise InputError(
-                f"trajectory {name} of {label} has {len(rows)} rows; "
-                f"give each at least {_MIN_ROWS_EACH}, or leave it out"
-            )
-        _check_order(t, rows, f"time {time!r}{where}", label)
-
-
-def _check_order(t: np.ndarray, rows: np.ndarray, what: str, label: str) -> None:
-    steps = np.diff(t[rows])
-    bad = np.flatnonzero(steps <= 0)
-    if not bad.size:
-        return
-    here, row = t[rows[bad[0]]], rows[bad[0] + 1]
-    if steps[bad[0]] == 0:
-        raise InputError(
-            f"{what} repeats in row {row + 1} of {label} ({here:g} twice){_more(bad)}; "
-            "keep one row a time, or name the column that tells trajectories apart (--trajectory)"
-        )
-    raise InputError(
-        f"{what} runs backwards at row {row + 1} of {label} ({here:g} then {t[row]:g})"
-        f"{_more(bad)}; sort the rows by time"
-    )
 
 
 def _more(bad: np.ndarray) -> str:
@@ -137,7 +58,7 @@ def _more(bad: np.ndarray) -> str:
 def check_values(
     data: Sequence[np.ndarray], names: Sequence[str], roles: Roles, label: str
 ) -> None:
-    """Check that values are finite, and states neither constant nor copies of each other.
+    """Check that states are neither constant nor copies of each other.
 
     Parameters
     ----------
@@ -146,11 +67,9 @@ def check_values(
     roles : which of them are states.
     label : what a message calls the source.
 
-    Raises InputError on values that are not finite and on a constant state that nobody asked for;
-    warns with DynsrWarning on copies and on states of very different scale.
+    Raises InputError on a constant state that nobody asked for; warns with DynsrWarning on copies
+    and on states of very different scale.
     """
-    for name, values in zip(names, data, strict=True):
-        _check_finite(values, name, label)
     states = dict(zip(roles.states, data, strict=False))
     for name, values in states.items():
         if values.min() == values.max():
@@ -159,22 +78,22 @@ def check_values(
     _warn_scales(states, label)
 
 
-def _check_finite(values: np.ndarray, name: str, label: str) -> None:
-    bad = np.flatnonzero(~np.isfinite(values))
-    if not bad.size:
-        return
-    if np.isnan(values[bad[0]]):
-        breaks = np.flatnonzero(np.diff(bad) > 1)
-        end = bad[breaks[0]] if breaks.size else bad[-1]
-        run = f"row {bad[0] + 1}" if end == bad[0] else f"rows {bad[0] + 1} to {end + 1}"
+def check_infinite(values: np.ndarray, name: str, label: str) -> None:
+    """Check that numbers are finite where there are any.
+
+    Parameters
+    ----------
+    values : (n,) numbers; NaN where there is none.
+    name, label : what a message calls the column and its source.
+
+    Raises InputError that names the first row which is wrong.
+    """
+    bad = np.flatnonzero(np.isinf(values))
+    if bad.size:
         raise InputError(
-            f"column {name!r} of {label} has no value (NaN) in {run} ({bad.size} in all); "
-            "fill them, remove those rows, or split the data there into trajectories"
+            f"column {name!r} of {label} holds {values[bad[0]]} in row {bad[0] + 1}{_more(bad)}; "
+            "remove or repair such rows"
         )
-    raise InputError(
-        f"column {name!r} of {label} holds {values[bad[0]]} in row {bad[0] + 1}{_more(bad)}; "
-        "remove or repair such rows"
-    )
 
 
 def _refuse_constant(name: str, value: float, roles: Roles, label: str) -> None:
@@ -219,12 +138,18 @@ def _warn_scales(states: Mapping[str, np.ndarray], label: str) -> None:
         )
 
 
-def thin(
-    groups: Mapping[str, np.ndarray], total: int, max_rows: int, label: str
-) -> list[np.ndarray]:
-    """Keep every k-th row of each trajectory when there are more than ``max_rows``, and warn."""
+def thin(lengths: Sequence[int], max_rows: int, label: str) -> list[slice]:
+    """Keep every k-th row of each trajectory when there are more than ``max_rows``, and warn.
+
+    Parameters
+    ----------
+    lengths : the rows of each trajectory.
+    max_rows : the most of them together.
+    label : what a message calls the source.
+    """
+    total = sum(lengths)
     if total <= max_rows:
-        return list(groups.values())
+        return [slice(None)] * len(lengths)
     stride = -(-total // max_rows)
     warnings.warn(
         f"{label} has {total} rows; every {stride}th was kept "
@@ -232,4 +157,4 @@ def thin(
         DynsrWarning,
         stacklevel=4,
     )
-    return [rows[::stride] if len(rows) >= 5 * stride else rows for rows in groups.values()]
+    return [slice(None, None, stride if rows >= FEWEST_ROWS * stride else 1) for rows in lengths]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
-from datetime import date, datetime, timedelta
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date, timedelta
+from datetime import time as clock_time
 from typing import Any
 
 import numpy as np
@@ -30,11 +33,43 @@ _OF_NAME = re.compile(
     r"(?:(?:t|times?|elapsed)\W*_?)?[\s\[(]*(?P<unit>[^\W\d_]+)[\])\s]*", re.IGNORECASE
 )
 _SHORTEST = 3
-_DATES = re.compile(r"date|day|datum|tag|yyyymmdd|timestamp|time", re.IGNORECASE)
-# Written otherwise than ISO 8601; taken where one of them alone reads every cell.
-_FORMATS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y")
-_CLOCKS = ("", " %H:%M", " %H:%M:%S")
-_DURATION = re.compile(r"-?(\d+ days?,? )?-?\d+:\d\d(:\d\d(\.\d*)?)?|\d+ days?")
+_DAY = 86400.0
+_NAMES = (
+    r"t|times?|timestamps?|time.?stamps?|date.{0,3}time|dates?|elapsed.*|secs?|seconds?|zeit|datum|"
+    r"uhrzeit|zeitpunkt|zeitstempel|tiempo|fecha|hora|temps|heure|tempo|ora|tijd|tijdstip|czas|"
+    r"время|дата|时间|時間|日期|日時"
+)
+_NAME = re.compile(rf"(?:{_NAMES})(?:[\W_]+(?:{_NAMES}))*", re.IGNORECASE)
+_DATES = re.compile(
+    r"(.*(date|datum|fecha|timestamp).*|day|tag|yyyymmdd\w*|(date.?)?time)", re.IGNORECASE
+)
+_SERIALS = re.compile(r".*(date|datum|fecha).*", re.IGNORECASE)
+_EPOCHS = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}
+_SINCE = tuple(float(np.datetime64(day, "s").astype(int)) for day in ("2000-01-01", "2100-01-01"))
+# The day that a spreadsheet counts as 0, in seconds since 1970.
+_SERIAL_0 = float(np.datetime64("1899-12-30", "s").astype(int))
+_DURATION = re.compile(
+    r"-?(\d+ days?,? )-?\d+:\d\d(:\d\d(\.\d*)?)?|\d+ days?|-\d+:\d\d(:\d\d(\.\d*)?)?"
+)
+_CLOCK = (
+    r"(?P<h>\d+)[:h](?P<m>\d\d)(?:[:m](?P<s>\d\d))?(?:[.,](?P<f>\d{1,9}))?s?"
+    r"\s*(?P<half>[AaPp])?(?(half)\s?\.?\s?[Mm]\.?)"
+)
+_ZONE = r"\s*(?P<zone>Z|UTC|GMT|[+-]\d\d:?\d\d)?"
+_TIME_OF_DAY = re.compile(_CLOCK + _ZONE)
+_STAMP = re.compile(
+    r"(?:[^\W\d]{2,10}\.?,?\s+)?(?P<a>\d{1,4})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<c>\d{2,4})\.?"
+    rf"(?:[\s,T_]+{_CLOCK})?{_ZONE}"
+)
+_MONTHS = {
+    "jan": "janv ene", "feb": "févr fév fev", "mar": "mär mrz märz", "apr": "abr avr avril",
+    "may": "mai mayo maj", "jun": "juin", "jul": "juil juillet", "aug": "ago août aout",
+    "sep": "sept set", "oct": "okt out", "nov": "noviembre", "dec": "dez dic déc",
+}  # fmt: skip
+_IN_ENGLISH = {own: month for month, names in _MONTHS.items() for own in names.split()}
+_MONTH = re.compile(r"[^\W\d]{3,9}\.?")
+# A record that pauses so many times longer if days are read as months is read the other way.
+_PAUSE = 10.0
 
 
 def count_times(values: np.ndarray) -> tuple[np.ndarray, str]:
@@ -52,9 +87,21 @@ def count_times(values: np.ndarray) -> tuple[np.ndarray, str]:
     if values.dtype.kind == "M":
         values = values - values[0]
     seconds = np.asarray(values / np.timedelta64(1, "s"), dtype=float)
-    with np.errstate(invalid="ignore"):
-        steps = np.diff(seconds)
-        steps = steps[steps > 0]
+    return count_seconds(seconds, np.diff(seconds))
+
+
+def count_seconds(seconds: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, str]:
+    """Give seconds in the unit of their usual step, and that unit.
+
+    Parameters
+    ----------
+    seconds : (n,) times.
+    steps : the steps between them within trajectories; those that are not above 0 do not count.
+
+    >>> count_seconds(np.array([0.0, 600.0, 1200.0]), np.array([600.0, 600.0]))
+    (array([ 0., 10., 20.]), 'min')
+    """
+    steps = steps[steps > 0]
     usual = float(np.median(steps)) if steps.size else 1.0
     unit = next((u for u, size in _SECONDS.items() if usual >= _SLACK * size), "s")
     return seconds / _SECONDS[unit], unit
@@ -86,23 +133,108 @@ def unit_in_name(name: str) -> str:
     return next((u for u, words in _WORDS.items() if re.fullmatch(words, word, re.IGNORECASE)), "")
 
 
-def read_compact_dates(numbers: np.ndarray, name: str) -> np.ndarray | None:
-    """Read whole numbers such as 20241231 as dates; None where they are none.
+def is_time_name(name: str) -> bool:
+    """Whether a column of that name may be the time.
+
+    >>> [is_time_name(name) for name in ("t", "Date/Time", "Datum Uhrzeit", "temperature")]
+    [True, True, True, False]
+    """
+    return _NAME.fullmatch(name.strip()) is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Cells that were read as dates or durations.
 
     Parameters
     ----------
-    numbers : (n,) cells.
-    name : that of the column, which must speak of dates.
-
-    >>> read_compact_dates(np.array([20240228.0, 20240301.0]), "date")[1].astype(str)[:10]
-    '2024-03-01'
+    values : (n,) dates or durations of NumPy, NaT where a cell is empty.
+    written : what they were, for a sentence; "" where it goes without saying.
+    clock : whether they are times of the day alone.
     """
-    if not _DATES.fullmatch(name.strip()) or not np.all((numbers > 1e7) & (numbers < 3e7)):
+
+    values: np.ndarray
+    written: str = ""
+    clock: bool = False
+
+    @property
+    def days_only(self) -> bool:
+        """Whether they are dates without a time of the day."""
+        if self.values.dtype.kind != "M":
+            return False
+        there = self.values[~np.isnat(self.values)]
+        return bool(np.all(there == there.astype("datetime64[D]")))
+
+    @property
+    def seconds(self) -> np.ndarray:
+        """(n,) seconds, of dates from the first one on; NaN where a cell is empty."""
+        values = self.values
+        if values.dtype.kind == "M":
+            values = values - np.min(values[~np.isnat(values)])
+        return np.asarray(values / np.timedelta64(1, "s"), dtype=float)
+
+
+def read_numbers_as_dates(numbers: np.ndarray, name: str) -> Moments | None:
+    """Read numbers as dates where their name and their size say so; None where they are none.
+
+    Parameters
+    ----------
+    numbers : (n,) cells; NaN where empty.
+    name : that of the column, which must speak of times.
+
+    Read are 20241231, 202412311405 and 20241231140500; seconds, milli-, micro- and nanoseconds
+    since 1970 of this century; and days as spreadsheets count them.
+
+    >>> read_numbers_as_dates(np.array([1.7e12, 1.7e12 + 250]), "timestamp").seconds
+    array([0.  , 0.25])
+    """
+    there = numbers[np.isfinite(numbers)]
+    if not len(there) or there.min() < 1e4:
         return None
+    whole = bool(np.all(there % 1 == 0))
+    if whole and _DATES.fullmatch(name.strip()):
+        for form, digits in (("%Y%m%d", 8), ("%Y%m%d%H%M", 12), ("%Y%m%d%H%M%S", 14)):
+            century = there // 10.0 ** (digits - 2)
+            if np.all((century >= 10) & (century < 30)):
+                found = _read_compact(numbers, form)
+                if found is not None:
+                    return Moments(found)
+    unit = unit_in_name(name)
+    if is_time_name(name) or unit in _EPOCHS:
+        for scale, size in _EPOCHS.items():
+            low, high = there.min() / size, there.max() / size
+            if unit in ("", scale) and _SINCE[0] <= low and high < _SINCE[1]:
+                # Whole numbers of a unit are kept to the last one; float64 holds no more.
+                ticks = np.where(np.isfinite(numbers), numbers, 0.0)
+                own = np.round(ticks * (1e9 / size)) if not whole else ticks
+                dates = own.astype("int64") * (int(1e9 / size) if whole else 1)
+                stamps = dates.astype("datetime64[ns]")
+                stamps[~np.isfinite(numbers)] = np.datetime64("NaT")
+                return Moments(stamps, f"{_SPELT[scale]} since 1970")
+    if _SERIALS.fullmatch(name.strip()):
+        low, high = (_SERIAL_0 + _DAY * end for end in (there.min(), there.max()))
+        if _SINCE[0] <= low and high < _SINCE[1]:
+            return Moments(_from_seconds(numbers * _DAY + _SERIAL_0), "days since 1900")
+    return None
+
+
+_SPELT = {"s": "seconds", "ms": "milliseconds", "µs": "microseconds", "ns": "nanoseconds"}
+
+
+def _from_seconds(seconds: np.ndarray) -> np.ndarray:
+    """Give dates of seconds since 1970, to the millisecond."""
+    there = np.isfinite(seconds)
+    found = np.round(np.where(there, seconds, 0.0) * 1e3).astype("int64").astype("datetime64[ms]")
+    found[~there] = np.datetime64("NaT")
+    return found
+
+
+def _read_compact(numbers: np.ndarray, form: str) -> np.ndarray | None:
     import pandas
 
-    cells = [f"{number:.0f}" for number in numbers] if np.all(numbers % 1 == 0) else ["none"]
-    return _attempt(lambda: pandas.to_datetime(cells, format="%Y%m%d").to_numpy())
+    cells = [f"{number:.0f}" if np.isfinite(number) else None for number in numbers]
+    found: np.ndarray | None = _attempt(lambda: pandas.to_datetime(cells, format=form).to_numpy())
+    return found
 
 
 def check_time_unit(text: object) -> str:
@@ -114,33 +246,184 @@ def check_time_unit(text: object) -> str:
     return str(text) if text in _WORDS else ""
 
 
-def read_times(cells: np.ndarray) -> np.ndarray | None:
+def read_times(cells: np.ndarray) -> Moments | None:
     """Read cells that are dates or durations, as text or objects; None where they are not.
 
-    ISO 8601 is read, and 31.12.2024, 31/12/2024 or 12/31/2024 where every cell fits one of these
-    alone; durations are those that pandas writes, such as "1 days 02:00:00", and times of a clock.
+    ISO 8601 is read; dates of numbers between points, slashes or hyphens, whose day and month are
+    told apart by all of them together; names of months; clocks of 12 or 24 hours, alone or behind
+    a date; and durations as pandas writes them, such as "1 days 02:00:00". Empty cells are NaT.
+
+    >>> read_times(np.array(["3/12/24 1:59 PM", "3/13/24 2:00 AM"], dtype=object)).seconds
+    array([    0., 43260.])
     """
     if cells.dtype.kind in "mM":
-        return cells
-    if all(isinstance(cell, (timedelta, np.timedelta64)) for cell in cells):
-        return np.array(list(cells), dtype="timedelta64[ns]")
-    if not all(isinstance(cell, (str, date, datetime)) for cell in cells):
+        return Moments(cells)
+    there = [cell for cell in cells if not _is_missing(cell)]
+    if not there:
         return None
+    if all(isinstance(cell, (timedelta, np.timedelta64)) for cell in there):
+        return Moments(np.array([_or_nat(c, "m") for c in cells], dtype="timedelta64[ns]"))
+    if all(isinstance(cell, clock_time) for cell in there):
+        texts = [None if _is_missing(cell) else cell.isoformat() for cell in cells]
+        return _read_clocks(texts)
+    if all(isinstance(cell, date) for cell in there):
+        import pandas
+
+        read = _attempt(lambda: pandas.to_datetime(list(cells), utc=True))
+        return None if read is None else Moments(read.tz_localize(None).to_numpy())
+    if not all(isinstance(cell, str) for cell in there) or not any(map(str.isdigit, there[0])):
+        return None
+    texts = [None if _is_missing(cell) else cell.strip() for cell in cells]
+    return _read_text(texts)
+
+
+def _is_missing(cell: Any) -> bool:
+    return cell is None or cell == "" or bool(cell != cell)  # noqa: PLR0124
+
+
+def _or_nat(cell: Any, kind: str) -> Any:
+    return np.timedelta64("NaT") if _is_missing(cell) else np.timedelta64(cell)
+
+
+def _read_text(texts: list[str | None]) -> Moments | None:
+    found = _read_clocks(texts)
+    if found is not None:
+        return found
     import pandas
 
-    if all(isinstance(cell, str) and _DURATION.fullmatch(cell.strip()) for cell in cells):
-        full = [c if c.count(":") != 1 else f"{c}:00" for c in cells]
-        return _attempt(lambda: pandas.to_timedelta(full).to_numpy())
-    found = _attempt(lambda: pandas.to_datetime(cells, format="ISO8601", utc=True))
-    if found is None:
-        formats = [day + clock for day in _FORMATS for clock in _CLOCKS]
-        read = [
-            _attempt(lambda f=form: pandas.to_datetime(cells, format=f, utc=True))
-            for form in formats
-        ]
-        fits = [dates for dates in read if dates is not None]
-        found = fits[0] if len(fits) == 1 else None
-    return None if found is None else found.tz_localize(None).to_numpy()
+    first = next(text for text in texts if text)
+    if _DURATION.fullmatch(first):
+        full = [c if c is None or c.count(":") != 1 else f"{c}:00" for c in texts]
+        read = _attempt(lambda: pandas.to_timedelta(full).to_numpy())
+        return None if read is None else Moments(read)
+    stamps = _read_stamps(texts)
+    if stamps is None:
+        stamps = _attempt(
+            lambda: pandas.to_datetime(texts, format="ISO8601", utc=True).tz_localize(None)
+        )
+    if stamps is None and _MONTH.search(first) and sum(map(str.isdigit, first)) > 1:
+        english = [None if text is None else _MONTH.sub(_in_english, text) for text in texts]
+        if all(text is None or _has_month(text) for text in english):
+            stamps = _attempt(
+                lambda: pandas.to_datetime(english, format="mixed", dayfirst=True, utc=True)
+            )
+            stamps = None if stamps is None else stamps.tz_localize(None)
+    return None if stamps is None else Moments(np.asarray(stamps))
+
+
+def _in_english(found: re.Match[str]) -> str:
+    word = found[0].rstrip(".").lower()
+    return _IN_ENGLISH.get(word, word)
+
+
+def _has_month(text: str) -> bool:
+    return any(word[:3] in _MONTHS for word in map(str.lower, _MONTH.findall(text)))
+
+
+def _read_clocks(texts: Sequence[str | None]) -> Moments | None:
+    """Read times of the day, or of a stopwatch: 14:05, 2:05 PM, 0:31.25."""
+    found = [None if text is None else _TIME_OF_DAY.fullmatch(text) for text in texts]
+    if any(text is not None and match is None for text, match in zip(texts, found, strict=True)):
+        return None
+    seconds = [np.nan if match is None else _seconds_of(match) for match in found]
+    if any(np.isinf(seconds)):
+        return None
+    values = np.full(len(seconds), np.timedelta64("NaT"), dtype="timedelta64[ns]")
+    there = np.isfinite(seconds)
+    values[there] = np.round(np.array(seconds)[there] * 1e9).astype("int64")
+    within = bool(np.all(np.array(seconds)[there] < _DAY))
+    return Moments(values, clock=within)
+
+
+def _seconds_of(match: re.Match[str]) -> float:
+    """Give the seconds of a clock; infinite where there is no such time."""
+    hours, minutes, seconds = int(match["h"]), int(match["m"]), int(match["s"] or 0)
+    if match["half"]:
+        if not 1 <= hours <= 12:
+            return np.inf
+        hours = hours % 12 + 12 * (match["half"] in "pP")
+    if minutes > 59 or seconds > 60:
+        return np.inf
+    fraction = float(f"0.{match['f'] or 0}")
+    if match["f"] and match["s"] is None:  # of two numbers the first are then minutes
+        return 60.0 * hours + minutes + fraction
+    return 3600.0 * hours + 60.0 * minutes + seconds + fraction
+
+
+def _read_stamps(texts: Sequence[str | None]) -> np.ndarray | None:
+    """Read dates of three numbers, with a clock or without, in the one order that they allow."""
+    found = [None if text is None else _STAMP.fullmatch(text) for text in texts]
+    if any(text is not None and match is None for text, match in zip(texts, found, strict=True)):
+        return None
+    there = [match for match in found if match is not None]
+    numbers = np.array([[int(m["a"]), int(m["b"]), int(m["c"])] for m in there])
+    clocks = np.array([_seconds_of(m) if m["h"] else 0.0 for m in there])
+    if not np.all(clocks < _DAY):
+        return None
+    clocks -= np.array([_offset(m["zone"]) for m in there])
+    first, last = ({len(m[part]) for m in there} for part in "ac")
+    if first == {4}:
+        orders = ["ymd"]
+    elif 4 in first or 3 in last or len(last) > 1:
+        return None
+    else:
+        orders = ["dmy", "mdy"] + ["ymd"] * (last == {2} and first == {2})
+        # Nobody writes the month first between points.
+        orders = [o for o in orders if o != "mdy" or there[0]["mark"] != "."]
+    ticks = np.round(clocks * 1e9).astype("int64").astype("timedelta64[ns]")
+    read = [_as_dates(numbers, order) for order in orders]
+    dates = _choose([days + ticks for days in read if days is not None])
+    if dates is None:
+        return None
+    every = np.full(len(texts), np.datetime64("NaT"), dtype="datetime64[ns]")
+    every[[match is not None for match in found]] = dates
+    return every
+
+
+def _offset(zone: str | None) -> float:
+    """Give the seconds that a zone is ahead of UTC."""
+    if not zone or zone[0] not in "+-":
+        return 0.0
+    ahead = 3600.0 * int(zone[1:3]) + 60.0 * int(zone[-2:])
+    return -ahead if zone[0] == "-" else ahead
+
+
+def _as_dates(numbers: np.ndarray, order: str) -> np.ndarray | None:
+    """Give the dates of three numbers in an order; None where one is no date."""
+    years, months, days = (numbers[:, order.index(part)] for part in "ymd")
+    # As POSIX counts years of two digits.
+    years = np.where(years < 69, years + 2000, np.where(years < 100, years + 1900, years))
+    if np.any((months < 1) | (months > 12) | (days < 1)):
+        return None
+    month = (12 * (years - 1970) + months - 1).astype("datetime64[M]")
+    found = month.astype("datetime64[D]") + (days - 1).astype("timedelta64[D]")
+    same = found.astype("datetime64[M]") == month
+    return found.astype("datetime64[ns]") if np.all(same) else None
+
+
+def _choose(readings: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Choose among dates in several orders: those that rise, and that do not pause."""
+    different: dict[bytes, np.ndarray] = {}
+    for dates in readings:  # the same times from the first on are the same to us
+        different.setdefault((dates - dates[0]).tobytes(), dates)
+    left = list(different.values())
+    if len(left) > 1:
+        falls = [int(np.sum(np.diff(dates) < np.timedelta64(0))) for dates in left]
+        left = [dates for dates, often in zip(left, falls, strict=True) if often == min(falls)]
+    if len(left) > 1:
+        pauses = [_longest_pause(dates) for dates in left]
+        left = [d for d, pause in zip(left, pauses, strict=True) if pause < _PAUSE * min(pauses)]
+    return left[0] if len(left) == 1 else None
+
+
+def _longest_pause(dates: np.ndarray) -> float:
+    """Give the longest step, in usual ones; in nanoseconds where dates repeat without a clock."""
+    steps = np.diff(dates).astype(float)
+    again = bool(np.any(steps == 0))
+    steps = steps[steps > 0]
+    if not steps.size:
+        return 1.0
+    return float(steps.max() / (1.0 if again else np.median(steps)))
 
 
 def _attempt(read: Any) -> Any:

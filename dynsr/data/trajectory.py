@@ -23,6 +23,9 @@ from dynsr.data.times import check_time_unit, count_times
 from dynsr.errors import InputError
 from dynsr.expression import check_name
 
+# A trajectory of fewer rows tells too little of slopes and noise to find equations in.
+FEWEST_ROWS = 8
+
 
 def refuse_mask(values: Any) -> None:
     """Raise InputError when values of an array are masked: what stands below a mask is no data.

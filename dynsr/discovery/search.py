@@ -118,7 +118,8 @@ def discover(
     *,
     time: str | Sequence[Any] | None = None,
     states: Sequence[str] | str | None = None,
-    trajectory: str | None = None,
+    trajectory: Sequence[str] | str | None = None,
+    quantity: str | None = None,
     method: str | AbstractMethod | Sequence[str | AbstractMethod] = AUTO,
     preset: str = DEFAULT_PRESET,
     targets: str | Sequence[str] = "all",
@@ -160,7 +161,9 @@ def discover(
         :func:`dynsr.data.reading.read_trajectories` reads or gives: a file, a frame, a mapping.
     time : name of the time column, or the (n,) times themselves; guessed by default.
     states : names of the state columns; every other column by default.
-    trajectory : the column whose value names the trajectory that a row belongs to.
+    trajectory : the column, or columns, whose values together name the trajectory of a row.
+    quantity : the column of a long table that says which quantity a row is of, each of which then
+        gets a column of its own; guessed by default, and "none" for no such column.
     method : "auto", the name of a method, a method with its settings, or several.
     preset : "best", "quick" or "paper".
     targets : the states whose equations are sought; "all" of them by default.
@@ -248,7 +251,7 @@ def discover(
     jobs = check_jobs(jobs)
     chosen, workers = find_engine(engine), effective_n_jobs(jobs)
     shared = share_engine(chosen, workers)
-    runs, drives = take_trajectories(data, inputs, time, states, trajectory, hold, doses)
+    runs, drives = take_trajectories(data, inputs, time, states, trajectory, hold, doses, quantity)
     seed = check_asked(
         runs[0].states,
         seed,

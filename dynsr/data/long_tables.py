@@ -1,0 +1,251 @@
+"""Long tables: one column of numbers, and one that says which quantity each of them is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dynsr.data.columns import Columns, bare_name
+from dynsr.data.grouping import find_restarts, is_label_name, is_text, label_of
+from dynsr.data.time_columns import Times
+from dynsr.errors import InputError
+
+# A column of such a name says which quantity it is, whatever else there is.
+_QUANTITY = re.compile(
+    r"(variable|quantity|quantities|analyte|parameter|param|metabolite|compound|substance|chemical|"
+    r"signal|measure|measurand|measurement|metric|observable|observed|channel|sensor|tag|dv_?name|"
+    r"gr(ö|oe)(ß|ss)e|messgr(ö|oe)(ß|ss)e|kanal|stoff|merkmal|grandeur|magnitud|variable\w*)"
+    r"([ _.-]?(id|name|type|code))?",
+    re.IGNORECASE,
+)
+# So does one of these, where nothing else names runs.
+_KIND = re.compile(
+    r"(species|specie|type|kind|name|what|item|key|component|state|column|attribute|population|"
+    r"element|molecule|protein|gene|taxon|organism|compartment|class|art|spezies|esp(è|e)ces?|"
+    r"especies?|nom|nombre|typ|zustand|komponente|label)([ _.-]?(id|name))?",
+    re.IGNORECASE,
+)
+# Names of runs: a letter or a word and a number.
+_CODE = re.compile(
+    r"[a-z]?\d+[a-z]?|[a-z]|(rep\w*|run|trial|exp\w*|batch|sample|group|control|ctrl)[\s_.-]*\w?\d*",
+    re.IGNORECASE,
+)
+_MOST = 30
+_UNIT = re.compile(r"units?|einheit(en)?|unit(é|e)s?|unidad(es)?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Long:
+    """A column that says which quantity each row is of.
+
+    Parameters
+    ----------
+    quantity : the column.
+    values : the columns of numbers.
+    labels : the columns that name runs.
+    unit : the column of the unit that goes with the quantity; None where there is none.
+    """
+
+    quantity: str
+    values: tuple[str, ...]
+    labels: tuple[str, ...]
+    unit: str | None = None
+
+
+def find_quantity(
+    columns: Columns,
+    time: Times,
+    candidates: Sequence[str],
+    labels: Sequence[str] | None,
+    states: Sequence[str] | None,
+) -> tuple[Long | None, str]:
+    """Find the column that says which quantity a row is of, by what it holds and is called.
+
+    Parameters
+    ----------
+    columns : the columns of the source.
+    time : its times.
+    candidates : the columns that nobody gave a role.
+    labels : the columns that the caller named for runs; None where guessed.
+    states : the states that the caller named.
+
+    There must be one column of numbers beside it, and every value must be there at the same times
+    within each run. Gives it, or None; and a sentence where it may be one but is not taken so.
+    """
+    look = _Look(columns, time)
+    texts = [n for n in candidates if is_text(look.values(n))]
+    for name in texts:
+        count = len(set(look.keys(name)))
+        if not 2 <= count <= _MOST or is_label_name(name) or count * 5 > len(time.values):
+            continue
+        unit = look.unit_of(name, texts)
+        others = look.labels(name, unit, texts, candidates) if labels is None else list(labels)
+        numbers = look.numbers([n for n in candidates if n not in others])
+        if len(numbers) != 1 or not look.share_times(name, others):
+            continue
+        found = Long(name, tuple(numbers), tuple(others), unit)
+        wanted = states is not None and set(states) <= set(look.keys(name))
+        told = labels is not None and not look.apart(others)
+        strong = _QUANTITY.fullmatch(bare_name(name)) or unit is not None or wanted or told
+        kind = _KIND.fullmatch(bare_name(name)) and not others
+        codes = all(_CODE.fullmatch(key) for key in set(look.keys(name)))
+        if strong or (kind and not codes):
+            return found, ""
+        if not codes:
+            return None, (
+                f"The values of {name!r} are there at the same times, so that they may be "
+                f"quantities of one run and not runs; then say so (--quantity {name})."
+            )
+    return None, ""
+
+
+def describe_long(
+    columns: Columns,
+    time: Times,
+    quantity: str,
+    candidates: Sequence[str],
+    labels: Sequence[str] | None,
+) -> Long:
+    """Give the parts of a long table whose column of quantities is known.
+
+    Parameters
+    ----------
+    columns, time, candidates, labels : as for :func:`find_quantity`.
+    quantity : the column.
+
+    Raises InputError when there is no column of numbers beside it.
+    """
+    look = _Look(columns, time)
+    texts = [n for n in candidates if n != quantity and is_text(look.values(n))]
+    unit = look.unit_of(quantity, texts)
+    others = look.labels(quantity, unit, texts, candidates) if labels is None else list(labels)
+    numbers = look.numbers([n for n in candidates if n not in (quantity, *others)])
+    if not numbers:
+        raise InputError(
+            f"{columns.label} has no column of numbers beside the quantity {quantity!r}; "
+            "name another column"
+        )
+    return Long(quantity, tuple(numbers), tuple(others), unit)
+
+
+def widen(columns: Columns, time: Times, long: Long) -> tuple[Columns, np.ndarray]:
+    """Give every quantity a column of its own.
+
+    Parameters
+    ----------
+    columns : the columns of the source.
+    time : its times.
+    long : which of them are what.
+
+    Gives the columns, and the row of the source that each of their rows begins with; a quantity
+    that is not there at a time is NaN, and one that is there more than once makes more rows.
+    """
+    look = _Look(columns, time)
+    keys = np.array(look.keys(long.quantity))
+    _, index = look.moments(long.labels)
+    # The first row of a quantity at a moment, the second, and so on.
+    which = [f"{i}\0{key}" for i, key in zip(index, keys, strict=True)]
+    seen: dict[str, int] = {}
+    repeat = np.zeros(len(keys), dtype=int)
+    for row, own in enumerate(which):
+        repeat[row] = seen.get(own, 0)
+        seen[own] = repeat[row] + 1
+    _, first, place = np.unique(
+        np.column_stack([repeat, index]), axis=0, return_index=True, return_inverse=True
+    )
+    order = np.argsort(first)
+    place = np.argsort(order)[place.reshape(-1)]
+    rows = first[order]
+    dropped = {long.quantity, *long.values, *([long.unit] if long.unit else [])}
+    kept = [n for n in columns.names if n not in dropped]
+    names, values = list(kept), [look.values(n)[rows] for n in kept]
+    units = {n: u for n, u in columns.units.items() if n not in dropped}
+    for number in long.values:
+        for key in dict.fromkeys(keys.tolist()):
+            name = key if len(long.values) == 1 else f"{number}_{key}"
+            own = keys == key
+            column = np.full(len(rows), np.nan)
+            column[place[own]] = look.values(number)[own]
+            names.append(name if name not in names else f"{name}_{number}")
+            values.append(column)
+            if long.unit is not None:
+                units[names[-1]] = label_of(look.values(long.unit)[own][0])
+            elif number in columns.units:
+                units[names[-1]] = columns.units[number]
+    inputs = tuple(n for n in columns.inputs if n in names)
+    wide = replace(
+        columns, names=tuple(names), values=tuple(values), units=units, inputs=inputs, time_unit=""
+    )
+    return wide, rows
+
+
+class _Look:
+    """Looks at the columns of a long table."""
+
+    def __init__(self, columns: Columns, time: Times) -> None:
+        """Remember the columns."""
+        self._columns, self._time = columns, time
+
+    def values(self, name: str) -> np.ndarray:
+        """Give the cells of a column."""
+        return self._columns.values[self._columns.names.index(name)]
+
+    def keys(self, name: str) -> list[str]:
+        """Give the cells of a column as text."""
+        return [label_of(cell) for cell in self.values(name).tolist()]
+
+    def numbers(self, names: Sequence[str]) -> list[str]:
+        """Give the columns of numbers."""
+        return [n for n in names if self.values(n).dtype.kind == "f"]
+
+    def unit_of(self, quantity: str, texts: Sequence[str]) -> str | None:
+        """Give the column that has one value for each quantity and is called a unit."""
+        keys = self.keys(quantity)
+        for name in texts:
+            pairs = set(zip(keys, self.keys(name), strict=True))
+            if (
+                name != quantity
+                and _UNIT.fullmatch(bare_name(name))
+                and len(pairs) == len(set(keys))
+            ):
+                return name
+        return None
+
+    def labels(
+        self, quantity: str, unit: str | None, texts: Sequence[str], candidates: Sequence[str]
+    ) -> list[str]:
+        """Give the columns that may name runs beside a quantity."""
+        found = [n for n in texts if n not in (quantity, unit) and len(set(self.keys(n))) > 1]
+        named = [n for n in candidates if n not in texts and is_label_name(n)]
+        return [*found, *(n for n in named if len(set(self.keys(n))) * 5 <= len(self.keys(n)))]
+
+    def moments(self, labels: Sequence[str]) -> tuple[list[str], np.ndarray]:
+        """Number the moments of all runs."""
+        parts = [self.keys(name) for name in labels]
+        runs = ["\0".join(own) for own in zip(*parts, strict=True)] if parts else None
+        t = self._time.values
+        own = [
+            f"{run}\0{when!r}" for run, when in zip(runs or [""] * len(t), t.tolist(), strict=True)
+        ]
+        names = list(dict.fromkeys(own))
+        place = {name: i for i, name in enumerate(names)}
+        return names, np.array([place[name] for name in own])
+
+    def share_times(self, quantity: str, labels: Sequence[str]) -> bool:
+        """Whether every value of a column is there once at every moment of every run."""
+        keys = np.array(self.keys(quantity))
+        moments, index = self.moments(labels)
+        every = sorted(set(keys.tolist()))
+        sizes = {key: index[keys == key] for key in every}
+        return all(
+            len(own) == len(moments) and len(np.unique(own)) == len(moments)
+            for own in sizes.values()
+        )
+
+    def apart(self, labels: Sequence[str]) -> bool:
+        """Whether no moment repeats within the runs."""
+        moments, index = self.moments(labels)
+        return len(moments) == len(index) or bool(find_restarts(self._time.values).any())

@@ -1,0 +1,157 @@
+"""Replicates: runs that stand side by side as columns are put below each other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dynsr.data.columns import Columns, bare_name, bracketed_unit
+
+_WORD = (
+    r"rep(?:lica(?:te)?|eat|l|et)?|run|trial|exp(?:eriment)?|batch|lauf|versuch|wdh|wiederholung|"
+    r"replikat|essai|r[ée]p(?:[ée]tition|licat)?|ensayo|r[ée]plica|series|culture|flask|well|plate"
+)
+_BEHIND = re.compile(
+    rf"(?P<stem>.*?)[\s_.-]*[\[(]?\s*(?<![^\W\d_])(?P<word>{_WORD})[\s_.#-]*(?P<which>\d+|(?<=[\s_.#-])[a-z])\s*[\])]?",
+    re.IGNORECASE,
+)
+_BEFORE = re.compile(
+    rf"(?P<word>{_WORD})[\s_.#-]*(?P<which>\d+|(?<=[\s_.#-])[a-z])[\s_.:-]+(?P<stem>.+)",
+    re.IGNORECASE,
+)
+_NUMBERED = re.compile(r"(?P<stem>.*[^\W\d_])[\s_.-]*(?P<which>\d+)")
+_FEWEST = 8
+# Copies differ by less than this share of how far they move, and the difference of one row tells
+# little of the next: half its mean squared step over its variance is 1 for independent values.
+_ALIKE = 0.3
+_WHITE = 0.5
+
+
+@dataclass(frozen=True)
+class SideBySide:
+    """Columns that hold the same quantities once for each run.
+
+    Parameters
+    ----------
+    word : what the runs are called; "" where only numbers tell them apart.
+    members : name of a run -> quantity -> its column.
+    """
+
+    word: str
+    members: Mapping[str, Mapping[str, str]]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All the columns."""
+        return tuple(name for own in self.members.values() for name in own.values())
+
+    @property
+    def stems(self) -> tuple[str, ...]:
+        """The quantities."""
+        return tuple(next(iter(self.members.values())))
+
+
+# Numbers of cells may be of any size; what overflows is no evidence of anything.
+@np.errstate(over="ignore", invalid="ignore")
+def find_replicates(columns: Columns, names: Sequence[str]) -> SideBySide | None:
+    """Find columns that are the same quantities in several runs; None where there are none.
+
+    Parameters
+    ----------
+    columns : the columns of the source.
+    names : those that may be so.
+
+    Each run must have the same quantities. Names with a word such as rep, run or trial and a number
+    say it; with a number alone they do where the columns are copies of each other within noise.
+    """
+    numbers = [n for n in names if columns.values[columns.names.index(n)].dtype.kind == "f"]
+    for pattern in (_BEHIND, _BEFORE):
+        found = _arrange(numbers, pattern)
+        if found is not None:
+            return found
+    found = _arrange(numbers, _NUMBERED)
+    return found if found is not None and _are_copies(columns, found) else None
+
+
+def _arrange(names: Sequence[str], pattern: re.Pattern[str]) -> SideBySide | None:
+    members: dict[str, dict[str, str]] = {}
+    words: list[str] = []
+    for name in names:
+        own, unit = (name, "") if pattern.fullmatch(name) else (bare_name(name), "")
+        if own != name:
+            unit = bracketed_unit(name)
+        match = pattern.fullmatch(own)
+        if match is None:
+            continue
+        stem = match["stem"].strip(" _.-([") or "x"
+        run = members.setdefault(match["which"].lower(), {})
+        if stem in run:
+            return None
+        run[f"{stem} [{unit}]" if unit else stem] = name
+        words.append(match.groupdict().get("word") or "")
+    same = len({tuple(sorted(own)) for own in members.values()}) == 1
+    if len(members) < 2 or not same or len(set(map(str.lower, words))) > 1:
+        return None
+    first = list(next(iter(members.values())))
+    return SideBySide(
+        words[0].lower(), {run: {s: own[s] for s in first} for run, own in members.items()}
+    )
+
+
+def _are_copies(columns: Columns, found: SideBySide) -> bool:
+    if len(columns.values[0]) < _FEWEST:
+        return False
+    by_name = dict(zip(columns.names, columns.values, strict=True))
+    for stem in found.stems:
+        table = np.column_stack([by_name[own[stem]] for own in found.members.values()])
+        table = table[np.isfinite(table).all(axis=1)]
+        if len(table) < _FEWEST:
+            return False
+        mean = table.mean(axis=1, keepdims=True)
+        off = table - mean
+        # One of several follows from the others.
+        noise = float(np.sum(off**2)) / (len(table) * (table.shape[1] - 1))
+        if not 0 < noise < _ALIKE**2 * float(np.var(mean)):
+            return False
+        steps = float(np.mean(np.diff(off, axis=0) ** 2))
+        if steps < 2 * _WHITE * float(np.mean(off**2)):
+            return False
+    return True
+
+
+def stack_replicates(columns: Columns, found: SideBySide) -> tuple[Columns, np.ndarray, str]:
+    """Put runs that stand side by side below each other.
+
+    Parameters
+    ----------
+    columns : the columns of the source.
+    found : what stands side by side.
+
+    Gives the columns, the row of the source that each of their rows has, and the name of the new
+    column that names the run.
+    """
+    count, rows = len(found.members), len(columns.values[0])
+    label = found.word or "replicate"
+    while label in (*columns.names, *found.stems):
+        label = f"{label}_"
+    by_name = dict(zip(columns.names, columns.values, strict=True))
+    source = np.tile(np.arange(rows), count)
+    kept = [n for n in columns.names if n not in found.columns]
+    names = [*kept, label, *found.stems]
+    values = [by_name[name][source] for name in kept]
+    values.append(np.repeat(np.array(list(found.members), dtype=object), rows))
+    values += [
+        np.concatenate([by_name[own[stem]] for own in found.members.values()])
+        for stem in found.stems
+    ]
+    units = {**columns.units}
+    for own in found.members.values():
+        units |= {s: columns.units[n] for s, n in own.items() if n in columns.units}
+    return (
+        replace(columns, names=tuple(names), values=tuple(values), units=units),
+        source,
+        label,
+    )

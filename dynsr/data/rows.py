@@ -1,0 +1,210 @@
+"""Rows: those of each trajectory in order of time, with repeated ones averaged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dynsr.data.grouping import Grouping, is_rough
+from dynsr.errors import InputError
+
+# Times written with few digits differ in their last one.
+_UNEVEN = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The rows of one trajectory.
+
+    Parameters
+    ----------
+    name : that of the trajectory.
+    rows : (n,) its rows in the source, in order of time.
+    t : (n,) times.
+    values : column -> (n,) numbers.
+    spreads : column -> standard deviation of the rows of one time around their mean, where times
+        repeat, with the degrees of freedom that it has.
+    """
+
+    name: str
+    rows: np.ndarray
+    t: np.ndarray
+    values: Mapping[str, np.ndarray]
+    spreads: Mapping[str, tuple[float, int]] = field(default_factory=dict)
+
+    def at(self, kept: np.ndarray) -> Run:
+        """Give some of its rows."""
+        values = {name: own[kept] for name, own in self.values.items()}
+        return Run(self.name, self.rows[kept], self.t[kept], values, self.spreads)
+
+
+# Numbers of cells may be of any size; what overflows is no evidence of anything.
+@np.errstate(over="ignore", invalid="ignore")
+def order_rows(
+    grouping: Grouping,
+    t: np.ndarray,
+    values: Mapping[str, np.ndarray],
+    states: Sequence[str],
+    time: str,
+    label: str,
+) -> tuple[list[Run], list[str]]:
+    """Give the rows of each trajectory in order of time, and sentences on what was done.
+
+    Parameters
+    ----------
+    grouping : the trajectories.
+    t : (n,) times.
+    values : column -> (n,) numbers, NaN where there is none.
+    states : the columns that move on their own.
+    time, label : what a message calls the times and the source.
+
+    Rows of the same time are averaged. Raises InputError where a single time is wrong, and where
+    rows out of order may be those of several trajectories.
+    """
+    runs, notes = [], []
+    moved = repeated = 0
+    for name, rows in grouping.rows():
+        what = f"time {time!r}" + (f" of trajectory {name}" if len(grouping.names) > 1 else "")
+        steps = np.diff(t[rows])
+        if np.any(steps <= 0):
+            _check_single(t, rows, what, label)
+        if np.any(steps < 0):
+            if not grouping.trajectory:
+                _check_together(t, rows, [values[s] for s in states], what, label)
+            rows = rows[np.argsort(t[rows], kind="stable")]
+            moved += 1
+        run = Run(name, rows, t[rows], {n: own[rows] for n, own in values.items()})
+        if np.any(np.diff(run.t) == 0):
+            run = _average(run)
+            repeated += 1
+        runs.append(run)
+    if moved:
+        which = "The rows" if len(runs) == 1 else f"The rows of {moved} of {len(runs)} trajectories"
+        notes.append(f"{which} were put in order of {time!r}.")
+    if repeated:
+        notes += _tell_repeats(grouping, t, runs, values, states, time)
+    return runs, notes
+
+
+def _check_single(t: np.ndarray, rows: np.ndarray, what: str, label: str) -> None:
+    """Refuse a time that does not fit between its neighbours while all others do."""
+    own = t[rows]
+    steps = np.diff(own)
+    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    bad = np.flatnonzero(steps <= 0) + 1
+    if not all(_is_single(own, i, usual) or _is_single(own, i - 1, usual) for i in bad.tolist()):
+        return
+    here, row = own[bad[0] - 1], rows[bad[0]]
+    more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
+    if own[bad[0]] == here:
+        raise InputError(
+            f"{what} repeats in row {row + 1} of {label} ({here:g} twice){more} and the next step "
+            "is longer; correct that time, or leave the row out"
+        )
+    raise InputError(
+        f"{what} runs backwards at row {row + 1} of {label} ({here:g} then {t[row]:g}){more}; "
+        "correct that time, or leave the row out"
+    )
+
+
+def _is_single(t: np.ndarray, cell: int, usual: float) -> bool:
+    """Whether a cell is wrong: its neighbours are two steps apart and it is not between them."""
+    if not 0 < cell < len(t) - 1:
+        return False
+    before, after = t[cell - 1], t[cell + 1]
+    return abs(after - before - 2 * usual) <= _UNEVEN * usual and not before < t[cell] < after
+
+
+def _check_together(
+    t: np.ndarray, rows: np.ndarray, moving: Sequence[np.ndarray], what: str, label: str
+) -> None:
+    """Refuse rows out of order that may be those of several trajectories."""
+    own = t[rows]
+    steps = np.diff(own)
+    if np.all(steps <= 0):
+        return
+    order = rows[np.argsort(own, kind="stable")]
+    if len(np.unique(own)) == len(own) and not any(is_rough(values[order]) for values in moving):
+        return
+    back = int(np.flatnonzero(steps < 0)[0])
+    raise InputError(
+        f"{what} runs backwards at row {rows[back + 1] + 1} of {label} ({own[back]:g} then "
+        f"{own[back + 1]:g}) and nothing says which rows belong together; name the columns that "
+        "tell trajectories apart (--trajectory), or correct that time"
+    )
+
+
+def _average(run: Run) -> Run:
+    """Average rows of the same time, with their spread."""
+    times, index = np.unique(run.t, return_inverse=True)
+    values, spreads = {}, {}
+    for name, own in run.values.items():
+        there = np.isfinite(own)
+        number = np.bincount(index[there], minlength=len(times))
+        sums = np.bincount(index[there], own[there], minlength=len(times))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            means = sums / number
+        freedom = int(np.sum(np.maximum(number - 1, 0)))
+        squares = float(np.sum((own[there] - means[index[there]]) ** 2))
+        if freedom:
+            spreads[name] = (float(np.sqrt(squares / freedom)), freedom)
+        values[name] = means
+    first_rows = np.searchsorted(run.t, times)
+    return Run(run.name, run.rows[first_rows], times, values, spreads)
+
+
+def _tell_repeats(
+    grouping: Grouping,
+    t: np.ndarray,
+    runs: Sequence[Run],
+    values: Mapping[str, np.ndarray],
+    states: Sequence[str],
+    time: str,
+) -> list[str]:
+    noise = pooled_noise(runs, states)
+    spread = ", ".join(f"{name} {size:.3g}" for name, size in noise.items())
+    often = sum(len(rows) for _, rows in grouping.rows()) - sum(len(run.t) for run in runs)
+    notes = [
+        f"{often} rows repeat a time of {time!r} and were averaged with it as replicates of one "
+        f"moment; their standard deviation is the noise: {spread}."
+    ]
+    ordered = [name for name in states if _is_ordered(grouping, t, values[name])]
+    if ordered and any(noise.values()):
+        notes.append(
+            f"Of rows of one time the first is nearly always higher, or lower, in {ordered[0]!r}: "
+            "where they are of several trajectories, name the column that tells them apart "
+            "(--trajectory); where the clock is only coarse, give finer times."
+        )
+    return notes
+
+
+def pooled_noise(runs: Sequence[Run], names: Sequence[str]) -> dict[str, float]:
+    """Give the standard deviation of rows of one time, over all trajectories.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    names : the columns.
+    """
+    found = {}
+    for name in names:
+        parts = [run.spreads[name] for run in runs if name in run.spreads]
+        freedom = sum(count for _, count in parts)
+        if freedom:
+            found[name] = float(np.sqrt(sum(s**2 * count for s, count in parts) / freedom))
+    return found
+
+
+def _is_ordered(grouping: Grouping, t: np.ndarray, values: np.ndarray) -> bool:
+    """Whether rows of one time go on from each other as rows of several times would."""
+    signs = []
+    for _, rows in grouping.rows():
+        own = rows[np.argsort(t[rows], kind="stable")]
+        again = np.diff(t[own]) == 0
+        signs.append(np.sign(np.diff(values[own])[again]))
+    every = np.concatenate(signs)
+    every = every[np.isfinite(every) & (every != 0)]
+    # As often as a fair coin shows it once in a hundred times.
+    return bool(len(every) and abs(np.sum(every)) > 2.6 * np.sqrt(len(every)))

@@ -1,0 +1,141 @@
+"""Steps: columns that hold their value over rows and then jump are set from outside."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynsr.data.columns import bare_name
+from dynsr.data.lines import last_digit
+
+_SET = re.compile(
+    r".*(valve|set.?point|heater|pump|relay|switch|pwm|duty|dose|dosing|on.?off|ventil|heiz|pumpe|"
+    r"soll|consign|v[áa]lvula|bomba|vanne|pompe|command|cmd|voltage|feed|inflow|current_set|"
+    r"stirrer|throttle|fan|lamp|led|spannung|tensi[óo]n).*",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """How the values of a column say that it is set from outside.
+
+    Parameters
+    ----------
+    repeats : share of the rows that repeat the row before.
+    alone : share of all that it moves which it moves in single steps between rows that repeat.
+    large : smallest usual step, counted in distances of neighbouring values: what moves and was
+        rounded, or counts, goes by one.
+    coarse : smallest distance of neighbouring values, counted in their last digit, of what steps
+        by less.
+    single : share of the steps from which on it goes by one at a time.
+    few : most values of what does, as up a stair.
+    many : more values than these that follow each other smoothly are those of a slow measurement.
+    smooth : half the mean squared step over the variance (von Neumann 1941) below which they do.
+    """
+
+    repeats: float = 0.5
+    alone: float = 0.8
+    large: float = 2.0
+    coarse: float = 3.0
+    single: float = 0.8
+    few: int = 6
+    many: int = 10
+    smooth: float = 0.3
+
+
+_SETTINGS = StepSettings()
+
+
+def is_set(name: str, pieces: Sequence[np.ndarray], settings: StepSettings = _SETTINGS) -> bool:
+    """Whether a column holds its value and steps, so that it is an input and no state.
+
+    Parameters
+    ----------
+    name : that of the column; one of what is set, such as a valve, needs no large steps.
+    pieces : its values in each trajectory, in order of time; NaN where a cell is empty.
+    settings : the numbers that decide.
+
+    >>> valve = np.repeat([0.0, 3.0, 1.0, 3.0, 0.0], 6)
+    >>> slow = np.round(np.linspace(20, 22, 100), 1)
+    >>> is_set("u", [valve]), is_set("u", [slow])
+    (True, False)
+    """
+    own = [piece[np.isfinite(piece)] for piece in pieces]
+    every = np.concatenate(own)
+    levels, counts = np.unique(every, return_counts=True)
+    if len(levels) < 2:
+        return False
+    if len(levels) == 2:
+        return bool(counts.min() > 1)
+    steps = [np.diff(values) for values in own]
+    still = sum(int(np.sum(step == 0)) for step in steps)
+    if still < settings.repeats * sum(map(len, steps)):
+        return False
+    jumps = np.concatenate([_single_steps(step) for step in steps])
+    moved = sum(float(np.sum(np.abs(step))) for step in steps)
+    if float(np.sum(jumps)) < settings.alone * moved:
+        return False
+    if _SET.fullmatch(bare_name(name)):
+        return True
+    if len(levels) > settings.many and _are_smooth(own, settings):
+        return False
+    smallest = float(np.min(np.diff(levels)))
+    if float(np.median(jumps)) >= (settings.large - 1e-6) * smallest:
+        return True
+    if smallest < (settings.coarse - 1e-6) * last_digit(levels):
+        return False
+    single = float(np.mean(jumps < 1.5 * smallest))
+    return len(levels) <= settings.few or single < settings.single
+
+
+def is_noted_at_changes(name: str, pieces: Sequence[np.ndarray], fewest: int = 0) -> bool:
+    """Whether a column has cells only where it changes, and holds its value between them.
+
+    Parameters
+    ----------
+    name : that of the column.
+    pieces : its values in each trajectory, in order of time; NaN where a cell is empty.
+    fewest : a column of fewer cells is one that is noted so.
+    """
+    if any(not np.isfinite(piece[0]) for piece in pieces) or all(
+        np.isfinite(piece).all() for piece in pieces
+    ):
+        return False
+    own = [piece[np.isfinite(piece)] for piece in pieces]
+    levels = np.unique(np.concatenate(own))
+    few = len(levels) == 2 or max(map(len, own)) < fewest
+    return len(levels) > 1 and (
+        few or _SET.fullmatch(bare_name(name)) is not None or is_set(name, own)
+    )
+
+
+def hold_on(values: np.ndarray) -> np.ndarray:
+    """Give empty cells the value before them.
+
+    Parameters
+    ----------
+    values : (n,) numbers; those before the first value stay NaN.
+
+    >>> hold_on(np.array([np.nan, 1.0, np.nan, 2.0]))
+    array([nan,  1.,  1.,  2.])
+    """
+    there = np.isfinite(values)
+    last = np.maximum.accumulate(np.where(there, np.arange(len(values)), -1))
+    return np.where(last >= 0, values[np.maximum(last, 0)], np.nan)
+
+
+def _single_steps(steps: np.ndarray) -> np.ndarray:
+    """Give the sizes of the steps that stand between rows that repeat."""
+    moves = np.pad(steps != 0, 1)
+    return np.asarray(np.abs(steps)[moves[1:-1] & ~moves[:-2] & ~moves[2:]])
+
+
+def _are_smooth(own: Sequence[np.ndarray], settings: StepSettings) -> bool:
+    levels = [values[np.flatnonzero(np.diff(values, prepend=np.nan) != 0)] for values in own]
+    steps = sum(float(np.sum(np.diff(piece) ** 2)) for piece in levels)
+    squares = sum(float(np.sum((piece - np.mean(piece)) ** 2)) for piece in levels)
+    return steps < 2 * settings.smooth * squares

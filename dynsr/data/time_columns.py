@@ -1,0 +1,381 @@
+"""Time columns: which column, or date and clock together, is the time; which only repeat it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dynsr.data.columns import Columns, bare_name
+from dynsr.data.lines import follows_line, last_digit, numbers_rows
+from dynsr.data.names import find_column, list_names
+from dynsr.data.times import (
+    Moments,
+    count_seconds,
+    is_time_name,
+    read_numbers_as_dates,
+    read_times,
+    unit_in_name,
+)
+from dynsr.data.trajectory import as_floats
+from dynsr.errors import InputError
+
+_DAY = 86400.0
+_HOURS = re.compile(r"h|hrs?|hours?|stunden?|heures?|horas?|ora", re.IGNORECASE)
+_OTHER_TIME = re.compile(r"(t|time)_\w+", re.IGNORECASE)
+
+
+@dataclass(frozen=True, eq=False)
+class Times:
+    """The times of the rows of a source.
+
+    Parameters
+    ----------
+    name : the column.
+    values : (n,) plain numbers as they are, or seconds; NaN where there is none.
+    unit : what plain numbers are counted in; "" where nothing says it.
+    counted : whether they are seconds of dates or durations, which get the unit of their steps.
+    from_first : whether they are counted from the first one.
+    clock : the column of the time of the day beside one of dates.
+    daily : whether they are times of the day alone, which begin again at midnight.
+    left_out : other columns of dates or times -> the reason why they are not used.
+    notes : what was assumed, a sentence each.
+    """
+
+    name: str
+    values: np.ndarray
+    unit: str = ""
+    counted: bool = False
+    from_first: bool = False
+    clock: str | None = None
+    daily: bool = False
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that it is made of."""
+        return (self.name,) if self.clock is None else (self.name, self.clock)
+
+    def within(self, codes: np.ndarray) -> np.ndarray:
+        """Give the (n,) times; those of a clock go on on the next day where it passes midnight.
+
+        Parameters
+        ----------
+        codes : (n,) the number of the trajectory of each row.
+        """
+        if not self.daily:
+            return self.values
+        found = self.values.copy()
+        for code in np.unique(codes):
+            rows = np.flatnonzero(codes == code)
+            found[rows] = _pass_midnight(found[rows])
+        return found
+
+    def at(self, rows: np.ndarray) -> Times:
+        """Give the times of some rows."""
+        return replace(self, values=self.values[rows])
+
+
+def _pass_midnight(seconds: np.ndarray) -> np.ndarray:
+    """Add a day wherever a clock falls back at midnight."""
+    there = np.flatnonzero(np.isfinite(seconds))
+    steps = np.diff(seconds[there])
+    if not np.any(steps < 0) or np.sum(steps < 0) > np.sum(steps > 0):
+        return seconds
+    longest = float(np.max(steps, initial=0.0))
+    # Nearer to the next day than to a clock that runs backwards, or no pause at all.
+    over = (steps < 0) & ((steps + _DAY <= _DAY / 2) | (steps + _DAY <= 2 * longest))
+    found = seconds.copy()
+    found[there[1:]] += _DAY * np.cumsum(over)
+    return found
+
+
+# Numbers of cells may be of any size; what overflows is no evidence of anything.
+@np.errstate(over="ignore", invalid="ignore")
+def find_time(columns: Columns, time: str | Sequence[str] | None) -> Times:
+    """Find the times: as the caller said, or by the values of the columns, then by their names.
+
+    Parameters
+    ----------
+    columns : the columns of the source.
+    time : name of the column in the source or in formulas, or those of the date and the clock,
+        two names or one text with a comma between; None to guess.
+
+    A date and a clock in two columns are one time. Of several columns that say the same time the
+    finest is taken. Raises InputError that lists the columns when it is not there or none can be
+    the time.
+    """
+    look = _Look(columns)
+    found = look.named(time) if time else look.guess()
+    if columns.time_unit and found.name == columns.names[0]:
+        found = replace(found, unit=columns.time_unit)
+    if not found.unit and found.name in columns.units:
+        found = replace(found, unit=unit_in_name(f"[{columns.units[found.name]}]"))
+    return look.with_others(found)
+
+
+def in_seconds_or_units(time: Times, t: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, str]:
+    """Give times in their unit, which is that of the usual step where they are dates.
+
+    Parameters
+    ----------
+    time : the column.
+    t : (n,) its times, as :meth:`Times.within` gives them.
+    steps : the steps between them within trajectories.
+    """
+    return count_seconds(t, steps) if time.counted else (t, time.unit)
+
+
+class _Look:
+    """Looks for the times among the columns of a source."""
+
+    def __init__(self, columns: Columns) -> None:
+        """Remember the columns."""
+        self._columns = columns
+        self._read: dict[str, Moments | None] = {}
+
+    def _values(self, name: str) -> np.ndarray:
+        return self._columns.values[self._columns.names.index(name)]
+
+    def _moments(self, name: str) -> Moments | None:
+        """Read a column as dates or durations; None where it holds others."""
+        if name not in self._read:
+            values = self._values(name)
+            if values.dtype.kind == "f":
+                self._read[name] = read_numbers_as_dates(values, name)
+            elif values.dtype.kind == "m" and np.datetime_data(values.dtype)[0] in "YM":
+                self._read[name] = None  # years and months are of no fixed length
+            else:
+                found = read_times(values)
+                if found is None and (numbers := _as_numbers(values)) is not None:
+                    found = read_numbers_as_dates(numbers, name)
+                self._read[name] = found
+        return self._read[name]
+
+    def _numbers(self, name: str) -> np.ndarray | None:
+        values = self._values(name)
+        return values if values.dtype.kind == "f" else _as_numbers(values)
+
+    def _time(self, name: str) -> Times | None:
+        moments = self._moments(name)
+        if moments is not None:
+            dates = moments.values.dtype.kind == "M"
+            notes = (f"{name!r} holds {moments.written}",) if moments.written else ()
+            return Times(
+                name,
+                moments.seconds,
+                counted=True,
+                from_first=dates or moments.clock,
+                daily=moments.clock,
+                notes=notes,
+            )
+        numbers = self._numbers(name)
+        return None if numbers is None else Times(name, numbers, unit_in_name(name))
+
+    def named(self, time: str | Sequence[str]) -> Times:
+        """Give the times that the caller named."""
+        if isinstance(time, str) and time not in self._columns.names and "," in time:
+            time = [part.strip() for part in time.split(",") if part.strip()]
+        names = [time] if isinstance(time, str) else list(time)
+        names = [find_column(name, self._columns, "time") for name in names]
+        if len(names) > 2:
+            raise InputError(f"{len(names)} columns for the time; give one, or a date and a clock")
+        if len(names) == 2:
+            found = self._join(*names) or self._join(*names[::-1])
+            if found is None:
+                raise InputError(
+                    f"columns {names[0]!r} and {names[1]!r} are no date and no clock; "
+                    "give one column for the time"
+                )
+            return found
+        found = self._time(names[0])
+        if found is None:
+            self._refuse(names[0])
+        assert found is not None
+        if self._is_day(names[0]):
+            found = self._with_clock(names[0]) or found
+        return found
+
+    def _refuse(self, name: str) -> None:
+        self._columns.check_usable([name])
+        values = self._values(name)
+        row = next(
+            (i for i, cell in enumerate(values) if _as_numbers(values[i : i + 1]) is None), 0
+        )
+        raise InputError(
+            f"time {name!r} of {self._columns.label} holds the text "
+            f"{str(values[row])[:40]!r} in row "
+            f"{row + 1}; give numbers, or dates such as 2024-12-31"
+        )
+
+    def _is_day(self, name: str) -> bool:
+        moments = self._moments(name)
+        return moments is not None and moments.days_only
+
+    def _with_clock(self, day: str) -> Times | None:
+        """Join a column of dates with the clock that stands beside it, if one does."""
+        for name in self._columns.names:
+            if name != day and (found := self._join(day, name)) is not None:
+                return found
+        return None
+
+    def _join(self, day: str, clock: str) -> Times | None:
+        """Join dates and times of the day; None where they are none."""
+        if not self._is_day(day):
+            return None
+        seconds = self._time_of_day(clock, self._values(day))
+        if seconds is None:
+            return None
+        dates = self._moments(day)
+        assert dates is not None
+        return Times(day, dates.seconds + seconds, counted=True, from_first=True, clock=clock)
+
+    def _time_of_day(self, name: str, days: np.ndarray) -> np.ndarray | None:
+        moments = self._moments(name)
+        if moments is not None:
+            return moments.seconds if moments.clock else None
+        numbers = self._values(name)
+        if not _HOURS.fullmatch(bare_name(name)) or numbers.dtype.kind != "f":
+            return None
+        there = numbers[np.isfinite(numbers)]
+        # Hours since a start are none of the day: those of one day are each there once.
+        within = len(there) and there.min() >= 0 and there.max() < 24
+        again = len(set(map(str, days))) > 1 and len(np.unique(there)) < len(there)
+        return 3600.0 * numbers if within and again else None
+
+    def guess(self) -> Times:
+        """Give the times by values and names."""
+        names = self._columns.names
+        called = [n for n in names if is_time_name(bare_name(n)) or _OTHER_TIME.fullmatch(n)]
+        if not self._columns.named and not called:
+            called = [names[0]]
+        named = [found for n in called if (found := self._time(n)) is not None]
+        stamped = [found for n in names if n not in called and (found := self._stamped(n))]
+        known = {t.name for t in (*named, *stamped)}
+        counted = [t for t in self._counted() if t.name not in known]
+        usable = [t for t in (*named, *stamped, *counted) if _moves(t.values)]
+        usable.sort(key=self._rank)
+        # A date and a clock beside it are one time, also where the date does not change.
+        days = [t.name for t in (*named, *stamped) if self._is_day(t.name)]
+        joined = [found for day in days if (found := self._with_clock(day)) is not None][:1]
+        parts = [name for found in joined for name in found.columns]
+        usable = [*joined, *(t for t in usable if t.name not in parts)]
+        broken = [n for n in (*called, *self._in_units()) if self._is_broken(n)]
+        usable = usable or (self._rising() if not broken else []) or named
+        if usable:
+            return self._finest(usable)
+        if called or broken:
+            self._refuse((*broken, *called)[0])
+        raise InputError(
+            f"no column of {self._columns.label} looks like the time (columns: "
+            f"{list_names(names)}); name it, e.g. --time seconds, or add a column t"
+        )
+
+    def _stamped(self, name: str) -> Times | None:
+        if self._values(name).dtype.kind == "f" or self._moments(name) is None:
+            return None
+        return self._time(name)
+
+    def _rank(self, time: Times) -> tuple[bool, bool]:
+        """Put what rises first, and a letter that may be a temperature last."""
+        steps = np.diff(time.values[np.isfinite(time.values)])
+        return not np.sum(steps > 0) > len(steps) / 2, time.name == "T"
+
+    def _in_units(self) -> list[str]:
+        return [n for n in self._columns.names if unit_in_name(n)]
+
+    def _is_broken(self, name: str) -> bool:
+        """Whether most cells of a column are times, and others cannot be read."""
+        if self._time(name) is not None:
+            return False
+        values = self._values(name)
+        read = sum(_as_numbers(values[i : i + 1]) is not None for i in range(len(values)))
+        return 2 * read > len(values)
+
+    def _counted(self) -> list[Times]:
+        times = [
+            t for n in self._in_units() if (t := self._time(n)) is not None and _moves(t.values)
+        ]
+        return times if len(times) == 1 else [t for t in times if _rises(t.values)]
+
+    def _rising(self) -> list[Times]:
+        """Give the first column that rises from row to row; one that numbers them comes last."""
+        named = [n for n in self._columns.names if n and self._values(n).dtype.kind == "f"]
+        rising = [n for n in named if _rises(self._values(n))]
+        one = np.zeros(len(self._columns.values[0]), dtype=int)
+        rising.sort(key=lambda n: numbers_rows(n, self._values(n), one))
+        return [Times(n, self._values(n), unit_in_name(n)) for n in rising[:1]]
+
+    def _finest(self, times: list[Times]) -> Times:
+        """Give the first of them, or one that says the same in finer steps."""
+        best = times[0]
+        for other in times[1:]:
+            there = np.isfinite(best.values) & np.isfinite(other.values)
+            if not there.any() or best.daily or other.daily:
+                continue
+            own, beside = best.values[there], other.values[there]
+            if follows_line(beside, own) and _finer(beside, own):
+                best = other
+        return best
+
+    def with_others(self, time: Times) -> Times:
+        """Say of the other columns of dates that they are not used."""
+        left_out = {}
+        for name in self._columns.names:
+            values = self._values(name)
+            if name in time.columns or values.dtype.kind == "f":
+                continue
+            if values.dtype.kind == "m" and not is_time_name(name):
+                continue
+            moments = self._moments(name)
+            if moments is None:
+                continue
+            still = not _moves(moments.seconds)
+            left_out[name] = (
+                "is the same time in every row"
+                if still
+                else f"is a second time beside {time.name!r}"
+            )
+        return replace(time, left_out=left_out)
+
+
+def _as_numbers(values: np.ndarray) -> np.ndarray | None:
+    if values.dtype.kind != "O" or not len(values):
+        return None
+    try:
+        return as_floats([np.nan if cell is None else float(cell) for cell in values], "t")
+    except (TypeError, ValueError, OverflowError, InputError):
+        return None
+
+
+def _moves(t: np.ndarray) -> bool:
+    there = t[np.isfinite(t)]
+    return len(there) > 1 and bool(np.any(there != there[0]))
+
+
+def _rises(t: np.ndarray) -> bool:
+    there = t[np.isfinite(t)]
+    return len(there) > 1 and bool(np.all(np.diff(there) > 0))
+
+
+def _finer(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether one of two columns that say the same time says it more finely."""
+    counts = len(np.unique(one)), len(np.unique(other))
+    if counts[0] != counts[1]:
+        return counts[0] > counts[1]
+    known = _tells(one, other), _tells(other, one)
+    if known[0] != known[1]:
+        return known[0]
+    # Rounding makes even steps uneven.
+    spreads = [np.ptp(steps := np.diff(np.unique(t))) / np.mean(steps) for t in (one, other)]
+    return bool(spreads[0] < spreads[1])
+
+
+def _tells(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether one column, rounded, gives the other."""
+    slope, start = np.polyfit(one - one[0], other, 1)
+    off = other - (slope * (one - one[0]) + start)
+    return bool(np.ptp(off) <= last_digit(other) * (1 + 1e-6))

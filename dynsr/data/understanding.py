@@ -1,0 +1,383 @@
+"""Understanding: what the columns of a source mean, step by step, until they are trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dynsr.data.columns import Columns, bracketed_unit
+from dynsr.data.grouping import Grouping, guess_grouping
+from dynsr.data.long_tables import describe_long, find_quantity, widen
+from dynsr.data.names import clean_name, find_column
+from dynsr.data.replicates import find_replicates, stack_replicates
+from dynsr.data.roles import Roles, guess_roles
+from dynsr.data.rows import Run, order_rows, pooled_noise
+from dynsr.data.steps import hold_on, is_noted_at_changes
+from dynsr.data.table_checks import check_infinite, check_values, thin, to_numbers
+from dynsr.data.time_columns import Times, find_time, in_seconds_or_units
+from dynsr.data.trajectory import FEWEST_ROWS, Trajectory
+from dynsr.errors import InputError
+from dynsr.expression import compile_numpy, parse
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the caller said of the columns; None where it is guessed.
+
+    Parameters
+    ----------
+    states, inputs, trajectory : names in the source or in formulas.
+    formulas : inputs that are expressions in ``t``, by name.
+    quantity : the column of a long table that says which quantity a row is of; "" for none.
+    max_rows : more rows than this are thinned.
+    """
+
+    states: Sequence[str] | None = None
+    inputs: Sequence[str] | None = None
+    formulas: Mapping[str, str] = field(default_factory=dict)
+    trajectory: Sequence[str] | None = None
+    quantity: str | None = None
+    max_rows: int = 200_000
+
+    def keeping(self, states: Sequence[str], inputs: Sequence[str]) -> Asked:
+        """Give what was asked of a source whose columns have their roles."""
+        known = self.inputs if self.inputs is not None else [n for n in inputs if n not in states]
+        return replace(
+            self, states=[n for n in states if n not in known], inputs=known, quantity=""
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Understood:
+    """What a source was understood to be.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    roles : those of its columns.
+    left_out : column that is not used -> the reason.
+    notes : sentences on what was noticed or assumed.
+    """
+
+    runs: list[Trajectory]
+    roles: Roles
+    left_out: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked) -> Understood:
+    """Find what the columns of a source mean, and give its trajectories.
+
+    Parameters
+    ----------
+    columns : the columns of the source.
+    time : what the caller said of the time; None to guess.
+    asked : what the caller said of the other columns.
+
+    In this order: the time; runs that stand side by side; quantities below each other; what tells
+    trajectories apart; the role of each column; rows in order of time, repeated ones averaged,
+    incomplete ones left out.
+    """
+    notes = list(columns.notes)
+    columns = _with_numbers(columns)
+    times = find_time(columns, time)
+    columns.check_usable(times.columns)
+    notes += times.notes
+    columns, times, said = _with_times(columns, times)
+    notes += said
+    columns, times, said = _below_each_other(columns, times, asked)
+    notes += said
+    columns, times, quantity, said = _beside_each_other(columns, times, asked)
+    notes += said
+    grouping = _group(columns, times, asked)
+    roles = guess_roles(
+        columns, times, grouping, asked.states, asked.inputs, asked.formulas, quantity
+    )
+    runs, said = _order(columns, times, grouping, roles)
+    notes += said
+    if roles.held:
+        listed = " and ".join(map(repr, roles.held))
+        keeps = "keeps its value over rows and steps" if len(roles.held) == 1 else "keep their"
+        keeps = keeps if len(roles.held) == 1 else "keep their values over rows and step"
+        what = "an input" if len(roles.held) == 1 else "inputs"
+        notes.append(f"{listed} {keeps}, so taken for {what}; --states says otherwise.")
+    trajectories = _make(columns, times, grouping, roles, runs, asked)
+    notes += [note for note in _midnight(times, grouping) if note]
+    return Understood(
+        trajectories, roles, {**columns.left_out, **roles.left_out}, tuple(dict.fromkeys(notes))
+    )
+
+
+def _at(columns: Columns, rows: np.ndarray) -> Columns:
+    return replace(columns, values=tuple(values[rows] for values in columns.values))
+
+
+def _with_numbers(columns: Columns) -> Columns:
+    """Give objects that are all numbers, or empty, as numbers."""
+    found = [_as_numbers(v) if v.dtype.kind == "O" else v for v in columns.values]
+    return replace(columns, values=tuple(found))
+
+
+def _as_numbers(values: np.ndarray) -> np.ndarray:
+    try:
+        numbers = [np.nan if cell is None or cell == "" else float(cell) for cell in values]
+    except (TypeError, ValueError, OverflowError):
+        return values
+    # A column without a value may be one of empty text.
+    return np.array(numbers, dtype=float)
+
+
+def _with_times(columns: Columns, times: Times) -> tuple[Columns, Times, list[str]]:
+    """Leave rows without a time out."""
+    bad = np.flatnonzero(np.isinf(times.values))
+    if bad.size:
+        raise InputError(
+            f"time {times.name!r} of {columns.label} is {times.values[bad[0]]} in row "
+            f"{bad[0] + 1}; remove or repair such rows"
+        )
+    there = np.flatnonzero(~np.isnan(times.values))
+    empty = len(times.values) - len(there)
+    if not empty:
+        return columns, times, []
+    if len(there) < FEWEST_ROWS:
+        raise InputError(
+            f"time {times.name!r} of {columns.label} is empty in {empty} of {len(times.values)} "
+            f"rows; at least {FEWEST_ROWS} rows need a time"
+        )
+    first = np.flatnonzero(np.isnan(times.values))[0] + 1
+    rows = f"row {first} was" if empty == 1 else f"{empty} rows (the first is row {first}) were"
+    said = f"{rows[0].upper()}{rows[1:]} left out: {times.name!r} is empty there."
+    return _at(columns, there), times.at(there), [said]
+
+
+def _named(names: Sequence[str] | None, columns: Columns) -> set[str]:
+    """Give the columns that a caller's names mean, as far as there are such."""
+    wanted = set(names or ())
+    return {n for n in columns.names if n in wanted or (n and clean_name(n) in wanted)}
+
+
+def _below_each_other(
+    columns: Columns, times: Times, asked: Asked
+) -> tuple[Columns, Times, list[str]]:
+    """Put runs that stand side by side below each other."""
+    if not columns.named:
+        return columns, times, []
+    taken = {*times.columns, *times.left_out}
+    said = _named(
+        [*(asked.states or ()), *(asked.inputs or ()), *(asked.trajectory or ())], columns
+    )
+    found = find_replicates(columns, [n for n in columns.names if n not in taken])
+    if found is None or said & set(found.columns):
+        return columns, times, []
+    stacked, rows, label = stack_replicates(columns, found)
+    first = found.columns[0]
+    note = (
+        f"Columns such as {first!r} hold {', '.join(found.stems[:6])} of {len(found.members)} runs "
+        f"side by side, called {label} {', '.join(list(found.members)[:6])}; --states "
+        f"{','.join(map(clean_name, found.columns[:2]))},... takes them for states of one run."
+    )
+    return stacked, times.at(rows), [note]
+
+
+def _beside_each_other(
+    columns: Columns, times: Times, asked: Asked
+) -> tuple[Columns, Times, str | None, list[str]]:
+    """Give each quantity of a long table a column of its own."""
+    if asked.quantity == "" or not columns.named:
+        return columns, times, None, []
+    labels = None
+    if asked.trajectory is not None:
+        labels = [find_column(name, columns, "trajectory") for name in asked.trajectory]
+    taken = {*times.columns, *times.left_out, *(labels or ())}
+    known = _named([*(asked.states or ()), *(asked.inputs or ())], columns)
+    if asked.quantity is not None:
+        quantity = find_column(asked.quantity, columns, "quantity")
+        if quantity in taken:
+            raise InputError(f"column {quantity!r} is the quantity and more; give it one role")
+        candidates = [n for n in columns.names if n not in taken]
+        found, note = describe_long(columns, times, quantity, candidates, labels), ""
+    else:
+        candidates = [n for n in columns.names if n not in taken and n not in known]
+        if not any(columns.values[columns.names.index(n)].dtype.kind == "O" for n in candidates):
+            return columns, times, None, []
+        long, note = find_quantity(columns, times, candidates, labels, asked.states)
+        if long is None:
+            return columns, times, None, [note] if note else []
+        found = long
+    keys = sorted(
+        {str(k) for k in columns.values[columns.names.index(found.quantity)] if k is not None}
+    )
+    wide, rows = widen(columns, times, found)
+    note = (
+        f"Each value of {found.quantity!r} ({', '.join(keys[:6])}) was taken for a quantity of one "
+        f"run, with {found.values[0]!r} as its values; --quantity none says otherwise."
+    )
+    return wide, times.at(rows), found.quantity, [note]
+
+
+def _group(columns: Columns, times: Times, asked: Asked) -> Grouping:
+    chosen = None
+    if asked.trajectory:
+        chosen = [find_column(name, columns, "trajectory") for name in asked.trajectory]
+    # Names that are wrong are refused with the roles.
+    known = _named([*(asked.states or ()), *(asked.inputs or ())], columns)
+    taken = {*times.columns, *times.left_out, *columns.inputs, *known}
+    candidates = [name for name in columns.names if name not in taken]
+    return guess_grouping(columns, times, candidates, chosen)
+
+
+def _order(
+    columns: Columns, times: Times, grouping: Grouping, roles: Roles
+) -> tuple[list[Run], list[str]]:
+    """Give the complete rows of each trajectory in order of time, and what was done to them."""
+    used = [*roles.states, *roles.inputs]
+    columns.check_usable([*used, *roles.trajectory])
+    by_name = dict(zip(columns.names, columns.values, strict=True))
+    values = {name: to_numbers(by_name[name], name, columns.label) for name in used}
+    for name, own in values.items():
+        check_infinite(own, name, columns.label)
+    t = times.within(grouping.codes)
+    if len(t) < FEWEST_ROWS:
+        raise InputError(
+            f"{columns.label} has {len(t)} row{'s' * (len(t) != 1)}, which cannot show an "
+            f"equation; give at least {FEWEST_ROWS}"
+        )
+    runs, notes = order_rows(grouping, t, values, roles.states, times.name, columns.label)
+    runs = _held(runs, roles)
+    runs, said = _complete(runs, roles, columns.label)
+    notes += said
+    runs, said = _long_enough(runs, columns.label)
+    return runs, [*notes, *said]
+
+
+def _held(runs: Sequence[Run], roles: Roles) -> list[Run]:
+    """Let inputs that are noted only at their changes keep their value between them."""
+    noted = [
+        name
+        for name in roles.inputs
+        if is_noted_at_changes(name, [run.values[name] for run in runs], FEWEST_ROWS)
+    ]
+    return [
+        replace(run, values={**run.values, **{n: hold_on(run.values[n]) for n in noted}})
+        for run in runs
+    ]
+
+
+def _complete(runs: Sequence[Run], roles: Roles, label: str) -> tuple[list[Run], list[str]]:
+    """Leave rows out where a state or an input has no value."""
+    empty = {
+        name: sum(int(np.sum(np.isnan(run.values[name]))) for run in runs)
+        for name in (*roles.states, *roles.inputs)
+    }
+    empty = {name: count for name, count in empty.items() if count}
+    if not empty:
+        return list(runs), []
+    total = sum(len(run.t) for run in runs)
+    found = []
+    for run in runs:
+        there = np.all(np.isfinite(np.column_stack(list(run.values.values()))), axis=1)
+        found.append(run.at(np.flatnonzero(there)))
+    kept = sum(len(run.t) for run in found)
+    counts = ", ".join(
+        f"{name!r} is empty in {count} of {total} rows" if i == 0 else f"{name!r} in {count}"
+        for i, (name, count) in enumerate(sorted(empty.items(), key=lambda own: -own[1]))
+    )
+    if max((len(run.t) for run in found), default=0) < FEWEST_ROWS:
+        worst = max(empty, key=lambda name: empty[name])
+        others = ",".join(clean_name(n) for n in roles.states if n != worst) or "..."
+        raise InputError(
+            f"{counts} of {label}, which leaves {kept} rows where every column has a value; at "
+            f"least {FEWEST_ROWS} are needed: fill them in, or leave {worst!r} out "
+            f"(--states {others})"
+        )
+    which = "all columns have a value" if len(empty) > 1 else "it has a value"
+    return found, [f"{counts}; the {kept} rows where {which} are used."]
+
+
+def _long_enough(runs: Sequence[Run], label: str) -> tuple[list[Run], list[str]]:
+    """Leave trajectories of too few rows out, where they are the lesser part."""
+    short = [run for run in runs if len(run.t) < FEWEST_ROWS]
+    if not short:
+        return list(runs), []
+    lost, total = sum(len(run.t) for run in short), sum(len(run.t) for run in runs)
+    few = min(short, key=lambda run: len(run.t))
+    rows = f"{len(few.t)} row{'s' * (len(few.t) != 1)}"
+    if 2 * lost > total or len(runs) == len(short):
+        where = f"trajectory {few.name} of {label}" if len(runs) > 1 else label
+        raise InputError(f"{where} has {rows}; give each trajectory at least {FEWEST_ROWS}")
+    names = ", ".join(run.name for run in short[:6])
+    more = f" and {len(short) - 6} more" if len(short) > 6 else ""
+    one = len(short) == 1
+    said = (
+        f"Trajectory {names} was left out: it has {rows}, fewer than {FEWEST_ROWS}."
+        if one
+        else f"Trajectories {names}{more} were left out: they have fewer than {FEWEST_ROWS} rows."
+    )
+    return [run for run in runs if run not in short], [said]
+
+
+def _make(
+    columns: Columns,
+    times: Times,
+    grouping: Grouping,
+    roles: Roles,
+    runs: Sequence[Run],
+    asked: Asked,
+) -> list[Trajectory]:
+    wanted = [*roles.states, *roles.inputs]
+    every = [np.concatenate([run.values[name] for run in runs]) for name in wanted]
+    check_values(every, wanted, roles, columns.label)
+    start = np.min(times.within(grouping.codes)) if times.from_first else 0.0
+    steps = np.concatenate([np.diff(run.t) for run in runs])
+    counted = [in_seconds_or_units(times, run.t - start, steps) for run in runs]
+    unit = counted[0][1]
+    functions = compile_numpy([parse(text, ["t"]) for text in asked.formulas.values()], ["t"])
+    own = {name: columns.units.get(name) or bracketed_unit(name) for name in wanted}
+    units = {roles.renamed[name]: text for name, text in own.items() if text}
+    noise = pooled_noise(runs, roles.states)
+    origin = {
+        "source": columns.label,
+        **({"time_unit": unit} if unit else {}),
+        **({"units": units} if units else {}),
+        **({"noise": {roles.renamed[n]: size for n, size in noise.items()}} if noise else {}),
+    }
+    names = [roles.renamed[name] for name in wanted]
+    count = len(roles.states)
+    found = []
+    kept = thin([len(run.t) for run in runs], asked.max_rows, columns.label)
+    for run, (t, _), rows in zip(runs, counted, kept, strict=True):
+        extra = functions(t[rows][None]).T
+        _check_formulas(extra, t[rows], asked.formulas)
+        table = np.column_stack([run.values[name][rows] for name in wanted])
+        found.append(
+            Trajectory(
+                t[rows],
+                table[:, :count],
+                tuple(names[:count]),
+                np.column_stack([table[:, count:], extra]),
+                (*names[count:], *asked.formulas),
+                {**origin, "name": run.name},
+            )
+        )
+    return found
+
+
+def _midnight(times: Times, grouping: Grouping) -> list[str]:
+    if not times.daily:
+        return []
+    days = np.sum(times.within(grouping.codes) != times.values)
+    passes = bool(days)
+    return [f"{times.name!r} passes midnight and goes on on the next day."] if passes else []
+
+
+def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, str]) -> None:
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        row, column = bad[0]
+        name, text = list(formulas.items())[column]
+        raise InputError(
+            f"input {name} = {text} is {values[row, column]} at t = {t[row]:g}; "
+            "give a formula that is finite over the whole data"
+        )

@@ -1,0 +1,527 @@
+"""What columns mean: times, runs, quantities, replicates, inputs; and what is not taken so."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dynsr.data import read_trajectories, take_trajectories
+from dynsr.errors import DynsrWarning, InputError
+
+pytestmark = pytest.mark.filterwarnings("ignore:columns were renamed")
+N = 30
+T = np.arange(N) * 0.5
+DECAY = 40 * np.exp(-0.2 * T) + 1
+RISE = 10 / (1 + 9 * np.exp(-0.5 * T))
+
+
+def text(cells):
+    """Give cells as a column of text."""
+    return np.array(list(cells), dtype=object)
+
+
+def states(source, **options):
+    """Give the names of the states of a source."""
+    return read_trajectories(source, **options).trajectories[0].states
+
+
+def one(source, **options):
+    """Give the only trajectory of a source."""
+    (run,) = read_trajectories(source, **options).trajectories
+    return run
+
+
+STAMPS = pd.date_range("2024-03-12 22:50", periods=N, freq="5min")
+
+
+@pytest.mark.parametrize(
+    ("day", "clock", "names"),
+    [
+        ("%d.%m.%Y", "%H:%M:%S", ("Datum", "Uhrzeit")),
+        ("%m/%d/%Y", "%I:%M %p", ("Date", "Time")),
+        ("%Y-%m-%d", "%H:%M", ("fecha", "hora")),
+        ("%d/%m/%y", "%H:%M:%S.%f", ("date", "heure")),
+        ("%d-%b-%Y", "%I:%M:%S %p", ("day", "clock")),
+    ],
+)
+def test_a_date_and_a_clock_are_one_time(day, clock, names):
+    """Whatever they are called: from the first row on, in a unit of their step, past midnight."""
+    columns = {
+        names[1]: text(STAMPS.strftime(clock)),
+        "x": DECAY,
+        names[0]: text(STAMPS.strftime(day)),
+    }
+    table = read_trajectories(columns)
+    (run,) = table.trajectories
+    assert run.states == ("x",) and run.time_unit == "min"
+    assert np.allclose(run.t, 5 * np.arange(N))
+    assert (table.roles.time, table.roles.clock) == names
+    again = one(columns, time=f"{names[0]},{names[1]}")
+    assert np.array_equal(again.t, run.t)
+
+
+def test_a_date_beside_hours_is_one_time():
+    """A number from 0 to 23 beside a date is its clock; hours since the start are a time alone."""
+    when = pd.date_range("2024-05-01", periods=72, freq="h")
+    columns = {"date": text(when.strftime("%d.%m.%Y")), "hour": when.hour.to_numpy(float)}
+    run = one({**columns, "load": np.sin(np.arange(72) / 5)})
+    assert np.array_equal(run.t, np.arange(72.0)) and run.time_unit == "h"
+    run = one({"date": text(["01.05.2024"] * N), "hours": T, "x": DECAY})
+    assert np.array_equal(run.t, T) and run.time_unit == "h"
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "%m/%d/%Y %I:%M %p",
+        "%m/%d/%y %H:%M",
+        "%d.%m.%y %H:%M:%S",
+        "%d/%m/%Y, %H:%M",
+        "%Y-%m-%dT%H:%M:%SZ",
+        "%Y-%m-%d %H:%M:%S+02:00",
+        "%d %b %Y %H:%M",
+        "%Y%m%d%H%M%S",
+    ],
+)
+def test_stamps_of_many_forms(form):
+    """AM and PM, two digits of a year, zones, names of months: the same times."""
+    run = one({"x": DECAY, "Timestamp": text(STAMPS.strftime(form))})
+    assert np.allclose(run.t, 5 * np.arange(N)) and run.time_unit == "min"
+
+
+def test_day_and_month_are_told_apart_by_the_whole_column():
+    """A day over 12, the order of the rows, or a record without a pause of a month decides."""
+    daily = pd.date_range("2024-04-05", periods=N, freq="D")
+    for form in ("%d/%m/%Y", "%m/%d/%Y"):
+        run = one({"date": text(daily.strftime(form)), "x": DECAY})
+        assert np.array_equal(run.t, np.arange(float(N)))
+    hourly = pd.date_range("2024-04-05 20:00", periods=N, freq="h")
+    for form in ("%d/%m/%Y %H:%M", "%m/%d/%Y %H:%M"):
+        run = one({"date": text(hourly.strftime(form)), "x": DECAY})
+        assert np.array_equal(run.t, np.arange(float(N)))
+
+
+def test_a_clock_goes_on_past_midnight():
+    """A clock alone that falls back at midnight is of the next day, which is said."""
+    table = read_trajectories({"Uhrzeit": text(STAMPS.strftime("%H:%M")), "x": DECAY})
+    (run,) = table.trajectories
+    assert np.allclose(run.t, 5 * np.arange(N)) and run.time_unit == "min"
+    assert any("midnight" in note for note in table.notes)
+
+
+def test_a_stopwatch_that_starts_again_begins_a_run():
+    """A clock that falls back to its start in the middle of a day is no midnight."""
+    clock = text([f"00:{m:02d}:00" for m in range(15)] * 2)
+    table = read_trajectories({"time": clock, "x": np.tile(DECAY[:15], 2)})
+    assert [len(run) for run in table.trajectories] == [15, 15]
+    assert not any("midnight" in note for note in table.notes)
+
+
+@pytest.mark.parametrize(
+    ("scale", "name"), [(1, "time"), (1e3, "timestamp"), (1e6, "time_us"), (1e3, "epoch [ms]")]
+)
+def test_times_since_1970_begin_at_the_first_row(scale, name):
+    """Seconds, milli- and microseconds since 1970 are counted from the first row on."""
+    name = "timestamp" if name == "epoch [ms]" else name
+    run = one({name: (1.7e9 + 0.25 * np.arange(N)) * scale, "x": DECAY})
+    assert np.allclose(run.t, 0.25 * np.arange(N), atol=1e-6) and run.time_unit == "s"
+
+
+def test_large_plain_times_stay_as_they_are():
+    """A time that is no date keeps its numbers, and its start."""
+    run = one({"t": 5e8 + np.arange(N), "x": DECAY})
+    assert run.t[0] == 5e8 and run.time_unit == ""
+    assert one({"time": 12.5 + T, "x": DECAY}).t[0] == 12.5
+
+
+def test_days_of_a_spreadsheet():
+    """Days since 1900 in a column of dates begin at the first row."""
+    run = one({"Date": 45363.5 + np.arange(N) / 24, "x": DECAY})
+    assert np.allclose(run.t, np.arange(N)) and run.time_unit == "h"
+
+
+def test_the_time_may_stand_anywhere_and_a_temperature_is_none():
+    """The third column is the time where it is called so; T beside it is a state."""
+    table = read_trajectories({"T": DECAY, "p": RISE, "time": T})
+    assert table.roles.time == "time" and table.trajectories[0].states == ("T", "p")
+
+
+def test_of_two_times_the_finer_is_taken():
+    """A second time, rounded or in another unit, is left out and said."""
+    stamps = text(pd.date_range("2023-07-12 19:00", periods=N, freq="30s").astype(str))
+    table = read_trajectories(
+        {"time [h]": np.round(np.arange(N) / 120, 2), "when": stamps, "x": RISE}
+    )
+    assert table.roles.time == "when" and list(table.left_out) == ["time [h]"]
+    table = read_trajectories({"minutes": np.floor(T / 5), "time_s": T, "x": RISE})
+    assert table.roles.time == "time_s" and table.trajectories[0].states == ("x",)
+    table = read_trajectories({"t": T, "k": 3.0 * T + 2, "x": RISE})
+    assert table.trajectories[0].states == ("x",) and table.left_out == {"k": "is a second time"}
+
+
+def test_a_state_that_nearly_rises_in_a_line_stays_a_state():
+    """A slow change that was rounded, noise around a line, and a line that is alone, stay."""
+    slow = np.round(21 - 0.03 * np.arange(N), 1)
+    noisy = 2 * T + np.random.default_rng(0).normal(0, 0.1, N)
+    assert states({"t": T, "slow": slow, "noisy": noisy, "x": RISE}) == ("slow", "noisy", "x")
+    assert states({"t": T, "x": 3 * T}) == ("x",)
+    assert states({"t": T, "x [mg]": np.arange(N) + 1.0, "y": RISE}) == ("x", "y")
+    assert states({"t": T, "k": 3 * T, "x": RISE}, states=["k", "x"]) == ("k", "x")
+
+
+@pytest.mark.parametrize("name", ["rownames", "No.", "#", "sample_no", "index", "Unnamed: 0", "q"])
+def test_row_numbers_are_left_out_under_any_name(name):
+    """They rise by one from row to row, or do so in each run, or did before the file was sorted."""
+    table = read_trajectories({name: np.arange(N) + 1.0, "time": T, "x": DECAY})
+    assert table.trajectories[0].states == ("x",) and name in table.left_out
+    runs = {"run": text(["a"] * N + ["b"] * N), "time": np.tile(T, 2), "x": np.tile(DECAY, 2)}
+    table = read_trajectories({name: np.tile(np.arange(N), 2), **runs})
+    assert len(table.trajectories) == 2 and name in table.left_out
+    mixed = np.random.default_rng(1).permutation(2 * N)
+    table = read_trajectories({name: mixed + 1.0, **runs})
+    assert len(table.trajectories) == 2 and name in table.left_out
+
+
+def test_a_count_is_no_row_number():
+    """What rises by one here and not there is a state."""
+    count = np.cumsum(np.random.default_rng(2).integers(0, 3, N)).astype(float)
+    assert states({"t": T, "count": count, "x": RISE}) == ("count", "x")
+
+
+def cultures(shuffle=None, **columns):
+    """Give a growth for each value of the columns, some with times of their own."""
+    frames = []
+    for i in range(len(next(iter(columns.values())))):
+        own = {name: values[i] for name, values in columns.items()}
+        t = T + (0.25 if i % 2 else 0.0)
+        frames.append(pd.DataFrame({**own, "hours": t, "n": (1 + i) * 10 / (1 + 9 * np.exp(-t))}))
+    data = pd.concat(frames, ignore_index=True)
+    if shuffle == "time":
+        return data.sort_values("hours", kind="stable")
+    return data if shuffle is None else data.sample(frac=1, random_state=shuffle)
+
+
+@pytest.mark.parametrize("shuffle", [None, "time", 3])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"treatment": ["warm", "cold", "warm", "cold"], "replicate": [1, 1, 2, 2]},
+        {"species": ["a. b.", "c. d.", "a. b.", "c. d."], "experiment": [1, 1, 2, 2]},
+        {"strain": ["wt", "mut", "wt", "mut"], "flask": [1, 1, 2, 2]},
+        {"site": ["north", "south", "north", "south"], "kind": ["p", "p", "q", "q"]},
+    ],
+)
+def test_all_label_columns_together_name_a_run(columns, shuffle):
+    """In blocks, sorted by time or shuffled: four runs, each with its own curve."""
+    data = cultures(shuffle, **columns)
+    table = read_trajectories(data)
+    assert table.roles.trajectory == tuple(columns)
+    wanted = {f"{a}, {b}" for a, b in zip(*columns.values(), strict=True)}
+    assert set(table.names) == wanted and len(table.trajectories) == 4
+    for run in table.trajectories:
+        assert len(run) == N and np.all(np.diff(run.x[:, 0]) > 0)
+    named = read_trajectories(data, trajectory=list(columns))
+    assert set(named.names) == wanted
+    assert set(read_trajectories(data, trajectory=",".join(columns)).names) == wanted
+
+
+def test_rows_in_any_order_are_sorted_where_runs_are_known():
+    """Reversed, shuffled, or shuffled within runs: the times increase, and it is said."""
+    order = np.random.default_rng(5).permutation(N)
+    for rows in (order, np.arange(N)[::-1]):
+        table = read_trajectories({"t": T[rows], "x": DECAY[rows]})
+        assert np.array_equal(table.trajectories[0].t, T)
+        assert np.array_equal(table.trajectories[0].x[:, 0], DECAY)
+        assert any("order of 't'" in note for note in table.notes)
+
+
+def test_rows_that_may_be_of_several_runs_are_not_sorted_into_one():
+    """Without a label, rows that jump to and fro in order of time are refused, and not sorted."""
+    rng = np.random.default_rng(6)
+    both = np.concatenate([T, T + 0.2])
+    x = np.concatenate([DECAY, 200 - DECAY])
+    order = rng.permutation(2 * N)
+    with pytest.raises(InputError, match="which rows belong together") as caught:
+        read_trajectories({"t": both[order], "x": x[order]})
+    assert "sort" not in str(caught.value)
+    once = read_trajectories({"t": both, "x": x})
+    assert len(once.trajectories) == 2
+
+
+@pytest.mark.parametrize("broken", [0.0, 99.0, T[3]])
+def test_one_wrong_time_makes_no_second_run(broken):
+    """A single time that does not fit is refused with its row, and never begins a run."""
+    t = T.copy()
+    t[12] = broken
+    with pytest.raises(InputError, match=r"runs backwards at row 1[34]"):
+        read_trajectories({"t": t, "x": DECAY})
+
+
+def long_table(name, keys, labels=None, unit=None):
+    """Give a long table of a decay and a rise."""
+    rows = []
+    for label in labels or [None]:
+        for key, values in zip(keys, (DECAY, RISE), strict=True):
+            own = {} if label is None else {"batch": label}
+            for t, v in zip(T, values, strict=True):
+                rows.append({**own, name: key, "hours": t, "value": v})
+                if unit:
+                    rows[-1]["unit"] = unit[key]
+    return pd.DataFrame(rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [
+        ("species", ["prey", "predator"]),
+        ("variable", ["S", "P"]),
+        ("analyte", ["glucose", "biomass"]),
+        ("Messgröße", ["Temp", "Druck"]),
+        ("parameter", ["a1", "a2"]),
+    ],
+)
+def test_quantities_of_a_long_table_become_states(name, keys):
+    """Where each is there at the same times they are states of one run, and it is said."""
+    table = read_trajectories(long_table(name, keys))
+    (run,) = table.trajectories
+    assert run.states == tuple(keys)
+    assert np.array_equal(run.x, np.column_stack([DECAY, RISE]))
+    assert table.roles.quantity == name and any(repr(name) in note for note in table.notes)
+    runs = read_trajectories(long_table(name, keys), quantity="none").trajectories
+    assert len(runs) == 2 and runs[0].states == ("value",)
+
+
+def test_quantities_within_runs_and_with_units():
+    """A column of units goes with its quantity; other labels name the runs."""
+    data = long_table("variable", ["S", "P"], ["b1", "b2"], {"S": "g/L", "P": "mol"})
+    table = read_trajectories(data)
+    assert table.names == ("b1", "b2")
+    assert table.trajectories[0].origin["units"] == {"S": "g/L", "P": "mol"}
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [("replicate", ["A", "B"]), ("culture", ["warm", "cold"]), ("species", ["rep1", "rep2"])],
+)
+def test_replicates_of_one_quantity_stay_runs(name, keys):
+    """A name of runs, or values that are called so, tells."""
+    table = read_trajectories(long_table(name, keys))
+    assert len(table.trajectories) == 2 and table.trajectories[0].states == ("value",)
+
+
+def test_what_may_be_quantities_is_said():
+    """A column of an unknown name stays the name of runs; a note says how to turn the table."""
+    table = read_trajectories(long_table("mode", ["fast", "slow"]))
+    assert len(table.trajectories) == 2
+    assert any("--quantity mode" in note for note in table.notes)
+    assert states(long_table("mode", ["fast", "slow"]), quantity="mode") == ("fast", "slow")
+    own = long_table("variable", ["S", "P"])
+    own.loc[own["variable"] == "P", "hours"] += 0.1
+    assert len(read_trajectories(own).trajectories) == 2
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "{s}_rep{k}",
+        "{s} (run {k})",
+        "{s}.trial_{k}",
+        "Rep{k} {s}",
+        "{s} experiment {k}",
+        "{s}_R{k}",
+    ],
+)
+def test_runs_side_by_side(form):
+    """The same quantities with the number of a run are runs, and it is said."""
+    if form == "{s}_R{k}":
+        form = "{s}_run{k}"
+    columns = {"time": T}
+    for k in (1, 2, 3):
+        columns[form.format(s="x1", k=k)] = k * DECAY
+        columns[form.format(s="x2", k=k)] = k * RISE
+    table = read_trajectories(columns)
+    assert len(table.trajectories) == 3 and table.trajectories[0].states == ("x1", "x2")
+    assert np.array_equal(table.trajectories[2].x, np.column_stack([3 * DECAY, 3 * RISE]))
+    assert any("side by side" in note for note in table.notes)
+    names = list(columns)[1:]
+    assert len(states(columns, states=names)) == 6
+
+
+def test_numbers_alone_tell_replicates_only_where_they_are_copies():
+    """OD_1, OD_2, OD_3 within noise are three runs; x1, x2, x3 of other curves are states."""
+    rng = np.random.default_rng(7)
+    copies = {f"OD_{k}": RISE + rng.normal(0, 0.1, N) for k in (1, 2, 3)}
+    table = read_trajectories({"time": T, **copies})
+    assert len(table.trajectories) == 3 and table.trajectories[0].states == ("OD",)
+    assert states({"t": T, "x1": DECAY, "x2": RISE, "x3": np.sin(T)}) == ("x1", "x2", "x3")
+    # Two bodies of nearly the same temperature differ smoothly.
+    assert states({"t": T, "T_1": DECAY, "T_2": 1 + 40 * np.exp(-0.22 * T)}) == ("T_1", "T_2")
+    uneven = {"x1_rep1": DECAY, "x2_rep1": RISE, "x1_rep2": 2 * DECAY}
+    assert len(states({"t": T, **uneven})) == 3
+
+
+@pytest.mark.parametrize("counts", [[2] * N, [3] * N, [3] + [1, 2] * 14 + [1]])
+def test_repeated_times_are_averaged_and_their_spread_is_kept(counts):
+    """Rows of one moment are replicates: their pooled standard deviation is the noise."""
+    rng = np.random.default_rng(8)
+    t, x = np.repeat(T, counts), np.repeat(DECAY, counts) + rng.normal(0, 0.3, sum(counts))
+    table = read_trajectories({"time": t, "x": x})
+    (run,) = table.trajectories
+    assert np.array_equal(run.t, T)
+    frame = pd.DataFrame({"t": t, "x": x}).groupby("t")["x"]
+    assert np.allclose(run.x[:, 0], frame.mean())
+    left = frame.count() - 1
+    pooled = np.sqrt((frame.var().fillna(0) * left).sum() / left.sum())
+    assert run.origin["noise"] == {"x": pytest.approx(pooled)}
+    assert any("replicates of one moment" in note for note in table.notes)
+
+
+def test_a_single_time_that_repeats_before_a_gap_is_wrong():
+    """Where the rows would fill even steps, a time was noted wrongly, and no replicate."""
+    t = T.copy()
+    t[9] = t[8]
+    with pytest.raises(InputError, match="repeats in row 10"):
+        read_trajectories({"t": t, "x": DECAY})
+
+
+@pytest.mark.parametrize("form", ["{}_sd", "{}_se", "{}_std", "{} sem", "sd_{}", "SD {}", "± {}"])
+def test_columns_of_errors_are_the_noise_of_their_column(form):
+    """They are left out, and the roles say whose errors they are."""
+    columns = {"time": T, "glc": DECAY, form.format("glc"): DECAY / 50, "bm_mean": RISE}
+    table = read_trajectories({**columns, form.format("bm"): RISE / 30})
+    assert table.trajectories[0].states == ("glc", "bm_mean")
+    assert table.roles.noise == {"glc": form.format("glc"), "bm_mean": form.format("bm")}
+    assert set(table.left_out) == {form.format("glc"), form.format("bm")}
+
+
+def test_an_error_alone_and_an_error_that_is_none():
+    """sd beside one column is its noise; an error that takes both signs is a state."""
+    table = read_trajectories({"t": T, "x": DECAY, "sd": DECAY / 50})
+    assert table.roles.noise == {"x": "sd"}
+    assert states({"t": T, "pos": DECAY, "pos_err": np.sin(T)}) == ("pos", "pos_err")
+
+
+def levels(*values, each=6):
+    """Give a column that holds each of the values over rows."""
+    return np.repeat(np.array(values, dtype=float), each)[:N]
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("u9", levels(0, 12, 6, 9, 0)),
+        ("relay", np.tile([1.0, 1.0, 0.0], N)[:N]),
+        ("Sollwert", levels(60, 40, 60, 50, 40)),
+        ("heat", levels(80, 0, 20, 80, 40)),
+        ("power", levels(10, 20, 30, 40, 50)),
+        ("gear", levels(1, 3, 1, 4, 2)),
+        ("valve", levels(0, 1, 2, 1, 0)),
+        ("PWM", np.tile([0.0, 128.0, 128.0], N)[:N]),
+    ],
+)
+def test_a_column_that_holds_its_value_and_steps_is_an_input(name, values):
+    """It is said so, and states= says otherwise."""
+    table = read_trajectories({"t": T, "y": DECAY, name: values})
+    (run,) = table.trajectories
+    assert (run.states, run.input_names) == (("y",), (name,))
+    assert states({"t": T, "y": DECAY, name: values}, states=["y", name]) == ("y", name)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.round(20 + 0.03 * np.arange(N), 1),
+        np.round(24 - 4 * np.exp(-T), 1),
+        np.minimum(RISE, 6.0),
+        np.round(4 * np.sin(T / 3)) / 4,
+        np.cumsum(np.random.default_rng(3).poisson(0.4, N)).astype(float),
+        np.random.default_rng(4).poisson(1.0, N).astype(float),
+        np.round(DECAY),
+        0.0488 * np.round((20 + 0.02 * np.arange(N)) / 0.0488),
+    ],
+    ids=["rounded", "settled", "saturated", "quantised", "counts", "events", "whole", "converter"],
+)
+def test_a_state_that_repeats_its_value_stays_a_state(values):
+    """Rounding, saturation, rest and counts hold a value too, but move by one digit at a time."""
+    assert states({"t": T, "y": DECAY, "z": values}) == ("y", "z")
+
+
+def test_where_every_column_would_be_an_input_none_is():
+    """A state is left, whatever it looks like."""
+    assert states({"t": T, "a": levels(0, 1, 0, 1, 0), "b": levels(5, 0, 9, 0, 5)}) == ("a", "b")
+
+
+def test_a_constant_column_is_left_out():
+    """As long as a state is left."""
+    table = read_trajectories({"t": T, "x": DECAY, "room": np.full(N, 21.5)})
+    assert table.trajectories[0].states == ("x",)
+    assert table.left_out == {"room": "is 21.5 in every row"}
+
+
+def test_rows_with_empty_cells_are_left_out_and_counted():
+    """Rows where a state has no value are left out, and one note says how many."""
+    rare = np.where(np.arange(N) % 3 == 0, RISE, np.nan)
+    table = read_trajectories({"t": T, "OD": DECAY, "glucose": rare})
+    assert len(table.trajectories[0]) == 10
+    note = "'glucose' is empty in 20 of 30 rows; the 10 rows where it has a value are used."
+    assert note in table.notes
+    table = read_trajectories({"t": T, "OD": DECAY, "glucose": rare}, states=["OD"])
+    assert len(table.trajectories[0]) == N
+    with pytest.raises(InputError, match=r"'g' is empty in 25 of 30 rows.*--states OD"):
+        read_trajectories({"t": T, "OD": DECAY, "g": np.where(np.arange(N) % 6, np.nan, RISE)})
+
+
+def test_what_is_empty_is_no_fault():
+    """A column without a value, and a row without a time, are left out and said."""
+    t = T.copy()
+    t[4] = np.nan
+    table = read_trajectories({"t": t, "x": DECAY, "remark": np.full(N, np.nan)})
+    assert len(table.trajectories[0]) == N - 1
+    assert table.left_out == {"remark": "has no value in any row"}
+    assert any(note.startswith("Row 5 was left out") for note in table.notes)
+
+
+def test_an_input_that_is_noted_at_its_changes_keeps_its_value():
+    """Empty cells of a setpoint hold the value before them."""
+    sparse = np.full(N, np.nan)
+    sparse[[0, 10, 20]] = 60, 40, 60
+    (run,) = read_trajectories({"t": T, "x": DECAY, "setpoint": sparse}).trajectories
+    assert len(run) == N and run.inputs[:, 0].tolist() == [60] * 10 + [40] * 10 + [60] * 10
+
+
+def test_eight_rows_are_enough_everywhere(tmp_path):
+    """A table of 8 rows is read and taken; one of 7 is refused, with the number."""
+    few = {"t": T[:8], "x": DECAY[:8]}
+    pd.DataFrame(few).to_csv(tmp_path / "few.csv", index=False)
+    for source in (few, tmp_path / "few.csv", (T[:8], DECAY[:8])):
+        assert len(take_trajectories(source)[0][0]) == 8
+    for source in ({"t": T[:7], "x": DECAY[:7]}, (T[:7], DECAY[:7])):
+        with pytest.raises(InputError, match=r"7 rows.* at least 8"):
+            take_trajectories(source)
+
+
+def test_a_run_of_few_rows_is_left_out():
+    """Where the others are most of the table; otherwise it is refused by its name."""
+    labels = text(["a"] * 22 + ["b"] * 3 + ["a"] * 5)
+    table = read_trajectories({"run": labels, "t": T, "x": DECAY})
+    assert table.names == ("a",) and any("Trajectory b was left out" in n for n in table.notes)
+    with pytest.raises(InputError, match=r"trajectory . of the mapping has 5 rows"):
+        read_trajectories({"run": text("abcdef" * 5), "t": T, "x": DECAY})
+
+
+def test_the_same_file_twice_is_refused(tmp_path):
+    """Its rows are no second measurement, under another name either."""
+    for name in ("a.csv", "b.csv"):
+        pd.DataFrame({"t": T, "x": DECAY}).to_csv(tmp_path / name, index=False)
+    for files in (["a.csv", "a.csv"], ["a.csv", "b.csv"]):
+        with pytest.raises(InputError, match="the same rows twice"):
+            read_trajectories([tmp_path / name for name in files])
+
+
+def test_a_plain_table_has_no_notes():
+    """Nothing is said where nothing was assumed."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DynsrWarning)
+        table = read_trajectories({"t": T, "x": DECAY, "y": RISE})
+    assert not table.notes and not table.left_out
