@@ -259,7 +259,10 @@ def read_or_one_line(path):
 def test_any_bytes_are_a_table_or_one_line(content, tmp_path_factory):
     """Whatever a file holds, under whatever suffix, reading it ends in one of the two."""
     folder = tmp_path_factory.mktemp("bytes")
-    for suffix in (".csv", ".npz", ".npy", ".parquet", ".csv.gz"):
+    for suffix in (
+        *(".csv", ".npz", ".npy", ".parquet", ".csv.gz"),
+        *(".xlsx", ".mat", ".h5", ".nc"),
+    ):
         path = folder / f"any{suffix}"
         path.write_bytes(content)
         read_or_one_line(path)

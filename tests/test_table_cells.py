@@ -192,6 +192,9 @@ SWITCHES = [
     ("true", "false"),
     ("open", "closed"),
     ("Yes", "NO"),
+    ("ein", "aus"),
+    ("Ja", "Nein"),
+    ("enabled", "disabled"),
 ]
 
 

@@ -72,6 +72,7 @@ UNITS = {
     "square, some without": ("[h],[-],[mL]", {"hours": "h", "flow": "mL"}),
     "dashes": ("h,-,-", {"hours": "h"}),
     "one cell empty": ("h,,°C", {"hours": "h", "flow": "°C"}),
+    "words": ("hours,metres,Celsius", {"hours": "hours", "fill": "metres", "flow": "Celsius"}),
     "percent": ("h,%,a.u.", {"hours": "h", "fill": "%", "flow": "a.u."}),
 }
 
@@ -246,6 +247,21 @@ def test_names_with_blanks_in_a_table_of_blanks(tmp_path):
     body = BODY.replace(",", "  ")
     for head in ("hours [h] fill (m) flow", "run time [h]   tank fill   flow"):
         assert len(load_columns(put(tmp_path, f"{head}\n{body}")).names) == 3
+
+
+def test_units_may_stand_above_the_names(tmp_path):
+    """Then they are units too."""
+    columns = load_columns(put(tmp_path, "h,mm,mL/s\n" + HEAD + BODY))
+    check_body(columns)
+    assert columns.units == {"hours": "h", "fill": "mm", "flow": "mL/s"}
+
+
+def test_numbers_of_rows_without_a_name_are_no_shift(tmp_path):
+    """R writes one name less than there are columns."""
+    rows = "".join(f'"{j}" {r.replace(",", " ")}\n' for j, r in enumerate(ROWS, start=1))
+    columns = load_columns(put(tmp_path, '"hours" "fill" "flow"\n' + rows))
+    assert columns.names == ("", "hours", "fill", "flow")
+    np.testing.assert_array_equal(columns.values[1], T)
 
 
 def test_numbers_may_be_names(tmp_path):

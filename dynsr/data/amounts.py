@@ -37,7 +37,9 @@ _BASE = (
     r"|secs?|seconds?|mins?|minutes?|hr?s?|hours?|d|days?|wks?|weeks?|months?|yrs?|years?"
     r"|°\s?[CFKR]?|º\s?[CF]?|deg\s?[CF]?|℃|℉|%|‰|percent|pct|rpm|cps|cfu|CFU|pfu|PFU|cells?|counts?"
     r"|ind|px|NTU|dB|dBm|psi|torr|Torr|mmHg|inHg|mi|mph|kn|knots?|oz|lux|au|a\.u\.|AU|RFU|RLU|pH"
-    r"|eq|ppt|units?|USD|EUR|GBP|[$€£¥])"
+    r"|degrees?(?: (?:celsius|Celsius|fahrenheit|Fahrenheit))?|celsius|Celsius|kelvin|Kelvin|volts?"
+    r"|amp(?:ere)?s?|watts?|(?:milli|centi|kilo)?met(?:er|re)s?|(?:milli)?lit(?:er|re)s?"
+    r"|(?:milli|kilo)?grams?|pascals?|eq|ppt|units?|USD|EUR|GBP|[$€£¥])"
 )
 _UNIT = re.compile(
     rf"(?:1\s*/\s*)?{_BASE}(?:\^?[-\u2212]?[\d²³⁻¹]+)?(?:\s*[/*·.\s]\s*\(?{_BASE}\)?(?:\^?[-\u2212]?[\d²³⁻¹]+)?)*"

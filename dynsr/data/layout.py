@@ -226,14 +226,14 @@ def _arrange(rows: Sequence[Row], first: int, head: list[Row]) -> Layout:
     units: list[str] = []
     unit_row = None
     if len(head) > 1:
-        for row in reversed(head[1:]):
+        for row in (*reversed(head[1:]), head[0]):  # units stand below the names, seldom above
             found = _as_units(row)
             if found is not None:
                 units, unit_row = found, row
                 break
     rest = [row for row in head if row is not unit_row]
     rest = [row for row in rest if not row.comment] or rest
-    if unit_row is not None:  # what stands below the units are remarks
+    if unit_row is not None and unit_row is not head[0]:  # what stands below the units are remarks
         rest = [row for row in rest if row.place < unit_row.place] or rest
     names, used = _choose_names(rest)
     kept = {row.place for row in used} | ({unit_row.place} if unit_row else set())

@@ -248,6 +248,9 @@ def _read_groups(file: Any, path: Path) -> dict[str, dict[str, np.ndarray]]:
             continue
         if item.external or item.is_virtual or item.shape is None or item.ndim > 2:
             continue
+        # A single text of any length is no column, and a damaged one makes the library wait.
+        if item.dtype.kind == "O" and item.size == 1 and not _is_reference(item):
+            continue
         kept.append((name, item))
     check_size(path, sum(int(item.size) * item.dtype.itemsize for _, item in kept))
     groups: dict[str, dict[str, np.ndarray]] = {}
@@ -262,11 +265,11 @@ def _read_dataset(file: Any, key: str, item: Any) -> Iterator[tuple[str, np.ndar
     """Give the arrays of a dataset: fields of a compound, text of bytes, MATLAB's way round."""
     import h5py
 
-    matlab = item.attrs.get("MATLAB_class", b"")
+    matlab = item.attrs.get("MATLAB_class", b"") if file.userblock_size else b""
     matlab = matlab.decode() if isinstance(matlab, bytes) else str(matlab)
-    if item.attrs.get("MATLAB_empty", 0) or matlab in ("function_handle", "struct"):
+    if (matlab and item.attrs.get("MATLAB_empty", 0)) or matlab in ("function_handle", "struct"):
         return
-    if h5py.check_ref_dtype(item.dtype) is not None:
+    if _is_reference(item):
         texts = [_characters(file[one]) for one in item[()].ravel()] if matlab == "cell" else []
         if texts and all(text is not None for text in texts):
             yield key, np.array(texts)
@@ -289,6 +292,12 @@ def _read_dataset(file: Any, key: str, item: Any) -> Iterator[tuple[str, np.ndar
         array = array.ravel()
     if array.dtype.kind in "fiubcU":
         yield key, array.reshape(()) if array.size == 1 and matlab else array
+
+
+def _is_reference(item: Any) -> bool:
+    import h5py
+
+    return h5py.check_ref_dtype(item.dtype) is not None
 
 
 def _characters(item: Any) -> str | None:
@@ -323,6 +332,11 @@ def load_netcdf(path: Path, decimal: str | None = None) -> Columns:
     if not classic:
         need("h5netcdf", "tables", f"reading {path.name!r}")
     try:
+        if not classic:
+            import h5py
+
+            # Where it is damaged h5netcdf complains once more when it is thrown away.
+            h5py.File(path, "r").close()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             engine: Any = "scipy" if classic else "h5netcdf"
