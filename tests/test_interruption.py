@@ -68,7 +68,9 @@ def test_ctrl_c_gives_the_best_so_far(decay, tmp_path, jobs):
     assert all(abs(float(n)) < 1e-3 for n in term.as_coefficients_dict().values())
     assert "best so far" in found.explanation["y"] and len(found.front["y"]) > 1
     assert [path.name for path in (tmp_path / "records").iterdir()] == ["search-y-rational.json"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["manifest.json", "records"]
+    kept = {path.name for path in tmp_path.iterdir()}
+    # Of the endless one the last state is kept, if it had the time.
+    assert kept - {"parts"} == {"manifest.json", "records"}
     assert signal.getsignal(signal.SIGINT) is before
     saved = Discovery.load(found.save(tmp_path / "d.json"))
     assert not saved.complete and saved.equations == found.equations

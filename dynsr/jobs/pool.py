@@ -20,7 +20,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing.util import Finalize
-from typing import Any
+from typing import Any, TypeVar
 
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 from joblib.externals.loky import reusable_executor
@@ -33,9 +33,14 @@ from dynsr.errors import DynsrError, InputError
 from dynsr.jobs.budget import uncut
 from dynsr.jobs.garbage import let_garbage_wait
 from dynsr.jobs.progress import Reporter, Watch
-from dynsr.jobs.store import RunFolder, as_read
+from dynsr.jobs.store import PARTS, RunFolder, as_read
+from dynsr.methods import AbstractKeeper, keeping
+
+T = TypeVar("T")
 
 _WATCH_SECONDS = 1.0
+# What a kill costs a search at most, beside the part that it was in.
+_SECONDS_BETWEEN_STATES = 1.0
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux
 
 
@@ -157,12 +162,82 @@ def run_tasks(
 def _do(task: Task, folder: RunFolder, messages: Any) -> Any:
     """Do a task and keep its record; raises KeyboardInterrupt when it was asked to stop."""
     with threadpool_limits(1), closing(Reporter(messages, task.name, task.title)) as report:
-        record = task.work(*task.arguments, report)
+        parts = Parts(folder, task.name, task.key)
+        with keeping(parts):
+            record = task.work(*task.arguments, report)
         with uncut():
             record = as_read(task.kind, record)
             report.end(record)
             folder.save(task.name, task.key, record)
+            parts.remove()
     return record
+
+
+class Parts(AbstractKeeper):
+    """Keeps the parts of one task in a folder of its own until the task has its record.
+
+    Each part is a record with a checksum. Its name is its place: the third part within the second
+    is ``1.name/2.other``, whatever is read back and whatever is made.
+
+    Parameters
+    ----------
+    folder : of the run.
+    task, key : the task's name, and the digest of all that it depends on.
+    """
+
+    def __init__(self, folder: RunFolder, task: str, key: str) -> None:
+        """Begin with the first part."""
+        records = f"{PARTS}/{folder.file(task).stem}" if folder.path is not None else ""
+        self._folder = RunFolder(folder.path, records)
+        self._key = key
+        self._places: list[int] = [0]
+        self._names: list[str] = []
+
+    def take(
+        self, name: str, kind: type[T], make: Callable[[], T], is_whole: Callable[[T], bool]
+    ) -> T:
+        """Give a part as it was kept, else make and keep it."""
+        place, full = self._next(name)
+        kept = self._folder.load(full, self._key, kind)
+        if kept is not None:
+            return kept
+        self._names.append(place)
+        self._places.append(0)
+        try:
+            made = make()
+        finally:
+            self._names.pop()
+            self._places.pop()
+        with uncut():
+            # What a search goes on with is the same whether it was made or read.
+            made = as_read(kind, made)
+            if is_whole(made):
+                self._folder.save(full, self._key, made)
+        return made
+
+    def begin(self, name: str, kind: type[T]) -> tuple[T | None, Callable[[Callable[[], T]], None]]:
+        """Give the last state that was kept, and what keeps another."""
+        _, full = self._next(name)
+        before = time.monotonic()
+
+        def keep(make: Callable[[], T]) -> None:
+            nonlocal before
+            if time.monotonic() - before >= _SECONDS_BETWEEN_STATES:
+                with uncut():
+                    self._folder.save(full, self._key, make())
+                before = time.monotonic()
+
+        return self._folder.load(full, self._key, kind), keep
+
+    def _next(self, name: str) -> tuple[str, str]:
+        """Give the place of the part that is asked for now, and its name."""
+        place = f"{self._places[-1]}.{name}"
+        self._places[-1] += 1
+        return place, "/".join([*self._names, place])
+
+    def remove(self) -> None:
+        """Remove what was kept."""
+        self._folder.remove()
 
 
 def _give_up(task: Task, folder: RunFolder) -> Any:

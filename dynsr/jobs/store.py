@@ -14,6 +14,7 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -27,6 +28,8 @@ from dynsr.errors import DynsrError, DynsrWarning, InputError
 T = TypeVar("T")
 
 MANIFEST = "manifest.json"
+# Where the parts of tasks are that have not ended.
+PARTS = "parts"
 _MOST_BYTES = 1 << 30
 _LONGEST_NAME = 100
 # Records nest some ten levels; Python follows about a thousand.
@@ -321,17 +324,19 @@ class RunFolder:
                     f"{folder} holds {foreign[0]!r} and no results of dynsr; "
                     "give a new or an empty folder"
                 )
-            if (folder / self.records).is_symlink():
-                raise FolderTaken(
-                    f"{folder} holds a link {self.records!r} to another folder; "
-                    "give a new or an empty folder"
-                )
+            for name in (self.records, PARTS):
+                if (folder / name).is_symlink():
+                    raise FolderTaken(
+                        f"{folder} holds a link {name!r} to another folder; "
+                        "give a new or an empty folder"
+                    )
             # Written anew each time, so that a folder that cannot be written is known at once; and
             # first, since by it the folder is known again.
             manifest = {"format": _format(work), "key": key, "settings": settings}
             write_json(folder / MANIFEST, manifest)
             (folder / self.records).mkdir(exist_ok=True)
-            for place in (folder, folder / self.records):
+            parts = [p for p in (folder / PARTS).glob("*") if p.is_dir() and not p.is_symlink()]
+            for place in (folder, folder / self.records, *parts):
                 remove_stale(place)
         except OSError as error:
             reason = error.strerror or type(error).__name__
@@ -402,6 +407,18 @@ class RunFolder:
         """Keep the record of a task."""
         if self.path is not None:
             write_record(self.file(name), record, key)
+
+    def remove(self) -> None:
+        """Remove the records of this folder, and folders that are empty then."""
+        if self.path is None:
+            return
+        here = self.path / self.records
+        for path in here.glob("*"):
+            if path.suffix == ".json" or is_part(path):
+                path.unlink(missing_ok=True)
+        with suppress(OSError):
+            here.rmdir()
+            here.parent.rmdir()
 
 
 def _may_be_there(path: Path, alone: tuple[str, ...]) -> bool:

@@ -5,6 +5,7 @@ from .feynman.search import DynAIFeynman
 from .genetic import GeneticAlgorithm
 from .library import Library, polynomials, trigonometrics
 from .limits import Limits
+from .parts import AbstractKeeper, keeping
 from .rational import RationalSearch
 from .registry import (
     AUTO,
@@ -26,6 +27,7 @@ __all__ = [
     "METHODS",
     "PAPER_METHODS",
     "PRESETS",
+    "AbstractKeeper",
     "AbstractMethod",
     "AskedMethod",
     "Constraints",
@@ -44,6 +46,7 @@ __all__ = [
     "describe_presets",
     "find_method",
     "fit_quadratics",
+    "keeping",
     "make_method",
     "polynomials",
     "read_demands",

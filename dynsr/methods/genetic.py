@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -29,6 +30,7 @@ from dynsr.methods.grammar import (
 )
 from dynsr.methods.limits import Limits
 from dynsr.methods.own_terms import extend_samples
+from dynsr.methods.parts import read_state, states, write_state
 
 
 @checked
@@ -134,11 +136,15 @@ class GeneticAlgorithm(AbstractMethod):
         return ParetoFront(wider.bring_back(seen.front())) if wider.meanings else seen.front()
 
     def _evolve(self, seen: _Seen, rng: np.random.Generator, report: Report) -> None:
-        parents = np.zeros((self.population, self.bits), dtype=bool)
-        population, words = self._valid(seen.grammar, parents, 0.5, rng)
-        loss = seen.losses(words)
+        last, keep = states("generations", _Generation)
+        if last is None:
+            done, parents = 0, np.zeros((self.population, self.bits), dtype=bool)
+            population, words = self._valid(seen.grammar, parents, 0.5, rng)
+            loss = seen.losses(words)
+        else:
+            done, population, loss = last.bring_back(seen, rng)
         survivors = (self.population + 1) // 2
-        for iteration in range(self.iterations):
+        for iteration in range(done, self.iterations):
             best = np.argsort(loss, kind="stable")[:survivors]
             parents = population[best][: self.population - survivors]
             mutants, new = self._valid(seen.grammar, parents, self.mutation, rng)
@@ -146,6 +152,7 @@ class GeneticAlgorithm(AbstractMethod):
             loss = np.concatenate([loss[best], seen.losses(new)])
             if report is not silent:
                 report(Progress("generations", iteration + 1, self.iterations, seen.front()))
+            keep(partial(_Generation.of, iteration + 1, population, loss, seen, rng))
 
     def _valid(
         self, grammar: Grammar, parents: np.ndarray, rate: float, rng: np.random.Generator
@@ -166,6 +173,49 @@ class GeneticAlgorithm(AbstractMethod):
             children[rows[valid]] = drawn[valid]
             rows = rows[~valid]
         return children, words
+
+
+@dataclass(frozen=True)
+class _Generation:
+    """One generation as it is kept: its words in bits, and the best words of all so far."""
+
+    done: int
+    population: tuple[str, ...]
+    loss: tuple[float, ...]
+    words: tuple[tuple[int, ...], ...]
+    word_bits: tuple[float, ...]
+    word_loss: tuple[float, ...]
+    state: str
+
+    @classmethod
+    def of(
+        cls,
+        done: int,
+        population: np.ndarray,
+        loss: np.ndarray,
+        seen: _Seen,
+        rng: np.random.Generator,
+    ) -> _Generation:
+        return cls(
+            done,
+            tuple("".join(map(str, row)) for row in population.astype(int).tolist()),
+            tuple(loss.tolist()),
+            tuple(map(tuple, seen.words.tolist())),
+            tuple(map(float, seen.bits.tolist())),
+            tuple(seen.loss.tolist()),
+            write_state(rng),
+        )
+
+    def bring_back(
+        self, seen: _Seen, rng: np.random.Generator
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """Give how many are done, population and losses; bring all else to where it was."""
+        if self.words:
+            seen.words = np.array(self.words, dtype=np.int64)
+            seen.bits, seen.loss = np.array(self.word_bits), np.array(self.word_loss)
+        read_state(rng, self.state)
+        rows = [[digit == "1" for digit in row] for row in self.population]
+        return self.done, np.array(rows, dtype=bool), np.array(self.loss)
 
 
 class _Seen:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from base64 import b64decode, b64encode
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -45,6 +46,11 @@ class Network:
         with _one_thread():
             slopes = self.layers.slopes(inputs, torch.ones_like(self.layers.values(inputs)))
         return slopes.double().cpu().numpy() * self.spread / self.scale
+
+    def write(self) -> tuple[str, float, int]:
+        """Give the weights as text, the validation error and the epochs, for `read_network`."""
+        weights = self.layers.weights.detach().double().cpu().numpy()
+        return b64encode(weights.tobytes()).decode("ascii"), self.validation_error, self.epochs
 
     def _inputs(self, X: np.ndarray) -> torch.Tensor:
         weights = self.layers.weights
@@ -149,8 +155,7 @@ def fit_network(
     float32 on a GPU where torch finds one. The weights of least validation error are kept.
     """
     settings = settings or NetworkSettings()
-    gpu = torch.cuda.is_available()
-    device, dtype = ("cuda", torch.float32) if gpu else ("cpu", torch.float64)
+    device, dtype = _place()
     centre, scale = standard_coordinates(samples.X)
     offset, spread = float(np.mean(samples.y)), float(np.std(samples.y)) or 1.0
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
@@ -167,6 +172,39 @@ def fit_network(
     layers.weights.copy_(training.best_weights)
     error = spread * training.best_error
     return Network(layers, centre, scale, offset, spread, error, training.epochs)
+
+
+def read_network(
+    samples: Samples,
+    weights: str,
+    validation_error: float,
+    epochs: int,
+    settings: NetworkSettings | None = None,
+) -> Network:
+    """Give a network back that was trained on the same samples with the same settings.
+
+    Parameters
+    ----------
+    samples, settings : what :func:`fit_network` was given.
+    weights, validation_error, epochs : what the network wrote.
+
+    Raises ValueError when the weights are not those of such a network.
+    """
+    settings = settings or NetworkSettings()
+    device, dtype = _place()
+    centre, scale = standard_coordinates(samples.X)
+    offset, spread = float(np.mean(samples.y)), float(np.std(samples.y)) or 1.0
+    units = (samples.X.shape[1], *settings.hidden, 1)
+    shapes = [s for below, own in itertools.pairwise(units) for s in ((own, below), (own,))]
+    layers = _Layers([torch.zeros(shape, dtype=dtype, device=device) for shape in shapes])
+    values = np.frombuffer(b64decode(weights, validate=True), dtype=np.float64)
+    layers.weights.copy_(torch.tensor(values, dtype=dtype))
+    return Network(layers, centre, scale, offset, spread, validation_error, epochs)
+
+
+def _place() -> tuple[str, torch.dtype]:
+    gpu = torch.cuda.is_available()
+    return ("cuda", torch.float32) if gpu else ("cpu", torch.float64)
 
 
 def _draw_weights(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,6 +38,7 @@ from dynsr.methods.feynman.stages.refinement import Refinement
 from dynsr.methods.feynman.stages.separability import Separability
 from dynsr.methods.feynman.stages.symmetry import Symmetry
 from dynsr.methods.limits import Limits
+from dynsr.methods.parts import part, read_state, write_state
 from dynsr.methods.rational import RationalSearch
 
 # Stages that look at the samples as they are.
@@ -292,16 +295,15 @@ class DynAIFeynman(AbstractMethod):
         for stage in self._pipeline(samples, context.depth):
             if context.seconds_left <= 0 or context.interrupted:
                 return found
-            context.tell(stage.name, 0, None)
-            fresh = stage.run(samples, context)
+            make = partial(self._run, stage, samples, context, limit)
+            ended = part(stage.name, _Ended, make, lambda _: not context.interrupted)
+            fresh = ended.bring_back(context)
             found += fresh
-            context.offer(fresh)
             if any(c.loss <= limit for c in fresh):
                 break
-            if context.depth == 0 and stage.name in _COMPARED:
-                bests += self._compare(fresh, samples, context)
-                if bests and bests.count(bests[-1]) >= self.agreement > 0:
-                    break
+            bests += ended.bests
+            if bests and bests.count(bests[-1]) >= self.agreement > 0:
+                break
         if context.depth or not {"refinement", "snapping"} & set(self.stages):
             return found
         if context.seconds_left > 0 and not context.interrupted:
@@ -310,8 +312,27 @@ class DynAIFeynman(AbstractMethod):
             context.tell("refinement", 0, None)
             refined = self.refinement
             refined = replace(refined, snapping=refined.snapping and "snapping" in self.stages)
-            context.offer(refined.run(samples, context))
+            ended = part(
+                "refinement",
+                _Ended,
+                lambda: _Ended.of(refined.run(samples, context), context),
+                lambda _: not context.interrupted,
+            )
+            context.offer(ended.bring_back(context))
         return found
+
+    def _run(
+        self, stage: AbstractStage, samples: Samples, context: Context, limit: float
+    ) -> _Ended:
+        """Run one stage, and compare the best that it found with those of other stages."""
+        context.tell(stage.name, 0, None)
+        fresh = stage.run(samples, context)
+        context.offer(fresh)
+        bests: list[sympy.Expr] = []
+        exact = any(c.loss <= limit for c in fresh)
+        if context.depth == 0 and stage.name in _COMPARED and not exact:
+            bests = self._compare(fresh, samples, context)
+        return _Ended.of(fresh, context, bests)
 
     def _compare(
         self, fresh: list[Candidate], samples: Samples, context: Context
@@ -377,7 +398,48 @@ class DynAIFeynman(AbstractMethod):
     def _train(self, samples: Samples, context: Context) -> Surrogate:
         """Train the network; on reduced problems with half the epochs, as AI Feynman does."""
         # Torch takes seconds to import and is wanted by this one stage.
-        from dynsr.methods.feynman.network import fit_network
+        from dynsr.methods.feynman.network import fit_network, read_network
 
         epochs = max(1, self.epochs >> min(context.depth, 1))
-        return fit_network(samples, context.rng, epochs, self.network)
+
+        def train() -> _Trained:
+            network = fit_network(samples, context.rng, epochs, self.network)
+            return _Trained(*network.write(), write_state(context.rng))
+
+        trained = part("network", _Trained, train)
+        read_state(context.rng, trained.state)
+        return read_network(
+            samples, trained.weights, trained.validation_error, trained.epochs, self.network
+        )
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """What a stage that has ended leaves, as it is kept."""
+
+    found: tuple[Candidate, ...]
+    front: tuple[Candidate, ...]
+    bests: tuple[sympy.Expr, ...]
+    state: str
+
+    @classmethod
+    def of(
+        cls, found: Sequence[Candidate], context: Context, bests: Sequence[sympy.Expr] = ()
+    ) -> _Ended:
+        return cls(tuple(found), tuple(context.front), tuple(bests), write_state(context.rng))
+
+    def bring_back(self, context: Context) -> list[Candidate]:
+        """Give the formulas, and bring the search to where it was behind the stage."""
+        context.front = ParetoFront(self.front)
+        read_state(context.rng, self.state)
+        return list(self.found)
+
+
+@dataclass(frozen=True)
+class _Trained:
+    """A network as it is kept."""
+
+    weights: str
+    validation_error: float
+    epochs: int
+    state: str

@@ -66,6 +66,7 @@ class Context:
     solve : finds formulas for a reduced problem; by default none.
     surrogate : gives the stand-in for the function behind some samples.
     interrupted : set by a stage that was interrupted and gave what it had; the search then ends.
+    above : that of the problem that this one was reduced from.
     """
 
     rng: np.random.Generator
@@ -77,6 +78,7 @@ class Context:
     solve: Callable[[Samples, Context], list[Candidate]] = lambda samples, context: []
     surrogate: Callable[[Samples, Context], Surrogate] | None = None
     interrupted: bool = False
+    above: Context | None = None
 
     @property
     def seconds_left(self) -> float:
@@ -95,7 +97,13 @@ class Context:
 
     def deeper(self) -> Context:
         """Give the context of a problem reduced from this one."""
-        return replace(self, depth=self.depth + 1)
+        return replace(self, depth=self.depth + 1, above=self)
+
+    def interrupt(self) -> None:
+        """Have the search end, and that of every problem above."""
+        self.interrupted = True
+        if self.above is not None:
+            self.above.interrupt()
 
 
 class AbstractStage(ABC):

@@ -40,5 +40,6 @@ class Enumeration(AbstractStage):
             context.tell(self.name, running.formed, None)
 
         result = search_samples(samples, settings, tell)
-        context.interrupted |= result.stopped == "interrupted"
+        if result.stopped == "interrupted":
+            context.interrupt()
         return [replace(candidate, source=self.name) for candidate in result.candidates]
