@@ -82,7 +82,7 @@ def test_the_text_shows_every_role_and_the_options(table):
     for words in (
         "'time [h]' in hours",
         "2, named by 'run'",
-        "level [m] (column 'level [m]')",
+        "level [m]\n",
         "valve: held until the next row",
         "--states level,valve",
         "--hold valve=linear",

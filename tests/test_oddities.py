@@ -203,6 +203,10 @@ def test_a_state_that_follows_from_others_is_seen():
     ((name, text),) = odd_states({"C": np.round(50 * s, 1), "F": fahrenheit})
     assert (name, text) == ("F", "F is 32 + 1.8*C in every row")
     assert odd_states({"S": s, "R": 1 - s + noise(0.001)}) == []
+    growths = {f"x{k}": np.round(0.05 * np.exp(k * T / 80), 3) for k in (9, 10, 11)}
+    assert odd_states(growths) == []
+    counts = {n: np.round(1000 * own) for n, own in {"S": s, "I": i, "R": 1 - s - i}.items()}
+    assert odd_states(counts) == [("R", "R is 1000 - S - I in every row")]
     assert odd_states({"S": s, "I": i, "J": np.exp(-T / 4)}) == []
 
 

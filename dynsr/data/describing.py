@@ -99,6 +99,6 @@ def _odd(table: Table, settings: OddSettings) -> Iterator[str]:
     together = columns_of(table.trajectories)
     for _, sentence in odd_states({state: together[state] for state in found.states}, settings):
         yield (
-            f"{sentence}, so that its equation follows from theirs; leave it out, or say that the "
-            "sum is conserved (--conserved)"
+            f"{sentence}, so that its equation follows from the others'; leave it out, or say that "
+            "a sum does not change (--conserved)"
         )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynsr.arguments import checked
+from dynsr.data.assembling import bare_name
 from dynsr.data.names import clean_name
 from dynsr.data.oddities import OddSettings
 from dynsr.data.roles import Roles
@@ -229,7 +230,7 @@ class Description:
     def _named(self, name: str) -> str:
         said = f"{name} [{self.units[name]}]" if name in self.units else name
         own = next((column for column, new in self.renamed.items() if new == name), "")
-        return f"{said} (column {own!r})" if own else said
+        return f"{said} (column {own!r})" if own and bare_name(own) != name else said
 
     def _runs(self) -> list[str]:
         width = max(len(run.name) for run in self.trajectories[:_MOST_RUNS])

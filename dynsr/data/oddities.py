@@ -394,11 +394,18 @@ def _line_through(x: np.ndarray, others: Mapping[str, np.ndarray]) -> str:
     }
     rounding = [resolution(x), *(slopes[n] * resolution(own) for n, own in others.items())]
     # Twice the error of rounding, or that of sums in float64.
-    bound = 2 * _ROUNDING * float(np.linalg.norm(rounding)) + 1e-9 * float(np.std(x))
-    if bound > 0.1 * float(np.std(x)) or np.sqrt(np.mean((centred - table @ weights) ** 2)) > bound:
+    spread = float(np.std(x))
+    bound = 2 * _ROUNDING * float(np.linalg.norm(rounding)) + 1e-9 * spread
+    if bound > 0.1 * spread or np.sqrt(np.mean((centred - table @ weights) ** 2)) > bound:
         return ""
     kept = {name: slope for name, slope in slopes.items() if abs(slope) * scales[name] > bound}
-    number = float(np.mean(x)) - sum(slope * float(np.mean(others[n])) for n, slope in kept.items())
+    # Several smooth columns of few digits fit many others by chance, but not with whole numbers.
+    if len(kept) > 1 and bound > 1e-6 * spread:
+        kept = {name: round(2 * slope) / 2 for name, slope in kept.items()}
+    left = x - sum(slope * others[name] for name, slope in kept.items())
+    number = float(np.mean(left))
+    if np.std(left) > bound:
+        return ""
     return _as_sum(kept, number if abs(number) > 10 * bound else 0.0)
 
 
