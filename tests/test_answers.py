@@ -5,11 +5,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dynsr
-from dynsr.data import Trajectory, diagnose
+from dynsr.data import Samples, Trajectory, diagnose
 from dynsr.discovery.adoption import adopt_better
 from dynsr.discovery.orders import Form
-from dynsr.discovery.problem import DISCOVERY, Problem
+from dynsr.discovery.problem import DISCOVERY, Problem, pool_formulas
 from dynsr.discovery.result import Discovery
+from dynsr.discovery.tasks import Found
 from dynsr.discovery.verdict import follows_to, likely_cause
 from dynsr.expression import parse, shown
 from dynsr.fit import ParetoFront, score_candidate, tidy
@@ -172,3 +173,38 @@ def test_no_cause_is_named_of_what_leaves_nothing_but_noise():
     found = answer(problem, unsure, {"x": ["v"], "v": [SPRING["v"]]})
     reason = problem.judge(found, {"x": [], "v": []}).states["v"].reason
     assert "not sure of x**2" in reason and "missing" not in reason
+
+
+@pytest.mark.parametrize(
+    ("text", "left"),
+    [
+        ("-0.5*x + 8.5e-16*tanh(x)", "-0.5*x"),
+        ("-0.5*x + 1e-14*x*y - 3e-17", "-0.5*x"),
+        ("(2.0*x + 1e-15*y)/(1.5 + x)", "2.0*x/(1.5 + x)"),
+        ("-0.5*x + 1e-15*y", "-0.5*x"),
+        ("2.5e-16*y", "2.5e-16*y"),
+        ("-0.5*x + 1e-7*y", "-0.5*x + 1e-7*y"),
+    ],
+)
+def test_nothing_at_rounding_stands_on_a_front(text, left):
+    """A term that adds no more than rounding is none; one that adds little, or is all, stays."""
+    x = np.linspace(0.5, 3, 40)
+    samples = Samples(np.stack([x, x**2], 1), -0.5 * x, ("x", "y"), "x", "given", x)
+    found = Found("x", "sindy", (score_candidate(parse(text), samples, "sindy"),), 0.0)
+    (kept, *_) = pool_formulas([found], {"x": samples}, read_demands("xy", "xy"), {})["x"]
+    assert kept.expr == parse(left) and kept.source == "sindy"
+
+
+@pytest.mark.parametrize("seed", [0, 3, 7])
+def test_a_single_spike_is_no_oscillation(seed):
+    """Uneven rows with one spike: the step that is too long is named; of swings their rows are."""
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.uniform(0, 10, 24))
+    x = np.exp(-(((t - 5) / 0.25) ** 2)) + 1e-3 * rng.normal(size=24) * (seed % 2)
+    (told, *_) = diagnose(Trajectory(t, x[:, None], ("x",)), "x")
+    assert told.kind == "sampling too coarse" and "oscillation" not in told.sentence
+    row = int(np.argmax(np.abs(np.diff(x))))
+    assert f"from t = {t[row]:.4g} to t = {t[row + 1]:.4g} alone it moves by" in told.sentence
+    t = np.linspace(0, 40, 40)
+    swing = Trajectory(t, np.stack([np.sin(t), np.cos(t)], 1), ("x", "y"))
+    assert "takes about 6.7 rows an oscillation" in diagnose(swing, "x")[0].sentence

@@ -79,6 +79,8 @@ class DiagnosisSettings:
 
 
 _SETTINGS = DiagnosisSettings()
+# A column oscillates that goes up and down at least so often.
+_OSCILLATES = 2
 
 
 @dataclass(frozen=True)
@@ -197,10 +199,32 @@ def _of_shape(
         return
     yield Cause(
         "sampling too coarse",
-        f"the rows are too far apart for slopes of {target}: it takes fewer than 10 rows an "
-        "oscillation. Measure more often.",
+        f"the rows are too far apart for slopes of {target}: {_seen_between_rows(runs, target)}",
         evidence,
     )
+
+
+def _seen_between_rows(runs: Sequence[Trajectory], target: str) -> str:
+    """Say how far apart the rows are: the rows of an oscillation, or the longest step of all."""
+    run = max(runs, key=lambda one: _swings(_column(one, target)))
+    x = _column(run, target)
+    swings = _swings(x)
+    if swings >= _OSCILLATES:
+        return f"it takes about {len(x) / swings:.2g} rows an oscillation. Measure more often."
+    steps = [np.abs(np.diff(_column(one, target))) for one in runs]
+    number = int(np.argmax([step.max() for step in steps]))
+    row = int(np.argmax(steps[number]))
+    size = float(np.ptp(np.concatenate([_column(one, target) for one in runs])))
+    begin, end = runs[number].t[row : row + 2]
+    return (
+        f"from t = {begin:.4g} to t = {end:.4g} alone it moves by "
+        f"{100 * steps[number][row] / size:.0f} % of its range. Measure more often there."
+    )
+
+
+def _swings(x: np.ndarray) -> float:
+    """Count how often a column goes through the middle of its range and back."""
+    return np.count_nonzero(np.diff(x > (x.min() + x.max()) / 2)) / 2
 
 
 def _jumps(runs: Sequence[Trajectory], settings: DiagnosisSettings) -> bool:

@@ -54,6 +54,7 @@ from dynsr.fit import (
     tidy,
     with_floats,
     without_flat_line,
+    without_rounding,
 )
 from dynsr.jobs import (
     Budget,
@@ -455,7 +456,8 @@ class Problem:
         given = self.known.get(pick.state, sympy.S.Zero)
         kept = (c for c in last if self.demands.allows(c.expr))
         whole = (c for c in kept if not self.demands.lacking(pick.state, given + c.expr))
-        return ParetoFront([*pool, *whole])
+        samples = self.samples_in_time(pick.state)
+        return ParetoFront([*pool, *(without_rounding(c, samples) for c in whole)])
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -741,11 +743,12 @@ def pool_formulas(
     pools: dict[str, list[Candidate]] = {state: [] for state in samples}
     for found in searched:
         own = samples[found.target]
-        plain = (without_flat_line(c.expr, own.columns) for c in found.candidates)
-        pools[found.target] += found.candidates
+        some = [without_rounding(c, own) for c in found.candidates]
+        plain = (without_flat_line(c.expr, own.columns) for c in some)
+        pools[found.target] += some
         pools[found.target] += [
             score_candidate(e, own, c.source)
-            for c, e in zip(found.candidates, plain, strict=True)
+            for c, e in zip(some, plain, strict=True)
             if e is not None
         ]
     return {

@@ -31,6 +31,7 @@ from dynsr.fit import (
     refit,
     score_candidate,
     tidy,
+    without_rounding,
 )
 from dynsr.jobs import End, Task, TimeUp, Turn, Watch, best_equation, finish_by, time_limit
 from dynsr.methods import (
@@ -637,7 +638,7 @@ def collect_best(
             continue
         best = choices[0].candidate if choices else choose(pool, own)
         equations[state] = tidy(known.get(state, sympy.S.Zero) + best.expr)
-        fronts[state] = ParetoFront(pool)
+        fronts[state] = ParetoFront(without_rounding(c, own) for c in pool)
         why[state] = f" Found by {best.source or 'search'}" + (
             "."
             if choices

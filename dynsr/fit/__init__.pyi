@@ -19,7 +19,7 @@ from .description import (
     shift_bits,
     structure_bits,
 )
-from .exact import approach, confirm, simplest_form
+from .exact import approach, confirm, simplest_form, without_rounding
 from .flow import Flow, Pace, Windows, cut_windows, runge_kutta_step
 from .forced import missing_terms
 from .linear import (
@@ -145,4 +145,5 @@ __all__ = [
     "ways_alike",
     "with_floats",
     "without_flat_line",
+    "without_rounding",
 ]

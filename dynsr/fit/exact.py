@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory, columns_of
+from dynsr.data import Samples, Trajectory, columns_of
 from dynsr.errors import InputError
 from dynsr.expression import compile_columns, number_bits, ratio_forms
+from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import free_constants
 from dynsr.fit.description import structure_bits
 from dynsr.fit.settings import FIT, FitSettings
@@ -33,6 +34,9 @@ _STRIDE = 0.03
 _SHORT = (1, 2, 3)
 # Misses below this share of those that leave no doubt are of the steps of the integration.
 _NOTHING = 0.01
+# Share of a formula that float64 and a fit of some columns round off, and how much smaller than
+# others a constant is at least of which that may be so.
+_ROUNDING, _UNEVEN = 1e-12, 1e-9
 
 
 def confirm(
@@ -230,6 +234,30 @@ def _with_shifts(
             logs[factors[0]] = math.log(values[factors[0]])
     if shifted:
         yield template.xreplace(shifted), logs
+
+
+def without_rounding(candidate: Candidate, samples: Samples) -> Candidate:
+    """Give a candidate without the terms and constants that add no more than rounding to it.
+
+    Fits of many columns leave coefficients of the size of rounding where a term is nothing.
+
+    Parameters
+    ----------
+    candidate : the formula.
+    samples : where it holds.
+
+    >>> x = sympy.Symbol("x")
+    >>> s = Samples(np.array([[1.0], [2.0]]), np.array([-0.5, -1.0]), ("x",), "x", "given",
+    ...             np.arange(2.0))
+    >>> without_rounding(score_candidate(-0.5 * x + 8.5e-16 * sympy.tanh(x), s), s).expr
+    -0.5*x
+    """
+    sizes = [abs(float(number)) for number in candidate.expr.atoms(sympy.Float)]
+    if not sizes or min(sizes) > _UNEVEN * max(1.0, *sizes):
+        return candidate
+    columns = {**samples.columns, "t": samples.t}
+    left = _without_nothing(candidate.expr, columns, _ROUNDING)
+    return score_candidate(left, samples, candidate.source) if left != candidate.expr else candidate
 
 
 def _without_nothing(
