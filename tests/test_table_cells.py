@@ -1,11 +1,14 @@
 """What cells say: missing and limited values, units, thousands, switches; by evidence, and told."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
+from command_line import run
 
-from dynsr.data import read_trajectories
+from dynsr.data import read_trajectories, take_trajectories
 from dynsr.data.amounts import is_unit, parse_number
 from dynsr.data.cells import read_columns
 from dynsr.data.columns import load_columns
@@ -317,3 +320,15 @@ def test_an_error_behind_a_value_gets_a_column_of_its_own(tmp_path, sign):
     assert columns.names == ("t", "x [g]", "x_sd", "what")
     np.testing.assert_array_equal(columns.values[1], [*np.arange(1.5, 12), np.nan])
     np.testing.assert_array_equal(columns.values[2], [*np.arange(11) / 8 + 0.25, np.nan])
+
+
+def test_the_shell_and_discover_take_the_decimal_mark(tmp_path):
+    """What is refused names the option, and the option settles it."""
+    path = table(tmp_path, "\t", x=[f"{j * j + 1},{j:03d}" for j in range(12)])
+    for words in (["describe", path], ["discover", path]):
+        assert "say the decimal mark (--decimal)" in run(*words, code=2).output
+    told = run("describe", path, "--decimal", ",", "--json")
+    assert json.loads(told.stdout)["states"] == ["x"]
+    runs, _ = take_trajectories(path, decimal=",")
+    assert runs[0].x[1, 0] == 2.001
+    assert read_trajectories([path], decimal=".").trajectories[0].x[1, 0] == 2001

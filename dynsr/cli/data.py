@@ -29,6 +29,7 @@ def load_table(
     trajectory: str | None,
     hold: options.Names = None,
     quantity: str | None = None,
+    decimal: str | None = None,
     say: Callable[[str], None] = output.note,
 ) -> list[Trajectory]:
     """Read the trajectories of files and say how their columns were understood."""
@@ -43,6 +44,7 @@ def load_table(
             inputs,
             trajectory,
             quantity=quantity,
+            decimal=decimal,
             hold=options.read_hold(hold),
         )
     warned = {str(warning.message) for warning in caught}
@@ -151,6 +153,7 @@ def describe(
     inputs: options.Inputs = None,
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
+    decimal: options.Decimal = None,
     hold: options.Hold = None,
     json: options.Json = False,
 ) -> None:
@@ -171,6 +174,7 @@ def describe(
         None if inputs is None else known,
         trajectory,
         quantity=quantity,
+        decimal=decimal,
         hold=options.read_hold(hold),
     )
     if json:

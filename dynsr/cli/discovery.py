@@ -186,6 +186,7 @@ def discover(
     doses: options.Doses = None,
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
+    decimal: options.Decimal = None,
     method: options.MethodName = AUTO,
     preset: options.Preset = DEFAULT_PRESET,
     targets: Annotated[
@@ -319,12 +320,12 @@ def discover(
     with notes:
         if files:
             data = load_table(
-                files, time_column, states, columns, trajectory, hold, quantity, notes.say
+                files, time_column, states, columns, trajectory, hold, quantity, decimal, notes.say
             )
         else:
             given = [*(columns or []), *formulas]
             given_beside = [*(hold or []), *(doses or [])]
-            _refuse_columns(time_column, states, trajectory, given, given_beside, quantity)
+            _refuse_columns(time_column, states, trajectory, given, given_beside, quantity, decimal)
             data, formulas = _training_data(str(system), engine)
         with SearchProgress(quiet) as progress:
             found, folder = _search_in(
@@ -386,6 +387,7 @@ def _refuse_columns(
     inputs: list[str],
     hold: list[str],
     quantity: str | None,
+    decimal: str | None,
 ) -> None:
     """A known system has its columns; only a file leaves them open."""
     for option, value in (
@@ -395,6 +397,7 @@ def _refuse_columns(
         ("--inputs", inputs),
         ("--hold or --dose", hold),
         ("--quantity", quantity),
+        ("--decimal", decimal),
     ):
         if value:
             raise InputError(f"{option} goes with a file of data; a known system has its own")

@@ -187,6 +187,15 @@ TrajectoryColumn = Annotated[
         rich_help_panel=DATA,
     ),
 ]
+Decimal = Annotated[
+    str | None,
+    typer.Option(
+        "--decimal",
+        metavar="MARK",
+        help="Decimal mark of text: . or , where cells do not tell it.",
+        rich_help_panel=DATA,
+    ),
+]
 Quantity = Annotated[
     str | None,
     typer.Option(

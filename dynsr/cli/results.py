@@ -127,12 +127,15 @@ def score(
     hold: options.Hold = None,
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
+    decimal: options.Decimal = None,
     engine: options.OwnEngine = None,
     json: options.Json = False,
 ) -> None:
     """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
     found = load_discovery(model)
-    data = load_table(files, time_column, states, inputs, trajectory, hold, quantity, _say_to(json))
+    data = load_table(
+        files, time_column, states, inputs, trajectory, hold, quantity, decimal, _say_to(json)
+    )
     scores = found.score(data, engine, options.read_hold(hold))
     if json:
         output.print_json(scores)

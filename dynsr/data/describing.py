@@ -28,6 +28,7 @@ def describe(
     trajectory: Sequence[str] | str | None = None,
     *,
     quantity: str | None = None,
+    decimal: str | None = None,
     hold: Mapping[str, str] | str | None = None,
     max_rows: int = MAX_ROWS,
     settings: OddSettings = _SETTINGS,
@@ -40,7 +41,7 @@ def describe(
     ----------
     source : what :func:`dynsr.data.read_trajectories` reads: a file, a frame, a mapping of columns,
         arrays, a Trajectory, or a list of these.
-    time, states, inputs, trajectory, quantity, hold, max_rows : as for
+    time, states, inputs, trajectory, quantity, decimal, hold, max_rows : as for
         :func:`dynsr.data.read_trajectories`.
     settings : the numbers that decide what looks odd.
 
@@ -61,6 +62,7 @@ def describe(
             inputs,
             trajectory,
             quantity=quantity,
+            decimal=decimal,
             hold=hold,
             max_rows=max_rows,
         )

@@ -227,8 +227,10 @@ class _Look:
         return tuple(found)
 
     def is_text(self, name: str) -> bool:
-        """Whether a column holds text."""
-        return is_text(self.columns.values[self.columns.names.index(name)])
+        """Whether a column holds text, and no numbers that wait for a word of the user."""
+        return name not in self.columns.faults and is_text(
+            self.columns.values[self.columns.names.index(name)]
+        )
 
     def choose(self, free: Sequence[str]) -> list[str]:
         """Choose the columns that tell trajectories apart."""

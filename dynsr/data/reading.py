@@ -61,6 +61,7 @@ def read_trajectories(
     trajectory: Sequence[str] | str | None = None,
     *,
     quantity: str | None = None,
+    decimal: str | None = None,
     hold: Mapping[str, str] | str | None = None,
     max_rows: int = MAX_ROWS,
 ) -> Table:
@@ -81,6 +82,7 @@ def read_trajectories(
     trajectory : the column, or columns, whose values together name the trajectory of a row.
     quantity : the column of a long table that says which quantity a row is of, each of which then
         gets a column of its own; guessed by default, and "none" for no such column.
+    decimal : the decimal mark of numbers that are text, "." or ","; by default the cells tell.
     hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth";
         or one of these words for all. By default the values tell.
     max_rows : more rows than this are thinned evenly, with a DynsrWarning.
@@ -102,10 +104,15 @@ def read_trajectories(
         _listed(states), *_split_inputs(inputs), _listed(trajectory), _chosen(quantity), max_rows
     )
     if isinstance(source, list):
-        return _read_list(source, time, states, inputs, trajectory, quantity, hold, max_rows)
+        return _read_list(
+            source, time, states, inputs, trajectory, quantity, decimal, hold, max_rows
+        )
     times = None if time is None or _is_named(time, source) else time
     name: Any = time if times is None else "t"
-    columns = load_columns(source) if times is None else _load_beside(source, times)
+    if times is None:
+        columns = load_columns(source, decimal)
+    else:
+        columns = _load_beside(source, times, decimal)
     columns = _with_names(columns, states)
     for note in columns.notes:
         warnings.warn(note, DynsrWarning, stacklevel=2)
@@ -137,10 +144,10 @@ def _chosen(quantity: str | None) -> str | None:
     return "" if quantity is not None and quantity.strip().lower() in ("", "none") else quantity
 
 
-def _load_beside(source: Any, t: Any) -> Columns:
+def _load_beside(source: Any, t: Any, decimal: str | None) -> Columns:
     """Load the columns of a source without times, and the times beside them."""
     if isinstance(source, (str, os.PathLike, Mapping)) or hasattr(source, "columns"):
-        return with_times(load_columns(source), t)
+        return with_times(load_columns(source, decimal), t)
     return load_columns((t, source))
 
 
@@ -174,13 +181,11 @@ def _told(runs: Sequence[Trajectory], guess: str, understood: Description) -> Ta
 def _read_list(sources: list[Any], *arguments: Any) -> Table:
     if not sources:
         raise InputError("no data was given; give at least one file, frame or array")
-    *options, quantity, hold, max_rows = arguments
+    *options, quantity, decimal, hold, max_rows = arguments
+    words = {"quantity": quantity, "decimal": decimal, "hold": hold}
     _refuse_twice(sources)
     share = max(max_rows // len(sources), FEWEST_ROWS)
-    tables = [
-        read_trajectories(source, *options, quantity=quantity, hold=hold, max_rows=share)
-        for source in sources
-    ]
+    tables = [read_trajectories(source, *options, **words, max_rows=share) for source in sources]
     runs = _in_one_unit([run for table in tables for run in table.trajectories])
     for run in runs[1:]:
         if run.states != runs[0].states or run.input_names != runs[0].input_names:
@@ -334,6 +339,7 @@ def take_trajectories(
     hold: Mapping[str, str] | str | None = None,
     doses: Mapping[str, str] | None = None,
     quantity: str | None = None,
+    decimal: str | None = None,
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
@@ -345,7 +351,7 @@ def take_trajectories(
     inputs : names of columns that are inputs, or expressions such as "F=sin(t)"; or input name ->
         expression in ``t``, function of one time, or values at the times, (n,) or a list of one
         such array a trajectory.
-    time, states, trajectory, hold, quantity : as for
+    time, states, trajectory, hold, quantity, decimal : as for
         :func:`dynsr.data.reading.read_trajectories`.
     doses : state -> column of amounts: the state jumps by the amount right after that row, which
         was measured before. Each part between doses counts as a trajectory.
@@ -357,8 +363,8 @@ def take_trajectories(
     (('x', 'F'), {'F': sin(t)})
     """
     columns, named = _sort_inputs(inputs)
-    if any(own is not None for own in (time, states, trajectory, quantity)):
-        runs = _read_columns(data, columns, time, states, trajectory, quantity)
+    if any(own is not None for own in (time, states, trajectory, quantity, decimal)):
+        runs = _read_columns(data, columns, time, states, trajectory, quantity, decimal)
     else:
         runs = _read(data, columns)
     runs = [_as_inputs(run, columns or []) for run in runs]
@@ -419,13 +425,16 @@ def _read_columns(
     states: Sequence[str] | str | None,
     trajectory: Sequence[str] | str | None,
     quantity: str | None,
+    decimal: str | None,
 ) -> list[Trajectory]:
     """Read trajectories whose columns the caller names."""
     data = data.trajectories if isinstance(data, Table) else data
     apart = time is not None and not _is_named(time, data)
     if apart and states is None and isinstance(data, np.ndarray) and not data.dtype.names:
         return [_from_arrays(time, data)]
-    return read_trajectories(data, time, states, inputs, trajectory, quantity=quantity).trajectories
+    return read_trajectories(
+        data, time, states, inputs, trajectory, quantity=quantity, decimal=decimal
+    ).trajectories
 
 
 def _is_pair(data: Any) -> bool:

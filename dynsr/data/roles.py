@@ -192,6 +192,8 @@ class _Look:
         found = {}
         for name in names:
             values = self._values(name)
+            if name in self._columns.faults:
+                continue  # they are numbers, and which ones is to be said
             if is_text(values) and self._is_remark(values):
                 found[name] = "holds text"
             elif values.dtype.kind == "f":

@@ -180,7 +180,10 @@ def in_fitting_units(search: Search) -> Search:
     def scaled(data: Any, **settings: Any) -> Discovery:
         # What cannot integrate is refused before the data are read.
         start_engine(settings.get("engine", DEFAULT_ENGINE))
-        asked = {n: settings.pop(n, None) for n in ("time", "states", "trajectory", "quantity")}
+        asked = {
+            n: settings.pop(n, None)
+            for n in ("time", "states", "trajectory", "quantity", "decimal")
+        }
         asked |= {"hold": settings.get("hold"), "doses": settings.pop("doses", None)}
         runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), **asked)
         seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))

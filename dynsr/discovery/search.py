@@ -120,6 +120,7 @@ def discover(
     states: Sequence[str] | str | None = None,
     trajectory: Sequence[str] | str | None = None,
     quantity: str | None = None,
+    decimal: str | None = None,
     method: str | AbstractMethod | Sequence[str | AbstractMethod] = AUTO,
     preset: str = DEFAULT_PRESET,
     targets: str | Sequence[str] = "all",
@@ -164,6 +165,7 @@ def discover(
     trajectory : the column, or columns, whose values together name the trajectory of a row.
     quantity : the column of a long table that says which quantity a row is of, each of which then
         gets a column of its own; guessed by default, and "none" for no such column.
+    decimal : the decimal mark of numbers that are text, "." or ","; by default the cells tell.
     method : "auto", the name of a method, a method with its settings, or several.
     preset : "best", "quick" or "paper".
     targets : the states whose equations are sought; "all" of them by default.
@@ -251,7 +253,9 @@ def discover(
     jobs = check_jobs(jobs)
     chosen, workers = find_engine(engine), effective_n_jobs(jobs)
     shared = share_engine(chosen, workers)
-    runs, drives = take_trajectories(data, inputs, time, states, trajectory, hold, doses, quantity)
+    runs, drives = take_trajectories(
+        data, inputs, time, states, trajectory, hold, doses, quantity, decimal
+    )
     seed = check_asked(
         runs[0].states,
         seed,
