@@ -205,6 +205,7 @@ def test_options_reach_the_search(tmp_path, seen):
         "scheme": "central4",
         "targets": ["x"],
         "inputs": {"F": "2*t"},
+        "doses": None,
         "known": {"x": "-0.1*x"},
         "snap": False,
         "order": 2,
