@@ -525,3 +525,22 @@ def test_a_plain_table_has_no_notes():
         warnings.simplefilter("error", DynsrWarning)
         table = read_trajectories({"t": T, "x": DECAY, "y": RISE})
     assert not table.notes and not table.left_out
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("Zeit (min)", "min"),
+        ("Temps_s", "s"),
+        ("Elapsed Time (h)", "h"),
+        ("run time [ms]", "ms"),
+        ("Zeit in Stunden", "h"),
+        ("jours", "days"),
+        ("dates", ""),
+    ],
+)
+def test_the_unit_of_a_time_is_read_in_names_of_other_languages(name, unit):
+    """German, French and longer names of the time say its unit; a plural is no unit of seconds."""
+    x = np.round(2.0 ** -np.arange(12), 6)
+    table = read_trajectories({name: np.arange(12) / 4, "x": x, "y": 1 - x})
+    assert table.trajectories[0].time_unit == unit and table.trajectories[0].states == ("x", "y")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dynsr.data.columns import Columns, bare_name
+from dynsr.data.columns import Columns, bare_name, bracketed_unit
 from dynsr.data.lines import follows_line, last_digit, numbers_rows
 from dynsr.data.names import find_column, list_names
 from dynsr.data.times import (
@@ -112,8 +112,9 @@ def find_time(columns: Columns, time: str | Sequence[str] | None) -> Times:
     found = look.named(time) if time else look.guess()
     if columns.time_unit and found.name == columns.names[0]:
         found = replace(found, unit=columns.time_unit)
-    if not found.unit and found.name in columns.units:
-        found = replace(found, unit=unit_in_name(f"[{columns.units[found.name]}]"))
+    stated = columns.units.get(found.name) or bracketed_unit(found.name)
+    if not found.unit and stated:
+        found = replace(found, unit=unit_in_name(f"[{stated}]"))
     return look.with_others(found)
 
 

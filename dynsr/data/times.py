@@ -20,24 +20,25 @@ _WORDS = {
     "ns": "ns|nanosec(ond)?s?",
     "µs": "us|µs|μs|microsec(ond)?s?",
     "ms": "ms|msecs?|millisec(ond)?s?",
-    "s": "s|secs?|seconds?|sekunden?",
-    "min": "mins?|minutes?|minuten?",
-    "h": "h|hrs?|hours?|stunden?",
-    "days": "d|days?|tage?",
-    "weeks": "wk|weeks?|wochen?",
-    "months": "months?|monate?",
-    "years": "y|yrs?|years?|jahre?",
+    "s": "s|secs?|seconds?|sek|sekunden?|secondes?|segundos?|secondi",
+    "min": "mins?|minutes?|minuten?|minutos?|minuti",
+    "h": "h|hrs?|hours?|std|stunden?|heures?|horas?",
+    "days": "d|days?|tage?|jours?|d[ií]as?",
+    "weeks": "wk|weeks?|wochen?|semaines?|semanas?",
+    "months": "months?|monate?|mois|meses",
+    "years": "y|yrs?|years?|jahre?|an(n[ée]e)?s|a[ñn]os?",
 }
-# Such as "t [s]", "time (days)", "time_ms", "hours".
-_OF_NAME = re.compile(
-    r"(?:(?:t|times?|elapsed)\W*_?)?[\s\[(]*(?P<unit>[^\W\d_]+)[\])\s]*", re.IGNORECASE
-)
 _SHORTEST = 3
 _DAY = 86400.0
 _NAMES = (
-    r"t|times?|timestamps?|time.?stamps?|date.{0,3}time|dates?|elapsed.*|secs?|seconds?|zeit|datum|"
+    r"t|(?:unix|epoch|posix).?(?:time|timestamp|seconds)?|times?|timestamps?|time.?stamps?|date.{0,3}time|dates?|elapsed.*|secs?|seconds?|zeit|datum|"
     r"uhrzeit|zeitpunkt|zeitstempel|tiempo|fecha|hora|temps|heure|tempo|ora|tijd|tijdstip|czas|"
     r"время|дата|时间|時間|日期|日時"
+)
+# Such as "t [s]", "Zeit (min)", "time_ms", "elapsed time in h", "hours".
+_OF_NAME = re.compile(
+    rf"(?:(?:{_NAMES})(?:[\W_]+(?:{_NAMES}))*[\W_]+(?:in[\W_]+)?)?[\[(]?(?P<unit>[^\W\d_]+)[\])]?",
+    re.IGNORECASE,
 )
 _NAME = re.compile(rf"(?:{_NAMES})(?:[\W_]+(?:{_NAMES}))*", re.IGNORECASE)
 _DATES = re.compile(
@@ -123,8 +124,8 @@ def convert_times(t: np.ndarray, unit: str, other: str) -> np.ndarray | None:
 def unit_in_name(name: str) -> str:
     """Give the unit of time that the name of a column states; "" where it states none.
 
-    >>> [unit_in_name(name) for name in ("t [s]", "time (days)", "time_ms", "hours", "t", "tau")]
-    ['s', 'days', 'ms', 'h', '', '']
+    >>> [unit_in_name(name) for name in ("t [s]", "Zeit (min)", "time_ms", "hours", "t", "dates")]
+    ['s', 'min', 'ms', 'h', '', '']
     """
     found = _OF_NAME.fullmatch(name.strip())
     word = found["unit"] if found else ""

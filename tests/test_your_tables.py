@@ -1,0 +1,178 @@
+"""Your table: each form in which people have tables is read as they mean it, and it is said."""
+
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+
+import dynsr
+
+pytestmark = pytest.mark.filterwarnings("ignore::dynsr.errors.DynsrWarning")
+N = 24
+K = range(N)
+FALL = 1 + 40 * np.exp(-0.1 * np.arange(N))
+RISE = 0.5 * np.exp(0.08 * np.arange(N))
+EACH = np.random.default_rng(0).normal(0, 0.5, (2, N, 3))
+START = datetime(2023, 11, 4, 21, 40)  # noqa: DTZ001 (a clock on a wall has no zone)
+
+
+def rows(line, numbers=K):
+    """Give a line for each number."""
+    return "".join(f"{line(k)}\n" for k in numbers)
+
+
+def comma(value, digits=3):
+    """Write a number with a decimal comma."""
+    return f"{value:.{digits}f}".replace(".", ",")
+
+
+def at(k, form, **step):
+    """Write the time of a row."""
+    return (START + k * timedelta(**step)).strftime(form)
+
+
+# name of a file -> (its text, what is right of it).
+FORMS = {
+    "lines above the header.csv": (
+        "Bioreactor 3\nBatch: 17\nOperator,AB\n\nt [h],cells [g/L],sugar [g/L]\n"
+        + rows(lambda k: f"{k / 2},{RISE[k]:.4f},{FALL[k]:.3f}"),
+        {"time": ("t [h]", "h"), "states": ["cells", "sugar"]},
+    ),
+    "a row of units.csv": (
+        "t;p;T\n(min);(bar);(K)\n" + rows(lambda k: f"{k};{comma(RISE[k])};{comma(FALL[k])}"),
+        {"time": ("t", "min"), "states": ["p", "T"], "units": {"p": "bar", "T": "K"}},
+    ),
+    "remarks over empty columns.csv": (
+        "t,x,,see lab book,\n" + rows(lambda k: f"{k},{FALL[k]:.3f},,,"),
+        {"states": ["x"], "left out": ["see lab book"]},
+    ),
+    "blank rows at the end.csv": (
+        "t;x;y\n" + rows(lambda k: f"{k};{FALL[k]:.3f};{RISE[k]:.3f}") + ";;\n;;\n;;\n",
+        {"states": ["x", "y"], "rows": N},
+    ),
+    "an unused name twice.csv": (
+        "t,x,flag,flag\n" + rows(lambda k: f"{k},{FALL[k]:.3f},,"),
+        {"states": ["x"]},
+    ),
+    "German numbers.csv": (
+        "Zeit [s];Masse [g]\n"
+        + rows(lambda k: f"{k};{1 + k // 12}.{comma(100 + 30 * RISE[k % 12], 2)}"),
+        {"time": ("Zeit [s]", "s"), "states": ["Masse"]},
+    ),
+    "percent and degrees.csv": (
+        "t,turned,T\n" + rows(lambda k: f"{k},{100 / FALL[k]:.2f} %,{FALL[k]:.2f} C"),
+        {"states": ["turned", "T"], "units": {"turned": "%", "T": "C"}},
+    ),
+    "on and off.csv": (
+        "t,T,pump,lid\n"
+        + rows(
+            lambda k: f"{k},{FALL[k]:.3f},{('on', 'off')[k // 6 % 2]},{('yes', 'no')[k // 8 % 2]}"
+        ),
+        {"states": ["T"], "inputs": {"pump": "previous", "lid": "previous"}},
+    ),
+    "a date and a clock.csv": (
+        "day;clock;T\n"
+        + rows(lambda k: f"{at(k, '%d.%m.%Y;%H:%M', minutes=15)};{comma(FALL[k], 1)}"),
+        {"unit": "min", "states": ["T"], "to": 15.0 * (N - 1)},
+    ),
+    "AM and PM.csv": (
+        "when,T\n" + rows(lambda k: f"{at(k, '%m/%d/%Y %I:%M %p', minutes=10)},{FALL[k]:.3f}"),
+        {"time": ("when", "min"), "states": ["T"], "to": 10.0 * (N - 1)},
+    ),
+    "milliseconds since 1970.csv": (
+        "timestamp,T\n" + rows(lambda k: f"{1_650_000_000_000 + 500 * k},{FALL[k]:.3f}"),
+        {"time": ("timestamp", "s"), "states": ["T"], "to": 0.5 * (N - 1)},
+    ),
+    "a clock past midnight.csv": (
+        "time,T\n" + rows(lambda k: f"{at(k, '%H:%M:%S', minutes=20)},{FALL[k]:.3f}"),
+        {"time": ("time", "min"), "states": ["T"], "to": 20.0 * (N - 1)},
+    ),
+    "rows in any order.csv": (
+        "time [s],x\n" + rows(lambda k: f"{7 * k % N},{FALL[7 * k % N]:.3f}"),
+        {"time": ("time [s]", "s"), "states": ["x"], "note": "in order of 'time [s]'"},
+    ),
+    "the time in the third column.csv": (
+        "x,y,seconds\n" + rows(lambda k: f"{RISE[k]:.3f},{FALL[k]:.3f},{2 * k}"),
+        {"time": ("seconds", "s"), "states": ["x", "y"]},
+    ),
+    "two labels.csv": (
+        "strain,flask,hours,OD\n"
+        + "".join(
+            rows(
+                lambda k, s=s, f=f: f"{s},{f},{k / 2 + s / 10},{s * f * RISE[k] / 9:.5f}", range(12)
+            )
+            for s in (3, 5)
+            for f in (1, 2)
+        ),
+        {"runs": 4, "states": ["OD"]},
+    ),
+    "a long table.csv": (
+        "what,hours,number\n"
+        + rows(lambda k: f"cells,{k},{RISE[k]:.4f}")
+        + rows(lambda k: f"sugar,{k},{FALL[k]:.4f}"),
+        {"time": ("hours", "h"), "states": ["cells", "sugar"], "runs": 1, "note": "what"},
+    ),
+    "replicates side by side.csv": (
+        "t,OD_1,OD_2,OD_3,sugar_1,sugar_2,sugar_3\n"
+        + rows(
+            lambda k: (
+                f"{k},"
+                + ",".join(f"{RISE[k] + EACH[0, k, r] / 50:.4f}" for r in range(3))
+                + ","
+                + ",".join(f"{FALL[k] + EACH[1, k, r]:.4f}" for r in range(3))
+            )
+        ),
+        {"states": ["OD", "sugar"], "runs": 3},
+    ),
+    "repeated times.csv": (
+        "t,x\n" + rows(lambda k: f"{k // 3},{FALL[k // 3] * (1 + 0.01 * (k % 3)):.4f}", range(60)),
+        {"states": ["x"], "runs": 1, "rows": 20},
+    ),
+    "spreads beside means.csv": (
+        "t,x_mean,x_se,y_mean,y_se\n"
+        + rows(
+            lambda k: (
+                f"{k},{FALL[k]:.3f},{0.3 + k % 3 / 50:.3f},{RISE[k]:.4f},{k % 4 / 99 + 0.1:.4f}"
+            )
+        ),
+        {"states": ["x_mean", "y_mean"], "noise": {"x_mean": "x_se", "y_mean": "y_se"}},
+    ),
+    "row numbers.csv": (
+        "Nr.;t;x\n" + rows(lambda k: f"{k + 1};{comma(k / 2, 1)};{comma(FALL[k])}"),
+        {"time": ("t", ""), "states": ["x"], "left out": ["Nr."]},
+    ),
+    "a second time.csv": (
+        "date,hours,x\n"
+        + rows(lambda k: f"{at(k, '%Y-%m-%d %H:%M:%S', minutes=6)},{k / 10:.1f},{FALL[k]:.3f}"),
+        {"states": ["x"]},
+    ),
+    "a valve.csv": (
+        "t,level,valve [V]\n" + rows(lambda k: f"{k},{FALL[k]:.3f},{(0, 5, 2.5)[k // 8]}"),
+        {"states": ["level"], "inputs": {"valve": "previous"}},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_table_is_read_as_it_is_meant(name, tmp_path):
+    """Time, runs, states, inputs, noise and what is left out are those that the table shows."""
+    text, right = FORMS[name]
+    path = tmp_path / name
+    path.write_text(text, "utf-8")
+    found = dynsr.describe(path)
+    said = found.to_dict()
+    if "time" in right:
+        assert (said["time"]["column"], said["time"]["unit"]) == right["time"]
+    if "unit" in right:
+        assert said["time"]["unit"] == right["unit"]
+    assert said["states"] == right["states"]
+    assert said["hold"] == right.get("inputs", {}) and set(said["inputs"]) == set(said["hold"])
+    assert said["noise"] == right.get("noise", {})
+    assert len(said["trajectories"]) == right.get("runs", 1)
+    assert said["trajectories"][0]["rows"] == right.get("rows", said["trajectories"][0]["rows"])
+    if "to" in right:
+        assert said["trajectories"][0]["to"] == pytest.approx(right["to"])
+    assert set(right.get("left out", ())) <= set(said["left_out"])
+    assert all(said["left_out"].values())
+    assert right.get("units", {}).items() <= said["units"].items()
+    assert any(right.get("note", "") in note for note in [*said["notes"], ""])
