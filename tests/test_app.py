@@ -261,8 +261,58 @@ def test_columns_are_guessed_and_corrected(page):
     roles["u"] = "time"
     page.post("columns", roles=roles, units={})
     parts = page.wait(lambda parts: not parts["busy"])
-    both = "columns 't (days)' and 'u' are both the time; choose one"
+    both = "columns 't (days)' and 'u' are both the time, and no date and clock; choose one"
     assert parts["table"]["error"] == both
+
+
+@pytest.mark.parametrize(
+    ("head", "rows", "roles", "states", "runs"),
+    [
+        (
+            "day,clock,x,valve",
+            [f"12.03.2024,14:{k:02d},{0.9**k},{k // 10 % 2}" for k in range(40)],
+            ["time", "time", "state", "input"],
+            ["x"],
+            1,
+        ),
+        (
+            "kind,rep,t,x,valve",
+            [f"{a},{b},{k},{0.9**k},{k // 5 % 2}" for a in "pq" for b in "12" for k in range(20)],
+            ["trajectory", "trajectory", "time", "state", "input"],
+            ["x"],
+            4,
+        ),
+        (
+            "variable,t,value,valve",
+            [
+                f"{a},{k},{b**k},{k // 5 % 2}"
+                for a, b in (("S", 0.9), ("P", 1.1))
+                for k in range(20)
+            ],
+            ["quantity", "time", "state", "input"],
+            ["S", "P"],
+            1,
+        ),
+        (
+            "t,x_rep1,x_rep2,valve",
+            [f"{k},{0.9**k},{1.1**k},{k // 5 % 2}" for k in range(20)],
+            ["time", "state", "state", "input"],
+            ["x"],
+            2,
+        ),
+    ],
+)
+def test_roles_of_several_columns_are_kept_when_another_changes(
+    page, head, rows, roles, states, runs
+):
+    """A date and a clock, two labels, quantities and runs side by side stay so when posted."""
+    table = page.drop("\n".join([head, *rows]))["table"]
+    assert [c["role"] for c in table["columns"]] == roles and table["states"] == states
+    kept = {c["name"]: c["role"] for c in table["columns"]} | {"valve": "unused"}
+    page.post("columns", roles=kept, units={})
+    table = page.wait(lambda parts: not parts["busy"])["table"]
+    assert (table["error"], table["states"]) == ("", states)
+    assert f"{runs} trajectories" in table["guess"] or runs == 1
 
 
 def test_the_page_says_what_looks_odd(page):

@@ -28,8 +28,8 @@ from dynsr.app.work import Work
 
 pytestmark = pytest.mark.xdist_group("app")
 
-TABLE = "t,x,y\n" + "\n".join(f"{k / 10:g},{k},{k * k}" for k in range(30))
-OTHER = "t,p,q\n" + "\n".join(f"{k / 10:g},{k + 1},{k * k + 1}" for k in range(30))
+TABLE = "t,x,y\n" + "\n".join(f"{k / 10:g},{k**3},{k * k}" for k in range(30))
+OTHER = "t,p,q\n" + "\n".join(f"{k / 10:g},{k**3 + 1},{k * k + 1}" for k in range(30))
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and locks of POSIX")
 
 

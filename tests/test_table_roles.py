@@ -300,6 +300,16 @@ def test_quantities_within_runs_and_with_units():
     assert table.trajectories[0].origin["units"] == {"S": "g/L", "P": "mol"}
 
 
+def test_what_all_quantities_share_is_no_quantity_and_errors_go_with_theirs():
+    """An input that is the same for all at a time stays a column; an sd becomes that of each."""
+    data = long_table("variable", ["S", "P"])
+    data["valve"], data["sd"] = np.tile(levels(0, 3, 1, 3, 0), 2), data["value"] / 50
+    table = read_trajectories(data)
+    (run,) = table.trajectories
+    assert (run.states, run.input_names) == (("S", "P"), ("valve",))
+    assert table.roles.noise == {"S": "S_sd", "P": "P_sd"}
+
+
 @pytest.mark.parametrize(
     ("name", "keys"),
     [("replicate", ["A", "B"]), ("culture", ["warm", "cold"]), ("species", ["rep1", "rep2"])],

@@ -51,7 +51,8 @@ if TYPE_CHECKING:
 REPORT, CODE, RECORD = FILES = ("report.html", "model.py", "discovery.json")
 # What was found, for a process that takes the place of one that was ended by force.
 _KEPT = "kept.json"
-TIME, TRAJECTORY, STATE, INPUT, UNUSED = ("time", "trajectory", "state", "input", "unused")
+TIME, TRAJECTORY, QUANTITY = "time", "trajectory", "quantity"
+STATE, INPUT, UNUSED = "state", "input", "unused"
 _PREVIEW_ROWS = 8
 _LONGEST_CELL = 40
 # A picture of more rows shows no more, and more columns are no preview.
@@ -82,6 +83,7 @@ class Work:
         """Begin without data."""
         self._folder, self._say, self._jobs = folder, say, jobs
         self._source: tuple[str, Columns] | None = None
+        self._reshaped: tuple[str, ...] = ()
         self._runs: list[Trajectory] = []
         self._units: dict[str, str] = {}
         self._found: Discovery | None = None
@@ -134,25 +136,30 @@ class Work:
             table = read_trajectories(columns)
         else:
             of = {role: [n for n in columns.names if roles.get(n) == role] for role in _ROLES}
-            for role in (TIME, TRAJECTORY):
-                if len(of[role]) > 1:
-                    both = " and ".join(map(repr, of[role][:2]))
-                    raise InputError(f"columns {both} are both the {role}; choose one")
+            if len(of[QUANTITY]) > 1:
+                both = " and ".join(map(repr, of[QUANTITY][:2]))
+                raise InputError(f"columns {both} are both the quantity; choose one")
             used = columns.only([n for role in _ROLES if role != UNUSED for n in of[role]])
+            # States of such columns have names of their own.
+            reshaped = bool(self._reshaped) and set(self._reshaped) <= set(of[STATE])
             table = read_trajectories(
                 used,
-                next(iter(of[TIME]), None),
-                of[STATE],
+                tuple(of[TIME]) or None,
+                None if reshaped or of[QUANTITY] else of[STATE],
                 of[INPUT],
-                next(iter(of[TRAJECTORY]), None),
+                of[TRAJECTORY] or None,
+                quantity=next(iter(of[QUANTITY]), "none"),
             )
         found = table.roles
         assert found is not None
         if roles is None:
-            named = {found.time: TIME, **dict.fromkeys(found.inputs, INPUT)}
+            named = dict.fromkeys((found.time, found.clock), TIME)
+            named |= dict.fromkeys(found.inputs, INPUT)
             named |= dict.fromkeys(found.trajectory, TRAJECTORY)
+            named |= dict.fromkeys((*found.states, *found.reshaped), STATE)
+            named[found.quantity] = QUANTITY
             roles = {n: named.get(n, UNUSED) for n in columns.names}
-            roles |= dict.fromkeys(found.states, STATE)
+            self._reshaped = () if found.quantity else found.reshaped
             own = {n: bracketed_unit(n) for n in columns.names}
             units = {**own, found.time: table.trajectories[0].time_unit or own[found.time]}
         self._runs = _counted_in(table.trajectories, units.get(found.time, ""))
@@ -263,7 +270,7 @@ class Work:
         self._say("picture", content)
 
 
-_ROLES = (TIME, TRAJECTORY, STATE, INPUT, UNUSED)
+_ROLES = (TIME, TRAJECTORY, QUANTITY, STATE, INPUT, UNUSED)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 
 from dynsr.data.columns import Columns, bare_name
 from dynsr.data.grouping import find_restarts, is_label_name, is_text, label_of
+from dynsr.data.measurement_errors import is_error_name
 from dynsr.data.time_columns import Times
 from dynsr.errors import InputError
 
@@ -83,8 +84,9 @@ def find_quantity(
             continue
         unit = look.unit_of(name, texts)
         others = look.labels(name, unit, texts, candidates) if labels is None else list(labels)
-        numbers = look.numbers([n for n in candidates if n not in others])
-        if len(numbers) != 1 or not look.share_times(name, others):
+        numbers = look.numbers([n for n in candidates if n not in others], others)
+        measured = [n for n in numbers if not is_error_name(n)]
+        if len(measured) != 1 or len(numbers) > 2 or not look.share_times(name, others):
             continue
         found = Long(name, tuple(numbers), tuple(others), unit)
         wanted = states is not None and set(states) <= set(look.keys(name))
@@ -122,7 +124,7 @@ def describe_long(
     texts = [n for n in candidates if n != quantity and is_text(look.values(n))]
     unit = look.unit_of(quantity, texts)
     others = look.labels(quantity, unit, texts, candidates) if labels is None else list(labels)
-    numbers = look.numbers([n for n in candidates if n not in (quantity, *others)])
+    numbers = look.numbers([n for n in candidates if n not in (quantity, *others)], others)
     if not numbers:
         raise InputError(
             f"{columns.label} has no column of numbers beside the quantity {quantity!r}; "
@@ -163,9 +165,12 @@ def widen(columns: Columns, time: Times, long: Long) -> tuple[Columns, np.ndarra
     kept = [n for n in columns.names if n not in dropped]
     names, values = list(kept), [look.values(n)[rows] for n in kept]
     units = {n: u for n, u in columns.units.items() if n not in dropped}
+    single = len([n for n in long.values if not is_error_name(n)]) == 1
     for number in long.values:
         for key in dict.fromkeys(keys.tolist()):
-            name = key if len(long.values) == 1 else f"{number}_{key}"
+            name = f"{number}_{key}"
+            if single:
+                name = f"{key}_sd" if is_error_name(number) else key
             own = keys == key
             column = np.full(len(rows), np.nan)
             column[place[own]] = look.values(number)[own]
@@ -197,9 +202,12 @@ class _Look:
         """Give the cells of a column as text."""
         return [label_of(cell) for cell in self.values(name).tolist()]
 
-    def numbers(self, names: Sequence[str]) -> list[str]:
-        """Give the columns of numbers."""
-        return [n for n in names if self.values(n).dtype.kind == "f"]
+    def numbers(self, names: Sequence[str], labels: Sequence[str]) -> list[str]:
+        """Give the columns of numbers that are not the same for all quantities of a moment."""
+        found = [n for n in names if self.values(n).dtype.kind == "f"]
+        _, index = self.moments(labels)
+        first = np.unique(index, return_index=True)[1][index]
+        return [n for n in found if np.any(self.values(n) != self.values(n)[first])]
 
     def unit_of(self, quantity: str, texts: Sequence[str]) -> str | None:
         """Give the column that has one value for each quantity and is called a unit."""

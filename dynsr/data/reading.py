@@ -135,7 +135,7 @@ def _is_named(time: Any, source: Any) -> bool:
     """Whether times are the names of columns, and not the times themselves."""
     if isinstance(time, str):
         return True
-    few = isinstance(time, (list, tuple)) and len(time) <= 2
+    few = isinstance(time, (list, tuple)) and len(time) < FEWEST_ROWS
     return few and all(isinstance(name, str) for name in time) and not isinstance(source, tuple)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from dynsr.data.columns import Columns, bare_name, bracketed_unit
 from dynsr.data.grouping import Grouping, is_text
 from dynsr.data.lines import is_second_time, numbers_rows
+from dynsr.data.measurement_errors import find_measured
 from dynsr.data.names import clean_name, find_column, list_names, rename
 from dynsr.data.steps import is_noted_at_changes, is_set
 from dynsr.data.time_columns import Times
@@ -20,15 +21,6 @@ from dynsr.data.times import is_time_name, unit_in_name
 from dynsr.errors import DynsrWarning, InputError
 
 _INPUT = re.compile(r"(f|force|forcing)|(input|control|forcing)s?_?\w*|u_?\d*", re.IGNORECASE)
-_ERROR = (
-    r"s\.?d\.?|se|sem|std(?:[ _.]?(?:dev|err|error))?|stdev|stderr|err(?:or)?|sigma|uncertainty|unc"
-)
-_ERROR_BEHIND = re.compile(rf"(?P<stem>.+?)[\s_.-]+(?:{_ERROR})", re.IGNORECASE)
-_ERROR_BEFORE = re.compile(
-    rf"(?:(?:{_ERROR})[\s_.-]+(?:of[\s_.-]+)?|±\s*|\+/?-\s*)(?P<stem>.+)", re.IGNORECASE
-)
-_ERROR_ALONE = re.compile(rf"(?:{_ERROR}|±|\+/?-)", re.IGNORECASE)
-_MEAN = re.compile(r"[\s_.-]*(?:mean|avg|average|median|value|mittel\w*|mw)[\s_.-]*", re.IGNORECASE)
 _MANY = 30
 
 
@@ -43,7 +35,8 @@ class Roles:
     of its measurement errors; ``clock`` is the column of the time of the day where ``time`` holds
     only the date, and ``quantity`` the column whose values became states or inputs; ``held`` are
     inputs that were taken for such since they keep their value and step; ``left_out`` gives each
-    column that is not used with the reason.
+    column that is not used with the reason; ``reshaped`` are columns of the source whose cells went
+    into others: the values of quantities, or runs side by side.
     """
 
     time: str
@@ -59,6 +52,7 @@ class Roles:
     quantity: str | None = None
     held: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
+    reshaped: tuple[str, ...] = ()
 
 
 # Numbers of cells may be of any size; what overflows is no evidence of anything.
@@ -232,22 +226,10 @@ class _Look:
             values = self._values(name)
             if np.any(values < 0):
                 continue
-            state = self._state_of(name, [n for n in numbers if n != name])
+            state = find_measured(name, [n for n in numbers if n != name])
             if state is not None and state not in found.values() and state not in found:
                 found[state] = name
         return found
-
-    @staticmethod
-    def _state_of(name: str, others: Sequence[str]) -> str | None:
-        own = bare_name(name)
-        if _ERROR_ALONE.fullmatch(own):
-            alone = [n for n in others if not _is_error_name(n)]
-            return alone[0] if len(alone) == 1 else None
-        match = _ERROR_BEHIND.fullmatch(own) or _ERROR_BEFORE.fullmatch(own)
-        if match is None:
-            return None
-        stem = _stem(match["stem"])
-        return next((n for n in others if not _is_error_name(n) and _stem(n) == stem), None)
 
     def is_held(self, name: str) -> bool:
         """Whether a column holds its value and steps."""
@@ -266,17 +248,6 @@ class _Look:
                 if len(there) and there.min() == there.max():
                     found[name] = f"is {there[0]:g} in every row"
         return found
-
-
-def _is_error_name(name: str) -> bool:
-    own = bare_name(name)
-    return any(p.fullmatch(own) for p in (_ERROR_ALONE, _ERROR_BEHIND, _ERROR_BEFORE))
-
-
-def _stem(name: str) -> str:
-    """Give the name of a quantity without a word for its mean."""
-    own = bare_name(name)
-    return (_MEAN.sub("", own) or own).strip(" _.-").lower()
 
 
 def _guess_inputs(

@@ -188,8 +188,8 @@ class _Look:
             found = self._join(*names) or self._join(*names[::-1])
             if found is None:
                 raise InputError(
-                    f"columns {names[0]!r} and {names[1]!r} are no date and no clock; "
-                    "give one column for the time"
+                    f"columns {names[0]!r} and {names[1]!r} are both the time, and no date and "
+                    "clock; choose one"
                 )
             return found
         found = self._time(names[0])

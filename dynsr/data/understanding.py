@@ -87,6 +87,7 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     notes += times.notes
     columns, times, said = _with_times(columns, times)
     notes += said
+    source = columns.names
     columns, times, said = _below_each_other(columns, times, asked)
     notes += said
     columns, times, quantity, said = _beside_each_other(columns, times, asked)
@@ -95,6 +96,8 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     roles = guess_roles(
         columns, times, grouping, asked.states, asked.inputs, asked.formulas, quantity
     )
+    gone = tuple(n for n in source if n not in columns.names and n != quantity)
+    roles = replace(roles, reshaped=gone)
     runs, said = _order(columns, times, grouping, roles)
     notes += said
     if roles.held:

@@ -46,7 +46,7 @@ const upload = async file => {
     if (!answer.ok) complain((await answer.json().catch(() => ({}))).error || "the file was refused");
   } catch { complain("the file could not be sent; is dynsr still running?"); }
 };
-const ROLES = { time: "time", state: "state", input: "input", trajectory: "names the run", unused: "not used" };
+const ROLES = { time: "time", state: "state", input: "input", trajectory: "names the run", quantity: "names the quantity", unused: "not used" };
 
 const showTable = table => {
   show("table", table);
@@ -64,14 +64,14 @@ const showTable = table => {
     const role = make("select", { id: `role-${j}`, ariaLabel: `Role of ${column.name}` },
       ...Object.entries(ROLES).map(([value, words]) => make("option", { value, selected: value === column.role }, words)));
     role.addEventListener("change", () => {
-      // There is one time, and one column that names the runs.
-      for (const other of table.columns) if (other.role === role.value && ["time", "trajectory"].includes(role.value)) other.role = "unused";
+      // There is one time, and one column that names quantities; several may name the runs.
+      for (const other of table.columns) if (other.role === role.value && ["time", "quantity"].includes(role.value)) other.role = "unused";
       column.role = role.value;
       changed();
     });
     const unit = make("input", { id: `unit-${j}`, value: column.unit, placeholder: "unit", ariaLabel: `Unit of ${column.name}`, maxLength: 40 });
     unit.addEventListener("change", () => { column.unit = unit.value.trim(); changed(); });
-    unit.hidden = ["unused", "trajectory"].includes(column.role);
+    unit.hidden = ["unused", "trajectory", "quantity"].includes(column.role);
     return make("th", { className: column.role, scope: "col" }, column.name, role, unit);
   });
   $("columns").tHead.replaceChildren(make("tr", {}, ...heads));

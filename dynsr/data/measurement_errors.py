@@ -1,0 +1,56 @@
+"""Errors of measurement that stand in a column beside what was measured: by their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from dynsr.data.columns import bare_name
+
+_ERROR = (
+    r"s\.?d\.?|se|sem|std(?:[ _.]?(?:dev|err|error))?|stdev|stderr|err(?:or)?|sigma|uncertainty|unc"
+)
+_ERROR_BEHIND = re.compile(rf"(?P<stem>.+?)[\s_.-]+(?:{_ERROR})", re.IGNORECASE)
+_ERROR_BEFORE = re.compile(
+    rf"(?:(?:{_ERROR})[\s_.-]+(?:of[\s_.-]+)?|±\s*|\+/?-\s*)(?P<stem>.+)", re.IGNORECASE
+)
+_ERROR_ALONE = re.compile(rf"(?:{_ERROR}|±|\+/?-)", re.IGNORECASE)
+_MEAN = re.compile(r"[\s_.-]*(?:mean|avg|average|median|value|mittel\w*|mw)[\s_.-]*", re.IGNORECASE)
+
+
+def find_measured(name: str, others: Sequence[str]) -> str | None:
+    """Give the column whose measurement errors a column is called; None where there is none.
+
+    Parameters
+    ----------
+    name : that of the column, such as x_sd, "sd x" or sd alone.
+    others : the columns that it may belong to.
+
+    >>> find_measured("glc_sd", ["bm_mean", "glc_mean"]), find_measured("err", ["x", "y"])
+    ('glc_mean', None)
+    """
+    own = bare_name(name)
+    if _ERROR_ALONE.fullmatch(own):
+        alone = [n for n in others if not is_error_name(n)]
+        return alone[0] if len(alone) == 1 else None
+    match = _ERROR_BEHIND.fullmatch(own) or _ERROR_BEFORE.fullmatch(own)
+    if match is None:
+        return None
+    stem = _stem(match["stem"])
+    return next((n for n in others if not is_error_name(n) and _stem(n) == stem), None)
+
+
+def is_error_name(name: str) -> bool:
+    """Whether a column is called the measurement errors of another.
+
+    >>> is_error_name("glc_sd"), is_error_name("std dev"), is_error_name("used")
+    (True, True, False)
+    """
+    own = bare_name(name)
+    return any(p.fullmatch(own) for p in (_ERROR_ALONE, _ERROR_BEHIND, _ERROR_BEFORE))
+
+
+def _stem(name: str) -> str:
+    """Give the name of a quantity without a word for its mean."""
+    own = bare_name(name)
+    return (_MEAN.sub("", own) or own).strip(" _.-").lower()
