@@ -148,6 +148,19 @@ def test_rows_at_which_an_input_steps_are_kept_when_rows_are_thinned() -> None:
     assert len(thin) < 0.5 * len(run)
 
 
+def test_stretches_stand_for_a_run_whose_input_steps_at_every_row() -> None:
+    """Where rows cannot be left out, whole stretches are kept: about as many rows in all."""
+    run = heater(1, 1, 400)
+    stretches = run.thin(4)
+    assert [len(rows) for rows in stretches] == [25] * 4
+    assert all(np.all(np.diff(rows) == 1) for rows in stretches)
+    assert stretches[0][0] == 0
+    assert stretches[-1][-1] == len(run) - 1
+    fit = fit_along(LAW, Measurements.of([noisy(run)], {}, 100))
+    assert fit is not None
+    assert np.sort(fit.constants) == pytest.approx(TRUTH, rel=0.05)
+
+
 def test_sums_of_terms_follow_a_held_input() -> None:
     """Runge and Kutta's steps of a follower end before each jump."""
     r2 = Trail([heater(3, 5, 120)], {}, ("T",)).r2(LAW)

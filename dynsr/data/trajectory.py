@@ -235,6 +235,23 @@ class Trajectory:
         steps = np.flatnonzero(np.any(np.diff(self.inputs[:, held], axis=0) != 0, axis=1)) + 1
         return np.union1d(np.arange(0, len(self), stride), steps)
 
+    def thin(self, stride: int, stretches: int = 4) -> list[np.ndarray]:
+        """Give the rows that stand for the run where about one in ``stride`` is wanted.
+
+        Parameters
+        ----------
+        stride : one over the share of the rows.
+        stretches : where a held input steps so often that :meth:`every` leaves twice as many, so
+            many stretches of all their rows are given instead, evenly spaced over the run.
+        """
+        kept = self.every(stride)
+        wanted = len(self) // stride
+        if len(kept) <= 2 * wanted or wanted < 2 * stretches:
+            return [kept]
+        length = wanted // stretches
+        starts = np.linspace(0, len(self) - length, stretches).astype(int)
+        return [start + np.arange(length) for start in starts]
+
     def select(self, rows: slice | np.ndarray) -> Trajectory:
         """Give the trajectory of some rows."""
         return replace(self, t=self.t[rows], x=self.x[rows], inputs=self.inputs[rows])

@@ -136,9 +136,10 @@ class Course:
         """Take every so many-th row, so that ``rows`` are left at most."""
         total = sum(map(len, runs))
         every = max(1, math.ceil(total / rows))
-        taken = [run.every(every if len(run) >= 8 * every else 1) for run in runs]
-        thin = tuple(run.select(index) for run, index in zip(runs, taken, strict=True))
-        own = tuple(level[index] for level, index in zip(noise, taken, strict=True))
+        taken = [run.thin(every if len(run) >= 8 * every else 1) for run in runs]
+        pairs = [(i, rows) for i, own in enumerate(taken) for rows in own]
+        thin = tuple(runs[i].select(rows) for i, rows in pairs)
+        own = tuple(noise[i][rows] for i, rows in pairs)
         return cls(thin, own, tuple(states), inputs, total / sum(map(len, thin)))
 
     @property

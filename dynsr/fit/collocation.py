@@ -705,7 +705,8 @@ class Measurements:
         noise = estimate_noise(runs)
         longest = max(map(len, runs))
         stride = max(1, min(-(-sum(map(len, runs)) // rows), (longest - 1) // 4))
-        thinned = [run.select(run.every(stride)) for run in runs if len(run) > 4 * stride]
+        long = [run for run in runs if len(run) > 4 * stride]
+        thinned = [run.select(rows) for run in long for rows in run.thin(stride)]
         parts: Sequence[Forced | None] = find_forced(thinned) or [None] * len(thinned)
         smoothed = [
             smooth(run, noise, forced=part) for run, part in zip(thinned, parts, strict=True)

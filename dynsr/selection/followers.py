@@ -128,7 +128,8 @@ class Trail:
         found = []
         for i in some:
             run, own = self.runs[i], max(1, min(stride, (len(self.runs[i]) - 1) // 4))
-            rows = np.union1d(run.every(own), [len(run) - 1])
+            rows = run.thin(own)[0]
+            rows = np.union1d(rows, [len(run) - 1]) if rows[-1] > len(run) - 1 - own else rows
             whole = self.smoothed is not None and len(self.smoothed[i].t) == len(run)
             start = self.smoothed[i].x[0] if whole and self.smoothed is not None else run.x[0]
             x = run.x[rows][:, self._places]
