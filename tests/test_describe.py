@@ -8,7 +8,7 @@ import pytest
 from command_line import run
 
 import dynsr
-from dynsr.data import read_trajectories
+from dynsr.data import read_trajectories, take_trajectories
 
 # Names with units are renamed, which reading warns of.
 pytestmark = pytest.mark.filterwarnings("ignore:columns were renamed")
@@ -103,6 +103,28 @@ def test_an_option_that_is_offered_does_what_it_says(table):
     (option,) = [o for o in offered if o.startswith("--states")]
     assert offered[option] == "valve is a state too"
     assert dynsr.describe(table, states=option.split()[1]).states == ("level", "valve")
+
+
+@pytest.mark.parametrize("count", [1, 3, 4])
+def test_arrays_and_trajectories_are_described_as_a_search_takes_them(count):
+    """Names, inputs and what these do between rows are those that discover has of the same data."""
+    x = np.exp(-np.outer(T, np.arange(1, count + 1)))
+    steps = np.floor(T / 4)[:, None]
+    run = dynsr.Trajectory(T, x, tuple("abcd"[:count]), steps, ("u",), hold={"u": "linear"})
+    for source in ((T, x), [(T, x), (T, x / 2)], run, [run, run.select(slice(0, 40))]):
+        taken = take_trajectories(source)[0]
+        found = dynsr.describe(source)
+        assert (found.states, found.inputs) == (taken[0].states, taken[0].input_names)
+        assert found.hold == taken[0].holds
+        assert [own.rows for own in found.trajectories] == list(map(len, taken))
+
+
+def test_new_names_are_shown_and_no_note(table):
+    """A name that lost its unit stands with it; one that is renamed further shows its column."""
+    found = dynsr.describe(table, inputs=["valve"])
+    assert found.renamed == {"level [m]": "level"} and found.notes == ()
+    other = dynsr.describe({"t": T, "a b [kg]": np.exp(-T)})
+    assert "a_b [kg] (column 'a b [kg]')" in str(other)
 
 
 def test_what_is_odd_is_a_note_with_the_column_and_its_run(table):

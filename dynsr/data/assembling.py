@@ -445,3 +445,12 @@ def generated_names(count: int) -> tuple[str, ...]:
     ('t', 'x1', 'x2')
     """
     return ("t", "x") if count == 2 else ("t", *(f"x{j}" for j in range(1, count)))
+
+
+def names_of_states(count: int) -> tuple[str, ...]:
+    """Name the states of an array that has none: x, y, z, or x1, x2, ... of more.
+
+    >>> names_of_states(2), names_of_states(4)
+    (('x', 'y'), ('x1', 'x2', 'x3', 'x4'))
+    """
+    return ("x", "y", "z")[:count] if count <= 3 else tuple(f"x{i + 1}" for i in range(count))

@@ -20,6 +20,7 @@ from dynsr.data.assembling import (
     load_array,
     load_frame,
     load_mapping,
+    names_of_states,
     with_times,
 )
 from dynsr.data.trajectory import Trajectory
@@ -32,6 +33,7 @@ __all__ = [
     "bracketed_unit",
     "generated_names",
     "load_columns",
+    "names_of_states",
     "read_names_only",
     "with_times",
 ]
@@ -86,7 +88,9 @@ def load_columns(source: Any, decimal: str | None = None) -> Columns:
         return load_frame(source, "the data frame", decimal)
     if isinstance(source, tuple) and len(source) == 2:
         table, unit = beside(*source)
-        return replace(load_array(table, "the arrays"), time_unit=unit)
+        found = load_array(table, "the arrays")
+        names = ("t", *names_of_states(len(found.names) - 1))
+        return replace(found, names=names, time_unit=unit)
     if isinstance(source, np.ndarray):
         return load_array(source, "the array")
     raise InputError(

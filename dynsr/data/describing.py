@@ -11,6 +11,7 @@ import numpy as np
 
 from dynsr.arguments import checked
 from dynsr.data.description import Description
+from dynsr.data.names import RENAMED
 from dynsr.data.oddities import OddSettings, merge_places, odd_states, odd_times, odd_values
 from dynsr.data.reading import MAX_ROWS, Table, read_trajectories
 from dynsr.data.trajectory import columns_of
@@ -81,7 +82,9 @@ def describe_table(
     heard : what was warned of on reading it.
     settings : the numbers that decide what looks odd.
     """
-    notes = (*table.description.notes, *heard, *_odd(table, settings))
+    # The description shows the new names itself.
+    own = [words for words in heard if not words.startswith(RENAMED)]
+    notes = (*table.description.notes, *own, *_odd(table, settings))
     return replace(table.description, notes=tuple(dict.fromkeys(notes)))
 
 

@@ -340,6 +340,7 @@ def join_descriptions(parts: Sequence[Description], runs: Sequence[Trajectory]) 
             (float(steps.min()), float(steps.max())),
         ),
         trajectories=tuple(rows),
+        hold={name: runs[0].holds[name] for name in first.hold},
         labels=tuple(dict.fromkeys(name for part in parts for name in part.labels)),
         left_out={name: why for part in parts for name, why in part.left_out.items()},
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),

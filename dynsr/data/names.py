@@ -11,6 +11,9 @@ from dynsr.data.columns import Columns, bare_name
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name
 
+# How a warning of new names begins.
+RENAMED = "columns were renamed so that they can stand in formulas"
+
 
 def list_names(names: Sequence[str]) -> str:
     """List names for a message, the first of many.
@@ -96,7 +99,7 @@ def rename(names: Sequence[str], formulas: Mapping[str, str]) -> dict[str, str]:
     if changed:
         shown = ", ".join(f"{name[:60]!r} -> {new}" for name, new in changed.items())
         warnings.warn(
-            f"columns were renamed so that they can stand in formulas: {shown}",
+            f"{RENAMED}: {shown}",
             DynsrWarning,
             stacklevel=4,
         )

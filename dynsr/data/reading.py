@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from dynsr.data.columns import Columns, beside, load_columns, with_times
+from dynsr.data.columns import Columns, beside, load_columns, names_of_states, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
 from dynsr.data.dosing import cut_at_doses
 from dynsr.data.grouping import find_restarts
@@ -123,12 +123,19 @@ def read_trajectories(
     found = understand(columns, name, asked)
     if isinstance(hold, Mapping):
         hold = {found.roles.renamed.get(name, name): way for name, way in hold.items()}
+    if isinstance(source, Trajectory) and not isinstance(hold, str):
+        hold = {**_given(source, found.runs), **(hold or {})}
     runs = settle_hold(found.runs, hold)
     understood = describe_runs(
         columns.label, runs, found.roles, asked.formulas, found.left_out, found.notes
     )
     told = _told(runs, understood.sentence, understood)
     return replace(told, roles=found.roles, left_out=found.left_out, notes=found.notes)
+
+
+def _given(source: Trajectory, runs: Sequence[Trajectory]) -> dict[str, str]:
+    """Give what a trajectory says of those of its inputs that are inputs of the runs too."""
+    return {name: way for name, way in source.hold.items() if name in runs[0].input_names}
 
 
 def _is_named(time: Any, source: Any) -> bool:
@@ -195,7 +202,10 @@ def _read_list(sources: list[Any], *arguments: Any) -> Table:
             )
     if hold is None:
         # What one file says of an input holds for all.
-        runs = settle_hold([replace(run, hold={}) for run in runs])
+        given: dict[str, str] = {}
+        for source in sources:
+            given |= _given(source, runs) if isinstance(source, Trajectory) else {}
+        runs = settle_hold([replace(run, hold={}) for run in runs], given)
     understood = join_descriptions([table.description for table in tables], runs)
     told = _told(runs, "; ".join(dict.fromkeys(table.guess for table in tables)), understood)
     return replace(told, left_out=understood.left_out, notes=understood.notes)
@@ -464,8 +474,7 @@ def _from_arrays(t: Any, x: Any) -> Trajectory:
                 "own times as a list of pairs, [(t1, x1), (t2, x2)]"
             )
     table, unit = beside(t, x)
-    count = table.shape[1] - 1
-    names = ("x", "y", "z")[:count] if count <= 3 else tuple(f"x{i + 1}" for i in range(count))
+    names = names_of_states(table.shape[1] - 1)
     origin = {"time_unit": unit} if unit else {}
     return Trajectory(table[:, 0], table[:, 1:], names, origin=origin)
 
