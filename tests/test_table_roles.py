@@ -554,3 +554,19 @@ def test_the_unit_of_a_time_is_read_in_names_of_other_languages(name, unit):
     x = np.round(2.0 ** -np.arange(12), 6)
     table = read_trajectories({name: np.arange(12) / 4, "x": x, "y": 1 - x})
     assert table.trajectories[0].time_unit == unit and table.trajectories[0].states == ("x", "y")
+
+
+def test_a_text_and_a_number_name_trajectories_together():
+    """A dose and a flask name what starts the time again; the dose is a parameter too."""
+    rows = [(d, f, k / 2, d * 0.9**k) for d in (10, 20) for f in "ab" for k in range(10)]
+    frame = pd.DataFrame(rows, columns=["dose", "flask", "hours", "conc"])
+    table = read_trajectories(frame)
+    assert table.names == ("10, a", "10, b", "20, a", "20, b")
+    assert table.roles.parameters == ("dose",) and table.trajectories[0].states == ("conc",)
+
+
+def test_numbers_alone_name_no_trajectory():
+    """Runs of two doses that start the time again are numbered; the dose stays a parameter."""
+    rows = [(d, k / 2, d * 0.9**k) for d in (10, 20) for k in range(10)]
+    table = read_trajectories(pd.DataFrame(rows, columns=["dose", "hours", "conc"]))
+    assert table.names == ("1", "2") and table.roles.parameters == ("dose",)

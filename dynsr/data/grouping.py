@@ -149,7 +149,10 @@ def guess_grouping(
     constant = [name for name in free if look.is_constant(name, codes, count)]
     labels = [n for n in constant if look.is_text(n) or (count > 1 and look.is_label(n, codes))]
     if trajectory is None and not chosen and count > 1:
-        chosen = sorted(look.fewest(labels, codes), key=columns.names.index)
+        numbers = [n for n in constant if n not in labels and look.is_whole(n) and look.differs(n)]
+        chosen = look.fewest(labels, codes) or look.fewest([*labels, *numbers], codes)
+        # Numbers alone say what was set in a trajectory; they do not name it.
+        chosen = sorted(chosen if set(chosen) & set(labels) else [], key=columns.names.index)
     labels = [name for name in labels if name not in chosen]
     varied = [n for n in constant if count > 1 and n not in (*labels, *chosen) and look.differs(n)]
     if trajectory is None:

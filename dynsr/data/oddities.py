@@ -274,8 +274,8 @@ def _at_its_end(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
                 "saturated",
                 f"is at its {word} value, {levels[at]:.4g}, in {counts[at]} of "
                 f"{len(column.x)} rows",
-                "a sensor at the end of its range, a limit of detection, or a rest; equations "
-                "cannot follow values that are cut off: leave these rows out",
+                "a rest, a limit of detection, or a sensor at the end of its range, whose values "
+                "are cut off: no equation follows those, so leave such rows out",
                 (int(own[0, 0]), int(own[-1, 1])),
             )
 
