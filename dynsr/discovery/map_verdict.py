@@ -17,6 +17,8 @@ import sympy
 from scipy.special import fdtrc
 
 from dynsr.data import Samples, Trajectory, near_rows_leave_open
+from dynsr.discovery.drift import Drift, drift_of_rows
+from dynsr.discovery.drift_exact import same_in_time
 from dynsr.discovery.following import Place, open_constants
 from dynsr.discovery.maps import pair_rows
 from dynsr.discovery.verdict import (
@@ -148,6 +150,12 @@ class _Step:
     def r2(self) -> float:
         found = 1 - float(np.mean(self.misses**2)) / self.spread**2
         return found if math.isfinite(found) else -math.inf
+
+    def r2_of(self, expr: sympy.Expr) -> float:
+        """R2 of one step of another formula."""
+        columns = {**self.samples.columns, "t": self.samples.t}
+        misses = self.samples.y - evaluate(expr, columns)
+        return 1 - float(np.mean(misses**2)) / self.spread**2
 
     def _solve(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Give the shift of the constants that fits these rows best, and its covariance."""
@@ -294,11 +302,22 @@ def _judge_state(
         terms=step.terms(),
         rivals=_compare(step, front, settings),
     )
+    drift = (
+        drift_of_rows(state, step.expr, step.samples, step.finest, settings.drift, discrete=True)
+        if step.size > step.finest
+        else same_in_time(state, step.expr, step.samples, settings.drift, discrete=True)
+    )
     if r2 < settings.r2:
         said = f"the equation does not give the next row (R2 of one step {r2:.2g})."
-        return replace(found, reason=said + _because(step, runs, settings))
+        found = replace(found, reason=said + _because(step, runs, settings))
+        if drift is not None and drift.timed and step.r2_of(drift.expr) >= settings.r2:
+            return _with_drift(found, drift)
+        return found
     doubts = _doubts(step, found, free, surprise, settings)
     exact = step.size <= step.finest
+    if drift is not None and (drift.timed or not doubts):
+        doubts.insert(0, drift.said)
+        found = _with_drift(found, drift) if drift.timed else found
     follows = f"gives the next row to {100 * size:.2g} % of the spread"
     follows = "gives the next row exactly" if exact else follows
     if doubts:
@@ -309,6 +328,13 @@ def _judge_state(
     return replace(
         found, level=LAW, reason=f"{follows}; {runs_on}, and each of its terms is needed."
     )
+
+
+def _with_drift(found: StateVerdict, drift: Drift) -> StateVerdict:
+    """Put the formula with the time before others, and say so where something is said."""
+    rival = Rival(shown(tidy(drift.expr), 4), float(f"{drift.bits:.6g}"))
+    more = f" Besides, {drift.said}." if found.reason else ""
+    return replace(found, rivals=(rival, *found.rivals), reason=found.reason + more)
 
 
 def _doubts(

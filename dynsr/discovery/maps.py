@@ -20,7 +20,7 @@ from dynsr.expression import (
     to_latex,
     to_mathml,
 )
-from dynsr.fit import free_constants, loosen, rmse
+from dynsr.fit import free_constants, loosen, rmse, tidy, written_constant
 
 # Rows of the short free runs that a score looks at: chaos makes longer ones say nothing.
 _STEPS = 5
@@ -103,6 +103,40 @@ def measure_step_errors(
     return tuple(zip(numbers.tolist(), errors.tolist(), strict=True)), tuple(
         (numbers + shift).tolist()
     )
+
+
+def keep_within(
+    expr: sympy.Expr, samples: Samples, reach: float = 1.96, finest: float = 1e-9
+) -> sympy.Expr:
+    """Give a map whose constants lie within their own intervals, which simple numbers may leave.
+
+    Parameters
+    ----------
+    expr : the right-hand side.
+    samples : pairs of rows.
+    reach : standard errors that an interval reaches to either side.
+    finest : share of itself by which a constant is never told from another.
+
+    >>> x = np.linspace(0, 1, 50)
+    >>> pairs = Samples(x[:, None], 2.9 * x + 0.01 * np.cos(60 * x), ("x",), "x", "given", x)
+    >>> keep_within(3 * sympy.Symbol("x"), pairs)
+    2.8996*x
+    """
+    while True:
+        template, values = free_constants(loosen(expr), "constant ")
+        errors, fitted = measure_step_errors(expr, samples)
+        outside = {
+            symbol: sympy.Float(written_constant(best, error))
+            for symbol, (value, error), best in zip(values, errors, fitted, strict=True)
+            if abs(value - best) > reach * error + finest * abs(value)
+        }
+        if not outside:
+            return expr
+        numbers = {s: sympy.Float(v) for s, v in values.items()}
+        changed = tidy(template.xreplace(numbers | outside))
+        if changed == expr:
+            return expr
+        expr = changed
 
 
 def iterate(

@@ -23,7 +23,7 @@ from dynsr.discovery.asking import (
 )
 from dynsr.discovery.conservation import conserve
 from dynsr.discovery.map_verdict import judge_map
-from dynsr.discovery.maps import measure_step_errors
+from dynsr.discovery.maps import keep_within, measure_step_errors
 from dynsr.discovery.orders import Form, explain_velocity
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import (
@@ -391,8 +391,8 @@ class Problem:
         notes: Mapping[str, str],
     ) -> Discovery:
         """Take the maps as they were picked, with the errors of their constants on one step."""
-        final = {s: tidy(e) for s, e in exprs.items()}
         pairs = {s: self.samples(s, self.runs, known_left_out=False) for s in picks}
+        final = {s: keep_within(tidy(e), pairs[s]) for s, e in exprs.items()}
         found = {s: measure_step_errors(e, pairs[s]) for s, e in final.items()}
         return Discovery(
             equations=final,

@@ -16,7 +16,10 @@ import numpy as np
 import sympy
 from scipy.special import chdtrc
 
-from dynsr.data import Trajectory, diagnose
+from dynsr.data import Samples, Trajectory, choose_samples, diagnose
+from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
+from dynsr.discovery.drift_along import Along
+from dynsr.discovery.drift_exact import drift_of_slopes, same_in_time
 from dynsr.discovery.following import (
     Course,
     Followed,
@@ -28,7 +31,7 @@ from dynsr.discovery.following import (
 from dynsr.discovery.layers import cross_layers
 from dynsr.discovery.rivals import compare_rivals
 from dynsr.errors import InputError, one_line
-from dynsr.expression import has_pole, shown
+from dynsr.expression import evaluate, has_pole, shown
 from dynsr.fit import STABLE, Flow, ParetoFront, Shooting, noise_and_spread, tidy
 from dynsr.selection import is_left_open
 
@@ -70,6 +73,7 @@ class VerdictSettings:
     free : miss of free runs of a map, in units of what the misses of its single steps add up to,
         above which it is none of theirs.
     differs : rms difference of two maps as a share of the spread, from which on they are different.
+    drift : the terms in the time, and in every column, that equations are told apart from.
     """
 
     r2: float = 0.9
@@ -96,6 +100,7 @@ class VerdictSettings:
     steps: int = 5
     free: float = 3.0
     differs: float = 0.02
+    drift: DriftSettings = DRIFT
 
 
 JUDGE = VerdictSettings()
@@ -270,6 +275,7 @@ def _judge(
         state: bench.judge_state(place, followed, evidence, close.get(state, ()), causes.get(state))
         for place, state in enumerate(bench.equations)
     }
+    states = bench.heed_drift(states, followed)
     return summarise(_doubt_beside(states, bench.equations), bench.span(followed))
 
 
@@ -324,6 +330,7 @@ class _Bench:
     noise: np.ndarray
     clean: np.ndarray
     settings: VerdictSettings
+    runs: Sequence[Trajectory]
 
     @classmethod
     def of(
@@ -352,6 +359,7 @@ class _Bench:
             typical / spread,
             clean,
             settings,
+            runs,
         )
 
     @property
@@ -564,6 +572,94 @@ class _Bench:
             because = self._because(state, cause, explained)
             return replace(found, level=APPROXIMATION, reason=said + because)
         return replace(found, level=LAW, reason=self._praise(place, noise, followed, evidence))
+
+    def heed_drift(
+        self, states: dict[str, StateVerdict], followed: Followed
+    ) -> dict[str, StateVerdict]:
+        """Take for no law what the time, or a term that is left out, explains in fewer bits.
+
+        What is no law for other reasons is told so too, where the formula would be one itself.
+        """
+        drifts = self._find_drifts(states, followed)
+        if not drifts:
+            return states
+        doubtful = {s for s, own in states.items() if own.level != LAW}
+        lawful: set[str] = set()
+        if doubtful & set(drifts):
+            lawful = self._are_laws(drifts, followed)
+        found = dict(states)
+        # What is followed beside an equation that drifts is none the worse for that.
+        told_of = [f"{s}: {d.said}." for s, d in drifts.items() if d.timed and s in lawful]
+        for state, own in states.items():
+            drift = drifts.get(state)
+            if drift is None:
+                if state in lawful & doubtful and told_of:
+                    found[state] = replace(own, reason=f"{own.reason} Besides, {told_of[0]}")
+                continue
+            if own.level == LAW:
+                told = _doubt(own, f"{drift.said}.")
+            elif state in lawful and drift.timed:
+                told = replace(own, reason=f"{own.reason} Besides, {drift.said}.")
+            else:
+                continue
+            if drift.timed:
+                rival = Rival(shown(tidy(drift.expr), 4), _round(drift.bits))
+                told = replace(told, rivals=(rival, *own.rivals))
+            found[state] = told
+        return found
+
+    def _find_drifts(
+        self, states: Mapping[str, StateVerdict], followed: Followed
+    ) -> dict[str, Drift]:
+        weak = {s for s, own in states.items() if own.level != LAW}
+        # Names of slopes stand for nothing else, nor does what rests.
+        asked = {
+            s
+            for s, e in self.equations.items()
+            if not e.is_Symbol and (e.free_symbols or s in weak)
+        }
+        weak &= asked
+        found: dict[str, Drift | None] = {}
+        noisy = [s for s, exact in zip(self.equations, self.clean, strict=True) if not exact]
+        if followed.finite:
+            found |= self._along(followed).look(asked & set(noisy), weak)
+        found |= {s: self._drift_of_law(s) for s in asked - weak - set(noisy)}
+        found |= {s: self._drift_of_slopes(s) for s in weak - set(noisy)}
+        return {s: drift for s, drift in found.items() if drift is not None}
+
+    def _along(self, followed: Followed) -> Along:
+        settings = self.settings
+        return Along(self.equations, followed, self.course, settings.windows, settings.drift)
+
+    def _drift_of_slopes(self, state: str) -> Drift | None:
+        """Give the formula with the time that the slopes of clean data follow."""
+        rows = choose_samples(self.runs, state)
+        return drift_of_slopes(self.equations[state], rows, self.settings.drift)
+
+    def _drift_of_law(self, state: str) -> Drift | None:
+        """Give the shorter formula that an exact law is the same as along the data."""
+        runs, expr = self.course.runs, self.equations[state]
+        names = runs[0].names
+        columns = dict(zip(names, np.concatenate([r.columns for r in runs]).T, strict=True))
+        t = np.concatenate([run.t for run in runs])
+        columns |= {n: evaluate(e, {"t": t}) for n, e in self.course.inputs.items()}
+        y = np.broadcast_to(evaluate(expr, {**columns, "t": t}), len(t))
+        rows = Samples(
+            np.column_stack(list(columns.values())), y, tuple(columns), state, "given", t
+        )
+        return same_in_time(state, expr, rows, self.settings.drift)
+
+    def _are_laws(self, drifts: Mapping[str, Drift], followed: Followed) -> set[str]:
+        """Name the states whose equation would be a law if these were the equations."""
+        changed = {**self.equations, **{s: drift.expr for s, drift in drifts.items()}}
+        # The other equations had been fitted beside one that is wrong.
+        changed = self._along(followed).refit(changed)
+        opened, places = open_constants(changed)
+        other = replace(self, equations=changed, opened=opened, places=places)
+        again = other.follow_longest()
+        evidence = other.gather(again) if again.finite else None
+        judged = {s: other.judge_state(i, again, evidence, (), "") for i, s in enumerate(changed)}
+        return {s for s, own in judged.items() if own.level == LAW}
 
     def _because(self, state: str, cause: str | None, explained: bool = False) -> str:
         """Give the likeliest cause, by default what the data themselves tell."""

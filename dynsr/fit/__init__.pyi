@@ -18,6 +18,7 @@ from .description import (
     mean_error_bits,
     shift_bits,
     structure_bits,
+    written_constant,
 )
 from .exact import approach, confirm, simplest_form, without_rounding
 from .flow import Flow, Pace, Windows, cut_windows, runge_kutta_step
@@ -146,4 +147,5 @@ __all__ = [
     "with_floats",
     "without_flat_line",
     "without_rounding",
+    "written_constant",
 ]

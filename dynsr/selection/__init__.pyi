@@ -1,4 +1,5 @@
 from .comparison import ComparisonSettings, SystemComparison, SystemFit, may_be_exact, noise_shown
+from .costs import bodies_of, shape_bits, unusual_bits
 from .first_look import Look, look, look_again
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
@@ -13,6 +14,7 @@ from .pick import (
     trivial_candidates,
 )
 from .relations import is_left_open
+from .subsets import Subset, best_subsets
 from .systems import (
     Compared,
     SystemChoice,
@@ -22,6 +24,7 @@ from .systems import (
     follow_anything,
     other_in_halves,
 )
+from .terms import move_inside, products, weighted_sum
 from .twins import families
 
 __all__ = [
@@ -33,11 +36,14 @@ __all__ = [
     "Pick",
     "RankedCandidate",
     "SelectionSettings",
+    "Subset",
     "SystemChoice",
     "SystemComparison",
     "SystemFit",
     "Trail",
     "best_so_far",
+    "best_subsets",
+    "bodies_of",
     "compare_systems",
     "explains_all",
     "explore",
@@ -50,9 +56,14 @@ __all__ = [
     "look",
     "look_again",
     "may_be_exact",
+    "move_inside",
     "noise_shown",
     "other_in_halves",
     "pick_equation",
+    "products",
     "rank_by_length",
+    "shape_bits",
     "trivial_candidates",
+    "unusual_bits",
+    "weighted_sum",
 ]

@@ -1,0 +1,508 @@
+"""Drift: what the time, or a column that an equation does not hold, explains of its data.
+
+Terms of an equation times the time, the time itself, and terms of every column are tried beside
+it: a score test (Rao 1948) of what the fitted equation misses says which of them would help. Sums
+that hold the time are tried in its place. What is likely is fitted and compared with the equation
+in bits, those of the misses, of the structure and of the constants: the more terms are tried, the
+longer each of them is to name, so that a find by chance among many pays for them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import compress
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.discovery.following import open_constants
+from dynsr.expression import differentiate, evaluate, expand_terms, shown
+from dynsr.fit import constant_bits, refit, skeleton, tidy, with_floats
+from dynsr.selection import (
+    Subset,
+    best_subsets,
+    bodies_of,
+    move_inside,
+    products,
+    shape_bits,
+    unusual_bits,
+    weighted_sum,
+)
+
+TIME = sympy.Symbol("t")
+
+
+@dataclass(frozen=True)
+class DriftSettings:
+    """The numbers that decide which terms are tried; they stand in a discovery's record.
+
+    Parameters
+    ----------
+    degree, most : variables of the equation in a product that is tried, and products at most, the
+        shortest first.
+    powers : powers of the time that multiply terms.
+    inside : constants of functions of the time alone, in units of one over the span of the times.
+    beside : terms that are put beside an equation, at most.
+    more : terms that a sum in its place may have more than it.
+    beam : sums of each length that are grown further.
+    fitted : likely formulas of each kind that are fitted, at most.
+    margin : bits that lines may expect of one more than of the equation: they are rough.
+    rounds : steps of a fit at most.
+    exact : share of their size by which slopes of one exact function may differ.
+    """
+
+    degree: int = 3
+    most: int = 12
+    powers: tuple[int, ...] = (1, 2)
+    inside: tuple[float, ...] = (0.3, 1.0, 3.0)
+    beside: int = 2
+    more: int = 2
+    beam: int = 30
+    fitted: int = 4
+    margin: float = 5.0
+    rounds: int = 8
+    exact: float = 1e-5
+
+
+DRIFT: DriftSettings = DriftSettings()
+# Share of a column that others must leave of it for it to say something of its own.
+_OWN = 1e-6
+# Bits from which on one formula follows data clearly better than another.
+_CLEARLY = 8.0
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A formula that takes fewer bits than the equation of a state.
+
+    Parameters
+    ----------
+    expr : the formula.
+    bits : the bits that it takes more than the equation: below 0.
+    said : what it means, in words.
+    timed : whether it holds the time, and the equation does not.
+    """
+
+    expr: sympy.Expr
+    bits: float
+    said: str
+    timed: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class TermsInTime:
+    """Terms that are tried beside an equation or in its place.
+
+    Parameters
+    ----------
+    terms : the p terms.
+    values : (n, p) what they are on the rows of the data.
+    functions : those that are functions of the time alone with a constant inside.
+    """
+
+    terms: tuple[sympy.Expr, ...]
+    values: np.ndarray
+    functions: Collection[sympy.Expr]
+
+    @classmethod
+    def of(
+        cls,
+        expr: sympy.Expr,
+        columns: Mapping[str, np.ndarray],
+        settings: DriftSettings = DRIFT,
+        *,
+        functions: bool = True,
+    ) -> TermsInTime:
+        """Give the terms for an equation.
+
+        Parameters
+        ----------
+        expr : the equation.
+        columns : name -> (n,) values of what it may hold, of which ``t`` is the time.
+        settings : which terms.
+        functions : whether functions of the time alone, of any rate, are among them.
+        """
+        names = [name for name in columns if name != "t"]
+        held = [name for name in names if sympy.Symbol(name) in expr.free_symbols]
+        bodies = [p.term for p in open_constants({"": expr})[1].values() if p.term is not None]
+        grown = products(held, settings.degree)[: settings.most]
+        plain = dict.fromkeys([sympy.S.One, *map(sympy.Symbol, names), *bodies, *grown])
+        timed = [TIME**power * term for power in settings.powers for term in plain]
+        alone = dict.fromkeys(_functions(columns["t"], settings) if functions else ())
+        every = dict.fromkeys([*plain, *timed, *alone])
+        rows = len(columns["t"])
+        values = [np.broadcast_to(evaluate(e, columns), rows) for e in every]
+        finite = [bool(np.all(np.isfinite(v))) for v in values]
+        terms, columns_of = (tuple(compress(some, finite)) for some in (every, values))
+        return cls(terms, np.array(columns_of).T, {e for e in alone if e.atoms(sympy.Float)})
+
+    @cached_property
+    def inside(self) -> tuple[sympy.Expr, ...]:
+        """For each of the functions the slope by the logarithm of the constant inside."""
+        return tuple(_slope_inside(e) for e in self.terms if e in self.functions)
+
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """(p,) place of that slope, counted on from the terms; -1 for none."""
+        movable = np.array([e in self.functions for e in self.terms])
+        return np.where(movable, len(movable) + np.cumsum(movable) - 1, -1)
+
+    @cached_property
+    def timed(self) -> np.ndarray:
+        """(p,) whether each holds the time."""
+        return np.array([TIME in e.free_symbols for e in self.terms])
+
+    @cached_property
+    def kinds(self) -> list[np.ndarray]:
+        """Places of all terms, and of those without terms that only the equation has.
+
+        Terms of an equation that is wrong crowd others out.
+        """
+        plain = [e.free_symbols <= {TIME} or bool(e.is_polynomial()) for e in self.terms]
+        return [np.arange(len(plain))] + ([] if all(plain) else [np.flatnonzero(plain)])
+
+    @cached_property
+    def structure(self) -> np.ndarray:
+        """(p,) bits of each, beside those of constants."""
+        half = sympy.Float(0.5)
+        return np.array([shape_bits(half * e) + unusual_bits(e, ("t",)) for e in self.terms])
+
+    def costs(self, rows: float) -> np.ndarray:
+        """(p,) bits of each with its constants, fitted to so many rows."""
+        return self.structure + constant_bits(rows) * (1 + (self.slopes >= 0))
+
+    def design(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """(n, p + q) values of the terms, and of the slopes of q of them by what is inside."""
+        more = [np.broadcast_to(evaluate(e, columns), len(self.values)) for e in self.inside]
+        return np.column_stack([self.values, *more])
+
+    def add_up(self, found: Subset, places: Iterable[int]) -> sympy.Expr:
+        """Write the sum of some terms, the constants inside them moved."""
+        terms = [
+            move_inside(self.terms[p], shift) if shift else self.terms[p]
+            for p, shift in zip(places, found.shifts, strict=True)
+        ]
+        return weighted_sum(found.coefficients, terms)
+
+
+def _slope_inside(term: sympy.Expr) -> sympy.Expr:
+    """Give the slope of a term by the logarithm of the one constant inside it."""
+    (number,) = term.atoms(sympy.Float)
+    symbol = sympy.Symbol("inside")
+    slope = symbol * differentiate(term.xreplace({number: symbol}), symbol)
+    return slope.xreplace({symbol: number})
+
+
+def _functions(t: np.ndarray, settings: DriftSettings) -> Iterator[sympy.Expr]:
+    """Give functions of the time alone, as curves of one way have them."""
+    span, first = float(np.ptp(t)) or 1.0, float(t.min())
+    yield TIME**3
+    for inside in settings.inside:
+        rate = sympy.Float(inside / span)
+        yield from (sympy.exp(-rate * TIME), sympy.exp(rate * TIME))
+        yield from (sympy.sin(rate * TIME), sympy.cos(rate * TIME))
+        yield 1 / (TIME + sympy.Float(span / inside - first))
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """The linear view of an equation: what is to be explained, and what explains it.
+
+    ``target`` (N,) is to be the sum of terms with the ``design`` (N, p), and ``misses`` (N,) are
+    what the equation leaves of it, whose slopes by its constants are ``own`` (N, q). Squares below
+    ``least`` are nothing.
+    """
+
+    misses: np.ndarray
+    target: np.ndarray
+    own: np.ndarray
+    design: np.ndarray
+    rows: float
+    least: float = 0.0
+
+    def propose(
+        self, expr: sympy.Expr, library: TermsInTime, settings: DriftSettings = DRIFT
+    ) -> list[sympy.Expr]:
+        """Give the likeliest formulas: with more terms than the equation, and with the time.
+
+        Parameters
+        ----------
+        expr : the equation.
+        library : the terms that the design is of.
+        settings : how many.
+        """
+        basis = orthogonal(self.own)
+        rest = self.misses - basis @ (basis.T @ self.misses)
+        now = self._bits(float(rest @ rest))
+        most = len(sympy.Add.make_args(expr)) + settings.more
+        enough = now + formula_bits(expr, self.rows) + settings.margin
+        found = [expr + one for one in self._beside(rest, basis, now, library, settings)]
+        for kind in library.kinds:
+            found += self._instead(kind, most, enough, library, settings)
+        return list(dict.fromkeys(found))
+
+    def _beside(
+        self,
+        rest: np.ndarray,
+        basis: np.ndarray,
+        now: float,
+        library: TermsInTime,
+        settings: DriftSettings,
+    ) -> list[sympy.Expr]:
+        """Give what is likely to stand beside an equation that leaves a rest."""
+        own = self.design[:, : len(library.terms)]
+        left = own - basis @ (basis.T @ own)
+        # What the constants of the equation can do already is no news.
+        size = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
+        news = np.flatnonzero(np.linalg.norm(left, axis=0) > _OWN * size)
+        if not len(news):
+            return []
+        costs = library.costs(self.rows)[news]
+        best = self._best(left[:, news], rest, costs, settings.beside, settings)
+        better = [one for one in best if one.bits < now][: settings.fitted]
+        return [library.add_up(one, news[list(one.places)]) for one in better]
+
+    def _instead(
+        self,
+        kind: np.ndarray,
+        most: int,
+        enough: float,
+        library: TermsInTime,
+        settings: DriftSettings,
+    ) -> list[sympy.Expr]:
+        """Give the likely sums of terms of a kind that hold the time."""
+        inside = library.slopes[kind]
+        slopes = np.where(inside >= 0, len(kind) + np.cumsum(inside >= 0) - 1, -1)
+        design = self.design[:, [*kind, *inside[inside >= 0]]]
+        costs = library.costs(self.rows)[kind]
+        sums = self._best(design, self.target, costs, most, settings, slopes)
+        pairs = [(one, kind[list(one.places)]) for one in sums if one.bits < enough]
+        timed = [pair for pair in pairs if library.timed[pair[1]].any()]
+        return [library.add_up(*pair) for pair in timed[: settings.fitted]]
+
+    def _best(
+        self,
+        design: np.ndarray,
+        target: np.ndarray,
+        costs: np.ndarray,
+        most: int,
+        settings: DriftSettings,
+        slopes: np.ndarray | None = None,
+    ) -> list[Subset]:
+        return best_subsets(
+            design.T @ design,
+            design.T @ target,
+            float(target @ target),
+            costs,
+            self.rows,
+            beam=settings.beam,
+            most=most,
+            keep=settings.beam * (most + len(costs)),
+            least=self.least,
+            slopes=slopes,
+        )
+
+    def _bits(self, squares: float) -> float:
+        return self.rows / 2 * math.log2(max(squares, self.least, 1e-300) / self.rows)
+
+
+def orthogonal(columns: np.ndarray) -> np.ndarray:
+    """Give (N, r) orthonormal columns that span those given.
+
+    Parameters
+    ----------
+    columns : (N, P).
+    """
+    if not columns.size:
+        return np.zeros((len(columns), 0))
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    left, values, _ = np.linalg.svd(columns / size, full_matrices=False)
+    basis: np.ndarray = left[:, values > 1e-10 * values[0]]
+    return basis
+
+
+def formula_bits(expr: sympy.Expr, rows: float) -> float:
+    """Give the bits of a formula whose constants are fitted to so many rows.
+
+    Parameters
+    ----------
+    expr, rows : the formula and the rows.
+    """
+    loose = with_floats(expr)
+    constants = len(open_constants({"": expr})[1])
+    return shape_bits(loose) + unusual_bits(loose, ("t",)) + constants * constant_bits(rows)
+
+
+def drift_of_rows(
+    state: str,
+    expr: sympy.Expr,
+    samples: Samples,
+    floor: float,
+    settings: DriftSettings = DRIFT,
+    *,
+    discrete: bool = False,
+) -> Drift | None:
+    """Give the formula that gives rows in fewer bits than an equation; None where there is none.
+
+    Parameters
+    ----------
+    state, expr : the equation.
+    samples : its rows, with what it is to give, and misses.
+    floor : misses below this are none.
+    settings : which terms are tried.
+    discrete : whether the equation is a map.
+
+    >>> n = np.arange(60.0)
+    >>> x = 1 + np.sin(7 * n)
+    >>> rows = Samples(x[:, None], (2 + n / 60) * x + 0.01 * np.cos(9 * n), ("x",), "x", "given", n)
+    >>> found = drift_of_rows("x", 2.6 * sympy.Symbol("x"), rows, 1e-6, discrete=True)
+    >>> found.said.split(", as")[0]
+    "its constants change along the record: x's coefficient from 2 to 2.98"
+    """
+    columns, n = {**samples.columns, "t": samples.t}, len(samples)
+    own = _slopes_by_constants(expr, columns)[0]
+    misses = samples.y - np.broadcast_to(evaluate(expr, columns), n)
+    if not (np.all(np.isfinite(own)) and np.all(np.isfinite(misses))):
+        return None
+    library = TermsInTime.of(expr, columns, settings)
+    lines = Lines(misses, samples.y, own, library.design(columns), n, n * floor**2)
+    timed = Samples(
+        np.column_stack(list(columns.values())),
+        samples.y,
+        tuple(columns),
+        state,
+        "given",
+        samples.t,
+    )
+    basis = orthogonal(own)
+    least = float(np.mean((misses - basis @ (basis.T @ misses)) ** 2))
+    found = []
+    for one in lines.propose(expr, library, settings):
+        other = refit(one, timed)
+        squares = float(np.mean((samples.y - evaluate(other, columns)) ** 2))
+        if not math.isfinite(squares) or is_alike(other, expr):
+            continue
+        gain = n / 2 * math.log2(max(least, floor**2) / max(squares, floor**2))
+        gain *= _told_by_size(other, timed) if squares > floor**2 else 1.0
+        bits = formula_bits(other, n) - formula_bits(expr, n) - gain
+        found.append((bits, gain, other))
+    bits, gain, best = min(found, key=lambda one: one[:2], default=(0.0, 0.0, expr))
+    if bits >= 0:
+        return None
+    said = say(state, best, expr, samples.t, gain, discrete=discrete)
+    return Drift(best, bits, said, is_timed(best, expr))
+
+
+def _slopes_by_constants(
+    expr: sympy.Expr, columns: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, list[bool]]:
+    """(n, q) slopes of a formula by its constants, and whether each belongs to the time."""
+    opened, places = open_constants({"": expr})
+    put = {symbol: sympy.Float(place.value) for symbol, place in places.items()}
+    by = [differentiate(opened[""], symbol).xreplace(put) for symbol in places]
+    rows = len(columns["t"])
+    values = np.array([np.broadcast_to(evaluate(e, columns), rows) for e in by])
+    return values.reshape(len(by), rows).T, [TIME in e.free_symbols for e in by]
+
+
+def _told_by_size(expr: sympy.Expr, samples: Samples) -> float:
+    """Give the share of what constants beside the time seem to tell, where chance changes its size.
+
+    Chance that grows along the record pulls them more than its mean size says: the share is that of
+    the Wald statistics with the covariance of White (1980) and with that of one size, 1 at most.
+    """
+    slopes, timed = _slopes_by_constants(expr, samples.columns)
+    chosen = np.flatnonzero(timed)
+    if not len(chosen) or not np.all(np.isfinite(slopes)):
+        return 1.0
+    left = samples.y - evaluate(expr, samples.columns)
+    scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    inverse = np.linalg.pinv(slopes / scale, rcond=1e-10)
+    plain, white = inverse @ inverse.T * np.mean(left**2), (inverse * left**2) @ inverse.T
+    values = np.array([place.value for place in open_constants({"": expr})[1].values()])
+    mine = (values * scale)[chosen]
+    square = np.ix_(chosen, chosen)
+    most, least = (
+        mine @ np.linalg.pinv(some[square], hermitian=True) @ mine for some in (plain, white)
+    )
+    return float(min(1.0, least / most)) if most > 0 else 1.0
+
+
+def is_alike(expr: sympy.Expr, other: sympy.Expr) -> bool:
+    """Whether two formulas differ in nothing but their constants.
+
+    Parameters
+    ----------
+    expr, other : the formulas.
+    """
+    return skeleton(with_floats(expr)) == skeleton(with_floats(other))
+
+
+def is_timed(expr: sympy.Expr, own: sympy.Expr) -> bool:
+    """Whether a formula holds the time and the equation does not.
+
+    Parameters
+    ----------
+    expr, own : the formula and the equation.
+    """
+    return TIME in expr.free_symbols and TIME not in own.free_symbols
+
+
+def say(
+    state: str,
+    expr: sympy.Expr,
+    own: sympy.Expr,
+    t: np.ndarray,
+    gain: float,
+    *,
+    discrete: bool = False,
+) -> str:
+    """Say in words what a formula with the time or more terms means beside an equation.
+
+    Parameters
+    ----------
+    state, expr : the formula.
+    own : the equation.
+    t : the times of the data.
+    gain : the bits by which it follows the data better, its length not counted.
+    discrete : whether it is a map.
+
+    >>> q, v, t = sympy.symbols("q v t")
+    >>> say("v", -0.03 * q * t - q - 0.1 * v, -q - 0.1 * v, np.array([0.0, 40.0]), 90.0)
+    "its constants change along the record: q's coefficient from -1 to -2.2, as in v' = ..."
+    >>> say("x", t + 1, sympy.sqrt(q), np.array([0.0, 40.0]), 0.0)
+    "it cannot be told apart from x' = t + 1; a run from another start decides"
+    """
+    written = f"{state}{'[n+1]' if discrete else chr(39)} = {shown(tidy(expr), 4)}"
+    if not is_timed(expr, own):
+        more = [shown(body, 4) for body in bodies_of(expr) if body not in bodies_of(own)]
+        return f"what is left over is no chance: it follows {' and '.join(more) or written}"
+    factors = {body: sympy.Add(*parts) for body, parts in _coefficients(expr).items()}
+    changing = {body for body, factor in factors.items() if TIME in factor.free_symbols}
+    ends = {"t": np.array([float(t.min()), float(t.max())])}
+    drifts = any(len(_coefficients(expr)[body]) > 1 for body in changing)
+    if drifts and set(factors) != {sympy.S.One}:
+        parts = []
+        for body in sorted(changing, key=str):
+            first, last = np.broadcast_to(evaluate(factors[body], ends), 2)
+            name = "its constant term" if body == 1 else f"{shown(body, 4)}'s coefficient"
+            parts.append(f"{name} from {first:.3g} to {last:.3g}")
+        return f"its constants change along the record: {' and '.join(parts)}, as in {written}"
+    if gain > _CLEARLY:
+        return f"{written}, which holds the time, follows them better"
+    return f"it cannot be told apart from {written}; a run from another start decides"
+
+
+def _coefficients(expr: sympy.Expr) -> dict[sympy.Expr, list[sympy.Expr]]:
+    """Give for every product without the time the terms in the time alone that multiply it."""
+    found: dict[sympy.Expr, list[sympy.Expr]] = {}
+    for term in sympy.Add.make_args(expand_terms(expr)):
+        factors = sympy.Mul.make_args(term)
+        mine = [f for f in factors if f.free_symbols <= {TIME}]
+        body = sympy.Mul(*(f for f in factors if f not in mine))
+        found.setdefault(body, []).append(sympy.Mul(*mine))
+    return found
