@@ -127,7 +127,9 @@ def guess_roles(
     used = [*chosen, *known]
     for name in columns.names:
         if name not in (*used, *time.columns, *grouping.trajectory, *grouping.labels):
-            left_out.setdefault(name, "has no role")
+            left_out.setdefault(
+                name, "has no role" if states is None else "is not among the states asked for"
+            )
     return Roles(
         time.name,
         tuple(chosen),
