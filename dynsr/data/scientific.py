@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
-import struct
+import subprocess
+import sys
 import warnings
-import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -23,8 +25,11 @@ from dynsr.data.assembling import (
     load_mapping,
     unreadable,
 )
+from dynsr.data.foreign import group_mat
 from dynsr.errors import InputError, need
 
+# Seconds after which a file that is still being read is damaged: a gigabyte takes a few.
+_PATIENCE = 60
 _TIME = re.compile(r"t|tout|time\w*|times?|\w*_time|zeit|seconds|hours|days", re.IGNORECASE)
 # A dimension of a dataset that counts runs of the same system.
 _RUNS = re.compile(
@@ -100,77 +105,12 @@ def load_mat(path: Path, decimal: str | None = None) -> Columns:
     with open(path, "rb") as file:
         if b"MATLAB 7.3" in file.read(128) or (file.seek(512) and file.read(4) == b"\x89HDF"):
             return load_hdf5(path, decimal)
-    import scipy.io
-
-    try:
-        check_size(path, sum(_mat_sizes(path)))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            there = scipy.io.whosmat(path)
-            check_size(
-                path, sum(8 * int(np.prod(s, dtype=object)) for _, s, c in there if c != "cell")
-            )
-            wanted = [
-                name for name, _, kind in there if kind not in ("object", "function", "opaque")
-            ]
-            arrays = scipy.io.loadmat(path, variable_names=wanted, chars_as_strings=True)
-    except InputError:
-        raise
-    except Exception as error:  # zlib, struct and scipy each have their own
-        raise unreadable(path, "MATLAB file", error) from None
-    return from_mat(arrays, path.name, decimal)
-
-
-def _mat_sizes(path: Path) -> Iterator[int]:
-    """Give the unpacked sizes of the packed elements of a MATLAB 5 file."""
-    with open(path, "rb") as file:
-        order = {b"IM": "<", b"MI": ">"}.get(file.read(128)[126:])
-        while order and len(tag := file.read(8)) == 8:
-            kind, size = struct.unpack(f"{order}II", tag)
-            if kind != 15:  # miCOMPRESSED
-                file.seek(size, 1)
-                continue
-            unpack, total, left = zlib.decompressobj(), 0, size
-            while left > 0 and total <= MAX_BYTES and (chunk := file.read(min(left, 1 << 16))):
-                left -= len(chunk)
-                while chunk and total <= MAX_BYTES:
-                    total += len(unpack.decompress(chunk, 1 << 20))
-                    chunk = unpack.unconsumed_tail
-            yield total
+    return _from_groups(_read_apart("mat", path, "MATLAB file"), path.name, decimal)
 
 
 def from_mat(arrays: Mapping[str, Any], label: str, decimal: str | None = None) -> Columns:
     """Give the columns of what scipy.io.loadmat read: vectors, matrices, and structures of them."""
-    found = {name: value for name, value in arrays.items() if not name.startswith("__")}
-    structures = {n: v for n, v in found.items() if isinstance(v, np.ndarray) and v.dtype.names}
-    plain = {name: value for name, value in found.items() if name not in structures}
-    groups = {"": _numbers(plain)}
-    for name, value in structures.items():
-        for number, one in enumerate(value.ravel(), start=1):
-            fields = {key: one[key] for key in value.dtype.names}
-            groups[name if value.size == 1 else f"{name}({number})"] = _numbers(fields)
-    return _from_groups(groups, label, decimal)
-
-
-def _numbers(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Keep numbers and text of a MATLAB file, vectors as such."""
-    kept = {}
-    for name, value in arrays.items():
-        array = np.asarray(value)
-        if (
-            array.dtype.kind == "O"
-            and array.size
-            and all(
-                isinstance(cell, np.ndarray) and cell.dtype.kind == "U" for cell in array.ravel()
-            )
-        ):
-            array = np.array([str(cell.ravel()[0]) if cell.size else "" for cell in array.ravel()])
-        if array.dtype.kind not in "fiubcU" or array.ndim > 2:
-            continue
-        if array.dtype.kind == "U":
-            array = np.array([str(text).strip() for text in array.ravel()])
-        kept[name] = array.ravel() if 1 in array.shape and array.size > 1 else array
-    return {k: v.reshape(()) if v.size == 1 else v for k, v in kept.items() if v.size}
+    return _from_groups(group_mat(arrays), label, decimal)
 
 
 def _from_groups(
@@ -224,102 +164,50 @@ def _stack(
 def load_hdf5(path: Path, decimal: str | None = None) -> Columns:
     """Load the numbers of an HDF5 file, or of a MATLAB file of version 7.3; links stay closed."""
     need("h5py", "tables", f"reading {path.name!r}")
-    import h5py
-
-    try:
-        with h5py.File(path, "r") as file:
-            groups = _read_groups(file, path)
-    except InputError:
-        raise
-    except Exception as error:  # h5py has its own and those of the system
-        raise unreadable(path, "HDF5 file", error) from None
-    return _from_groups(groups, path.name, decimal)
+    _check_mark(path, "HDF5 file")
+    return _from_groups(_read_apart("hdf5", path, "HDF5 file"), path.name, decimal)
 
 
-def _read_groups(file: Any, path: Path) -> dict[str, dict[str, np.ndarray]]:
-    import h5py
-
-    datasets: list[tuple[str, Any]] = []
-    # Neither links to other files nor what is stored in them.
-    file.visititems(lambda name, item: datasets.append((name, item)))
-    kept = []
-    for name, item in datasets:
-        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
-            continue
-        if item.external or item.is_virtual or item.shape is None or item.ndim > 2:
-            continue
-        # A single text of any length is no column, and a damaged one makes the library wait.
-        if item.dtype.kind == "O" and item.size == 1 and not _is_reference(item):
-            continue
-        kept.append((name, item))
-    check_size(path, sum(int(item.size) * item.dtype.itemsize for _, item in kept))
-    groups: dict[str, dict[str, np.ndarray]] = {}
-    for name, item in kept:
-        group, _, key = name.rpartition("/")
-        for own, array in _read_dataset(file, key, item):
-            groups.setdefault(group, {})[own] = array
-    return {name: _pandas_blocks(group) for name, group in groups.items()}
+def _check_mark(path: Path, what: str) -> None:
+    """Refuse a file that does not begin as HDF5 does, there or behind a block of the user's."""
+    with open(path, "rb") as file:
+        for place in (0, 512, 1024, 2048):
+            file.seek(place)
+            if file.read(8) == b"\x89HDF\r\n\x1a\n":
+                return
+    raise unreadable(path, what, ValueError("no mark"))
 
 
-def _read_dataset(file: Any, key: str, item: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Give the arrays of a dataset: fields of a compound, text of bytes, MATLAB's way round."""
-    import h5py
+def _read_apart(kind: str, path: Path, what: str) -> dict[str, dict[str, np.ndarray]]:
+    """Read the groups of arrays of a file in a process of its own.
 
-    matlab = item.attrs.get("MATLAB_class", b"") if file.userblock_size else b""
-    matlab = matlab.decode() if isinstance(matlab, bytes) else str(matlab)
-    if (matlab and item.attrs.get("MATLAB_empty", 0)) or matlab in ("function_handle", "struct"):
-        return
-    if _is_reference(item):
-        texts = [_characters(file[one]) for one in item[()].ravel()] if matlab == "cell" else []
-        if texts and all(text is not None for text in texts):
-            yield key, np.array(texts)
-        return
-    if matlab == "char":
-        yield key, np.array(_characters(item))
-        return
-    values = item.asstr()[()] if h5py.check_string_dtype(item.dtype) else item[()]
-    array = np.asarray(values)
-    if array.dtype.names:
-        for name in array.dtype.names:
-            part = array[name]
-            yield name, part.astype(str) if part.dtype.kind in "SO" else part
-        return
-    if array.dtype.kind in "SO":
-        array = array.astype(str)
-    if matlab:
-        array = array.T
-    if array.ndim == 2 and 1 in array.shape and array.size > 1:
-        array = array.ravel()
-    if array.dtype.kind in "fiubcU":
-        yield key, array.reshape(()) if array.size == 1 and matlab else array
-
-
-def _is_reference(item: Any) -> bool:
-    import h5py
-
-    return h5py.check_ref_dtype(item.dtype) is not None
-
-
-def _characters(item: Any) -> str | None:
-    """Give the text of a MATLAB array of characters."""
-    if item.dtype.kind != "u" or item.size > 1 << 10:
-        return None
-    return "".join(map(chr, np.asarray(item[()]).T.ravel()))
-
-
-def _pandas_blocks(group: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Give the columns of a frame that pandas wrote in its fixed form; other groups as they are."""
-    if not {"axis0", "axis1"} <= set(group):
-        return group
-    columns = {"index": group["axis1"]}
-    for key, values in group.items():
-        block = re.fullmatch(r"block(\d+)_values", key)
-        items = group.get(f"block{block[1]}_items") if block else None
-        if items is not None and values.ndim == 2:
-            columns.update({str(name): values[:, j] for j, name in enumerate(items)})
-        elif items is not None:
-            columns[str(items.ravel()[0])] = values
-    return columns
+    What is damaged, by chance or on purpose, ends the libraries that read these files or keeps them
+    waiting for ever; here it ends that process.
+    """
+    with TemporaryDirectory() as folder:
+        kept = Path(folder) / "arrays.npz"
+        places = [place for place in sys.path if place]
+        order = json.dumps([kind, str(path.absolute()), str(kept), MAX_BYTES])
+        start = f"import sys; sys.path[:] = {places!r}; from dynsr.data.foreign import main; main()"
+        try:
+            done = subprocess.run(
+                [sys.executable, "-I", "-c", start],
+                input=order.encode(),
+                capture_output=True,
+                timeout=_PATIENCE,
+                check=True,
+            )
+            told = json.loads(done.stdout)
+            check_size(path, told["size"])
+            with np.load(kept, allow_pickle=False) as arrays:
+                return {
+                    group: {name: arrays[place] for name, place in names.items()}
+                    for group, names in told["groups"].items()
+                }
+        except InputError:
+            raise
+        except (OSError, ValueError, KeyError, subprocess.SubprocessError) as error:
+            raise unreadable(path, what, error) from None
 
 
 def load_netcdf(path: Path, decimal: str | None = None) -> Columns:
@@ -331,12 +219,9 @@ def load_netcdf(path: Path, decimal: str | None = None) -> Columns:
         classic = file.read(3) == b"CDF"
     if not classic:
         need("h5netcdf", "tables", f"reading {path.name!r}")
+        _check_mark(path, "NetCDF file")
+        _read_apart("look", path, "NetCDF file")
     try:
-        if not classic:
-            import h5py
-
-            # Where it is damaged h5netcdf complains once more when it is thrown away.
-            h5py.File(path, "r").close()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             engine: Any = "scipy" if classic else "h5netcdf"
@@ -367,6 +252,8 @@ def from_xarray(source: Any, label: str) -> Columns:
     if not source.sizes:
         raise InputError(f"{label} has no dimensions; it needs times and states")
     rows = _row_dimension(source)
+    if not source.sizes[rows]:
+        raise InputError(f"{label} holds no rows; it needs rows of times and states")
     along = {d for value in source.variables.values() if rows in value.dims for d in value.dims}
     over = [d for d in source.sizes if d in along - {rows} and _RUNS.fullmatch(str(d))]
     left_out = {
