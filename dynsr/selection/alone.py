@@ -286,9 +286,9 @@ class Alone:
         Terms are evaluated at some times, between which they are interpolated, and what their
         integrals leave of the measured states says what they are worth.
         """
-        mesh, settings = self.comparison.mesh, self.comparison.settings
+        mesh, settings = _first_part(self.comparison.mesh), self.comparison.settings
         nodes, spread = _spread_over(mesh)
-        normal = self._normal(spread)
+        normal = self._normal(spread, mesh)
         if normal is None:
             return []
         values, directions = np.linalg.eigh(normal.information)
@@ -298,7 +298,7 @@ class Alone:
         y = -(directions[:, told].T @ normal.pull) / roots
         beside = max(normal.squares - float(y @ y), 0.0)
         goal = Goal(self.comparison.names, self._points[:-1, nodes], self.state, y, maps)
-        rows, angles = self.rows, self.comparison.angles
+        rows, angles = float(np.max(mesh.rows)), self.comparison.angles
         each = constant_bits(rows)
 
         def bits(expr: sympy.Expr) -> float:
@@ -327,14 +327,15 @@ class Alone:
         """Measured rows of the state."""
         return float(np.max(self.comparison.mesh.rows))
 
-    def _normal(self, values: np.ndarray) -> Linearised | None:
+    def _normal(self, values: np.ndarray, mesh: Mesh | None = None) -> Linearised | None:
         """Give the normal equations of terms with these values; None where they do not tell."""
-        mesh = self.comparison.mesh
+        still = self._still if mesh is None else replace(self._still, mesh=mesh)
+        mesh = still.mesh
         slopes = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
         probes = Probes(np.full(len(values), len(mesh.states) - 1), slopes)
         softness = self.comparison.settings.softness
         try:
-            return self._still.normal(mesh.start, np.zeros(0), probes, softness)
+            return still.normal(mesh.start, np.zeros(0), probes, softness)
         except LinAlgError:
             return None
 
@@ -422,6 +423,25 @@ def constants(expr: sympy.Expr) -> int:
     expr : the formula.
     """
     return len(free_constants(expr, "c")[1])
+
+
+def _first_part(mesh: Mesh) -> Mesh:
+    """Give a mesh up to so many jumps that values between them need no more rows than usual."""
+    jumps = mesh.left[mesh.h == 0]
+    if len(jumps) <= _SPREAD:
+        return mesh
+    count = int(jumps[_SPREAD]) + 1
+    n, some = len(mesh.t), mesh.left < count - 1
+    at, between = mesh.driven[:, :count], mesh.driven[:, n:][:, some]
+    return replace(
+        mesh,
+        t=mesh.t[:count],
+        left=mesh.left[some],
+        x=mesh.x[:count],
+        weights=mesh.weights[:count],
+        start=mesh.start[:count],
+        driven=np.concatenate([at, between], axis=1),
+    )
 
 
 def _spread_over(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
