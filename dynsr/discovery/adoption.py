@@ -38,10 +38,10 @@ def adopt_better(
     rivals : state -> (formula, bits above the equation) where they were compared before.
     """
     for _ in range(problem.settings.verdict.adopted * len(found.equations)):
-        state = _doubted(verdict)
-        if state is None:
+        doubt = _doubt(problem, verdict)
+        if doubt is None:
             return found, verdict
-        rival = min(verdict.states[state].rivals, key=lambda one: one.bits)
+        state, rival = doubt
         expr = _formula(found, rivals, state, rival)
         other = None if problem.demands.conserved else problem.with_equation(found, state, expr)
         if other is not None:
@@ -59,7 +59,7 @@ def adopt_better(
         (state, one.equation): 0.0
         for state, own in verdict.states.items()
         for one in own.rivals
-        if one.bits < 0
+        if one.bits < 0 and _may_be_returned(problem, one)
     }
     return _told(problem, found, verdict, left)[:2] if left else (found, verdict)
 
@@ -82,15 +82,21 @@ def adopt_in_time(
     return best
 
 
-def _doubted(verdict: Verdict) -> str | None:
-    """Name the state of which an alternative seems better by most; None where none does."""
-    least = {
-        state: min((one.bits for one in own.rivals), default=0.0)
+def _doubt(problem: Problem, verdict: Verdict) -> tuple[str, Rival] | None:
+    """Give the alternative that seems better by most, and its state; None where none does."""
+    better = [
+        (state, one)
         for state, own in verdict.states.items()
-        if own.level != NOT_FOUND
-    }
-    state = min(least, key=least.__getitem__, default=None)
-    return state if state is not None and least[state] < 0 else None
+        for one in own.rivals
+        if own.level != NOT_FOUND and one.bits < 0 and _may_be_returned(problem, one)
+    ]
+    return min(better, key=lambda pair: pair[1].bits, default=None)
+
+
+def _may_be_returned(problem: Problem, rival: Rival) -> bool:
+    """Whether an equation may hold what this one does; the time, only where it is asked for."""
+    columns = {*problem.runs[0].names, *(["t"] if problem.form.explicit_time else [])}
+    return {str(symbol) for symbol in parse(rival.equation).free_symbols} <= columns
 
 
 def _formula(found: Discovery, rivals: Rivals | None, state: str, rival: Rival) -> sympy.Expr:
