@@ -94,7 +94,7 @@ def test_imaginary_parts_are_never_dropped(source):
         (pd.DataFrame({"t": T, "x": X}, index=pd.Index(T, name="t")), "is the index and a column"),
         (pl.DataFrame({"t": [], "x": []}).lazy(), "holds no rows"),
         ({"t": T, "x": [10**400] * 101}, "give numbers"),
-        ({"t": np.arange(101) + 2**60, "x": X}, "more than 16 digits"),
+        ({"t": np.arange(101) + 2**62, "x": X}, "more than 16 digits"),
         (
             np.ma.array(
                 list(zip(T, X, strict=True)),

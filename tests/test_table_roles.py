@@ -5,12 +5,19 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import run as run_command
 
+import dynsr
 from dynsr.data import read_trajectories, take_trajectories
 from dynsr.errors import DynsrWarning, InputError
+from dynsr.methods import RationalSearch
 
 pytestmark = pytest.mark.filterwarnings("ignore:columns were renamed")
 N = 30
+QUICK = {
+    "method": RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1),
+    "jobs": 1,
+}
 T = np.arange(N) * 0.5
 DECAY = 40 * np.exp(-0.2 * T) + 1
 RISE = 10 / (1 + 9 * np.exp(-0.5 * T))
@@ -385,6 +392,47 @@ def test_repeated_times_are_averaged_and_their_spread_is_kept(counts):
     pooled = np.sqrt((frame.var().fillna(0) * left).sum() / left.sum())
     assert run.origin["noise"] == {"x": pytest.approx(pooled)}
     assert any("replicates of one moment" in note for note in table.notes)
+
+
+def test_runs_that_alternate_are_not_averaged():
+    """Rows of one time that go on as runs of their own are runs, in their order; it is said."""
+    both = np.column_stack([DECAY, RISE + 60]).ravel()
+    table = read_trajectories({"time": np.repeat(T, 2), "x": both})
+    assert [run.x[0, 0] for run in table.trajectories] == [DECAY[0], RISE[0] + 60]
+    assert any("go on as 2 trajectories" in note for note in table.notes)
+
+
+def test_nanoseconds_keep_their_last_digit():
+    """Whole numbers that float64 would round are counted from the first one before they are."""
+    when = 1_700_000_000_000_000_000 + np.arange(N, dtype=np.int64) * 1_000_001
+    run = one(pd.DataFrame({"timestamp": when, "x": DECAY}))
+    assert np.allclose(run.t, np.arange(N) * 1.000001e-3, rtol=1e-12, atol=0)
+
+
+def test_words_that_were_read_as_numbers_name_runs():
+    """A label of low and high, which may be a switch, names its runs by the words."""
+    names = {"level": ["low", "high", "low", "high"], "dish": [1, 1, 2, 2]}
+    with pytest.warns(DynsrWarning, match="'high' as 1"):
+        table = read_trajectories(cultures(**names))
+    assert set(table.names) == {"low, 1", "high, 1", "low, 2", "high, 2"}
+
+
+def test_a_score_takes_the_columns_for_what_the_search_took_them_for(tmp_path):
+    """A valve that never moves in the new data, and a state that stays, keep their roles."""
+    t = np.arange(60) * 0.1
+    valve = np.repeat([0.0, 1.0, 0.0, 1.0], 15)
+    x = np.exp(-t)
+    found = dynsr.discover({"t": t, "x": x, "y": np.exp(-2 * t), "valve": valve}, **QUICK)
+    assert found.settings["table"]["inputs"] == ["valve"]
+    new = {"t": t, "x": 2 * x, "y": 0.0 * t, "valve": 1.0 + 0 * t}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DynsrWarning)
+        scores = found.score(new)
+    assert scores["x"]["trajectory_rmse"] < 1e-3
+    pd.DataFrame(new).to_csv(tmp_path / "new.csv", index=False)
+    found.save(tmp_path / "d.json")
+    told = run_command("score", tmp_path / "d.json", tmp_path / "new.csv", "--json").stdout
+    assert '"y"' in told
 
 
 def test_a_single_time_that_repeats_before_a_gap_is_wrong():

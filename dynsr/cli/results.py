@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -133,9 +134,14 @@ def score(
 ) -> None:
     """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
     found = load_discovery(model)
-    data = load_table(
-        files, time_column, states, inputs, trajectory, hold, quantity, decimal, _say_to(json)
-    )
+    how = (trajectory, hold, quantity, decimal, _say_to(json))
+    asked = found.columns_asked if states is None and inputs is None else {}
+    data = None
+    if asked:
+        with suppress(InputError):  # they are not the same
+            data = load_table(files, time_column, asked["states"], asked["inputs"], *how)
+    if data is None:
+        data = load_table(files, time_column, states, inputs, *how)
     scores = found.score(data, engine, options.read_hold(hold))
     if json:
         output.print_json(scores)

@@ -44,6 +44,7 @@ class Columns:
     left_out : column that was left out on reading -> the reason.
     faults : column that cannot be used as it stands -> what is said when it is needed.
     twice : names that several columns of the source have, the first of which keeps its name.
+    words : column -> number in it -> the word of the source that was read as it.
     """
 
     names: tuple[str, ...]
@@ -57,6 +58,7 @@ class Columns:
     left_out: Mapping[str, str] = field(default_factory=dict)
     faults: Mapping[str, str] = field(default_factory=dict)
     twice: tuple[str, ...] = ()
+    words: Mapping[str, Mapping[float, str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that there are columns of one length, each with a name of its own."""
@@ -143,7 +145,7 @@ def assemble(
     new, repeats, renamed = _tell_apart(called, [reading.values for reading in readings])
     left_out: dict[str, str] = {}
     found: list[tuple[str, np.ndarray]] = []
-    told, units_of, faults = list(notes), {}, {}
+    told, units_of, faults, words = list(notes), {}, {}, {}
     for j, (name, reading) in enumerate(zip(new, readings, strict=True)):
         reason = reading.left_out or repeats.get(j, "")
         if reason:
@@ -156,6 +158,8 @@ def assemble(
             units_of[name] = unit
         if reading.fault:
             faults[name] = reading.fault
+        if reading.words:
+            words[name] = reading.words
     told += [
         f"column name {old!r} is used twice in {label}; one of them is called {name!r} here"
         for old, name in renamed
@@ -171,6 +175,7 @@ def assemble(
         left_out=left_out,
         faults=faults,
         twice=tuple(dict.fromkeys(old for old, _ in renamed)),
+        words=words,
     )
 
 

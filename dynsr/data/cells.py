@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,7 @@ class Reading:
     notes : what was decided on reading, a clause each that begins with the column.
     left_out : why it is of no use as a column; "" where it is.
     fault : what a message says once the column is needed; "" for nothing.
+    words : number -> the word that was read as it.
     """
 
     values: np.ndarray
@@ -68,6 +69,7 @@ class Reading:
     notes: tuple[str, ...] = ()
     left_out: str = ""
     fault: str = ""
+    words: Mapping[float, str] = field(default_factory=dict)
 
 
 def read_columns(
@@ -242,7 +244,8 @@ class _Look:
         if switch is not None and not self.others.any():
             said = " and ".join(f"{word!r} as {switch[word]:g}" for word in sorted(words))
             values = self._spread([switch[text.lower()] for text in self.texts])
-            return Reading(values.astype(float), notes=(f"was read with {said}",))
+            shown = {switch[text.lower()]: text for text in self.texts}
+            return Reading(values.astype(float), notes=(f"was read with {said}",), words=shown)
         bad = self._count(lambda number: number is None)
         beyond = self._count(lambda number: number is not None and number.limit != "")
         good = int(self.there.sum()) - beyond - bad

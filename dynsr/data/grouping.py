@@ -30,6 +30,9 @@ _MOST_TOGETHER = 3
 # Rows that were put in order by time and change by more than this share of what independent ones
 # would (von Neumann 1941) may be those of several trajectories.
 _ROUGH = 0.5
+# Rows of one time are of several trajectories where they differ so much that each of these changes
+# by less than this share of it from one moment to the next.
+_OWN = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +147,8 @@ def guess_grouping(
             codes = both
     if not chosen:
         codes = look.restarts
+        if trajectory is None and not look.is_apart(codes):
+            codes = look.interleaved(codes)
     free = [name for name in candidates if name not in chosen]
     count = int(codes.max()) + 1
     constant = [name for name in free if look.is_constant(name, codes, count)]
@@ -219,7 +224,7 @@ class _Look:
     def name(self, codes: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
         """Name the trajectories by the values of columns; by number where those do not tell."""
         first = np.unique(codes, return_index=True)[1]
-        found = [", ".join(label_of(self.values(n)[row]) for n in names) for row in first]
+        found = [", ".join(self._label(n, row) for n in names) for row in first]
         if not names:
             return tuple(str(i + 1) for i in range(len(first)))
         seen: dict[str, int] = {}
@@ -228,6 +233,40 @@ class _Look:
             if found.count(own) > 1 or seen[own] > 1:
                 found[i] = f"{own}, {seen[own]}"
         return tuple(found)
+
+    def _label(self, name: str, row: int) -> str:
+        cell = self.values(name)[row]
+        words = self.columns.words.get(name, {})
+        return words[cell] if cell in words else label_of(cell)
+
+    def interleaved(self, codes: np.ndarray) -> np.ndarray:
+        """Number rows of one time by their order, where these go on as runs of their own do.
+
+        Rows of replicates of one moment differ as much as those of two; rows of different runs,
+        which stand in the same order at every moment, change by less from one to the next.
+        """
+        t = self.time.within(codes)
+        order = np.lexsort([np.arange(len(t)), t, codes])
+        keys = np.column_stack([codes, t])[order]
+        starts = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=np.inf) != 0, axis=1))
+        counts = np.diff(np.append(starts, len(t)))
+        if counts.min() != counts.max() or len(counts) < _ROWS_EACH:
+            return codes
+        apart, moved = [], []
+        for values in self._numbers():
+            table = values[order].reshape(len(counts), -1)
+            table = table[:, np.all(np.isfinite(table), axis=0)]
+            if table.shape[1] > 1 and np.ptp(table) > 0:
+                apart.append(float(np.median(np.abs(np.diff(table, axis=1)))))
+                moved.append(float(np.median(np.abs(np.diff(table, axis=0)))))
+        if (
+            not apart
+            or sum(m < _OWN * a for m, a in zip(moved, apart, strict=True)) <= len(apart) / 2
+        ):
+            return codes
+        place = np.empty(len(t), dtype=int)
+        place[order] = np.tile(np.arange(counts[0]), len(counts))
+        return _number(np.column_stack([codes, place]))
 
     def is_text(self, name: str) -> bool:
         """Whether a column holds text, and no numbers that wait for a word of the user."""
@@ -279,7 +318,7 @@ class _Look:
             sets = [list(own) for own in combinations(pool[: _MOST_TOGETHER * 4], count)]
             found = [own for own in sets if fits(self.join([*named, *own]))]
             few = [own for own in found if self._many_rows(self.join([*named, *own]))]
-            if only and len(few) > 1:
+            if only and len({self.join([*named, *own]).tobytes() for own in few}) > 1:
                 return []
             if few:
                 return min(few, key=lambda own: int(self.join([*named, *own]).max()))

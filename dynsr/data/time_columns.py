@@ -15,6 +15,7 @@ from dynsr.data.times import (
     Moments,
     count_seconds,
     is_time_name,
+    read_nanoseconds,
     read_numbers_as_dates,
     read_times,
     unit_in_name,
@@ -151,6 +152,7 @@ class _Look:
                 self._read[name] = None  # years and months are of no fixed length
             else:
                 found = read_times(values)
+                found = read_nanoseconds(values, name) if found is None else found
                 if found is None and (numbers := _as_numbers(values)) is not None:
                     found = read_numbers_as_dates(numbers, name)
                 self._read[name] = found

@@ -45,6 +45,7 @@ _DATES = re.compile(
     r"(.*(date|datum|fecha|timestamp).*|day|tag|yyyymmdd\w*|(date.?)?time)", re.IGNORECASE
 )
 _SERIALS = re.compile(r".*(date|datum|fecha).*", re.IGNORECASE)
+_SPELT = {"s": "seconds", "ms": "milliseconds", "µs": "microseconds", "ns": "nanoseconds"}
 _EPOCHS = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}
 _SINCE = tuple(float(np.datetime64(day, "s").astype(int)) for day in ("2000-01-01", "2100-01-01"))
 # The day that a spreadsheet counts as 0, in seconds since 1970.
@@ -219,7 +220,25 @@ def read_numbers_as_dates(numbers: np.ndarray, name: str) -> Moments | None:
     return None
 
 
-_SPELT = {"s": "seconds", "ms": "milliseconds", "µs": "microseconds", "ns": "nanoseconds"}
+def read_nanoseconds(cells: np.ndarray, name: str) -> Moments | None:
+    """Read whole numbers as nanoseconds since 1970, all of which float64 would round.
+
+    Parameters
+    ----------
+    cells : (n,) objects.
+    name : that of the column, which must speak of times.
+
+    >>> cells = np.array([1700000000000000001, 1700000000000000003], dtype=object)
+    >>> read_nanoseconds(cells, "t").values.astype("int64") % 10
+    array([1, 3])
+    """
+    if not is_time_name(name) or not all(isinstance(c, (int, np.integer)) for c in cells):
+        return None
+    low, high = (int(end * 1e9) for end in _SINCE)
+    if not all(low <= cell < high for cell in cells.tolist()):
+        return None
+    stamps = np.array(cells.tolist(), dtype="int64").astype("datetime64[ns]")
+    return Moments(stamps, "nanoseconds since 1970")
 
 
 def _from_seconds(seconds: np.ndarray) -> np.ndarray:

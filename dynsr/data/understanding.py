@@ -83,7 +83,8 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     notes = list(columns.notes)
     columns = _with_numbers(columns)
     times = find_time(columns, time)
-    columns.check_usable(times.columns)
+    if not times.counted:  # a count of nanoseconds is no fault in a time
+        columns.check_usable(times.columns)
     notes += times.notes
     columns, times, said = _with_times(columns, times)
     notes += said
@@ -93,6 +94,7 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     columns, times, quantity, said = _beside_each_other(columns, times, asked)
     notes += said
     grouping = _group(columns, times, asked)
+    notes += _interleaved(times, grouping)
     roles = guess_roles(
         columns, times, grouping, asked.states, asked.inputs, asked.formulas, quantity
     )
@@ -119,7 +121,10 @@ def _at(columns: Columns, rows: np.ndarray) -> Columns:
 
 def _with_numbers(columns: Columns) -> Columns:
     """Give objects that are all numbers, or empty, as numbers."""
-    found = [_as_numbers(v) if v.dtype.kind == "O" else v for v in columns.values]
+    found = [
+        _as_numbers(v) if v.dtype.kind == "O" and name not in columns.faults else v
+        for name, v in zip(columns.names, columns.values, strict=True)
+    ]
     return replace(columns, values=tuple(found))
 
 
@@ -229,6 +234,20 @@ def _group(columns: Columns, times: Times, asked: Asked) -> Grouping:
     taken = {*times.columns, *times.left_out, *columns.inputs, *known}
     candidates = [name for name in columns.names if name not in taken]
     return guess_grouping(columns, times, candidates, chosen)
+
+
+def _interleaved(times: Times, grouping: Grouping) -> list[str]:
+    """Say where rows of one time were taken for those of several runs."""
+    t = times.within(grouping.codes)
+    together = len(np.unique(t)) < len(t) and not grouping.trajectory and len(grouping.names) > 1
+    mixed = bool(np.any(np.diff(grouping.codes) < 0))
+    if not together or not mixed:
+        return []
+    return [
+        f"Rows of one time of {times.name!r} go on as {len(grouping.names)} trajectories in the "
+        "order in which they stand, and were taken for these; name the column that tells them "
+        "apart where there is one (--trajectory)."
+    ]
 
 
 def _order(

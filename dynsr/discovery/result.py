@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -447,9 +448,33 @@ class Discovery:
             }
         return scores
 
+    @property
+    def columns_asked(self) -> dict[str, list[str]]:
+        """The states and inputs of the table that was searched; {} where it was none."""
+        table = self.settings.get("table")
+        if not isinstance(table, Mapping):
+            return {}
+        formulas = table.get("formulas", {})
+        inputs = [*table.get("inputs", ()), *table.get("parameters", ())]
+        return {
+            "states": list(map(str, table.get("states", ()))),
+            "inputs": [str(name) for name in inputs if name not in formulas],
+        }
+
+    def _take(self, data: Any) -> list[Trajectory]:
+        """Take columns for what they were in the search, where they are the same."""
+        asked = self.columns_asked
+        table = isinstance(data, (str, Path, Mapping)) or hasattr(data, "columns")
+        if asked and table and not isinstance(data, Trajectory):
+            formulas = [f"{name}={to_text(expr)}" for name, expr in self.inputs.items()]
+            inputs = [*asked["inputs"], *formulas]
+            with suppress(InputError):  # they are not the same
+                return take_trajectories(data, inputs, states=asked["states"])[0]
+        return take_trajectories(data, self.inputs)[0]
+
     def _read(self, data: Any) -> list[Trajectory]:
         """Read other data, cut at doses as those of the discovery were."""
-        runs, given = take_trajectories(data, self.inputs)[0], self.settings.get("doses")
+        runs, given = self._take(data), self.settings.get("doses")
         # Trajectories of the discovery itself are cut already.
         if isinstance(given, Mapping) and set(given.values()) <= set(runs[0].names):
             return cut_at_doses(runs, given)
