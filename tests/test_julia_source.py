@@ -74,7 +74,13 @@ def test_what_is_compiled_ahead_is_every_kind_of_call():
     assert set(get_args(Optimizer)) | releases | {"hard", "soft"} <= named
     code = re.sub(r"#.*|^\".*\"$", "", text, flags=re.MULTILINE)
     assert not re.search(r"\b(compile|integrate|integrate_driven|eval)\(", code)
-    assert len(re.findall(r"run_tsit5\(\s*Slopes\(", code)) == 2 and "versions" in code
+    # Without and with a measured input, whose pieces are taken apart there too.
+    called = re.findall(r"(run_\w+)\(\s*Slopes\(", code)
+    assert called == ["run_tsit5", "run_driven"] and "versions" in code
+    driven = (
+        (find_sources() / "src" / "integrate.jl").read_text().partition("function run_driven")[2]
+    )
+    assert "drives_of(" in driven.partition("\nend")[0]
 
 
 def test_the_workload_belongs_to_the_package_alone():
