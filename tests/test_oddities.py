@@ -230,3 +230,26 @@ def test_settings_decide():
     assert odd_values(T, slow, OddSettings(edge=1e4)) == []
     assert [o.kind for o in odd_values(T, np.round(x, 1) - 0, OddSettings(rounding=1e-3))]
     assert [o.kind for o in odd_values(T, np.sin(T), OddSettings(rows=100))] == ["coarse"]
+
+
+def test_a_mark_of_no_value_is_seen_and_hides_nothing():
+    """A number far from all others, several times, is named; spikes beside it keep their rows."""
+    x = np.sin(T) + noise(0.02)
+    x[[5, 6, 90]] = -999
+    x[120] += 3
+    mark, spike = odd_values(T, x)
+    assert (mark.kind, mark.rows) == ("mark", (5, 90)) and "is -999 in 3 of 200 rows" in mark.words
+    assert (spike.kind, spike.rows) == (
+        "spike",
+        (120, 120),
+    ) and "in row 121, between" in spike.words
+    assert kinds(np.where(np.arange(200) % 50 < 2, 1.2, 0) + np.sin(T)) == []
+
+
+def test_rows_without_a_value_are_passed_over_and_counted():
+    """What stands behind an empty cell keeps the row that it has in the run."""
+    x = np.sin(T) + noise(0.02)
+    x[10:30] = np.nan
+    x[120] += 3
+    (odd,) = odd_values(T, x)
+    assert odd.rows == (120, 120) and "in row 121, between" in odd.words

@@ -618,3 +618,46 @@ def test_numbers_alone_name_no_trajectory():
     rows = [(d, k / 2, d * 0.9**k) for d in (10, 20) for k in range(10)]
     table = read_trajectories(pd.DataFrame(rows, columns=["dose", "hours", "conc"]))
     assert table.names == ("1", "2") and table.roles.parameters == ("dose",)
+
+
+@pytest.mark.parametrize(
+    ("names", "form", "step", "unit"),
+    [
+        (("Year", "Month", "Day"), "%Y %m %d", {"days": 1}, "days"),
+        (("YYYY", "MM", "DD", "hh", "mm"), "%Y %m %d %H %M", {"minutes": 20}, "min"),
+        (("Jahr", "Monat", "Tag", "Stunde"), "%Y %m %d %H", {"hours": 1}, "h"),
+        (("year", "doy"), "%Y %j", {"days": 1}, "days"),
+    ],
+)
+def test_a_date_in_columns_of_its_parts_is_one_time(names, form, step, unit):
+    """Years, months, days, hours and minutes give one time, over the end of a year too."""
+    stamps = pd.date_range("2023-12-25 20:40", periods=24, freq=pd.Timedelta(**step))
+    parts = np.array([stamp.strftime(form).split() for stamp in stamps], dtype=float)
+    x = np.round(2.0 ** -np.arange(24), 9)
+    table = read_trajectories({**dict(zip(names, parts.T, strict=True)), "x": x})
+    (run,) = table.trajectories
+    wanted = np.arange(24) * next(iter(step.values()))
+    np.testing.assert_allclose(run.t, wanted if unit != "h" else np.arange(24))
+    assert run.states == ("x",) and run.time_unit == unit
+
+
+def test_parts_that_make_no_date_stay_columns():
+    """A year with a month that is none, or parts that the caller uses, are columns as any other."""
+    t = np.arange(24.0)
+    frame = {"t": t, "year": 2000 + t, "month": t % 15, "x": np.exp(-t / 9)}
+    assert "month" in read_trajectories(frame).trajectories[0].names
+    months = {"year": np.repeat([2001.0, 2002.0], 12), "month": t % 12 + 1, "x": np.exp(-t / 9)}
+    assert read_trajectories(months).trajectories[0].time_unit == "days"
+    asked = read_trajectories({"t": t, **months}, inputs=["month"]).trajectories[0]
+    assert asked.input_names == ("month",)
+
+
+def test_a_name_that_ends_in_a_word_of_time_may_be_the_time():
+    """Where nothing else is the time, visit_day is; temp_min and rain_s are not."""
+    days = np.tile([0.0, 1, 3, 7, 14, 21, 28, 35], 4)
+    who = np.repeat([f"S{i}" for i in range(4)], 8)
+    frame = {"subject": who, "visit_day": days, "marker": np.exp(-days / 9)}
+    table = read_trajectories(frame)
+    assert len(table.trajectories) == 4 and table.trajectories[0].time_unit == "days"
+    with pytest.raises(InputError, match="looks like the time"):
+        read_trajectories({"subject": who, "temp_min": days, "marker": np.exp(-days / 9)})

@@ -358,3 +358,20 @@ def test_a_name_that_is_missing_is_refused(tmp_path):
     path.write_text("\n".join(["t x", *(f"{k / 2} {k} {k * k}" for k in range(12))]))
     with pytest.raises(InputError, match="names 2 columns but row 1 has 3"):
         load_columns(path)
+
+
+def test_a_comment_names_columns_with_their_units(tmp_path):
+    """Blanks before a bracket in a comment above columns of blanks tear no name from its unit."""
+    rows = [f"{k / 2} {2.0**-k!r} {k * k}.5" for k in range(12)]
+    path = tmp_path / "rig.dat"
+    path.write_text("\n".join(["# rig 4", "# t [s]  x [m]  v [m/s]", *rows]))
+    assert load_columns(path).names == ("t [s]", "x [m]", "v [m/s]")
+
+
+def test_hours_and_minutes_with_an_h_are_a_clock(tmp_path):
+    """14h05 in a French table is a time of the day and no number with a unit."""
+    rows = [f"03/11/2023;{9 + k // 6}h{k % 6}5;{k * k}" for k in range(12)]
+    path = tmp_path / "debit.csv"
+    path.write_text("\n".join(["Date;Heure;Debit", *rows]))
+    (run,) = read_trajectories(path).trajectories
+    assert run.time_unit == "min" and run.t.tolist() == [10.0 * k for k in range(12)]

@@ -47,7 +47,8 @@ _UNIT = re.compile(
 _LONGEST_UNIT = 24
 # A word behind a number that makes it a time of a day or a date.
 _CALENDAR = re.compile(
-    r"[ap]\.?\s?m\.?|jan|feb|mar|m[äa]r|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz]", re.IGNORECASE
+    r"[ap]\.?\s?m\.?|h\d\d|jan|feb|mar|m[äa]r|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz]",
+    re.IGNORECASE,
 )
 
 

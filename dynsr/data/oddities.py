@@ -57,7 +57,8 @@ class Oddity:
 
     Parameters
     ----------
-    kind : "gap", "uneven", "stuck", "saturated", "repeated", "rounded", "spike" or "coarse".
+    kind : "gap", "uneven", "mark", "stuck", "saturated", "repeated", "rounded", "spike" or
+        "coarse".
     words : what is seen, to stand behind the name of the column.
     meaning : what it means, and what to do.
     rows : the first and the last row of it, from 0; of several places, those of the first.
@@ -131,10 +132,12 @@ def odd_values(t: np.ndarray, x: np.ndarray, settings: OddSettings = _SETTINGS) 
     ['is 0.1411 in rows 11 to 20']
     """
     there = np.flatnonzero(np.isfinite(x))
-    t, x = t[there], x[there]
-    if len(x) < settings.rows or np.ptp(x) == 0:
-        return []
-    column = _Column(t, x, resolution(x), _stretches(x))
+    marks = _marks(x[there], settings)
+    found = list(_marked(x, there[marks], there[~marks]))
+    there = there[~marks]
+    if len(there) < settings.rows or np.ptp(x[there]) == 0:
+        return found
+    column = _Column(t[there], x[there], there, resolution(x[there]), _stretches(x[there]))
     looks: tuple[Callable[[_Column, OddSettings], Iterator[Oddity]], ...] = (
         _repeated,
         _at_its_end,
@@ -142,11 +145,32 @@ def odd_values(t: np.ndarray, x: np.ndarray, settings: OddSettings = _SETTINGS) 
         _spikes,
         _coarse,
     )
-    found = [odd for look in looks for odd in look(column, settings)]
-    return [
-        Oddity(o.kind, o.words, o.meaning, (int(there[o.rows[0]]), int(there[o.rows[1]])))
-        for o in found
-    ]
+    found += [odd for look in looks for odd in look(column, settings)]
+    return found
+
+
+def _marked(x: np.ndarray, rows: np.ndarray, others: np.ndarray) -> Iterator[Oddity]:
+    if rows.size:
+        yield Oddity(
+            "mark",
+            f"is {x[rows[0]]:.6g} in {len(rows)} of {len(x)} rows, where all others are "
+            f"{x[others].min():.4g} to {x[others].max():.4g}",
+            "such a number often stands for no value; leave these cells empty",
+            (int(rows[0]), int(rows[-1])),
+        )
+
+
+def _marks(x: np.ndarray, settings: OddSettings) -> np.ndarray:
+    """Say which rows hold one number, several times, that is far from all others."""
+    levels, counts = np.unique(x, return_counts=True)
+    marks = np.zeros(len(x), dtype=bool)
+    if len(levels) < settings.rows:
+        return marks
+    for end, rest in ((0, levels[1:]), (-1, levels[:-1])):
+        far = abs(levels[end] - rest[end]) > settings.spike * np.ptp(rest)
+        if far and 1 < counts[end] < len(x) / 2:
+            marks |= x == levels[end]
+    return marks
 
 
 def resolution(x: np.ndarray) -> float:
@@ -194,17 +218,23 @@ def _of_converter(steps: np.ndarray, step: float, last: float) -> float:
 class _Column:
     """A column of one run: ``step`` is its resolution, ``stretches`` (m, 2) where it is constant.
 
-    The first and the last row of each stretch stand in it, of those of a single row too.
+    The first and the last row of each stretch stand in it, of those of a single row too. ``place``
+    (n,) are its rows in the run.
     """
 
     t: np.ndarray
     x: np.ndarray
+    place: np.ndarray
     step: float
     stretches: np.ndarray
 
     @property
     def lengths(self) -> np.ndarray:
         return self.stretches[:, 1] - self.stretches[:, 0] + 1
+
+    def rows(self, first: int, last: int) -> tuple[int, int]:
+        """Give rows of the run."""
+        return int(self.place[first]), int(self.place[last])
 
     def edges(self, stretches: np.ndarray) -> np.ndarray:
         """Give the steps by which the column enters and leaves stretches."""
@@ -228,7 +258,7 @@ def _repeated(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
             f"changes in {len(lengths) - 1} of {len(column.x) - 1} rows only",
             "it is written more often than it is measured, or more coarsely than it moves: keep "
             f"one of about {usual} rows; where it is set and held, make it an input (--inputs)",
-            (0, len(column.x) - 1),
+            column.rows(0, -1),
         )
         return
     again = (np.sum(lengths > 1) + 1) / (len(lengths) + 2)
@@ -238,11 +268,11 @@ def _repeated(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
     stuck = [s for s in long if _is_abrupt(column, s[None], settings)]
     stuck = [s for s in stuck if column.x[s[0]] not in ends]
     if stuck:
-        first, last = map(int, stuck[0])
+        first, last = column.rows(*stuck[0])
         many = f" and {len(stuck) - 1} more times such" if len(stuck) > 1 else ""
         yield Oddity(
             "stuck",
-            f"is {column.x[first]:.4g} in rows {first + 1} to {last + 1}{many}",
+            f"is {column.x[stuck[0][0]]:.4g} in rows {first + 1} to {last + 1}{many}",
             "a sensor that was stuck, a gap that was filled, or a rest; leave these rows out, or "
             "split the run there",
             (first, last),
@@ -276,7 +306,7 @@ def _at_its_end(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
                 f"{len(column.x)} rows",
                 "a rest, a limit of detection, or a sensor at the end of its range, whose values "
                 "are cut off: no equation follows those, so leave such rows out",
-                (int(own[0, 0]), int(own[-1, 1])),
+                column.rows(own[0, 0], own[-1, 1]),
             )
 
 
@@ -291,7 +321,7 @@ def _rounded(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
             "its spread",
             "rounding is noise too, so that no equation can be exact; take more digits where the "
             "instrument has them",
-            (0, len(column.x) - 1),
+            column.rows(0, -1),
         )
 
 
@@ -315,11 +345,11 @@ def _spikes(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
         worst = int(far[np.argmax(off[far - 1])])
         yield Oddity(
             "spike",
-            f"is {x[worst]:.4g} in {_rows(worst, far.size)}, between {x[worst - 1]:.4g} and "
-            f"{x[worst + 1]:.4g}",
+            f"is {x[worst]:.4g} in {_rows(column.place[worst], far.size)}, between "
+            f"{x[worst - 1]:.4g} and {x[worst + 1]:.4g}",
             "single rows so far off are outliers or jumps too short for these rows; check them, "
             "and leave those out that are wrong",
-            (worst, worst),
+            column.rows(worst, worst),
         )
 
 
@@ -349,7 +379,7 @@ def _coarse(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
             "coarse",
             f"oscillates with about {rows:g} rows an oscillation",
             f"slopes need {settings.rows:g} and more: measure more often, or try a map (--map)",
-            (0, len(x) - 1),
+            column.rows(0, -1),
         )
 
 

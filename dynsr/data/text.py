@@ -50,6 +50,7 @@ _SEP = re.compile(r"\s*\"?sep=(.)\"?\s*", re.IGNORECASE)
 _COMMENT = re.compile(
     r"\s*(#(?!N/A|NA\b|NV\b|DIV/0|VALUE|REF!|NUM!|NAME\?|NULL!|WERT|ZAHL|BEZUG|\d)|%|//)"
 )
+_MARK = re.compile(r"^\s*(#|%|//)+\s*")
 
 
 def load_delimited(path: Path, decimal: str | None = None) -> Columns:
@@ -172,7 +173,9 @@ class _Head:
         comment = is_comment(line)
         if comment and line.lstrip()[1:2] == self.delimiter.strip() != "":
             comment = False  # a column that is called "#"
-        text = re.sub(r"^\s*(#|%|//)+\s*", "", line) if comment else line
+        text = _MARK.sub("", line) if comment else line
+        if comment and self.delimiter == _SPACE:  # a unit in brackets goes with its name
+            return Row(re.split(r"\s+(?![\[(])", text.strip()), place, comment)
         return Row(_cells(text, self.delimiter), place, comment)
 
 

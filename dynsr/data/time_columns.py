@@ -267,7 +267,7 @@ class _Look:
         parts = [name for found in joined for name in found.columns]
         usable = [*joined, *(t for t in usable if t.name not in parts)]
         broken = [n for n in (*called, *self._in_units()) if self._is_broken(n)]
-        usable = usable or (self._rising() if not broken else []) or named
+        usable = usable or (self._rising() if not broken else []) or named or self._worded()
         if usable:
             return self._finest(usable)
         if called or broken:
@@ -303,6 +303,20 @@ class _Look:
             t for n in self._in_units() if (t := self._time(n)) is not None and _moves(t.values)
         ]
         return times if len(times) == 1 else [t for t in times if _rises(t.values)]
+
+    def _worded(self) -> list[Times]:
+        """Give the only column whose name ends in a whole word of time, such as "visit_day"."""
+        found = []
+        for name in self._columns.names:
+            word = re.split(r"[\W_]+", bare_name(name))[-1]
+            numbers = self._numbers(name)
+            if (
+                len(word) > 3 - (word.lower() == "day")
+                and unit_in_name(word)
+                and numbers is not None
+            ):
+                found.append(Times(name, numbers, unit_in_name(word)))
+        return found if len(found) == 1 else []
 
     def _rising(self) -> list[Times]:
         """Give the first column that rises from row to row; one that numbers them comes last."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from dynsr.data.calendars import join_calendar
 from dynsr.data.columns import Columns, bracketed_unit
 from dynsr.data.grouping import Grouping, guess_grouping
 from dynsr.data.long_tables import describe_long, find_quantity, widen
@@ -82,6 +83,9 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     """
     notes = list(columns.notes)
     columns = _with_numbers(columns)
+    if time is None:
+        said = [*(asked.states or ()), *(asked.inputs or ()), *(asked.trajectory or ())]
+        columns = join_calendar(columns, _named(said, columns))
     times = find_time(columns, time)
     if not times.counted:  # a count of nanoseconds is no fault in a time
         columns.check_usable(times.columns)
