@@ -55,6 +55,8 @@ class _Settings:
     engine: str = DEFAULT_ENGINE
     scheme: Mapping[str, str] | None = None
     known: Mapping[str, str] | None = None
+    velocities: Mapping[str, str] | None = None
+    ended_by_budget: tuple[str, ...] = ()
     version: str = ""
 
 
