@@ -253,3 +253,17 @@ def test_rows_without_a_value_are_passed_over_and_counted():
     x[120] += 3
     (odd,) = odd_values(T, x)
     assert odd.rows == (120, 120) and "in row 121, between" in odd.words
+
+
+@pytest.mark.parametrize("size", [1e300, 1e-300, 0.0])
+def test_numbers_of_any_size_are_looked_at_without_a_word(size):
+    """Squares that overflow or vanish warn of nothing and are evidence of nothing."""
+    x = size * noise(1.0)
+    assert set(kinds(x)) <= {"coarse"}
+    assert odd_states({"x": x, "y": np.sin(T), "z": np.exp(-T)}) == []
+
+
+def test_a_gap_of_any_length_costs_nothing_and_hides_no_oscillation():
+    """Rows of five an oscillation are told beside a gap of a hundred million steps."""
+    t = np.concatenate([np.arange(50.0), 1e8 + np.arange(20.0)])
+    assert kinds(np.sin(2 * np.pi * t / 5) + noise(0.1, n=70), t) == ["coarse"]

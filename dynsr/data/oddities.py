@@ -116,6 +116,8 @@ def _steps_around(steps: np.ndarray) -> np.ndarray:
     return np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
 
 
+# Numbers of cells may be of any size; what overflows is no evidence of anything.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore", under="ignore")
 def odd_values(t: np.ndarray, x: np.ndarray, settings: OddSettings = _SETTINGS) -> list[Oddity]:
     """Say what looks odd in one column of one run.
 
@@ -190,6 +192,8 @@ def resolution(x: np.ndarray) -> float:
     if len(levels) < 2:
         return 0.0
     size = float(np.max(np.abs(levels)))
+    if not 10.0**-_DIGITS < size < 10.0**_DIGITS:
+        return 0.0
     whole = max(_DIGITS - int(np.ceil(np.log10(size))), 0)
     # Most columns that are not rounded show it in their first rows.
     if not _has_digits(levels[:20], whole) or not _has_digits(levels, whole):
@@ -358,18 +362,25 @@ def _coarse(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
 
     The chance of a peak as high in noise is that of Baluev (2008) beside a straight line.
     """
-    t, x = column.t, column.x
+    # Beyond a gap nobody knows how often it went round.
+    steps = np.diff(column.t)
+    gaps = np.flatnonzero(steps > settings.gap * np.median(steps)) + 1
+    ends = np.concatenate([[0], gaps, [len(column.t)]])
+    longest = int(np.argmax(np.diff(ends)))
+    piece = slice(ends[longest], min(ends[longest + 1], ends[longest] + 1000))
+    t, x = column.t[piece], column.x[piece]
+    if len(x) < settings.rows or not np.ptp(x) > 0:
+        return
     fastest = 0.5 / float(np.median(np.diff(t)))
     slowest = 2 * fastest / settings.rows
-    if np.mean(np.diff(x) ** 2) / 2 < (1 - np.cos(2 * np.pi / settings.rows)) * np.var(x):
+    rough = (1 - np.cos(2 * np.pi / settings.rows)) * np.var(x)
+    if not np.mean(np.diff(x) ** 2) / 2 >= rough:
         return
     from scipy.signal import detrend, lombscargle
 
-    some = slice(0, 1000)
-    t = t[some]
     apart = (fastest - slowest) * sqrt(4 * np.pi * np.var(t))
     frequencies = np.linspace(slowest, fastest, max(int(10 * apart), 8))
-    power = lombscargle(t, detrend(x[some]), 2 * np.pi * frequencies, normalize=True)
+    power = lombscargle(t, detrend(x), 2 * np.pi * frequencies, normalize=True)
     best = int(np.argmax(power))
     high = min(float(power[best]), 1.0)
     by_chance = apart * (1 - high) ** ((len(t) - 5) / 2) * sqrt((len(t) - 2) * high / 2)
@@ -383,6 +394,7 @@ def _coarse(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
         )
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore", under="ignore")
 def odd_states(
     columns: Mapping[str, np.ndarray], settings: OddSettings = _SETTINGS
 ) -> list[tuple[str, str]]:
@@ -399,7 +411,7 @@ def odd_states(
     >>> odd_states({"S": s, "R": 1 - s})[0]
     ('R', 'R is 1 - S in every row')
     """
-    names = [name for name, x in columns.items() if np.ptp(x) > 0]
+    names = [name for name, x in columns.items() if 0 < np.std(x) < np.inf]
     if len(names) < 2 or len(columns[names[0]]) < len(names) + settings.rows:
         return []
     found: list[tuple[str, str]] = []
