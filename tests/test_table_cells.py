@@ -266,7 +266,7 @@ def test_frames_whose_columns_share_a_name_or_have_levels():
         {"t": [], "x": []},
         (np.arange(3), np.empty((3, 0))),
     ],
-    ids=repr,
+    ids=lambda source: f"{type(source).__name__}-{getattr(source, 'shape', ())}",
 )
 def test_what_holds_no_columns_is_one_line(source):
     """No error of NumPy, pandas or narwhals comes through."""
