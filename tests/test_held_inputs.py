@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 import dynsr
 from dynsr.data import Trajectory, read_trajectories
 from dynsr.discovery.prediction import Measured, predict
+from dynsr.discovery.verdict import judge
 from dynsr.engines import Drive, EmbeddedEngine, InitialValueProblem
 from dynsr.engines.adaptive import integrate_in_parts
 from dynsr.fit import Measurements, fit_along, match_trajectories
@@ -275,3 +276,13 @@ def test_the_command_line_says_it_too(tmp_path: Path) -> None:
         for word, says in (("u=zoh", "cannot be held 'zoh'"), ("=zoh", "must be an input")):
             wrong = command_line.run(command, file, "--inputs", "u", "--hold", word, code=2)
             assert says in wrong.output
+
+
+def test_a_law_with_a_held_input_in_noise_is_judged() -> None:
+    """Terms in the time are tried beside it, and where the input jumps no row counts twice."""
+    run = noisy(heater())
+    noise = [np.full_like(run.x, 0.01 * run.x.std())]
+    match = match_trajectories(LAW, run)
+    assert judge(match.exprs, [run], noise=noise).level == "law"
+    bent = {"T": match.exprs["T"] + sympy.Float(0.004) * U * sympy.Symbol("t") / 1000}
+    assert judge(bent, [run], noise=noise).level != "law"

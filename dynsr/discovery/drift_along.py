@@ -161,7 +161,7 @@ class Along:
         parts = []
         for shooting, z in zip(self._shoot(flow), self.followed.misses, strict=True):
             x = shooting.windows.x + z * shooting.spread
-            driven = shooting.windows.driven_at()[::2]
+            driven = shooting.windows.driven_rows
             both = np.concatenate([x, driven], axis=1)
             parts.append(both.transpose(1, 0, 2).reshape(both.shape[1], -1))
         names = [*self.equations, *self._driven, "t"]

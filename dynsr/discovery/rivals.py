@@ -79,7 +79,7 @@ def _columns(followed: Followed) -> dict[str, np.ndarray]:
     parts = []
     for shooting, z in zip(followed.shootings, followed.misses, strict=True):
         x = shooting.windows.x + z * shooting.spread
-        driven = shooting.windows.driven_at()[: 2 * len(x) : 2]
+        driven = shooting.windows.driven_rows
         parts.append(
             np.concatenate([x, driven], axis=1)
             .transpose(1, 0, 2)

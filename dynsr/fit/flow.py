@@ -122,6 +122,12 @@ class Windows:
             self._driven[pace] = np.ascontiguousarray(found.transpose(1, 0, 2))
         return self._driven[pace]
 
+    @property
+    def driven_rows(self) -> np.ndarray:
+        """Driven columns (m + 1, d, W) at the rows; where one jumps, what it is after that."""
+        every = len(PLAIN.nodes)
+        return self.driven_at()[: every * len(self.t) : every]
+
     def stages(self, pace: Pace = PLAIN, driven: bool = True) -> np.ndarray:
         """Places (n, stages), among :meth:`driven_at`, of what each of n steps needs.
 
