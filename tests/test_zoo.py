@@ -384,4 +384,4 @@ def test_the_script_writes_the_tables_into_the_page(tmp_path, monkeypatch):
         # Once for all noise, and once for each kind of it.
         assert text.count("| 5 | weak | 2 |") == 1 and text.count("| 5 | weak | 1 |") == 2
         assert text.startswith(head) and text.endswith(tail)
-    assert (tmp_path / "out" / "zoo-cases.csv").read_text().count("enzyme,tuning,weak") == 2
+    assert (tmp_path / "out" / "zoo-cases.csv").read_text().count("enzyme,seen,weak") == 2

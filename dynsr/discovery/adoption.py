@@ -18,7 +18,7 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.rivals import count_constants
 from dynsr.discovery.verdict import LEVELS, NOT_FOUND, Rival, Verdict
 from dynsr.expression import parse, shown
-from dynsr.fit import ParetoFront, constant_bits, structure_bits, tidy, with_floats
+from dynsr.fit import ParetoFront, constant_bits, skeleton, structure_bits, tidy, with_floats
 from dynsr.jobs import finish_by
 
 # Misses, squared in units of the noise, below which nothing is told apart.
@@ -37,6 +37,9 @@ def adopt_better(
     verdict : what is thought of it.
     rivals : state -> (formula, bits above the equation) where they were compared before.
     """
+    if problem.settings.selection.loss is not None:
+        # What counts for the user is no matter of bits.
+        return found, verdict
     for _ in range(problem.settings.verdict.adopted * len(found.equations)):
         doubt = _doubt(problem, verdict)
         if doubt is None:
@@ -45,7 +48,7 @@ def adopt_better(
         expr = _formula(found, rivals, state, rival)
         other = None if problem.demands.conserved else problem.with_equation(found, state, expr)
         if other is not None:
-            moved = None if rivals is None else _seen_from(rivals, found, state, rival.bits)
+            moved = None if rivals is None else _seen_from(rivals, found, other, state, rival.bits)
             judged = problem.judge(other, moved)
             more = _behind(problem, (found, verdict), (other, judged))
             if more < 0:
@@ -107,9 +110,14 @@ def _formula(found: Discovery, rivals: Rivals | None, state: str, rival: Rival) 
     return next(alike, None) or parse(rival.equation)
 
 
-def _seen_from(rivals: Rivals, found: Discovery, state: str, bits: float) -> Rivals:
+def _seen_from(
+    rivals: Rivals, found: Discovery, other: Discovery, state: str, bits: float
+) -> Rivals:
     """Give the alternatives beside another answer, which takes so many bits more."""
-    own = [(e, more - bits) for e, more in rivals.get(state, ()) if more != bits]
+    shape = skeleton(with_floats(other.equations[state]))
+    own = [
+        (e, more - bits) for e, more in rivals.get(state, ()) if skeleton(with_floats(e)) != shape
+    ]
     return {**rivals, state: [*own, (found.equations[state], -bits)]}
 
 
