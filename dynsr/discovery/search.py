@@ -512,10 +512,12 @@ class _Steps:
         plan = plan_tasks(self.states, self.methods, self.first)
         samples: dict[str, Samples] = {}
         with Watch(progress, plan, self.workers) as watch:
+            clock = time_limit(problem.until("equations"))
             try:
-                with time_limit(problem.until("equations")):
+                with clock:
                     return self._run(watch, samples, record)
             except TimeUp:
+                clock.leave()
                 soon = {s: samples.get(s) or problem.samples_soon(s) for s in self.states}
                 answer = answer_soon(watch, soon, problem.known, problem.demands)
                 late = [name for name in watch.plan if name not in watch.records]

@@ -147,12 +147,14 @@ def search_one(
     error = kind = ""
     cut = False
     if not found:
+        clock = time_limit(math.inf if turn is None else turn.until())
         try:
-            with time_limit(math.inf if turn is None else turn.until()) as clock:
+            with clock:
                 report = report if turn is None else clock.through(report)
                 found = list(method.search(samples, np.random.default_rng(sequence), report))
             cut = clock.over
         except TimeUp:
+            clock.leave()
             cut = True
             # It did not answer in time, but it had said what it has.
             found = [] if clock.last is None else list(clock.last.front)
@@ -597,7 +599,8 @@ def answer_soon(
     known : state -> the given part of its equation.
     demands : what the user asks.
     """
-    with suppress(TimeUp), time_limit(time.monotonic() + _SECONDS_TO_CHOOSE):
+    clock = time_limit(time.monotonic() + _SECONDS_TO_CHOOSE)
+    with suppress(TimeUp), clock:
         best = collect_best(watch, samples, known)
         if best is not None and all(
             s in best.equations and demands.keeps(s, best.equations[s], own.columns)
@@ -606,6 +609,7 @@ def answer_soon(
             searched = [r for r in watch.records.values() if isinstance(r, Found)]
             why = {s: words + cut_notes(searched, s) for s, words in best.explanation.items()}
             return replace(best, complete=True, explanation=why)
+    clock.leave()
     equations, fronts = {}, {}
     for state, own in samples.items():
         given = known.get(state, sympy.S.Zero)

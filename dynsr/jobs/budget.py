@@ -16,13 +16,16 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from types import FrameType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dynsr.errors import InputError
 from dynsr.jobs.interrupts import heard_again
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 T = TypeVar("T")
 # What answers an end with what it has found so far has this share of its time for that, and at
@@ -35,6 +38,11 @@ _IMPORTS = "<frozen importlib._bootstrap>"
 
 class TimeUp(KeyboardInterrupt):
     """The time is over; a search answers it as it answers Ctrl-C, with its front so far."""
+
+    def __init__(self, *arguments: object) -> None:
+        """Say that it has arrived."""
+        super().__init__(*arguments)
+        _BELL.coming = False
 
 
 @dataclass(frozen=True)
@@ -122,7 +130,7 @@ class Budget:
 
 
 class Clock:
-    """One end, and what was said last by the work that it ends.
+    """One end, and what was said last by the work that it ends: the block behind ``with``.
 
     Parameters
     ----------
@@ -137,6 +145,43 @@ class Clock:
         self.grace = max(_GRACE * (until - time.monotonic()), _LEAST_GRACE)
         self.over = False
         self.last: Any = None
+
+    def __enter__(self) -> Self:
+        """Be in force; TimeUp of what lies around may come before that, and not in the midst."""
+        if self.until == float("inf"):
+            return self
+        _BELL.sheltered += 1
+        try:
+            _BELL.settle()
+            _BELL.clocks.append(self)
+            _BELL.arm()
+        except BaseException:
+            _BELL.drop(self)
+            raise
+        finally:
+            _BELL.sheltered -= 1
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Be no longer in force."""
+        self.leave()
+
+    def leave(self) -> None:
+        """Be no longer in force, also where that was said before.
+
+        Who catches a TimeUp says it once more: in a thread it may come at the very first moment of
+        ``__exit__``, which then does nothing.
+        """
+        _BELL.sheltered += 1
+        try:
+            # One that is on its way is this end's, or comes again from one around it.
+            try:
+                _BELL.settle()
+            except TimeUp:
+                _BELL.lost()
+            _BELL.drop(self)
+        finally:
+            _BELL.sheltered -= 1
 
     def through(self, report: Callable[[Any], None]) -> Callable[[Any], None]:
         """Give a report that is never cut in two, which would spoil all that follow it.
@@ -160,11 +205,14 @@ class _Bell(threading.local):
     def __init__(self) -> None:
         self.clocks: list[Clock] = []
         self.sheltered = 0
+        # Held while an exception is sent to this thread; whether one is on its way.
+        self.sending = threading.Lock()
+        self.coming = False
+        self.ringer: ExitStack | None = None
 
     def due(self) -> list[Clock]:
         """Give the outermost of those whose time has come, and all within it."""
-        now = time.monotonic()
-        return next((self.clocks[i:] for i, c in enumerate(self.clocks) if now >= c.next), [])
+        return _due(self.clocks)
 
     def strike(self) -> None:
         """Raise TimeUp where an end has come."""
@@ -173,8 +221,8 @@ class _Bell(threading.local):
             raise TimeUp
 
     def ring(self, number: int, frame: FrameType | None) -> None:
-        """Answer an alarm."""
-        if not self.sheltered and not _is_importing(frame):
+        """Answer an alarm, one that comes late or from elsewhere with nothing."""
+        if not self.sheltered and not _is_whole(frame):
             self.strike()
 
     def lost(self) -> None:
@@ -182,14 +230,54 @@ class _Bell(threading.local):
         for clock in self.clocks:
             clock.next = min(clock.next, time.monotonic()) if clock.over else clock.next
 
+    def settle(self) -> None:
+        """Have no exception on its way to this thread, which is sheltered already."""
+        if self.ringer is None or _has_alarm():
+            return
+        try:
+            with self.sending:
+                pass
+            if self.coming:
+                # One that was lost never comes, a second one does. To withdraw it instead leaves
+                # Python 3.11 with a flag set for good, at which traced code stands still.
+                _send(threading.get_ident(), TimeUp)
+            while self.coming:
+                pass
+        except TimeUp:
+            self.lost()
+
     def arm(self) -> None:
         """Have the system ring when the first end comes, and from then on again and again."""
-        left = min((clock.next for clock in self.clocks), default=0.0) - time.monotonic()
-        if self.clocks and _has_alarm():
+        if self.ringer is None:
+            with ExitStack() as begun:
+                begun.enter_context(_alarms() if _has_alarm() else _sent_exceptions())
+                begun.enter_context(heard_again(TimeUp, self.lost))
+                self.ringer = begun.pop_all()
+        left = min(clock.next for clock in self.clocks) - time.monotonic()
+        if _has_alarm():
             signal.setitimer(signal.ITIMER_REAL, max(left, 1e-3), _AGAIN)
+
+    def drop(self, clock: Clock) -> None:
+        """Forget an end and what lies within it; without any, nothing rings any more."""
+        if clock in self.clocks:
+            del self.clocks[self.clocks.index(clock) :]
+            if self.clocks:
+                self.arm()
+        if not self.clocks and self.ringer is not None:
+            ringer, self.ringer = self.ringer, None
+            ringer.close()
 
 
 _BELL = _Bell()
+
+
+def _due(clocks: list[Clock]) -> list[Clock]:
+    now = time.monotonic()
+    return next((clocks[i:] for i, c in enumerate(clocks) if now >= c.next), [])
+
+
+def _send(ident: int, kind: type[BaseException]) -> None:
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(kind))
 
 
 def _mark(due: Iterable[Clock]) -> None:
@@ -198,34 +286,49 @@ def _mark(due: Iterable[Clock]) -> None:
         clock.over, clock.next = True, now + clock.grace
 
 
-def _is_importing(frame: FrameType | None) -> bool:
+def _is_whole(frame: FrameType | None) -> bool:
+    """Whether a thread is where nothing may be cut: in an import, or as it leaves a block."""
     while frame is not None:
-        if frame.f_code.co_filename == _IMPORTS:
+        if frame.f_code.co_filename == _IMPORTS or frame.f_code is Clock.__exit__.__code__:
             return True
         frame = frame.f_back
     return False
 
 
-@contextmanager
-def uncut() -> Iterator[None]:
+class _Uncut:
+    """A block that no end falls into."""
+
+    def __enter__(self) -> None:
+        """Begin; an end may come before that."""
+        _BELL.sheltered += 1
+        try:
+            _BELL.settle()
+        except BaseException:
+            _BELL.sheltered -= 1
+            raise
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Raise what came meanwhile, unless the block has failed."""
+        _BELL.sheltered -= 1
+        if kind is None and not _BELL.sheltered:
+            _BELL.strike()
+
+
+def uncut() -> AbstractContextManager[None]:
     """Let no end fall into the block, which is over soon; it comes right behind.
 
     >>> with uncut():
     ...     print("whole")
     whole
     """
-    _BELL.sheltered += 1
-    try:
-        yield
-    finally:
-        _BELL.sheltered -= 1
-    if not _BELL.sheltered:
-        _BELL.strike()
+    return _Uncut()
 
 
-@contextmanager
-def time_limit(until: float) -> Iterator[Clock]:
+def time_limit(until: float) -> Clock:
     """Raise TimeUp in the block when the time is over, and again where that did not end it.
+
+    Who catches TimeUp and asks the clock has it before the block, since the end of what lies around
+    may come as the block is entered; and has it :meth:`~Clock.leave` then.
 
     Parameters
     ----------
@@ -235,23 +338,7 @@ def time_limit(until: float) -> Iterator[Clock]:
     ...     clock.over
     False
     """
-    clock = Clock(until)
-    if until == float("inf"):
-        yield clock
-        return
-    with ExitStack() as bell:
-        if not _BELL.clocks:
-            bell.enter_context(_alarms() if _has_alarm() else _sent_exceptions())
-            bell.enter_context(heard_again(TimeUp, _BELL.lost))
-        _BELL.clocks.append(clock)
-        _BELL.arm()
-        try:
-            yield clock
-        finally:
-            # An exception that came while the block was left may have had it removed before.
-            with suppress(ValueError):
-                _BELL.clocks.remove(clock)
-            _BELL.arm()
+    return Clock(until)
 
 
 def _has_alarm() -> bool:
@@ -280,17 +367,18 @@ def _sent_exceptions() -> Iterator[None]:
     """Have a thread of its own send exceptions to this one, which no signal reaches."""
     ident, over = threading.get_ident(), threading.Event()
     # What the other thread sees of this one's.
-    clocks, own = _BELL.clocks, vars(_BELL)
-    send = ctypes.pythonapi.PyThreadState_SetAsyncExc
+    clocks, own, sending = _BELL.clocks, vars(_BELL), _BELL.sending
 
     def watch() -> None:
         while not over.wait(_AGAIN):
-            now = time.monotonic()
-            due = next((clocks[i:] for i, c in enumerate(clocks) if now >= c.next), [])
-            frame = sys._current_frames().get(ident)  # noqa: SLF001 (there is no other way to it)
-            if due and not own["sheltered"] and not _is_importing(frame):
-                _mark(due)
-                send(ctypes.c_ulong(ident), ctypes.py_object(TimeUp))
+            # Who shelters and then had this lock knows that nothing more is sent.
+            with sending:
+                due = _due(clocks)
+                frame = sys._current_frames().get(ident)  # noqa: SLF001 (no other way to it)
+                if due and not own["sheltered"] and not _is_whole(frame):
+                    _mark(due)
+                    own["coming"] = True
+                    _send(ident, TimeUp)
 
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()
@@ -299,9 +387,6 @@ def _sent_exceptions() -> Iterator[None]:
     finally:
         over.set()
         thread.join()
-        # One that was sent and has not come yet is not for what follows.
-        with suppress(TimeUp):
-            send(ctypes.c_ulong(ident), None)
 
 
 def finish_by(until: float, work: Callable[[], T], otherwise: Callable[[], T]) -> tuple[T, bool]:
@@ -319,13 +404,13 @@ def finish_by(until: float, work: Callable[[], T], otherwise: Callable[[], T]) -
     >>> finish_by(time.monotonic(), lambda: 1, lambda: 2)
     (2, True)
     """
-    around = len(_BELL.clocks)
     if time.monotonic() < until:
+        clock = time_limit(until)
         try:
-            with time_limit(until):
+            with clock:
                 return work(), False
         except TimeUp:
-            del _BELL.clocks[around:]
+            clock.leave()
             if any(clock.over for clock in _BELL.clocks):
                 raise
     return otherwise(), True
