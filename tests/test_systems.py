@@ -36,8 +36,8 @@ from dynsr.selection.changes import (
 )
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.costs import bodies_of, cited_bits, citing_bits
+from dynsr.selection.systems import _bits_above, distinct_shapes, integrate
 from dynsr.selection.systems import _prefer_reproducing as prefer_reproducing
-from dynsr.selection.systems import distinct_shapes, integrate
 
 TRUTHS = {
     "Lotka-Volterra": {"x": "1.1*x - 0.4*x*y", "y": "0.1*x*y - 0.4*y"},
@@ -505,3 +505,17 @@ def test_what_vanished_from_a_fit_is_no_system():
 def constants_in(fit):
     """Floats of the equations of a fit."""
     return [number for expr in fit.exprs.values() for number in expr.atoms(sympy.Float)]
+
+
+def test_no_alternative_is_below_the_best_but_by_its_whole_bits():
+    """One that misses less and is written less plausibly cannot be told apart, and is not better."""
+
+    def fitted(bits, square):
+        mesh = SimpleNamespace(rows=np.array([100.0]))
+        fit = SimpleNamespace(constants=np.ones(2), mean_squares=np.array([square]))
+        return SimpleNamespace(bits=bits, fit=fit, problem=SimpleNamespace(mesh=mesh))
+
+    best = fitted(50.0, 1.0)
+    assert _bits_above(fitted(60.0, 0.9), best) == 0.0
+    assert _bits_above(fitted(45.0, 0.9), best) < -4.0
+    assert _bits_above(fitted(80.0, 1.5), best) == pytest.approx(50 * np.log2(1.5))

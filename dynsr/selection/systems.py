@@ -662,4 +662,5 @@ def _bits_above(other: SystemFit, best: SystemFit) -> float:
     told = float(np.sum(rows / 2 * (squares[0] - squares[1])))
     told += more * constant_bits(float(np.max(rows)))
     bits = other.bits - best.bits
-    return bits if more > 0 else min(bits, told)
+    # Below 0 is only what takes fewer bits in all: the score decides what is better.
+    return bits if more > 0 else min(bits, max(told, 0.0))
