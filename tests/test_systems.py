@@ -508,7 +508,7 @@ def constants_in(fit):
 
 
 def test_no_alternative_is_below_the_best_but_by_its_whole_bits():
-    """One that misses less and is written less plausibly cannot be told apart, and is not better."""
+    """One that misses less, but takes more bits in all, cannot be told apart and is not better."""
 
     def fitted(bits, square):
         mesh = SimpleNamespace(rows=np.array([100.0]))
