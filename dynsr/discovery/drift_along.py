@@ -28,6 +28,7 @@ from dynsr.discovery.drift import (
     say,
 )
 from dynsr.discovery.following import Course, Followed, open_constants
+from dynsr.discovery.rivals import columns_along
 from dynsr.expression import evaluate
 from dynsr.fit import Flow, Shooting, independent_rows
 
@@ -158,14 +159,7 @@ class Along:
     def _columns(self) -> dict[str, np.ndarray]:
         """Name -> (n,) values of all columns along the fitted trajectories, and the times."""
         flow = Flow(dict(self.equations), self._driven, ())
-        parts = []
-        for shooting, z in zip(self._shoot(flow), self.followed.misses, strict=True):
-            x = shooting.windows.x + z * shooting.spread
-            driven = shooting.windows.driven_rows
-            both = np.concatenate([x, driven], axis=1)
-            parts.append(both.transpose(1, 0, 2).reshape(both.shape[1], -1))
-        names = [*self.equations, *self._driven, "t"]
-        return dict(zip(names, np.concatenate(parts, axis=1), strict=True))
+        return columns_along(self._shoot(flow), self.followed.misses)
 
     def _shoot(self, flow: Flow) -> list[Shooting]:
         """Cut the runs into the windows that the equations were followed over, for a flow."""

@@ -19,6 +19,7 @@ from dynsr.discovery.following import Course, Followed, Place
 from dynsr.expression import ByText, differentiate, evaluate
 from dynsr.fit import (
     Candidate,
+    Shooting,
     constant_bits,
     free_constants,
     loosen,
@@ -54,7 +55,7 @@ def compare_rivals(
 
     The bits are those of the misses in the linearised fit, of the formula, and of its constants.
     """
-    columns = _columns(followed)
+    columns = columns_along(followed.shootings, followed.misses)
     chosen = [
         (state, expr)
         for state in equations
@@ -74,10 +75,18 @@ def compare_rivals(
     return {state: sorted(pairs, key=lambda pair: pair[1]) for state, pairs in found.items()}
 
 
-def _columns(followed: Followed) -> dict[str, np.ndarray]:
-    """Give the followed states, driven columns and times, (n,) each, by name."""
+def columns_along(
+    shootings: Sequence[Shooting], misses: Sequence[np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Give states, driven columns and times along fitted windows, (n,) each, by name.
+
+    Parameters
+    ----------
+    shootings : the windows, with the flow that names their columns.
+    misses : of each of them, in units of the noise.
+    """
     parts = []
-    for shooting, z in zip(followed.shootings, followed.misses, strict=True):
+    for shooting, z in zip(shootings, misses, strict=True):
         x = shooting.windows.x + z * shooting.spread
         driven = shooting.windows.driven_rows
         parts.append(
@@ -85,7 +94,7 @@ def _columns(followed: Followed) -> dict[str, np.ndarray]:
             .transpose(1, 0, 2)
             .reshape(x.shape[1] + driven.shape[1], -1)
         )
-    flow = followed.shootings[0].flow
+    flow = shootings[0].flow
     names = [*flow.rhs, *flow.driven, "t"]
     return dict(zip(names, np.concatenate(parts, axis=1), strict=True))
 
