@@ -10,7 +10,7 @@ import pytest
 import dynsr
 from dynsr.jobs import pool
 from dynsr.jobs.pool import Parts
-from dynsr.jobs.store import FolderTaken, RecordWarning, RunFolder
+from dynsr.jobs.store import FolderTaken, RecordWarning, RunFolder, fingerprint
 from dynsr.methods.parts import part
 
 X = np.linspace(0.5, 2.0, 60)
@@ -24,17 +24,19 @@ class Killed(BaseException):
     """What ends a process: nothing catches it."""
 
 
-def cut_after_each(monkeypatch, name="save"):
-    """Have every run end as soon as it has kept one new part or state."""
+def cut_after_each(monkeypatch, count=1):
+    """Have every run end as soon as it has kept one new part or state, or so many."""
     monkeypatch.setattr(pool, "_SECONDS_BETWEEN_STATES", 0.0)
-    keep = getattr(RunFolder, name)
+    keep, kept = RunFolder.save, []
 
     def killed(self, *arguments):
         keep(self, *arguments)
         if "parts" in self.records:
-            raise Killed
+            kept.append(self)
+            if len(kept) % count == 0:
+                raise Killed
 
-    monkeypatch.setattr(RunFolder, name, killed)
+    monkeypatch.setattr(RunFolder, "save", killed)
 
 
 def again_and_again(make, most=400):
@@ -166,3 +168,76 @@ def test_a_link_in_the_place_of_parts_is_not_followed(tmp_path):
     (tmp_path / "run" / "parts").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(FolderTaken, match="a link 'parts' to another folder"):
         folder.claim("discovery", {"seed": 0})
+
+
+def noisy_run():
+    """Give logistic growth with 2 % of noise, whose formulas are compared along the states."""
+    t = np.linspace(0, 10, 201)
+    x = 1 / (1 + 9 * np.exp(-t))
+    noisy = x + 0.01 * np.random.default_rng(5).normal(size=x.shape)
+    return dynsr.Trajectory(t, noisy[:, None], ("x",))
+
+
+@pytest.mark.slow
+def test_fits_of_whole_systems_are_made_once_however_often_a_run_is_cut(tmp_path, monkeypatch):
+    """A repeated run takes those of the comparison and the verdict, and ends in the same."""
+    made, recall = [], Parts.recall
+
+    def counted(self, name, make, given):
+        def one():
+            made.append((name, fingerprint(given)))
+            return make()
+
+        return recall(self, name, one, given)
+
+    monkeypatch.setattr(Parts, "recall", counted)
+    run, asked = noisy_run(), {"jobs": 1, "seed": 2}
+    without = results_of(dynsr.discover(run, **asked))
+    made.clear()
+    whole = results_of(dynsr.discover(run, **asked, out=tmp_path / "whole"))
+    usual = sorted(made)
+    assert {name for name, _ in usual} == {"system", "drift"}
+    with monkeypatch.context() as patch:
+        cut_after_each(patch, 100)
+        made.clear()
+        found, cuts = again_and_again(
+            lambda: dynsr.discover(run, **asked, out=tmp_path / "cut"), len(usual)
+        )
+    assert cuts > 1
+    assert sorted(made) == usual
+    assert results_of(found) == whole == without
+    assert not (tmp_path / "cut" / "parts").exists()
+
+
+def test_kept_fits_have_all_their_bits_and_their_order(tmp_path):
+    """What is read is what was made: not finite numbers, no rows, columns first, and no fit."""
+    arrays = [np.array([[1 / 3, np.nan, -0.0], [np.inf, 5e-324, 1e308]]), np.zeros((0, 2))]
+    arrays += [arrays[0].T, np.array(2.5)]
+    first = parts_of(tmp_path)
+    first._before = -np.inf
+    first.recall("none", lambda: None, ["none"])
+    first._before = -np.inf
+    made = first.recall("some", lambda: arrays, [arrays[0], "some", 1])
+    again = parts_of(tmp_path)
+    assert again.recall("none", pytest.fail, ["none"]) is None
+    read = again.recall("some", pytest.fail, [arrays[0], "some", 1])
+    for one, other, array in zip(made, read, arrays, strict=True):
+        assert one.tobytes() == other.tobytes() == array.tobytes()
+        assert one.shape == other.shape == array.shape
+        assert one.flags.c_contiguous == other.flags.c_contiguous == array.flags.c_contiguous
+    other = [np.nextafter(arrays[0], 0), "some", 1]
+    assert again.recall("some", lambda: [np.ones(1)], other)[0].tolist() == [1.0]
+
+
+def test_kept_fits_that_are_damaged_are_made_again(tmp_path):
+    """A file of them is used whole or not at all, and the others still are."""
+    first = parts_of(tmp_path)
+    for name in ("a", "b"):
+        first._before = -np.inf
+        first.recall(name, lambda: [np.ones(2)], [name])
+    (path,) = (tmp_path / "parts").rglob("fits-0.json")
+    path.write_text(path.read_text().replace('"turned": false', '"turned": true'))
+    again = parts_of(tmp_path)
+    with pytest.warns(RecordWarning, match="checksum differs"):
+        assert again.recall("a", lambda: [np.zeros(2)], ["a"])[0].tolist() == [0.0, 0.0]
+    assert again.recall("b", pytest.fail, ["b"])[0].tolist() == [1.0, 1.0]

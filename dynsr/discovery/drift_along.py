@@ -31,6 +31,7 @@ from dynsr.discovery.following import Course, Followed, open_constants
 from dynsr.discovery.rivals import columns_along
 from dynsr.expression import evaluate
 from dynsr.fit import Flow, Shooting, independent_rows
+from dynsr.methods import recalled
 
 # Robust sizes of misses beyond which one is an outlier.
 _FAR = 6.0
@@ -271,17 +272,33 @@ class Along:
             np.where(np.isfinite(found), found, s.windows.x[0])
             for s, found in zip(shootings, self.followed.starts, strict=True)
         ]
-        now = _follow(self.followed, shootings, values, starts)
+
+        def make() -> list[np.ndarray] | None:
+            now = self._descend(_follow(self.followed, shootings, values, starts))
+            return [now.constants, *now.starts, *now.misses] if now.finite else None
+
+        data = [
+            (s.windows.t, s.windows.x, s.windows.driven_at(s.pace), s.spread, s.pace, s.flow.stride)
+            for s in shootings
+        ]
+        found = recalled("drift", make, opened, self._driven, values, starts, data)
+        if found is None:
+            return None
+        constants, *rest = found
+        count = len(shootings)
+        begun, misses = tuple(rest[:count]), tuple(rest[count:])
+        return Followed(shootings, constants, begun, misses, self.followed.length)
+
+    def _descend(self, now: Followed) -> Followed:
+        """Take steps for as long as they gain."""
         for _ in range(self.settings.rounds):
-            if not now.finite:
-                return None
-            better = _step(now)
+            better = _step(now) if now.finite else None
             if better is None:
                 break
             before, now = now, better
             if _total(before) - _total(now) < _GAIN * _total(before):
                 break
-        return now if now.finite else None
+        return now
 
 
 def _step(now: Followed) -> Followed | None:

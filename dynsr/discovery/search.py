@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -83,6 +84,7 @@ from dynsr.fit import (
 from dynsr.jobs import (
     Budget,
     End,
+    Parts,
     RunFolder,
     Step,
     Task,
@@ -102,6 +104,7 @@ from dynsr.methods import (
     Constraints,
     Must,
     choose_methods,
+    keeping,
     read_demands,
 )
 from dynsr.selection import lead_with, rank_by_length
@@ -343,8 +346,7 @@ def discover(
     record["engines"] = name_engines(ran, chosen, measured, along, FIRST_LOOK in first)
     record["engines"] |= ENGINES if discrete else {}
     found = replace(found, verdict=None) if demands.conserved else found
-    if found.complete and found.verdict is None:
-        found = _judge(problem, found, rivals, record, _left_to_us(method, preset))
+    found = _judge(problem, found, rivals, record, _left_to_us(method, preset), steps.parts)
     if cut := list(dict.fromkeys([*cut, *problem.cut])):
         record["ended_by_budget"] = cut
     return replace(
@@ -384,19 +386,27 @@ def _judge(
     rivals: Rivals | None,
     record: dict[str, Any],
     follow: bool,
+    parts: Parts,
 ) -> Discovery:
     """Give the equations with their verdict, or others that are better or keep closer to the data.
 
-    Where Ctrl-C ends this, the equations are as they were, and nobody has judged them.
+    Where Ctrl-C ends this, the equations are as they were, and nobody has judged them. What was
+    kept of it goes at the end.
     """
-    try:
-        verdict = problem.judge_in_time(found, rivals)
-        other, verdict = adopt_in_time(problem, found, verdict, rivals)
-        if follow:
-            other, verdict = _follow(problem, other, verdict, record)
-    except KeyboardInterrupt:
-        return replace(found, complete=False)
-    return replace(other, verdict=verdict)
+    if not found.complete:
+        return found
+    if found.verdict is None:
+        try:
+            with keeping(parts):
+                verdict = problem.judge_in_time(found, rivals)
+                other, verdict = adopt_in_time(problem, found, verdict, rivals)
+                if follow:
+                    other, verdict = _follow(problem, other, verdict, record)
+        except KeyboardInterrupt:
+            return replace(found, complete=False)
+        found = replace(other, verdict=verdict)
+    parts.remove()
+    return found
 
 
 def _follow(
@@ -504,6 +514,11 @@ class _Steps:
     bits: Mapping[str, float]
     begun: Start | None = None
 
+    @cached_property
+    def parts(self) -> Parts:
+        """What keeps the fits of whole systems until the discovery is whole."""
+        return Parts(self.folder, "systems", self.key)
+
     def run(
         self, progress: Callable[[Step], None] | None, record: dict[str, Any]
     ) -> tuple[Discovery, Rivals | None, list[str]]:
@@ -511,7 +526,7 @@ class _Steps:
         problem = self.problem
         plan = plan_tasks(self.states, self.methods, self.first)
         samples: dict[str, Samples] = {}
-        with Watch(progress, plan, self.workers) as watch:
+        with Watch(progress, plan, self.workers) as watch, keeping(self.parts):
             clock = time_limit(problem.until("equations"))
             try:
                 with clock:

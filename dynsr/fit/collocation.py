@@ -494,14 +494,35 @@ class Collocation:
             information = self.normal(states.T, constants).information
         except (LinAlgError, ValueError):
             return None
-        x, weights, _ = self.mesh.by_state
-        misses = (states - x) * weights
-        squares = np.sum(misses**2, axis=1) + self._unresolved(states, constants)
+        squares = np.sum(self._missed(states) ** 2, axis=1) + self._unresolved(states, constants)
         # Where the steps came to rest early, the states do not follow the system yet.
         squares += np.sum(_add_up(self._defects(states, constants)) ** 2, axis=1)
         squares /= np.maximum(self.mesh.rows, 1.0)
+        return self.as_fit(states, constants, squares, information)
+
+    def as_fit(
+        self,
+        states: np.ndarray,
+        constants: np.ndarray,
+        mean_squares: np.ndarray,
+        information: np.ndarray,
+    ) -> CollocationFit:
+        """Give the fit that ends in given arrays; see :class:`CollocationFit`.
+
+        Parameters
+        ----------
+        states : (k, n) the trajectory.
+        constants, mean_squares, information : as there.
+        """
         exprs = self.put([sympy.Float(c) for c in constants.tolist()])
-        return CollocationFit(exprs, constants, states.T, misses.T, squares, information)
+        misses = self._missed(states).T
+        return CollocationFit(exprs, constants, states.T, misses, mean_squares, information)
+
+    def _missed(self, states: np.ndarray) -> np.ndarray:
+        """(k, n) states minus measured ones in units of the noise."""
+        x, weights, _ = self.mesh.by_state
+        missed: np.ndarray = (states - x) * weights
+        return missed
 
     def _unresolved(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
         """(k,) sums of squares of what half steps would change, in units of the noise.

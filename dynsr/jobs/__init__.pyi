@@ -2,7 +2,7 @@ from .budget import Budget, End, TimeUp, Turn, finish_by, time_limit
 from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_notebook, say_left
 from .garbage import let_garbage_wait
 from .interrupts import heard_again, interrupt_again, is_repeated, signal_again, signal_main
-from .pool import Task, check_jobs, check_seed, run_tasks, spread
+from .pool import Parts, Task, check_jobs, check_seed, run_tasks, spread
 from .progress import Step, Watch, best_equation, tell_each
 from .screen import Screen, is_lost, printing, take_lost
 from .store import (
@@ -27,6 +27,7 @@ __all__ = [
     "FolderTaken",
     "LiveLines",
     "NotebookProgress",
+    "Parts",
     "RecordError",
     "RunFolder",
     "Screen",

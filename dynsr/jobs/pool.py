@@ -5,6 +5,7 @@ Neither Ctrl-C nor a kill of this process leaves workers behind.
 
 from __future__ import annotations
 
+import base64
 import ctypes
 import math
 import multiprocessing
@@ -18,10 +19,11 @@ import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from multiprocessing.util import Finalize
 from typing import Any, TypeVar
 
+import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 from joblib.externals.loky import reusable_executor
 from joblib.externals.loky.backend import resource_tracker
@@ -33,7 +35,7 @@ from dynsr.errors import DynsrError, InputError
 from dynsr.jobs.budget import uncut
 from dynsr.jobs.garbage import let_garbage_wait
 from dynsr.jobs.progress import Reporter, Watch
-from dynsr.jobs.store import PARTS, RunFolder, as_read
+from dynsr.jobs.store import PARTS, RunFolder, as_read, fingerprint
 from dynsr.methods import AbstractKeeper, keeping
 
 T = TypeVar("T")
@@ -173,6 +175,40 @@ def _do(task: Task, folder: RunFolder, messages: Any) -> Any:
     return record
 
 
+@dataclass(frozen=True)
+class _Array:
+    """An array of float64 with all its bits, in the order that it has in memory."""
+
+    shape: tuple[int, ...]
+    turned: bool
+    content: str
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where it is none."""
+        self.read()
+
+    @classmethod
+    def of(cls, array: np.ndarray) -> _Array:
+        """Take an array."""
+        turned = not array.flags.c_contiguous
+        rows = array.T if turned else array
+        content = base64.b64encode(rows.astype("<f8").tobytes()).decode("ascii")
+        return cls(rows.shape, turned, content)
+
+    def read(self) -> np.ndarray:
+        """Give the array."""
+        flat = np.frombuffer(base64.b64decode(self.content, validate=True), dtype="<f8")
+        rows = flat.astype(float).reshape(self.shape)
+        return rows.T if self.turned else rows
+
+
+@dataclass(frozen=True)
+class _Fits:
+    """Fits by the digest of what each depends on; without arrays where there is none."""
+
+    fits: dict[str, tuple[_Array, ...] | None]
+
+
 class Parts(AbstractKeeper):
     """Keeps the parts of one task in a folder of its own until the task has its record.
 
@@ -192,6 +228,8 @@ class Parts(AbstractKeeper):
         self._key = key
         self._places: list[int] = [0]
         self._names: list[str] = []
+        self._new: dict[str, tuple[_Array, ...] | None] = {}
+        self._saved, self._before = 0, time.monotonic()
 
     def take(
         self, name: str, kind: type[T], make: Callable[[], T], is_whole: Callable[[T], bool]
@@ -228,6 +266,39 @@ class Parts(AbstractKeeper):
                 before = time.monotonic()
 
         return self._folder.load(full, self._key, kind), keep
+
+    @cached_property
+    def _kept(self) -> dict[str, tuple[_Array, ...] | None]:
+        """The fits of earlier runs, which came in files of many."""
+        kept: dict[str, tuple[_Array, ...] | None] = {}
+        while self._folder.file(self._batch).exists():
+            batch = self._folder.load(self._batch, self._key, _Fits)
+            kept |= {} if batch is None else batch.fits
+            self._saved += 1
+        return kept
+
+    @property
+    def _batch(self) -> str:
+        return f"fits-{self._saved}"
+
+    def recall(
+        self, name: str, make: Callable[[], Sequence[np.ndarray] | None], given: Sequence[Any]
+    ) -> Sequence[np.ndarray] | None:
+        """Give the arrays as they were kept, else make and keep them."""
+        if self._folder.path is None:
+            return make()
+        key = fingerprint(name, given)
+        if key in self._kept:
+            fit = self._kept[key]
+        else:
+            made = make()
+            with uncut():
+                fit = None if made is None else tuple(map(_Array.of, made))
+                self._new[key] = fit
+                if time.monotonic() - self._before >= _SECONDS_BETWEEN_STATES:
+                    self._folder.save(self._batch, self._key, _Fits(self._new))
+                    self._saved, self._new, self._before = self._saved + 1, {}, time.monotonic()
+        return None if fit is None else [array.read() for array in fit]
 
     def _next(self, name: str) -> tuple[str, str]:
         """Give the place of the part that is asked for now, and its name."""

@@ -5,7 +5,7 @@ from .feynman.search import DynAIFeynman
 from .genetic import GeneticAlgorithm
 from .library import Library, polynomials, trigonometrics
 from .limits import Limits
-from .parts import AbstractKeeper, keeping
+from .parts import AbstractKeeper, keeping, recalled
 from .rational import RationalSearch
 from .registry import (
     AUTO,
@@ -50,6 +50,7 @@ __all__ = [
     "make_method",
     "polynomials",
     "read_demands",
+    "recalled",
     "silent",
     "trigonometrics",
 ]

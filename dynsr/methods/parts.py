@@ -2,13 +2,15 @@
 
 A search says with :func:`part` what its parts are. Where a run keeps them, one that was killed goes
 on behind its last part and ends in the same result; elsewhere a part is made as it is asked for.
+What is made of thousands of fits says with :func:`recalled` what each depends on: begun again, it
+goes the same way, and takes them as they were.
 """
 
 from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, TypeVar
@@ -30,6 +32,12 @@ class AbstractKeeper(ABC):
     @abstractmethod
     def begin(self, name: str, kind: type[T]) -> tuple[T | None, Callable[[Callable[[], T]], None]]:
         """Give the last state that was kept, and what keeps another; see :func:`states`."""
+
+    @abstractmethod
+    def recall(
+        self, name: str, make: Callable[[], Sequence[np.ndarray] | None], given: Sequence[Any]
+    ) -> Sequence[np.ndarray] | None:
+        """Give the arrays as they were kept, else make and keep them; see :func:`recalled`."""
 
 
 _KEEPER: ContextVar[AbstractKeeper | None] = ContextVar("keeper", default=None)
@@ -85,6 +93,21 @@ def states(name: str, kind: type[T]) -> tuple[T | None, Callable[[Callable[[], T
     """
     keeper = _KEEPER.get()
     return (None, lambda _: None) if keeper is None else keeper.begin(name, kind)
+
+
+def recalled(
+    name: str, make: Callable[[], Sequence[np.ndarray] | None], *given: Any
+) -> Sequence[np.ndarray] | None:
+    """Give the arrays that a fit ends with, made now or by an earlier run that was ended.
+
+    Parameters
+    ----------
+    name : what kind of fit it is.
+    make : makes them; None where there is no fit.
+    given : all that they depend on: arrays, numbers, texts, and sequences or mappings of them.
+    """
+    keeper = _KEEPER.get()
+    return make() if keeper is None else keeper.recall(name, make, given)
 
 
 def write_state(rng: np.random.Generator) -> str:

@@ -27,7 +27,7 @@ from dynsr.fit import (
     simplicity_bits,
     skeleton,
 )
-from dynsr.methods import Demands
+from dynsr.methods import Demands, recalled
 from dynsr.selection.costs import (
     cited_bits,
     count_free_powers,
@@ -256,10 +256,28 @@ class SystemComparison:
         if key in self._tried:
             return None
         self._tried.add(key)
-        found = problem.fit(None if near is None else near.fit, strict)
+        found = self._find(problem, None if near is None else near.fit, strict)
         if found is None and near is not None and not strict:
-            found = problem.fit()
+            found = self._find(problem, None)
         return self._count(problem, found)
+
+    def _find(
+        self, problem: Collocation, near: CollocationFit | None, strict: bool = False
+    ) -> CollocationFit | None:
+        """Fit a system; where a run keeps its fits, one that an earlier run made is taken."""
+
+        def make() -> tuple[np.ndarray, ...] | None:
+            fit = problem.fit(near, strict)
+            if fit is None:
+                return None
+            return fit.states.T, fit.constants, fit.mean_squares, fit.information
+
+        mesh, begin = self.mesh, self.mesh.start if near is None else near.states
+        data = (mesh.t, mesh.left, mesh.x, mesh.weights, mesh.driven, mesh.states)
+        # The text of a formula has fewer digits than its constants.
+        system = (problem.exprs, problem.constants, begin, strict)
+        found = recalled("system", make, *system, *data, mesh.driven_names, problem.settings)
+        return None if found is None else problem.as_fit(*found)
 
     def _count(self, problem: Collocation, found: CollocationFit | None) -> SystemFit | None:
         """Give a fit with its bits; None for none, and for one that is no system."""
