@@ -1,3 +1,5 @@
+import builtins
+import contextlib
 import dataclasses
 import importlib
 import importlib.util
@@ -238,6 +240,59 @@ def test_interrupt_that_a_search_swallows_is_130():
 
     result = CliRunner().invoke(small, ["search"])
     assert (result.exit_code, result.stdout) == (130, "best so far\n")
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "said"),
+    [(signal.SIGTERM, 143, "error: terminated\n"), (signal.SIGINT, 130, "error: interrupted\n")],
+)
+@pytest.mark.parametrize("becomes", ["ValueError", "SystemError", "ImportError", "nothing"])
+def test_an_end_by_a_signal_is_no_fault_whatever_it_becomes(number, code, said, becomes, capfd):
+    """Compiled code may make another error of the exception of a signal: still the signal's end.
+
+    It may lose the exception too; then the command says what it has, with the signal's code.
+    """
+    small = typer.Typer(cls=CommandGroup)
+
+    @small.command()
+    def draw() -> None:
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(30)
+        except BaseException:
+            pass
+        if becomes != "nothing":
+            raise getattr(builtins, becomes)("Invalid affine transformation matrix")
+
+    @small.callback()
+    def words() -> None:
+        pass
+
+    before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+    with pytest.raises(SystemExit) as end:
+        typer.main.get_command(small).main(["draw"])
+    quiet = becomes == "nothing" and number == signal.SIGINT  # a search has answered it
+    assert (end.value.code, capfd.readouterr().err) == (code, "" if quiet else said)
+    assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
+
+
+def test_after_ctrl_c_an_error_with_a_remedy_is_told():
+    """A search answers Ctrl-C with its best so far; that it cannot be written is said."""
+    small = typer.Typer(cls=CommandGroup)
+
+    @small.command()
+    def search() -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(30)
+        raise OSError(28, "full")
+
+    @small.callback()
+    def words() -> None:
+        pass
+
+    result = CliRunner().invoke(small, ["search"])
+    assert (result.exit_code, result.stderr) == (2, "error: cannot use: full\n")
 
 
 def test_faults_are_told_from_bad_input():

@@ -131,6 +131,40 @@ def test_ctrl_c_before_anything_is_found_is_raised(decay):
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_became_an_error_is_no_failure_of_the_method(
+    decay, tmp_path, monkeypatch, number
+):
+    """What a signal ended is not kept as failed, though a library made a ValueError of its end.
+
+    The search ends with what it has, and the same call gives the result of an undisturbed one.
+    """
+    method, search = [QUICK], RationalSearch.search
+
+    def draw(self, samples, rng, report):
+        try:
+            signal.raise_signal(number)
+        except BaseException:
+            raise ValueError("Invalid affine transformation matrix") from None
+
+    def end(number, frame):
+        signal.signal(number, signal.SIG_IGN)
+        raise SystemExit(143)
+
+    whole = discover(decay, method=method, jobs=1)
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        monkeypatch.setattr(RationalSearch, "search", draw)
+        assert not discover(decay, method=method, jobs=1, out=tmp_path).complete
+        now = signal.getsignal(signal.SIGTERM)
+        assert now == (signal.SIG_IGN if number == signal.SIGTERM else end)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    monkeypatch.setattr(RationalSearch, "search", search)
+    again = discover(decay, method=method, jobs=1, out=tmp_path)
+    assert {**again.as_record(), "seconds": 0} == {**whole.as_record(), "seconds": 0}
+
+
 # An interrupt between the opening of a file and its ``with`` leaves the file to the collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.slow

@@ -11,8 +11,8 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -42,14 +42,17 @@ class CommandGroup(TyperGroup):
     def main(self, *args: Any, **options: Any) -> NoReturn:
         """Run the command line and exit with its code."""
         options["standalone_mode"] = False
-        with _warnings_as_lines(), _orderly_end(), _noted_interrupts() as interrupts:
+        with _warnings_as_lines(), _orderly_end() as ends, _noted_interrupts() as interrupts:
             take_lost()
-            code = _flush(self._run(args, options))
+            code = _flush(self._run(args, options, _ended_by_signals(ends, interrupts)))
         sys.exit(INTERRUPTED if interrupts and code == 0 else code)
 
-    def _run(self, args: tuple[Any, ...], options: dict[str, Any]) -> int:
+    def _run(
+        self, args: tuple[Any, ...], options: dict[str, Any], signals: AbstractContextManager[None]
+    ) -> int:
         try:
-            result = super().main(*args, **options)
+            with signals:
+                result = super().main(*args, **options)
             code = result if isinstance(result, int) else 0
             return _end("interrupted", code) if code == INTERRUPTED else code
         except (KeyboardInterrupt, typer.Abort):
@@ -67,6 +70,26 @@ class CommandGroup(TyperGroup):
             return _end(in_words(error), BAD_INPUT)
         except Exception as error:
             return _end_fault(error)
+
+
+@contextmanager
+def _ended_by_signals(ends: Sequence[int], interrupts: Sequence[int]) -> Iterator[None]:
+    """Let the end by a signal be that, whatever others made of the exception that it raised.
+
+    Compiled code that calls Python may raise an error of its own in place of any exception, or go
+    on. After Ctrl-C, which a search may answer, an error that has a remedy is still told.
+    """
+    told = (DynsrError, _CLICK_ERROR, typer.Abort, OSError, MemoryError)
+    try:
+        yield
+    except Exception as error:
+        if ends:
+            raise SystemExit(TERMINATED) from error
+        if interrupts and not isinstance(error, told):
+            raise KeyboardInterrupt from error
+        raise
+    if ends:
+        raise SystemExit(TERMINATED)
 
 
 def _flush(code: int) -> int:
@@ -116,8 +139,8 @@ def _warnings_as_lines() -> Iterator[None]:
 
 
 @contextmanager
-def _orderly_end() -> Iterator[None]:
-    """Let SIGTERM end workers and temporary folders too, as Ctrl-C does."""
+def _orderly_end() -> Iterator[list[int]]:
+    """Let SIGTERM end workers and temporary folders too, as Ctrl-C does; remember it."""
     said: list[int] = []
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
@@ -140,7 +163,7 @@ def _orderly_end() -> Iterator[None]:
         signal.signal(signal.SIGTERM, end)
     try:
         with heard_again(SystemExit, again) if ours else nullcontext():
-            yield
+            yield said
     finally:
         if ours:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -290,8 +290,9 @@ class Reporter:
 class Watch:
     """Counts the tasks that end, keeps their records, and reports while the others run.
 
-    As a context it also has Ctrl-C tell the tasks to stop, so that none of them passes for
-    finished. Reports come from this process, some of them from a thread of its own, never two at
+    As a context it also has Ctrl-C, and SIGTERM where someone handles it, tell the tasks to stop:
+    none of them passes for finished, whatever a library makes of the exception that the signal
+    raises. Reports come from this process, some of them from a thread of its own, never two at
     once.
 
     Parameters
@@ -311,19 +312,21 @@ class Watch:
         self.began = time.monotonic()
         self._lock, self._over = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._report_on, daemon=True)
-        self._handler: Any = None
+        self._handlers: dict[int, Any] = {}
         self._hook = ExitStack()
 
     def __enter__(self) -> Self:
         """Begin to report."""
-        handler = signal.getsignal(signal.SIGINT)
-        # A Ctrl-C here, or a fault of the caller's own reporter, leaves the handler as it was.
+        # A Ctrl-C here, or a fault of the caller's own reporter, leaves the handlers as they were.
         with ExitStack() as hook:
-            if threading.current_thread() is threading.main_thread() and callable(handler):
-                self._handler = handler
+            if threading.current_thread() is threading.main_thread():
                 hook.enter_context(heard_again(KeyboardInterrupt, interrupt_again))
-                hook.callback(signal.signal, signal.SIGINT, handler)
-                signal.signal(signal.SIGINT, self._stop)
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    handler = signal.getsignal(number)
+                    if callable(handler):
+                        self._handlers[number] = handler
+                        hook.callback(self._give_back, number)
+                        signal.signal(number, self._stop)
             if self.progress is not None:
                 self._tell()
                 self._thread.start()
@@ -340,7 +343,12 @@ class Watch:
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self.messages.stopped = True
-        self._handler(number, frame)
+        self._handlers[number](number, frame)
+
+    def _give_back(self, number: int) -> None:
+        # A handler that has put another in its place is done.
+        if signal.getsignal(number) == self._stop:
+            signal.signal(number, self._handlers[number])
 
     def __call__(self, task: str, title: str, record: Any) -> None:
         """Take a task that has ended."""
