@@ -9,6 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.maps import iterate
 from dynsr.discovery.prediction import Measured, predict
 from dynsr.discovery.result import Discovery
 from dynsr.engines.base import InitialValueProblem
@@ -158,3 +159,19 @@ def test_a_score_that_diverges_is_a_word(tmp_path):
     data.write_text(f"t,x\n{rows}\n", "utf-8")
     assert "diverges" in run("score", saved, data).output
     assert "null" in run("score", saved, data, "--json").output
+
+
+@pytest.mark.parametrize(
+    "value",
+    [object(), [object()] * 3, [[1.0], [1.0, 2.0]], 1j, ["a"] * 3, [0.0], [0.0, np.nan, 1.0], None],
+)
+@pytest.mark.parametrize("held", [True, False])
+def test_inputs_that_are_no_values_are_refused_by_name(value, held):
+    """Of a flow, with an input whose hold the data told or another one, and of a map."""
+    u, t = sympy.Symbol("u"), np.arange(3.0)
+    settings = {"hold": {"u": "linear"}} if held else {}
+    flow = Discovery({"x": u}, {}, {}, {}, settings=settings)
+    with pytest.raises(InputError, match="input 'u'"):
+        flow.simulate([1.0], t, inputs={"u": value})
+    with pytest.raises(InputError, match="input 'u'"):
+        iterate({"x": u}, [1.0], t, {"u": value})

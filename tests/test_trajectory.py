@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from dynsr.data.samples import Samples
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
@@ -33,3 +34,41 @@ def test_rows_are_selected_with_their_inputs():
     assert part.t.tolist() == [1, 2]
     assert part.columns.tolist() == [[1, 2], [2, 4]]
     assert part.names == ("x", "u")
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        np.array([0.0, 1.0]),
+        np.array([0.5]),
+        np.array([7]),
+        np.array([[0, 1]]),
+        np.array([True, False]),
+        np.array(["a"]),
+        slice(0.0, 2.0),
+        None,
+        3,
+        object(),
+    ],
+)
+@pytest.mark.parametrize("kind", [Trajectory, Samples])
+def test_rows_that_are_none_are_refused_in_one_line(kind, rows):
+    """Fractions, rows that are not there, tables of them: one line with the remedy, for both."""
+    t = np.arange(5.0)
+    whole = (
+        Trajectory(t, t[:, None], ("x",))
+        if kind is Trajectory
+        else Samples(t[:, None], -2 * t, ("x",), "x", "given", t)
+    )
+    with pytest.raises(InputError, match="of 5 rows; give a slice or whole numbers") as said:
+        whole.select(rows)
+    assert "\n" not in str(said.value)
+
+
+@pytest.mark.parametrize(
+    "rows", [[0, 2], np.array([-2, -1]), np.arange(5) > 2, slice(None, None, 2)]
+)
+def test_rows_are_taken_as_numpy_takes_them(rows):
+    """Lists, rows from the end, booleans and slices."""
+    t = np.arange(5.0)
+    assert Trajectory(t, t[:, None], ("x",)).select(rows).t.tolist() == t[rows].tolist()

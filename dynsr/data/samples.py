@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynsr.arguments import checked
-from dynsr.data.trajectory import Trajectory
+from dynsr.data.trajectory import Trajectory, check_rows
 from dynsr.errors import InputError
 
 
@@ -69,7 +69,15 @@ class Samples:
             return np.copysign(np.sqrt(self.loss(predicted, self.y)), self.y - predicted)
 
     def select(self, rows: slice | np.ndarray) -> Samples:
-        """Give the samples of some rows."""
+        """Give the samples of some rows.
+
+        Parameters
+        ----------
+        rows : a slice, (m,) whole numbers or (n,) booleans, one for each row.
+
+        Raises InputError when they are no rows.
+        """
+        check_rows(rows, len(self))
         sd = None if self.slope_sd is None else self.slope_sd[rows]
         return replace(self, X=self.X[rows], y=self.y[rows], t=self.t[rows], slope_sd=sd)
 

@@ -20,11 +20,13 @@ from dynsr.data.holding import (
     holds_its_value,
 )
 from dynsr.data.times import check_time_unit, count_times
-from dynsr.errors import InputError
+from dynsr.errors import InputError, one_line
 from dynsr.expression import check_name
 
 # A trajectory of fewer rows tells too little of slopes and noise to find equations in.
 FEWEST_ROWS = 8
+# Characters of a wrong value that a message repeats.
+_LONGEST_SHOWN = 60
 
 
 def refuse_mask(values: Any) -> None:
@@ -253,8 +255,39 @@ class Trajectory:
         return [start + np.arange(length) for start in starts]
 
     def select(self, rows: slice | np.ndarray) -> Trajectory:
-        """Give the trajectory of some rows."""
+        """Give the trajectory of some rows.
+
+        Parameters
+        ----------
+        rows : a slice, (m,) whole numbers or (n,) booleans, one for each row.
+
+        Raises InputError when they are no rows, or times do not increase in that order.
+        """
+        check_rows(rows, len(self))
         return replace(self, t=self.t[rows], x=self.x[rows], inputs=self.inputs[rows])
+
+
+def check_rows(rows: Any, count: int) -> None:
+    """Raise InputError unless rows can be taken of so many.
+
+    Parameters
+    ----------
+    rows : a slice, whole numbers or booleans.
+    count : how many rows there are.
+
+    >>> check_rows(np.array([0.5]), 3)
+    Traceback (most recent call last):
+    ...
+    dynsr.errors.InputError: array([0.5]) cannot be taken of 3 rows; give a slice or whole numbers
+    """
+    try:
+        fits = np.arange(count)[rows].ndim == 1
+    except (IndexError, TypeError, ValueError):
+        fits = False
+    if not fits:
+        shown = one_line(repr(rows))
+        shown = shown if len(shown) <= _LONGEST_SHOWN else f"{shown[: _LONGEST_SHOWN - 3]}..."
+        raise InputError(f"{shown} cannot be taken of {count} rows; give a slice or whole numbers")
 
 
 def settle_hold(

@@ -183,17 +183,9 @@ def _values(name: str, inputs: Mapping[str, Any], times: np.ndarray) -> np.ndarr
             f"nothing says what {name!r} does; give it as an input or discover its equation too"
         )
     value = inputs[name]
-    if callable(value) and not isinstance(value, sympy.Basic):
-        return sample_input(name, value, times)
     if isinstance(value, (str, sympy.Basic, int, float)):
         return np.broadcast_to(evaluate(parse(value, ["t"]), {"t": times}), times.shape)
-    values = np.asarray(value, dtype=float)
-    if values.shape != times.shape:
-        raise InputError(
-            f"input {name!r} has shape {values.shape} but there are {len(times)} times; "
-            "give one value a time"
-        )
-    return values
+    return sample_input(name, value, times)
 
 
 def inputs_in(run: Trajectory, equations: Mapping[str, sympy.Expr]) -> dict[str, np.ndarray]:

@@ -192,6 +192,16 @@ class Measured:
             )
 
 
+def is_sampled(value: Any) -> bool:
+    """Whether an input is given by its values at the times.
+
+    Parameters
+    ----------
+    value : of the input: else an expression, a function or :class:`Measured`.
+    """
+    return not (isinstance(value, (str, sympy.Basic, int, float, Measured)) or callable(value))
+
+
 def _size(start: np.ndarray) -> float:
     """What the absolute tolerance is a share of: 1, unless all states are far smaller."""
     largest = float(np.max(np.abs(start)))
@@ -207,8 +217,8 @@ def _take_measured(
             measured[name] = value
         elif callable(value) and not isinstance(value, sympy.Basic):
             measured[name] = _sample(name, value, times)
-        elif not isinstance(value, (str, sympy.Basic, int, float)):
-            measured[name] = Measured(name, times, np.asarray(value, dtype=float))
+        elif is_sampled(value):
+            measured[name] = Measured(name, times, sample_input(name, value, times))
         else:
             continue
         measured[name].check_covers(times)

@@ -22,6 +22,7 @@ from dynsr.data import (
     choose_samples,
     cut_at_doses,
     in_unit,
+    sample_input,
     settle_hold,
     take_trajectories,
 )
@@ -36,7 +37,7 @@ from dynsr.discovery.maps import (
     write_map_latex,
 )
 from dynsr.discovery.orders import form_of, write_lines
-from dynsr.discovery.prediction import Measured, predict, predict_with_doses
+from dynsr.discovery.prediction import Measured, is_sampled, predict, predict_with_doses
 from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
 from dynsr.discovery.verdict import Verdict, VerdictSettings, explain, judge
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
@@ -353,9 +354,9 @@ class Discovery:
             return iterate(self.equations, x0, times, {**own, **(inputs or {})})
         given = {**self.inputs_of(), **(inputs or {})}
         for name, value in (inputs or {}).items():
-            if name in self.hold and np.ndim(value) == 1:
+            if name in self.hold and is_sampled(value):
                 # What is given at the times themselves is taken as the data were.
-                values = np.asarray(value, dtype=float)
+                values = sample_input(name, value, times)
                 given[name] = Measured(name, times, values, self.hold[name])
         chosen = engine or self.engine
         return predict_with_doses(self.equations, x0, times, doses, given, chosen, hold)
