@@ -3,11 +3,13 @@ import math
 import os
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
 
+from dynsr.cli.output import make_folder
 from dynsr.data.temporary import open_part
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
@@ -302,3 +304,39 @@ def test_fingerprints_tell_values_apart():
     ]
     assert len({fingerprint(v) for v in values}) == len(values)
     assert fingerprint({"a": 1, "b": [2]}) == fingerprint({"b": [2], "a": 1})
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit])
+def test_a_signal_just_as_a_part_is_made_leaves_none(tmp_path, monkeypatch, end):
+    """The file is there, and who made it has not heard of it yet."""
+    make = Path.open
+
+    def interrupted(path, mode):
+        make(path, mode)
+        raise end
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", interrupted)
+        with pytest.raises(end):
+            open_part(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_signal_as_a_folder_is_tried_leaves_no_part(tmp_path, monkeypatch):
+    """Where a command tries whether it can write, a signal may fall just behind the closing."""
+
+    class Closed:
+        def close(self):
+            raise SystemExit(143)
+
+    def opened(folder):
+        part, file = open_part(folder)
+        file.close()
+        return part, Closed()
+
+    monkeypatch.setattr("dynsr.data.open_part", opened)
+    with pytest.raises(SystemExit):
+        make_folder(tmp_path)
+    assert not list(tmp_path.iterdir())

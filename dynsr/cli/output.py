@@ -82,8 +82,10 @@ def make_folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
         probe, file = open_part(path)
-        file.close()
-        probe.unlink()
+        try:
+            file.close()
+        finally:
+            probe.unlink()
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(

@@ -22,10 +22,17 @@ _STALE_SECONDS = 3600.0
 def open_part(folder: Path) -> tuple[Path, BinaryIO]:
     """Make a new file beside those that it will replace; gives its path and the open file.
 
-    The name is drawn by chance. A file or a link of that name is never opened.
+    The name is drawn by chance. A file or a link of that name is never opened. A signal that falls
+    in between leaves no file.
     """
     path = folder / f".dynsr-{secrets.token_hex(8)}.part"
-    return path, path.open("xb")
+    try:
+        return path, path.open("xb")
+    except OSError:  # what stands there is another's
+        raise
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def is_part(path: Path) -> bool:
