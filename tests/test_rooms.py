@@ -28,6 +28,7 @@ ROOMS = (
     "engines",
     "fit",
     "methods",
+    "library",
     "selection",
     "jobs",
     "discovery",

@@ -16,6 +16,7 @@ from dynsr.expression import parse
 from dynsr.fit import CollocationSettings
 from dynsr.jobs import to_plain
 from dynsr.selection.first_look import LookSettings, look
+from dynsr.selection.parts import Parts
 
 SOURCE = Path(dynsr.__file__).parent
 QUICK = {"preset": "quick", "jobs": 1, "progress": False}
@@ -184,6 +185,9 @@ def test_every_setting_is_read():
     settings = watched(DISCOVERY, seen)
     for data, options in DISCOVERIES:
         dynsr.discover(data, settings=settings, **QUICK, **options)
+    comparison = replace(DISCOVERY.selection.comparison, parts=Parts(()))
+    every = replace(DISCOVERY, selection=replace(DISCOVERY.selection, comparison=comparison))
+    dynsr.discover(rabbits(60, 0.03), settings=watched(every, seen), **QUICK)
     unread = {".".join(path) for path, _ in leaves(DISCOVERY) if path not in seen}
     assert unread - SELDOM == set()
 

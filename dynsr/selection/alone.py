@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 import sympy
-from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError
 
 from dynsr.expression import ByText, compile_columns, evaluate
@@ -21,13 +20,13 @@ from dynsr.fit import (
     Collocation,
     Linearised,
     Measurements,
-    Mesh,
     Probes,
     constant_bits,
     free_constants,
     skeleton,
     structure_bits,
 )
+from dynsr.library import Library
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import (
     SIGMA,
@@ -49,6 +48,8 @@ from dynsr.selection.costs import (
     unusual_bits,
     wide_factors,
 )
+from dynsr.selection.evidence import Evidence
+from dynsr.selection.propose import Proposer, write_all
 from dynsr.selection.several import Goal, SeveralInside
 from dynsr.selection.subsets import Subset, best_subsets, solve_scaled, without
 from dynsr.selection.terms import Joint, Terms, move_inside, slopes_inside, weighted_sum
@@ -56,9 +57,8 @@ from dynsr.selection.twins import exchanged
 
 # Terms of other equations, and plain ones, that are offered to one together.
 _OFFERED, _PLAINEST = 24, 40
-# Rows at which functions of several constants are evaluated, and the share of the largest direction
-# below which one says nothing.
-_SPREAD, _SAID = 160, 1e-9
+# Points at which functions of several constants are evaluated.
+_SPREAD = 160
 
 
 @dataclass(frozen=True)
@@ -286,27 +286,23 @@ class Alone:
         Terms are evaluated at some times, between which they are interpolated, and what their
         integrals leave of the measured states says what they are worth.
         """
-        mesh, settings = _first_part(self.comparison.mesh), self.comparison.settings
-        nodes, spread = _spread_over(mesh)
-        normal = self._normal(spread, mesh)
-        if normal is None:
+        evidence = self._evidence(_SPREAD, self.comparison.settings.softness)
+        if evidence is None:
             return []
-        values, directions = np.linalg.eigh(normal.information)
-        told = values > _SAID * values[-1]
-        roots = np.sqrt(values[told])
-        maps = roots[:, None] * directions[:, told].T
-        y = -(directions[:, told].T @ normal.pull) / roots
-        beside = max(normal.squares - float(y @ y), 0.0)
-        goal = Goal(self.comparison.names, self._points[:-1, nodes], self.state, y, maps)
-        rows, angles = float(np.max(mesh.rows)), self.comparison.angles
+        goal = Goal(evidence.names, evidence.points, self.state, evidence.y, evidence.maps)
+        rows, angles = evidence.rows, self.comparison.angles
         each = constant_bits(rows)
 
         def bits(expr: sympy.Expr) -> float:
             return shape_bits(expr) + unusual_bits(expr, angles) + each * constants(expr)
 
-        allow = settings.demands.limits(self.state).allow
+        allow = self.comparison.settings.demands.limits(self.state).allow
         several = SeveralInside(goal, allow)
-        return several.likely_sums(beside, rows, bits, each)
+        return several.likely_sums(evidence.beside, rows, bits, each)
+
+    def _evidence(self, nodes: int, softness: float) -> Evidence | None:
+        """Give a view of the equation by so many points; None where the data do not tell."""
+        return Evidence.of(self._still, self.comparison.names, self.rows, softness, nodes)
 
     @cached_property
     def _points(self) -> np.ndarray:
@@ -327,10 +323,9 @@ class Alone:
         """Measured rows of the state."""
         return float(np.max(self.comparison.mesh.rows))
 
-    def _normal(self, values: np.ndarray, mesh: Mesh | None = None) -> Linearised | None:
+    def _normal(self, values: np.ndarray) -> Linearised | None:
         """Give the normal equations of terms with these values; None where they do not tell."""
-        still = self._still if mesh is None else replace(self._still, mesh=mesh)
-        mesh = still.mesh
+        still, mesh = self._still, self.comparison.mesh
         slopes = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
         probes = Probes(np.full(len(values), len(mesh.states) - 1), slopes)
         softness = self.comparison.settings.softness
@@ -346,8 +341,28 @@ class Alone:
     def _ranked(self) -> list[SystemFit]:
         return sorted(self.comparison.fits(), key=lambda f: f.bits)
 
+    def propose(self) -> list[sympy.Expr]:
+        """Give the sums of terms of the library that are expected to take the fewest bits."""
+        comparison, demands = self.comparison, self.comparison.settings.demands
+        settings = comparison.settings.proposals
+        evidence = self._evidence(settings.nodes, settings.softness)
+        if evidence is None:
+            return []
+        names, angles = comparison.names, comparison.angles
+        library = Library.of(names, evidence.points, angles, demands.offered, settings.library)
+        pairs = zip(library.forms, library.starts, strict=True)
+        forms = [form.write(names, own[0]) for form, own in pairs]
+        costs = np.array([self.term_bits(expr) for expr in forms])
+        allow = demands.limits(self.state).allow
+        costs[[not allow(expr) for expr in forms]] = np.inf
+        sums = Proposer(evidence, library, costs, settings).best()
+        others = [sympy.Symbol(name) for name in names if name != self.state]
+        return [sympy.S.Zero, *others, *write_all(sums, library)]
+
     def rank_sums(self) -> list[sympy.Expr]:
         """Give sums of terms, fewest bits first: of powers alone where these leave no doubt."""
+        if self.comparison.settings.parts.has("library"):
+            return self.rank(self.propose())
         if self.comparison.settings.parts.has("powers-first"):
             found = self.rank(self.sums_of_terms(powers=True))
             if self.is_clear():
@@ -423,50 +438,6 @@ def constants(expr: sympy.Expr) -> int:
     expr : the formula.
     """
     return len(free_constants(expr, "c")[1])
-
-
-def _first_part(mesh: Mesh) -> Mesh:
-    """Give a mesh up to so many jumps that values between them need no more rows than usual."""
-    jumps = mesh.left[mesh.h == 0]
-    if len(jumps) <= _SPREAD:
-        return mesh
-    count = int(jumps[_SPREAD]) + 1
-    n, some = len(mesh.t), mesh.left < count - 1
-    at, between = mesh.driven[:, :count], mesh.driven[:, n:][:, some]
-    return replace(
-        mesh,
-        t=mesh.t[:count],
-        left=mesh.left[some],
-        x=mesh.x[:count],
-        weights=mesh.weights[:count],
-        start=mesh.start[:count],
-        driven=np.concatenate([at, between], axis=1),
-    )
-
-
-def _spread_over(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Give rows (N,) of a mesh, and (N, n + m) what a value at each is at its rows and between.
-
-    What lies between the rows that are taken is interpolated by cubic splines, run by run and
-    from jump to jump, where a row is there twice.
-    """
-    count, twice = len(mesh.t), mesh.left[mesh.h == 0] + 1
-    first = np.union1d(np.setdiff1d(np.arange(count), mesh.left + 1), twice)
-    nodes: list[np.ndarray] = []
-    places = np.concatenate([np.arange(count), mesh.left])
-    times = np.concatenate([mesh.t, (mesh.t[mesh.left] + mesh.t[mesh.left + 1]) / 2])
-    blocks = []
-    for begin, end in zip(first, [*first[1:], count], strict=True):
-        most = max(4, round(_SPREAD * (end - begin) / count))
-        own = np.unique(np.linspace(begin, end - 1, min(end - begin, most)).astype(int))
-        inside = (places >= begin) & (places < end)
-        block = np.zeros((len(own), len(times)))
-        if len(own) > 1:
-            spline = CubicSpline(mesh.t[own], np.eye(len(own)))
-            block[:, inside] = spline(times[inside]).T
-        nodes.append(own)
-        blocks.append(block)
-    return np.concatenate(nodes), np.concatenate(blocks)
 
 
 def _places_of(tiers: Sequence[np.ndarray]) -> np.ndarray:

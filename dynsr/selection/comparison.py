@@ -41,6 +41,7 @@ from dynsr.selection.costs import (
 )
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
+from dynsr.selection.propose import ProposalSettings
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.terms import Terms, TermSettings, find_turning
 from dynsr.selection.twins import first_of_each, with_twins
@@ -90,7 +91,6 @@ class ComparisonSettings:
         not quite those of the system.
     pruned : of these, how many lose the terms that do not pay.
     again : how often terms are looked for along the best system found.
-    stand_ins : systems with another function in the place of one from which the search climbs on.
     ends : where the search ended, the best first, from which other functions are tried until
         nothing but noise is left.
     gain : bits that this must save for it to go on.
@@ -130,12 +130,12 @@ class ComparisonSettings:
     dense: float = 50.0
     loose: float = 1e-2
     alone: int = 40
+    proposals: ProposalSettings = ProposalSettings()
     sums: int = 15
     halved: int = 5
     softness: float = 100.0
     pruned: int = 12
     again: int = 2
-    stand_ins: int = 3
     ends: int = 3
     gain: float = 1.0
     together: int = 20

@@ -1,6 +1,6 @@
 """Parts: every generator, refiner, early end and term of the score of the searches, by name.
 
-All are there by default. Switched off one at a time, they show what each costs and earns.
+Switched off one at a time, they show what each costs and earns.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ PARTS: Mapping[str, str] = {
     "end-look": "an equation that exact slopes leave no doubt of ends the search",
     "end-simple": "one whose constants are all simple numbers is such an equation",
     "end-alone": "one that every other choice of terms misses by far more is such an equation",
+    "library": "sums of the terms of the library, proposed by a beam, in noise",
     "powers-first": "sums of powers alone before all other sums, in noise",
     "end-clear": "a short polynomial that leads by far ends the look at one state, in noise",
     "inside": "sums with functions of several constants, in noise",
@@ -41,7 +42,6 @@ PARTS: Mapping[str, str] = {
     "polynomials": "whole polynomials, thinned, where nothing leaves only noise",
     "couplings": "systems tied by a mass matrix",
     "replacements": "functions in the place of several terms",
-    "stand-ins": "other functions in the place of one",
     "along": "the search again along the states of the best system",
     "other-ends": "other ends of the search are refined where the best leaves more than noise",
     "pruning": "terms taken out one by one",
@@ -71,6 +71,9 @@ PARTS: Mapping[str, str] = {
     "bits-unusual": "bits of unusual terms",
 }
 
+# Off until it loses nothing: with it several others bring nothing.
+OFF = ("library",)
+
 
 @dataclass(frozen=True)
 class Parts:
@@ -86,7 +89,7 @@ class Parts:
     (False, True)
     """
 
-    off: tuple[str, ...] = ()
+    off: tuple[str, ...] = OFF
 
     def __post_init__(self) -> None:
         """Check the names."""

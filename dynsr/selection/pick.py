@@ -122,10 +122,10 @@ class SelectionSettings:
 
         Raises InputError for a name that is no part.
 
-        >>> SELECTION.without("twins", "stand-ins").parts
-        Parts(off=('twins', 'stand-ins'))
+        >>> SELECTION.without("twins").parts.has("twins")
+        False
         """
-        parts = Parts((*self.parts.off, *names))
+        parts = Parts(tuple(dict.fromkeys((*self.parts.off, *names))))
         return replace(
             self,
             comparison=replace(self.comparison, parts=parts),

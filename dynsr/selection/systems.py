@@ -50,7 +50,6 @@ from dynsr.selection.polynomials import fit_polynomials, whole_polynomials
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.replacements import try_replacements
 from dynsr.selection.shared import share_rates
-from dynsr.selection.stand_ins import try_stand_ins
 
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0
@@ -311,8 +310,6 @@ def _refine_one(comparison: SystemComparison, fit: SystemFit) -> SystemFit:
         fit = try_couplings(comparison, fit, climb)
     if has("replacements"):
         fit = try_replacements(comparison, fit, climb)
-    if has("stand-ins"):
-        fit = try_stand_ins(comparison, fit, climb)
     again = has("couplings") and fit is not first
     return try_couplings(comparison, fit, climb) if again else fit
 

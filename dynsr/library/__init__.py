@@ -1,0 +1,5 @@
+"""Library: the terms that laws are made of, in one table of functions."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

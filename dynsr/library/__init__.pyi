@@ -1,0 +1,3 @@
+from .forms import Form, Library, LibrarySettings
+
+__all__ = ["Form", "Library", "LibrarySettings"]

@@ -1,0 +1,325 @@
+"""Forms: terms of laws by what they are made of, with the values that they take.
+
+A form is a product of powers of the columns and of atoms. It is written in SymPy once; its values,
+and their slopes by the constants inside, come from its atoms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations, combinations_with_replacement, permutations, product
+
+import numpy as np
+import sympy
+
+from dynsr.expression import compile_columns
+from dynsr.library.atoms import ATOMS, Atom, Domain
+
+# Atoms of which two may stand in one term, of different columns.
+_TOGETHER = ("saturates1", "saturates2", "inhibits1", "inhibits2")
+
+
+@dataclass(frozen=True)
+class LibrarySettings:
+    """Settings of the library; they stand in a run's record.
+
+    Parameters
+    ----------
+    degree : most columns in a product without a function.
+    alone : most powers of one column where it is the only one.
+    below : share of its largest value by which a column may fall below 0 that is never negative.
+    away : share of its usual size that a column stays away from 0 for its inverse to be a term.
+    low, beyond : sizes at which a function may bend: from half of that quantile of its column's own
+        sizes, up to that multiple of the largest,
+    widest, apart : so far from each other at most, and so many times each the one before.
+    most : rows of values at most; of more, those of the forms with fewest factors are kept.
+    """
+
+    degree: int = 3
+    alone: int = 5
+    below: float = 0.03
+    away: float = 0.1
+    low: float = 0.02
+    beyond: float = 3.0
+    widest: float = 100.0
+    apart: float = 1.9
+    most: int = 12_000
+
+
+@dataclass(frozen=True)
+class Factor:
+    """An atom of certain columns, by their places."""
+
+    atom: Atom
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Form:
+    """A product of powers of columns and of atoms, or a term of the user's own.
+
+    Parameters
+    ----------
+    powers : (place of a column, exponent) of each.
+    factors : the atoms.
+    own : a term of the user's own, without constants to be moved.
+    """
+
+    powers: tuple[tuple[int, int], ...] = ()
+    factors: tuple[Factor, ...] = ()
+    own: sympy.Expr | None = None
+
+    @cached_property
+    def constants(self) -> int:
+        """How many constants are inside."""
+        return sum(f.atom.has_constant for f in self.factors)
+
+    def write(self, names: Sequence[str], constants: Iterable[float] = ()) -> sympy.Expr:
+        """Write it in its columns.
+
+        Parameters
+        ----------
+        names : of all columns.
+        constants : values of those inside.
+        """
+        if self.own is not None:
+            return self.own
+        symbols, left = [sympy.Symbol(name) for name in names], iter(constants)
+        parts = [symbols[place] ** power for place, power in self.powers]
+        for factor in self.factors:
+            number = sympy.Float(float(next(left))) if factor.atom.has_constant else None
+            parts.append(factor.atom.write(tuple(symbols[i] for i in factor.columns), number))
+        return sympy.Mul(*parts)
+
+    def both(
+        self, names: Sequence[str], points: np.ndarray, constants: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Give values (g, n) and slopes (g, c, n) by the constants inside.
+
+        Parameters
+        ----------
+        names, points : of all columns, and their values (names, n).
+        constants : (g, c) of those inside.
+        """
+        count = len(constants)
+        if self.own is not None:
+            values = compile_columns([self.own], names)(*points)
+            return np.broadcast_to(values, (count, points.shape[1])), np.zeros((count, 0, 1))
+        plain = np.ones(points.shape[1])
+        for place, power in self.powers:
+            plain = plain * points[place] ** power
+        values, used = np.broadcast_to(plain, (count, len(plain))), 0
+        slopes: list[np.ndarray] = []
+        for factor in self.factors:
+            own: np.ndarray | float = 1.0
+            if factor.atom.has_constant:
+                own, used = constants[:, used, None], used + 1
+            value, slope = factor.atom.both(points[list(factor.columns)], own)
+            slopes = [s * value for s in slopes]
+            if factor.atom.has_constant:
+                slopes.append(values * slope)
+            values = values * value
+        return values, np.stack(slopes, axis=1) if slopes else np.zeros((count, 0, len(plain)))
+
+    def moved(self, constants: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Give the constants inside (c,) after steps (c,) along their slopes."""
+        atoms = [f.atom for f in self.factors if f.atom.has_constant]
+        pairs = zip(atoms, constants.tolist(), steps.tolist(), strict=True)
+        return np.array([atom.moved(value, step) for atom, value, step in pairs])
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """All forms of some columns, with the constants that each is begun with.
+
+    Parameters
+    ----------
+    names : the columns.
+    forms : the forms.
+    starts : (g, c) constants of each.
+    """
+
+    names: tuple[str, ...]
+    forms: tuple[Form, ...]
+    starts: tuple[np.ndarray, ...] = field(repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        points: np.ndarray,
+        turning: Sequence[str] = (),
+        own: Sequence[sympy.Expr] = (),
+        settings: LibrarySettings = LibrarySettings(),
+    ) -> Library:
+        """Give the forms that the values of the columns allow.
+
+        Parameters
+        ----------
+        names, points : the columns and their values (names, n).
+        turning : columns that may be angles.
+        own : terms of the user's own.
+        settings : which forms.
+
+        >>> x = np.linspace(0.5, 2.0, 20)[None]
+        >>> library = Library.of(["x"], x)
+        >>> any(str(f.write(["x"], [0.5])) == "x/(x + 0.5)" for f in library.forms)
+        True
+        """
+        maker = _Maker(points, np.isin(names, list(turning)), settings)
+        found = dict.fromkeys(Form(own=e) for e in own)
+        found |= dict.fromkeys(maker.forms())
+        forms: list[Form] = []
+        starts: list[np.ndarray] = []
+        for form in found:
+            begun = maker.starts(form)
+            if sum(map(len, starts)) + len(begun) > settings.most:
+                break
+            forms.append(form)
+            starts.append(begun)
+        return cls(tuple(names), tuple(forms), tuple(starts))
+
+    def choose(self, places: Sequence[int]) -> Library:
+        """Give the library of some of the forms."""
+        return Library(
+            self.names, tuple(self.forms[i] for i in places), tuple(self.starts[i] for i in places)
+        )
+
+    @cached_property
+    def owners(self) -> np.ndarray:
+        """(P,) place of the form of every row of values."""
+        return np.repeat(np.arange(len(self.forms)), [len(s) for s in self.starts])
+
+    @cached_property
+    def constants(self) -> list[np.ndarray]:
+        """Constants (c,) of every row of values."""
+        return [row for own in self.starts for row in own]
+
+    def both(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Give values (P, n) of all forms with all constants that they begin with, and slopes.
+
+        The slopes (P, n) are those by the one constant inside, and 0 without one, or with two.
+        """
+        pairs = zip(self.forms, self.starts, strict=True)
+        parts = [form.both(self.names, points, own) for form, own in pairs]
+        values = np.concatenate([value for value, _ in parts])
+        slopes = np.zeros_like(values)
+        for at, (value, slope) in zip(self.first, parts, strict=True):
+            if slope.shape[1] == 1:
+                slopes[at : at + len(value)] = slope[:, 0]
+        return values, slopes
+
+    def moved(self, place: int, constants: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Give the constants inside a form (c,) after steps (c,), where the columns see them.
+
+        Parameters
+        ----------
+        place : of the form.
+        constants, steps : the constants, and steps along their slopes.
+        """
+        low, high = self._limits[place]
+        return np.clip(self.forms[place].moved(constants, steps), low, high)
+
+    @cached_property
+    def _limits(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [(own.min(axis=0), own.max(axis=0)) for own in self.starts]
+
+    @cached_property
+    def first(self) -> np.ndarray:
+        """(forms,) the first row of values of each form."""
+        return np.searchsorted(self.owners, np.arange(len(self.forms)))
+
+
+@dataclass(frozen=True)
+class _Maker:
+    """Makes forms of columns with certain values."""
+
+    points: np.ndarray
+    turning: np.ndarray
+    settings: LibrarySettings
+
+    def forms(self) -> Iterator[Form]:
+        """Give all forms, products first."""
+        degree = self.settings.degree if len(self.points) > 1 else self.settings.alone
+        for count in range(degree + 1):
+            for chosen in combinations_with_replacement(range(len(self.points)), count):
+                yield Form(_powers(chosen))
+        factors = list(self.factors())
+        for count in range(max((f.atom.most for f in factors), default=0) + 1):
+            for factor in (f for f in factors if count <= f.atom.most):
+                for chosen in combinations_with_replacement(range(len(self.points)), count):
+                    if not _is_said(factor, chosen):
+                        yield Form(_powers(chosen), (factor,))
+        waves = [f for f in factors if f.atom.name in ("sine", "cosine")]
+        yield from (Form((), (a, b)) for a, b in combinations_with_replacement(waves, 2) if a != b)
+        both = [f for f in factors if f.atom.name in _TOGETHER]
+        for one, other in combinations(both, 2):
+            if one.columns != other.columns:
+                yield Form((), (one, other))
+
+    def factors(self) -> Iterator[Factor]:
+        """Give the atoms that the values of the columns allow."""
+        for atom in ATOMS.values():
+            for columns in permutations(range(len(self.points)), atom.columns):
+                alike = atom.has_constant and atom.name != "shared"
+                if all(map(self._allows, [atom] * len(columns), columns)) and (
+                    len(columns) == 1 or alike or columns[0] < columns[1]
+                ):
+                    yield Factor(atom, columns)
+
+    def _allows(self, atom: Atom, place: int) -> bool:
+        row = self.points[place]
+        low, high = float(np.min(row)), float(np.max(row))
+        size = float(np.median(np.abs(row)))
+        if not (low < high and size > 0):
+            return False
+        if atom.domain is Domain.NEVER_NEGATIVE:
+            return low > -self.settings.below * high
+        if atom.domain is Domain.POSITIVE:
+            return low > 0
+        if atom.domain is Domain.AWAY_FROM_0:
+            return low > self.settings.away * size
+        if atom.domain is Domain.BOTH_SIGNS:
+            return low < 0 < high
+        if atom.domain is Domain.TURNING:
+            return bool(self.turning[place])
+        return True
+
+    def starts(self, form: Form) -> np.ndarray:
+        """(g, c) constants that a form is begun with."""
+        factors = [f for f in form.factors if f.atom.has_constant]
+        if not factors:
+            return np.zeros((1, 0))
+        each = []
+        for factor in factors:
+            sizes, second = self._sizes(factor.columns[0]), self._usual(factor.columns[-1])
+            own = factor.atom.begin(sizes, second if len(factor.columns) > 1 else 1.0)
+            each.append(own if len(factors) == 1 else own[1::2])
+        return np.array([*product(*each)])
+
+    def _sizes(self, place: int) -> np.ndarray:
+        """(g,) sizes of a column at which a function of it may bend."""
+        sizes, settings = np.abs(self.points[place]), self.settings
+        high = settings.beyond * float(sizes.max())
+        least = float(np.quantile(sizes, settings.low)) / 2
+        low = min(max(least, high / settings.widest), high / settings.apart)
+        steps = math.ceil(math.log(high / low) / math.log(settings.apart))
+        return np.geomspace(low, high, 1 + steps)
+
+    def _usual(self, place: int) -> float:
+        return float(np.median(np.abs(self.points[place])))
+
+
+def _powers(chosen: Sequence[int]) -> tuple[tuple[int, int], ...]:
+    return tuple((place, list(chosen).count(place)) for place in sorted(set(chosen)))
+
+
+def _is_said(factor: Factor, chosen: Sequence[int]) -> bool:
+    """Whether a product is another form: v/(v + k) is a saturation, and v/v is nothing."""
+    name, own = factor.atom.name, set(factor.columns) & set(chosen)
+    return bool(own) and (
+        name in ("inverse", "inverse square", "power") or name.startswith("inhibits")
+    )

@@ -1,0 +1,135 @@
+"""Evidence: what data say of the right-hand side of one equation, as a linear view of it.
+
+Slopes are never seen. What the integrals of a right-hand side leave of the measured states, the
+states themselves free within their noise, is a linear map of its values along the curves (the weak
+form with every window at once). The map and its target stand for all rows of the data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import LinAlgError
+
+from dynsr.fit import Collocation, Mesh, Probes
+
+# Share of the largest direction below which one says nothing.
+_SAID = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A linear view of one equation.
+
+    Parameters
+    ----------
+    names : the columns.
+    points : (names, n) their values where a right-hand side is asked for.
+    y : (r,) what its mapped values are to be.
+    maps : (r, n) how values at the points are mapped.
+    beside : sum of squares that is left whatever they are, in units of the noise.
+    rows : rows of the data.
+    """
+
+    names: tuple[str, ...]
+    points: np.ndarray
+    y: np.ndarray
+    maps: np.ndarray
+    beside: float
+    rows: float
+
+    @classmethod
+    def of(
+        cls, still: Collocation, names: tuple[str, ...], rows: float, softness: float, nodes: int
+    ) -> Evidence | None:
+        """Take the last equation of a system along the curves; None where the data do not tell.
+
+        Parameters
+        ----------
+        still : the system, with 0 for that equation.
+        names : columns that it may hold.
+        rows : measured rows.
+        softness : weight of the defects.
+        nodes : points at most, between which values are interpolated.
+        """
+        mesh = first_part(still.mesh, nodes)
+        still = replace(still, mesh=mesh)
+        places, spread = spread_over(mesh, nodes)
+        probes = Probes(np.full(len(spread), len(mesh.states) - 1), spread)
+        try:
+            normal = still.normal(mesh.start, np.zeros(0), probes, softness)
+        except LinAlgError:
+            return None
+        values, directions = np.linalg.eigh(normal.information)
+        told = values > _SAID * values[-1]
+        roots = np.sqrt(values[told])
+        maps = roots[:, None] * directions[:, told].T
+        y = -(directions[:, told].T @ normal.pull) / roots
+        beside = max(normal.squares - float(y @ y), 0.0)
+        points = still.points(mesh.start, np.zeros(0))[: len(names), places]
+        return cls(names, points, y, maps, beside, rows)
+
+    def mapped(self, values: np.ndarray) -> np.ndarray:
+        """(..., r) what values (..., n) at the points are mapped to."""
+        return np.asarray(values @ self.maps.T)
+
+    def misses(self, left: np.ndarray | float) -> np.ndarray:
+        """Bits of the misses where so much of the target is left, as a sum of squares."""
+        return np.asarray(
+            self.rows / 2 * np.log2(np.maximum(left + self.beside, 1e-12) / self.rows)
+        )
+
+
+def first_part(mesh: Mesh, nodes: int) -> Mesh:
+    """Give a mesh up to so many jumps that values between them need no more rows than usual.
+
+    Parameters
+    ----------
+    mesh, nodes : the mesh, and rows at most.
+    """
+    jumps = mesh.left[mesh.h == 0]
+    if len(jumps) <= nodes:
+        return mesh
+    count = int(jumps[nodes]) + 1
+    n, some = len(mesh.t), mesh.left < count - 1
+    at, between = mesh.driven[:, :count], mesh.driven[:, n:][:, some]
+    return replace(
+        mesh,
+        t=mesh.t[:count],
+        left=mesh.left[some],
+        x=mesh.x[:count],
+        weights=mesh.weights[:count],
+        start=mesh.start[:count],
+        driven=np.concatenate([at, between], axis=1),
+    )
+
+
+def spread_over(mesh: Mesh, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Give rows (N,) of a mesh, and (N, n + m) what a value at each is at its rows and between.
+
+    What lies between the rows that are taken is interpolated by cubic splines, run by run and
+    from jump to jump, where a row is there twice.
+
+    Parameters
+    ----------
+    mesh, nodes : the mesh, and rows at most.
+    """
+    count, twice = len(mesh.t), mesh.left[mesh.h == 0] + 1
+    first = np.union1d(np.setdiff1d(np.arange(count), mesh.left + 1), twice)
+    chosen: list[np.ndarray] = []
+    places = np.concatenate([np.arange(count), mesh.left])
+    times = np.concatenate([mesh.t, (mesh.t[mesh.left] + mesh.t[mesh.left + 1]) / 2])
+    blocks = []
+    for begin, end in zip(first, [*first[1:], count], strict=True):
+        most = max(4, round(nodes * (end - begin) / count))
+        own = np.unique(np.linspace(begin, end - 1, min(end - begin, most)).astype(int))
+        inside = (places >= begin) & (places < end)
+        block = np.zeros((len(own), len(times)))
+        if len(own) > 1:
+            spline = CubicSpline(mesh.t[own], np.eye(len(own)))
+            block[:, inside] = spline(times[inside]).T
+        chosen.append(own)
+        blocks.append(block)
+    return np.concatenate(chosen), np.concatenate(blocks)

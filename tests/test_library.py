@@ -1,0 +1,58 @@
+"""The library: one table of functions, and the terms that are made of it."""
+
+import numpy as np
+import pytest
+import sympy
+
+from dynsr.expression import evaluate
+from dynsr.library import Form, Library, LibrarySettings
+from dynsr.library.atoms import ATOMS
+from dynsr.library.forms import Factor
+
+
+def _columns(rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(0.4, 2.5, (2, 40))
+
+
+@pytest.mark.parametrize("name", sorted(ATOMS))
+def test_values_of_an_atom_are_those_of_its_formula(name: str) -> None:
+    """What an atom gives of columns is what SymPy gives of the formula that it writes."""
+    atom, points = ATOMS[name], _columns(np.random.default_rng(1))
+    form = Form((), (Factor(atom, (0, 1)[: atom.columns]),))
+    constants = np.full((1, form.constants), 0.7)
+    values, slopes = form.both(["x", "y"], points, constants)
+    expr = form.write(["x", "y"], constants[0])
+    np.testing.assert_allclose(values[0], evaluate(expr, dict(zip("xy", points, strict=True))))
+    assert slopes.shape == (1, form.constants, 40)
+
+
+@pytest.mark.parametrize("name", sorted(n for n, a in ATOMS.items() if a.has_constant))
+def test_the_slope_of_an_atom_is_that_of_a_small_step(name: str) -> None:
+    """Slopes by the constant inside are those of differences along the way that it is moved."""
+    atom, points = ATOMS[name], _columns(np.random.default_rng(2))
+    form = Form(((1, 1),), (Factor(atom, (0, 1)[: atom.columns]),))
+    here, step = np.array([0.7]), 1e-6
+    up, down = (form.moved(here, np.array([way]))[None] for way in (step, -step))
+    difference = form.both(["x", "y"], points, up)[0] - form.both(["x", "y"], points, down)[0]
+    slope = form.both(["x", "y"], points, here[None])[1][0]
+    np.testing.assert_allclose(difference / (2 * step), slope, rtol=1e-6, atol=1e-9)
+
+
+def test_a_library_holds_no_more_rows_than_it_may() -> None:
+    """Of many columns the forms with the fewest factors are kept."""
+    points = np.random.default_rng(3).uniform(0.4, 2.5, (6, 30))
+    names = [f"x{i}" for i in range(6)]
+    library = Library.of(names, points, settings=LibrarySettings(most=500))
+    assert len(library.owners) <= 500
+    assert sympy.Symbol("x5") in [
+        f.write(names, s[0]) for f, s in zip(library.forms, library.starts, strict=True)
+    ]
+
+
+def test_a_column_of_both_signs_has_no_logarithm() -> None:
+    """Atoms stand only of columns in their domain."""
+    x = np.linspace(-1.0, 1.0, 30)[None]
+    forms = Library.of(["x"], x).forms
+    names = {f.atom.name for form in forms for f in form.factors}
+    assert "size" in names
+    assert not names & {"logarithm", "root", "power", "saturates1", "inverse", "sine"}
