@@ -22,13 +22,15 @@ SOURCE = Path(dynsr.__file__).parent
 QUICK = {"preset": "quick", "jobs": 1, "progress": False}
 # What the user says in keywords of `discover`, which put it there.
 SAID = {"demands", "vocabulary", "must", "loss"}
-# Read only in data that are steep, chaotic or dense, or whose law is missed in a certain way.
+# Read only in data that are steep, chaotic, dense or of one column, or whose law is missed in some
+# way.
 SELDOM = {
     "slopes.calm",
     "slopes.told",
     "slopes.biased",
     "selection.comparison.noisy",
     "selection.comparison.pieces",
+    "selection.comparison.proposals.library.alone",
     "selection.fit.explained",
     "selection.fit.match_follows",
     "selection.fit.solver",
