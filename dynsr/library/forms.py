@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import combinations, combinations_with_replacement, permutations, product
+from itertools import combinations, combinations_with_replacement, product
 
 import numpy as np
 import sympy
@@ -182,12 +182,6 @@ class Library:
             starts.append(begun)
         return cls(tuple(names), tuple(forms), tuple(starts))
 
-    def choose(self, places: Sequence[int]) -> Library:
-        """Give the library of some of the forms."""
-        return Library(
-            self.names, tuple(self.forms[i] for i in places), tuple(self.starts[i] for i in places)
-        )
-
     @cached_property
     def owners(self) -> np.ndarray:
         """(P,) place of the form of every row of values."""
@@ -263,11 +257,9 @@ class _Maker:
     def factors(self) -> Iterator[Factor]:
         """Give the atoms that the values of the columns allow."""
         for atom in ATOMS.values():
-            for columns in permutations(range(len(self.points)), atom.columns):
-                alike = atom.has_constant and atom.name != "shared"
-                if all(map(self._allows, [atom] * len(columns), columns)) and (
-                    len(columns) == 1 or alike or columns[0] < columns[1]
-                ):
+            # Columns that change places are another constant, or sign, of the same.
+            for columns in combinations(range(len(self.points)), atom.columns):
+                if all(self._allows(atom, place) for place in columns):
                     yield Factor(atom, columns)
 
     def _allows(self, atom: Atom, place: int) -> bool:

@@ -113,6 +113,14 @@ class Sum:
     cost: float
     bits: float
 
+    def without(self, place: int) -> tuple[tuple[int, ...], tuple[np.ndarray, ...]]:
+        """Give its forms and their constants without those of one of them."""
+        before, behind = slice(place), slice(place + 1, None)
+        return (
+            (*self.places[before], *self.places[behind]),
+            (*self.constants[before], *self.constants[behind]),
+        )
+
     def write(self, library: Library) -> sympy.Expr:
         """Write it as a formula."""
         forms = (library.forms[place] for place in self.places)
@@ -177,8 +185,7 @@ class Proposer:
         shorter: dict[tuple[int, ...], Sum] = {}
         for one in before[: self.settings.exchanged]:
             for i in range(len(one.places)):
-                places = (*one.places[:i], *one.places[i + 1 :])
-                constants = (*one.constants[:i], *one.constants[i + 1 :])
+                places, constants = one.without(i)
                 less = shorter.get(places) or self._fit(places, constants)
                 if less is not None:
                     shorter[places] = less
@@ -344,14 +351,9 @@ class Proposer:
         if not np.all(np.isfinite(slopes)):
             return None
         # The coefficients follow: what they can do is taken out of the slopes.
-        slopes = slopes - (slopes @ one.basis.T) @ one.basis
-        sizes = np.linalg.norm(slopes, axis=1)
-        fine = sizes > 0
-        if not np.any(fine):
-            return None
-        units = np.where(fine[:, None], slopes / np.where(fine, sizes, 1.0)[:, None], 0.0)
-        gram = units @ units.T + 1e-9 * np.eye(len(units))
-        steps = np.linalg.solve(gram, units @ one.rest) / np.where(fine, sizes, np.inf)
+        units = _unit(slopes - (slopes @ one.basis.T) @ one.basis)
+        gram = units.rows @ units.rows.T + 1e-9 * np.eye(len(slopes))
+        steps = np.linalg.solve(gram, units.rows @ one.rest) / units.sizes
         far = self.settings.farthest
         for scale in (1.0, 0.5):
             left = np.clip(scale * steps, -far, far).tolist()
@@ -369,12 +371,8 @@ class Proposer:
         while len(one.places) > 1:
             shorter: list[Sum] = []
             for i in range(len(one.places)):
-                places = (*one.places[:i], *one.places[i + 1 :])
-                if places in found:
-                    shorter.append(found[places])
-                    continue
-                constants = (*one.constants[:i], *one.constants[i + 1 :])
-                less = self._settle(places, constants, 1)
+                places, constants = one.without(i)
+                less = found.get(places) or self._settle(places, constants, 1)
                 if less is not None:
                     shorter.append(less)
             best = min(shorter, key=lambda s: s.bits, default=None)
