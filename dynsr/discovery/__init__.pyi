@@ -2,6 +2,7 @@ from .cut_short import beside_data, keep_formulas
 from .estimator import DynsrRegressor
 from .maps import inputs_in, iterate, pair_rows, write_map_mathml
 from .orders import write_lines
+from .parameters import Parameter, Parameters, ParametricSystem
 from .prediction import predict
 from .problem import DISCOVERY, DiscoverySettings
 from .records import is_own_record
@@ -23,6 +24,9 @@ __all__ = [
     "Discovery",
     "DiscoverySettings",
     "DynsrRegressor",
+    "Parameter",
+    "Parameters",
+    "ParametricSystem",
     "Score",
     "StateVerdict",
     "TrajectoryRegressor",

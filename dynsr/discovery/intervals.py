@@ -92,7 +92,7 @@ def list_constants(
     >>> str(2 * x - 3 * x * y)
     '-3*x*y + 2*x'
     """
-    template, values = _take_apart(expr)
+    template, values = take_apart(expr)
     kept = list(values.values())
     before = list(fitted or ())
     before = before if len(before) == len(errors) else [value for value, _ in errors]
@@ -100,11 +100,17 @@ def list_constants(
     paired = _pair(kept, known)
     middles = [middle for _, middle in paired]
     reaches = [reach * error for error, _ in paired]
-    order = _printed_order(template, values)
+    order = printed_order(template, values)
     return tuple(_make(template, list(values), i, kept, middles, reaches) for i in order)
 
 
-def _take_apart(expr: sympy.Expr) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]:
+def take_apart(expr: sympy.Expr) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]:
+    """Give an equation with symbols in the places of its constants, and what these stand for.
+
+    Parameters
+    ----------
+    expr : the equation; a bare column, q' = v, and 0 are structure.
+    """
     plain = expr.is_Symbol or expr == 0
     return free_constants(expr if plain else loosen(expr), "constant ")
 
@@ -123,8 +129,8 @@ def put_constants(expr: sympy.Expr, values: Sequence[float]) -> sympy.Expr:
     >>> put_constants(2 * x - 3 * x * y, [-1.5, 4.0])
     -1.5*x*y + 4.0*x
     """
-    template, known = _take_apart(expr)
-    order = _printed_order(template, known)
+    template, known = take_apart(expr)
+    order = printed_order(template, known)
     if len(values) != len(order) or not all(map(math.isfinite, values)):
         raise InputError(
             f"{list(values)!r} are not {len(order)} finite numbers; give one a constant"
@@ -194,8 +200,15 @@ def _pair(
     return found
 
 
-def _printed_order(template: sympy.Expr, values: dict[sympy.Symbol, float]) -> list[int]:
-    """Print the formula with a number of its own for each constant, and see where these stand."""
+def printed_order(template: sympy.Expr, values: dict[sympy.Symbol, float]) -> list[int]:
+    """Give the places of constants in the order in which the formula is printed.
+
+    Parameters
+    ----------
+    template : the formula with symbols in the places of its constants.
+    values : symbol -> the number that it stands for.
+    """
+    # A number of its own for each constant shows where it stands.
     marks = [1.0 + (i + 1) / 4096 for i in range(len(values))]
     signed = {
         symbol: sympy.Float(math.copysign(mark, value))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -103,6 +103,38 @@ def measure_step_errors(
     return tuple(zip(numbers.tolist(), errors.tolist(), strict=True)), tuple(
         (numbers + shift).tolist()
     )
+
+
+def measure_step_covariance(
+    equations: Mapping[str, sympy.Expr],
+    symbols: Sequence[sympy.Symbol],
+    values: Sequence[float],
+    runs: Sequence[Trajectory],
+) -> np.ndarray:
+    """Give the covariance (P, P) of the parameters of a map by least squares on one step.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side with P symbols, which may stand in several places.
+    symbols, values : the parameters and their values.
+    runs : trajectories of the same columns.
+
+    >>> x, k = sympy.symbols("x k")
+    >>> halving = Trajectory([0.0, 1.0, 2.0], [[4.0], [2.1], [1.0]], ("x",))
+    >>> measure_step_covariance({"x": k * x}, [k], [0.5], [halving]).round(5).tolist()
+    [[0.00061]]
+    """
+    put = {symbol: sympy.Float(value) for symbol, value in zip(symbols, values, strict=True)}
+    normal = np.zeros((len(symbols),) * 2)
+    for state, expr in equations.items():
+        samples = pair_rows(runs, state)
+        columns = {**samples.columns, "t": samples.t}
+        slopes = [evaluate(differentiate(expr, s).xreplace(put), columns) for s in symbols]
+        jacobian = np.column_stack([np.broadcast_to(s, samples.y.shape) for s in slopes])
+        misses = samples.y - evaluate(expr.xreplace(put), columns)
+        freedom = max(len(misses) - sum(s in expr.free_symbols for s in symbols), 1)
+        normal += jacobian.T @ jacobian * freedom / max(float(misses @ misses), 1e-300)
+    return np.linalg.pinv(normal, hermitian=True)
 
 
 def keep_within(
@@ -248,15 +280,16 @@ def _free_run(equations: Mapping[str, sympy.Expr], run: Trajectory) -> np.ndarra
         return np.full((len(run), len(equations)), np.nan)
 
 
-def write_map_latex(equations: Mapping[str, sympy.Expr]) -> str:
-    r"""Write a map as a LaTeX ``aligned`` block.
+def write_map_latex(equations: Mapping[str, sympy.Expr], first: Collection[str] = ()) -> str:
+    r"""Write a map as a LaTeX ``aligned`` block, names that come ``first`` before the others.
 
     >>> print(write_map_latex({"x": 2 * sympy.Symbol("x")}))
     \begin{aligned}
     {x}_{n+1} &= 2 x
     \end{aligned}
     """
-    return re.sub(r"^\\dot\{(.*?)\} &=", r"{\1}_{n+1} &=", to_latex(equations), flags=re.MULTILINE)
+    text = to_latex(equations, first=first)
+    return re.sub(r"^\\dot\{(.*?)\} &=", r"{\1}_{n+1} &=", text, flags=re.MULTILINE)
 
 
 def write_map_mathml(expr: sympy.Expr, state: str) -> str:

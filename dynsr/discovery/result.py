@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 import sympy
@@ -31,12 +31,25 @@ from dynsr.discovery.map_verdict import judge_map
 from dynsr.discovery.maps import (
     inputs_in,
     iterate,
+    measure_step_covariance,
     measure_step_errors,
     pair_rows,
     score_map,
     write_map_latex,
 )
 from dynsr.discovery.orders import form_of, write_lines
+from dynsr.discovery.parameters import (
+    Parameters,
+    ParametricSystem,
+    check_values,
+    fits,
+    list_parameters,
+    name_by_role,
+    name_constants,
+    put_names,
+    put_values,
+    rename,
+)
 from dynsr.discovery.prediction import Measured, is_sampled, predict, predict_with_doses
 from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
 from dynsr.discovery.verdict import Verdict, VerdictSettings, explain, judge
@@ -60,9 +73,11 @@ from dynsr.expression import (
 )
 from dynsr.fit import (
     FitSettings,
+    Flow,
     Match,
     Noise,
     ParetoFront,
+    measure_covariance,
     noise_of,
     polish,
     rmse,
@@ -72,6 +87,7 @@ from dynsr.jobs import from_plain, to_plain
 from dynsr.selection import forecast_miss
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
     from rich.table import Table as RichTable
 
@@ -128,6 +144,8 @@ class Discovery:
         judged them, as where the search was cut short.
     details : state -> how its formulas compared in bits, in words.
     ensemble : state -> the terms of an ensemble, where one was asked for.
+    parameter_names : state -> the names of its constants in their order, where :meth:`rename` gave
+        some; a sign before a name says that the constant is minus the parameter.
 
     >>> x = sympy.Symbol("x")
     >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
@@ -149,6 +167,7 @@ class Discovery:
     verdict: Verdict | None = None
     details: Mapping[str, str] = field(default_factory=dict)
     ensemble: Mapping[str, tuple[Inclusion, ...]] = field(default_factory=dict)
+    parameter_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def constants(self) -> dict[str, tuple[Constant, ...]]:
@@ -157,6 +176,149 @@ class Discovery:
             s: list_constants(e, self.errors.get(s, ()), self.fitted.get(s), self.reach)
             for s, e in self.equations.items()
         }
+
+    @property
+    def parameters(self) -> Parameters:
+        """The constants as parameters with names, k1, k2, ... unless :meth:`rename` gave others.
+
+        Constants that are one, such as what leaves one state for another, are one parameter; a
+        parameter has the sign that makes it positive.
+
+        >>> x, y = sympy.symbols("x y")
+        >>> found = Discovery({"x": -2 * x * y, "y": 2 * x * y - y / 4}, {}, {}, {})
+        >>> found.parameters.numbers
+        {'k1': 2.0, 'k2': 0.25}
+        """
+        names = self._names
+        units = {}
+        if isinstance(self.settings.get("column_units"), Mapping) and not self.is_map:
+            with suppress(InputError):  # none that pint, which may be absent, can read
+                named, signed = put_names(self.equations, names)
+                units = self._units().of_symbols(named, signed)
+        return list_parameters(self.equations, names, self.constants, self.reach, units)
+
+    @property
+    def system(self) -> ParametricSystem:
+        """The equations with named parameters, from the start and over the times of the data.
+
+        >>> x = sympy.Symbol("x")
+        >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).system
+        x' = -k1*x, k1 = 2
+        """
+        given = self.settings.get("column_units")
+        bare = ParametricSystem(
+            put_names(self.equations, self._names)[0],
+            self.parameters,
+            {name: self.inputs.get(name) for name in arguments_of(self.equations)},
+            time_unit=self.time_unit,
+            units={str(k): str(v) for k, v in given.items()} if isinstance(given, Mapping) else {},
+            discrete=self.is_map,
+        )
+        if not self.trajectories:
+            return bare
+        run = self.trajectories[0]
+        start = {s: float(run.x[0, run.index(s)]) for s in self.equations if s in run.states}
+        times = float(run.t[0]), float(run.t[-1])
+        return replace(bare, x0=start, span=times, step=float(np.median(np.diff(run.t))))
+
+    @property
+    def _names(self) -> Mapping[str, tuple[str, ...]]:
+        """Names of the constants; those of a damaged record or of other equations are none."""
+        own = self.parameter_names
+        return own if own and fits(self.equations, own) else name_constants(self.equations)
+
+    def rename(self, names: Mapping[str, str] | Literal["role"]) -> Discovery:
+        """Give parameters other names.
+
+        Parameters
+        ----------
+        names : name -> the new one; or "role" for names that say what each does, such as
+            ``x_growth``, ``x_decay``, ``x_from_y``, ``x_by_x_y``.
+
+        Raises InputError when there is no such parameter, or a new name is another's already.
+
+        >>> x, y = sympy.symbols("x y")
+        >>> found = Discovery({"x": 3 * x - x * y}, {}, {}, {})
+        >>> found.rename({"k2": "birth"}).system
+        x' = birth*x - k1*x*y, k1 = 1, birth = 3
+        >>> list(found.rename("role").parameters)
+        ['x_by_x_y', 'x_growth']
+        """
+        own = self._names
+        if isinstance(names, str):
+            if names != "role":
+                raise InputError(f'names {names!r} must be "role", or old name -> new name')
+            names = name_by_role(self.equations, own)
+        columns = [name for run in self.trajectories[:1] for name in run.names]
+        taken = [*self.equations, *arguments_of(self.equations), *columns, "t"]
+        return replace(self, parameter_names=rename(own, names, taken))
+
+    def with_parameters(self, **values: float) -> Discovery:
+        """Put other numbers in the place of parameters, to see what they do.
+
+        Parameters
+        ----------
+        values : parameter -> its value; other parameters stay as they are.
+
+        The result has no verdict and no errors. Raises InputError when there is no such parameter
+        or a value is no finite number.
+
+        >>> x, y = sympy.symbols("x y")
+        >>> found = Discovery({"x": -2 * x * y, "y": 2 * x * y}, {}, {}, {})
+        >>> found.with_parameters(k1=5.0).equations
+        {'x': -5.0*x*y, 'y': 5.0*x*y}
+        """
+        names = self._names
+        check_values(values, dict.fromkeys(self.parameters))
+        equations, left = put_values(self.equations, names, values)
+        return replace(
+            self,
+            equations=equations,
+            errors={},
+            fitted={},
+            verdict=None,
+            explanation={},
+            parameter_names=left,
+        )
+
+    def covariance(self) -> pd.DataFrame:
+        """Give the covariance of the parameters as a frame of pandas, by their names.
+
+        Its diagonal are the squares of the standard errors of :attr:`parameters`; inf where the
+        data do not tell. Raises InputError when the data are not there.
+
+        >>> t = np.linspace(0.0, 1.0, 51)
+        >>> run = Trajectory(t, np.exp(-2 * t)[:, None] + 1e-3 * np.cos(40 * t)[:, None], ("x",))
+        >>> x = sympy.Symbol("x")
+        >>> found = Discovery({"x": -2 * x}, {"x": ((-2.0, 0.01),)}, {}, {}, (run,))
+        >>> found.covariance().loc["k1", "k1"].round(6).item()
+        0.0001
+        """
+        import pandas as pd
+
+        if not self.trajectories:
+            raise InputError("the data are not here; discover again before asking for covariances")
+        named, _ = put_names(self.equations, self._names)
+        parameters = self.parameters
+        symbols = tuple(map(sympy.Symbol, parameters))
+        values = list(parameters.numbers.values())
+        if self.is_map:
+            spread = measure_step_covariance(named, symbols, values, self.trajectories)
+        else:
+            used = {str(s) for e in named.values() for s in e.free_symbols} - {*parameters, *named}
+            driven = tuple(sorted(used - {"t"}))
+            flow = Flow(named, driven, symbols)
+            spread = measure_covariance(flow, values, self.trajectories, self.inputs)
+        errors = np.array([parameter.error for parameter in parameters.values()])
+        own = np.sqrt(np.diag(spread))
+        known = np.isfinite(errors) & np.isfinite(own) & (own > 0)
+        found = np.full(spread.shape, np.inf)
+        place = np.ix_(known, known)
+        found[place] = spread[place] * np.outer(
+            errors[known] / own[known], errors[known] / own[known]
+        )
+        found[np.diag_indices(len(errors))] = errors**2
+        return pd.DataFrame(found, index=list(parameters), columns=list(parameters))
 
     def coefficient_units(self) -> dict[str, dict[str, str]]:
         """State -> term -> the unit of its coefficient, in the units that ``discover`` was given.
@@ -242,6 +404,7 @@ class Discovery:
                 s: explain(s, e, verdict.states[s], self.is_map, judging) + origin[s]
                 for s, e in match.exprs.items()
             },
+            parameter_names={},
         )
 
     def _settings(self, kind: type[T], *path: str) -> T:
@@ -286,6 +449,7 @@ class Discovery:
             fitted={},
             verdict=None,
             explanation={},
+            parameter_names={},
         )
 
     def _origin(self, state: str) -> str:
@@ -490,11 +654,30 @@ class Discovery:
         except EngineError:
             return np.full((len(run), len(self.equations)), np.nan)
 
-    def latex(self) -> str:
-        """Write the equations as LaTeX."""
-        if self.is_map:
-            return write_map_latex(self.equations)
-        return to_latex(self.equations, self.time_unit)
+    def latex(self, *, names: bool = False) -> str:
+        r"""Write the equations as LaTeX.
+
+        Parameters
+        ----------
+        names : whether parameters stand in the place of numbers, with a table of their values.
+
+        >>> x = sympy.Symbol("x")
+        >>> print(Discovery({"x": -2 * x}, {"x": ()}, {}, {}).latex(names=True))
+        \begin{aligned}
+        \dot{x} &= - k_{1} x
+        \end{aligned}
+        <BLANKLINE>
+        \begin{tabular}{lrrl}
+        parameter & value & standard error & 95\% interval \\
+        \hline
+        $k_{1}$ & 2 & unknown & unknown \\
+        \end{tabular}
+        """
+        if not names:
+            return self._write_latex(self.equations, self.time_unit)
+        system = self.system
+        text = self._write_latex(system.equations, self.time_unit, system.parameters)
+        return f"{text}\n\n{system.parameters.to_latex()}"
 
     def to_python(self) -> str:
         """Write the equations as a Python function for ``scipy.integrate.solve_ivp``.
@@ -601,6 +784,7 @@ class Discovery:
             "verdict": to_plain(self.verdict),
             "details": dict(self.details),
             **({"ensemble": to_plain(self.ensemble)} if self.ensemble else {}),
+            **({"parameter_names": to_plain(self.parameter_names)} if self.parameter_names else {}),
         }
 
     @classmethod
@@ -614,6 +798,7 @@ class Discovery:
             "reach": float,
             "details": dict[str, str],
             "ensemble": dict[str, tuple[Inclusion, ...]],
+            "parameter_names": dict[str, tuple[str, ...]],
         }
         return cls(**read_discovery(Path(path), **further, verdict=Verdict | None))
 
@@ -624,8 +809,12 @@ class Discovery:
     def _repr_latex_(self) -> str:
         return f"$$\n{self._write_latex(self.equations)}\n$$"
 
-    def _write_latex(self, equations: Mapping[str, sympy.Expr]) -> str:
-        return (write_map_latex if self.is_map else to_latex)(equations)
+    def _write_latex(
+        self, equations: Mapping[str, sympy.Expr], time_unit: str = "", first: Collection[str] = ()
+    ) -> str:
+        if self.is_map:
+            return write_map_latex(equations, first)
+        return to_latex(equations, time_unit, first)
 
     def _repr_html_(self) -> str:
         left = "[n+1]" if self.is_map else "'"

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache
+from functools import cache, reduce
 from typing import Any
 
 import sympy
@@ -136,6 +136,37 @@ class Units:
         slope = known[state].times(known["t"].power(Fraction(-1)))
         return str(slope.times(unit.power(Fraction(-1))))
 
+    def of_symbols(
+        self, equations: Mapping[str, sympy.Expr], names: Collection[str]
+    ) -> dict[str, str]:
+        """Give name -> its unit, for the parameters of equations whose units the columns' tell.
+
+        Parameters
+        ----------
+        equations : state -> right-hand side; the numbers that stand in it are plain ones.
+        names : of the parameters.
+
+        >>> one = Fraction(1)
+        >>> gram = Unit((("[mass]", one),), 1.0, (("g", one),))
+        >>> hour = Unit((("[time]", one),), 3600.0, (("h", one),))
+        >>> units = Units((("x", gram), ("t", hour)))
+        >>> x, v, k = sympy.symbols("x v k")
+        >>> units.of_symbols({"x": -v * x / (k + x)}, ["v", "k"])
+        {'k': 'g', 'v': 'g/h'}
+        """
+        known = dict(self.columns)
+        found: dict[str, Unit] = {}
+        before = -1
+        while before < len(found):
+            before = len(found)
+            for state, expr in equations.items():
+                slope = None
+                if state in known and "t" in known:
+                    slope = known[state].times(known["t"].power(Fraction(-1)))
+                tracing = _Tracing({**known, **found}, frozenset(names), found)
+                tracing.follow(expr, slope)
+        return {name: str(found[name]) for name in sorted(found)}
+
     def _unit(self, expr: sympy.Expr) -> Unit | None:
         """Give the unit of a formula, None where a number in it may carry any."""
         if expr.is_Symbol:
@@ -171,12 +202,64 @@ class Units:
     def _power(self, expr: sympy.Expr) -> Unit | None:
         base, exponent = self._unit(expr.base), expr.exp
         if exponent.is_number:
-            share = Fraction(float(exponent)).limit_denominator(1000)
-            return None if base is None else base.power(share)
+            return None if base is None else base.power(_share(exponent))
         for unit in (base, self._unit(exponent)):
             if unit is not None and not unit.same(PLAIN):
                 raise _Misfit(f"{expr} of a quantity in {unit}")
         return PLAIN
+
+
+@dataclass(frozen=True)
+class _Tracing:
+    """Follows the unit of a whole formula down to the parameters in it."""
+
+    known: dict[str, Unit]
+    names: frozenset[str]
+    found: dict[str, Unit]
+
+    def of(self, expr: sympy.Expr) -> Unit | None:
+        """Give the unit of a formula, None where a parameter or a column leaves it open."""
+        if expr.is_Symbol:
+            return self.known.get(str(expr)) or self.found.get(str(expr))
+        if expr.is_number:
+            return PLAIN
+        if expr.is_Pow:
+            base = self.of(expr.base)
+            if base is None or not expr.exp.is_number:
+                return PLAIN if base is not None and base.same(PLAIN) else None
+            return base.power(_share(expr.exp))
+        parts = [self.of(argument) for argument in expr.args]
+        if expr.is_Mul:
+            return None if None in parts else reduce(Unit.times, [p for p in parts if p], PLAIN)
+        if expr.is_Add or isinstance(expr, _KEEP):
+            return next((part for part in parts if part is not None), None)
+        return PLAIN
+
+    def follow(self, expr: sympy.Expr, unit: Unit | None) -> None:
+        """Note the units of the parameters in a formula that is in a unit, None if unknown."""
+        if expr.is_Symbol:
+            if str(expr) in self.names and unit is not None:
+                self.found.setdefault(str(expr), unit)
+        elif expr.is_Mul:
+            parts = {argument: self.of(argument) for argument in expr.args}
+            for argument, own in parts.items():
+                others = [other for a, other in parts.items() if a != argument]
+                known = [other for other in others if other is not None]
+                if own is None and unit is not None and len(known) == len(others):
+                    own = unit.times(reduce(Unit.times, known, PLAIN).power(Fraction(-1)))
+                self.follow(argument, own)
+        elif expr.is_Pow and expr.exp.is_number:
+            self.follow(expr.base, unit and unit.power(1 / _share(expr.exp)))
+        elif expr.is_Add or isinstance(expr, _KEEP):
+            for argument in expr.args:
+                self.follow(argument, unit or self.of(expr))
+        else:
+            for argument in expr.args:
+                self.follow(argument, PLAIN)
+
+
+def _share(exponent: sympy.Expr) -> Fraction:
+    return Fraction(float(exponent)).limit_denominator(1000)
 
 
 def bare_term(term: sympy.Expr) -> sympy.Expr:

@@ -143,19 +143,37 @@ class _Latex(LatexPrinter):
         return super()._print_Float(sympy.Float(f"{float(expr):.6g}"))
 
 
-def to_latex(equations: Mapping[str, sympy.Expr], time_unit: str = "") -> str:
+# No name begins with it, and it sorts before all that names begin with.
+_BEFORE = "!"
+
+
+def _put_first(expr: sympy.Expr, first: Collection[str]) -> sympy.Expr:
+    """Give a formula whose printer sets names, such as those of parameters, before the others."""
+    if not first:
+        return expr
+    return expr.xreplace({sympy.Symbol(n): sympy.Symbol(_BEFORE + n) for n in first})
+
+
+def to_latex(
+    equations: Mapping[str, sympy.Expr], time_unit: str = "", first: Collection[str] = ()
+) -> str:
     r"""Write the equations as a LaTeX ``aligned`` block, constants to six digits.
 
-    A comment above it says what the time is counted in where a ``time_unit`` is given.
+    A comment above it says what the time is counted in where a ``time_unit`` is given. Names that
+    come ``first``, such as those of parameters, stand before the others in a product.
 
     >>> print(to_latex({"x": -2 * sympy.Symbol("x")}))
     \begin{aligned}
     \dot{x} &= - 2 x
     \end{aligned}
+    >>> x, y, k = sympy.symbols("x y z1")
+    >>> print(to_latex({"x": k * x * y}, first=["z1"]).splitlines()[1])
+    \dot{x} &= z_{1} x y
     """
-    printer = _Latex()
+    names = {sympy.Symbol(_BEFORE + n): sympy.latex(sympy.Symbol(n)) for n in first}
+    printer = _Latex({"symbol_names": names})
     rows = [
-        f"\\dot{{{sympy.latex(sympy.Symbol(s))}}} &= {printer.doprint(e)}"
+        f"\\dot{{{sympy.latex(sympy.Symbol(s))}}} &= {printer.doprint(_put_first(e, first))}"
         for s, e in equations.items()
     ]
     unit = f"% time in {time_unit}\n" if time_unit else ""
@@ -359,15 +377,18 @@ def to_text_block(equations: Mapping[str, sympy.Expr], digits: int = 6) -> str:
     return "\n".join(f"{s}' = {shown(e, digits)}" for s, e in equations.items())
 
 
-def shown(expr: sympy.Expr, digits: int = 6) -> str:
+def shown(expr: sympy.Expr, digits: int = 6, first: Collection[str] = ()) -> str:
     """Write one expression for reading: floats to so many digits, no trailing zeros.
+
+    Names that come ``first``, such as those of parameters, stand before the others in a product.
 
     >>> shown(sympy.Float(9.81) * sympy.Symbol("x") - sympy.Float(0.1))
     '9.81*x - 0.1'
     >>> shown(sympy.Rational(981, 100) * sympy.Symbol("x") / 3 + sympy.Rational(8, 3))
     '3.27*x + 8/3'
     """
-    return _Text({"digits": digits}).doprint(_with_few_fractions(expr))
+    text = _Text({"digits": digits}).doprint(_with_few_fractions(_put_first(expr, first)))
+    return str(text).replace(_BEFORE, "")
 
 
 def _with_few_fractions(expr: sympy.Expr) -> sympy.Expr:

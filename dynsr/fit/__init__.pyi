@@ -54,12 +54,13 @@ from .shooting import (
     drives_of,
     finer_paces,
     match_trajectories,
+    measure_covariance,
     prepare,
     read_inputs,
 )
 from .simple import simplicity_bits
 from .snapping import one_a_shape, score_snapped, snap_best, tidy
-from .ties import Names, exchanges, ways_alike
+from .ties import Names, exchanges, pairs_alike, ways_alike
 from .variation import improve, loosen, neighbours, with_floats
 
 __all__ = [
@@ -116,12 +117,14 @@ __all__ = [
     "loosen_all",
     "match_trajectories",
     "mean_error_bits",
+    "measure_covariance",
     "missing_terms",
     "neighbours",
     "noise_and_spread",
     "noise_of",
     "one_a_shape",
     "one_of_each_shape",
+    "pairs_alike",
     "polish",
     "prepare",
     "r_squared",

@@ -173,10 +173,6 @@ class Shooting:
             return constants + shared, starts
         return constants + shared, starts + own.T
 
-    def standard_errors(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """(P,) standard errors of the constants, roots of the diagonal of :meth:`covariance`."""
-        return np.sqrt(np.maximum(np.diag(self.covariance(constants, starts)), 0))
-
     def covariance(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """(P, P) covariance of the constants by the sandwich A^-1 B A^-1 (Huber 1981, 6.3).
 
@@ -384,25 +380,53 @@ def measure_errors(
     -2.0
     """
     flow, values, owners = prepare(exprs, runs, inputs)
-    constants = np.array(values)
-    errors = np.full(len(values), np.inf)
-    if len(values) and min(map(len, runs)) >= 3:
-        free = is_noisy(runs)
-        length = _window_length(runs, free)
-        shooting = build_shooting(flow, runs, inputs, length, free, settings)
-        put = dict(zip(flow.constants, map(sympy.Float, values), strict=True))
-        rhs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
-        fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
-        with np.errstate(all="ignore"):
-            starts = shooting.windows.x[0]
-            fixed = replace(
-                fixed, pace=choose_pace(fixed, np.empty(0), starts, settings.match_substeps)
-            )
-            _, starts = fit_loss(fixed, np.empty(0), starts, settings)
-            shooting = replace(shooting, pace=fixed.pace)
-            errors = _standard_errors(shooting, constants, starts)
+    spread = measure_covariance(flow, values, runs, inputs, settings)
+    errors = np.sqrt(np.maximum(np.diag(spread), 0))
     pairs = list(zip(owners, values, errors.tolist(), strict=True))
     return {s: tuple((v, e) for owner, v, e in pairs if owner == s) for s in exprs}
+
+
+def measure_covariance(
+    flow: Flow,
+    values: Sequence[float],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings = FIT,
+) -> np.ndarray:
+    """Give the covariance (P, P) that the constants of a flow would have if they were fitted.
+
+    Parameters
+    ----------
+    flow : the equations with their P constants as symbols, which may stand in several places.
+    values : (P,) of the constants.
+    runs : trajectories of the same columns.
+    inputs : input name -> expression in ``t``, where it is known.
+    settings : the numbers that decide.
+
+    Infinite where the data do not tell.
+
+    >>> t = np.linspace(0, 1, 51)
+    >>> decay = Trajectory(t, np.exp(-2 * t)[:, None] + 1e-3 * np.cos(40 * t)[:, None], ("x",))
+    >>> x, k = sympy.symbols("x k")
+    >>> spread = measure_covariance(Flow({"x": -k * x}, (), (k,)), [2.0], [decay], {})
+    >>> bool(0 < spread[0, 0] < 0.01)
+    True
+    """
+    if not len(values) or min(map(len, runs)) < 3:
+        return np.full((len(values),) * 2, np.inf)
+    free = is_noisy(runs)
+    length = _window_length(runs, free)
+    shooting = build_shooting(flow, runs, inputs, length, free, settings)
+    put = dict(zip(flow.constants, map(sympy.Float, values), strict=True))
+    rhs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
+    fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
+    with np.errstate(all="ignore"):
+        starts = shooting.windows.x[0]
+        fixed = replace(
+            fixed, pace=choose_pace(fixed, np.empty(0), starts, settings.match_substeps)
+        )
+        _, starts = fit_loss(fixed, np.empty(0), starts, settings)
+        return _covariance(replace(shooting, pace=fixed.pace), np.array(values), starts)
 
 
 def fitted_values(
@@ -545,13 +569,19 @@ def fit_loss(
 
 
 def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.maximum(np.diag(_covariance(shooting, constants, starts)), 0))
+
+
+def _covariance(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Give the covariance (P, P) of the constants, infinite where the data do not tell."""
+    unknown = np.full((len(constants),) * 2, np.inf)
     if not len(constants):
-        return constants
+        return unknown
     try:
-        errors = shooting.standard_errors(constants, starts)
+        found = shooting.covariance(constants, starts)
     except (np.linalg.LinAlgError, FloatingPointError):
-        return np.full(len(constants), np.inf)
-    return np.where(np.isfinite(errors), errors, np.inf)
+        return unknown
+    return np.where(np.isfinite(found), found, np.inf)
 
 
 def choose_pace(

@@ -174,13 +174,47 @@ def _offered(
             pairs |= dict.fromkeys(found)
             if names and len(found) > 1:
                 groups[frozenset(found)] = None
+    pairs |= dict.fromkeys(_within(terms, places))
+    return list(pairs), list(groups)
+
+
+def _within(
+    terms: Mapping[str, Sequence[sympy.Expr]], places: Mapping[sympy.Symbol, int]
+) -> Iterator[tuple[int, int]]:
+    """Give the pairs of constants of one equation that stand at like powers of columns."""
     for own in terms.values():
         for one, another in combinations(own, 2):
             if _is_plain(one, places) and _is_plain(another, places):
                 if _powers(one, places) == _powers(another, places):
                     first, second = sorted(_own(one, places) + _own(another, places))
-                    pairs[first, second] = None
-    return list(pairs), list(groups)
+                    yield first, second
+
+
+def pairs_alike(
+    shapes: Mapping[str, sympy.Expr], constants: Sequence[sympy.Symbol]
+) -> list[tuple[int, int]]:
+    """Give the pairs of constants that one number may stand for: what leaves one state for another.
+
+    They stand at the same place of the same term of two equations, or at like powers of two columns
+    in one, as in ``k*(y - x)``.
+
+    Parameters
+    ----------
+    shapes : state -> equation with symbols in the places of its constants.
+    constants : these symbols.
+
+    >>> x, y, a, b, c = sympy.symbols("x y a b c")
+    >>> pairs_alike({"x": -a * x * y, "y": b * x * y - c * y}, [a, b, c])
+    [(0, 1)]
+    """
+    places = {symbol: i for i, symbol in enumerate(constants)}
+    terms = {state: sympy.Add.make_args(expr) for state, expr in shapes.items()}
+    found = [
+        pair
+        for state, other in combinations(shapes, 2)
+        for pair in _matched(terms[state], terms[other], {}, places)
+    ]
+    return list(dict.fromkeys([*found, *_within(terms, places)]))
 
 
 def _is_plain(term: sympy.Expr, places: Mapping[sympy.Symbol, int]) -> bool:

@@ -211,6 +211,7 @@ def render_discovery(found: Discovery) -> str:
         ensemble=_ensemble(found),
         summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
+        parameters=_parameters(found),
         fronts={state: _front(found, state, samples.get(state)) for state in found.equations},
         trajectories=list(_trajectories(found)),
         left_out=max(0, len(found.trajectories) - _MOST_RUNS),
@@ -290,6 +291,27 @@ def _coefficient_units(found: Discovery) -> dict[str, dict[str, str]]:
         return found.coefficient_units()
     except InputError:  # no units, or none that pint, which may be absent, can read
         return {}
+
+
+def _parameters(found: Discovery) -> Table | None:
+    """Give the constants as parameters with names, each once; None without any."""
+    system, rows = found.system, found.parameters.rows()
+    if not rows:
+        return None
+    left = "[n+1]" if found.is_map else "'"
+    lines = "; ".join(
+        f"{state}{left} = {shown(e, first=system.parameters)}"
+        for state, e in system.equations.items()
+    )
+    kept = [i for i in range(len(rows[0])) if any(row[i] for row in rows)]
+    head = ("Parameter", "Value", "Standard error", "95 % interval", "Unit", "Stands at")
+    return Table(
+        "parameters",
+        "Parameters with names",
+        tuple(head[i] for i in kept),
+        tuple(tuple(row[i] for i in kept) for row in rows),
+        f"In these names: {lines}.",
+    )
 
 
 def _ensemble(found: Discovery) -> Table | None:
