@@ -13,7 +13,7 @@ import dynsr
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.verdict import Rival, StateVerdict, VerdictSettings, explain
 from dynsr.expression import parse
-from dynsr.fit import CollocationSettings
+from dynsr.fit import CollocationSettings, ProfileSettings
 from dynsr.jobs import to_plain
 from dynsr.selection.first_look import LookSettings, look
 from dynsr.selection.parts import Parts
@@ -25,6 +25,8 @@ SAID = {"demands", "vocabulary", "must", "loss"}
 # Read only in data that are steep, chaotic, dense or of one column, or whose law is missed in some
 # way.
 SELDOM = {
+    "profile.first",
+    "profile.halvings",
     "slopes.calm",
     "slopes.told",
     "slopes.biased",
@@ -188,7 +190,9 @@ def test_every_setting_is_read():
     for data, options in DISCOVERIES:
         dynsr.discover(data, settings=settings, **QUICK, **options)
     comparison = replace(DISCOVERY.selection.comparison, parts=Parts(()))
-    every = replace(DISCOVERY, selection=replace(DISCOVERY.selection, comparison=comparison))
+    selection = replace(DISCOVERY.selection, comparison=comparison)
+    # No parabola is one to the last digit.
+    every = replace(DISCOVERY, selection=selection, profile=ProfileSettings(parabola=1.0))
     dynsr.discover(rabbits(60, 0.03), settings=watched(every, seen), **QUICK)
     unread = {".".join(path) for path, _ in leaves(DISCOVERY) if path not in seen}
     assert unread - SELDOM == set()

@@ -135,19 +135,73 @@ def score(
     """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, _say_to(json))
-    asked = found.columns_asked if states is None and inputs is None else {}
-    data = None
-    if asked:
-        with suppress(InputError):  # they are not the same
-            data = load_table(files, time_column, asked["states"], asked["inputs"], *how)
-    if data is None:
-        data = load_table(files, time_column, states, inputs, *how)
+    data = _load_for(found, files, time_column, states, inputs, how)
     scores = found.score(data, engine, options.read_hold(hold))
     if json:
         output.print_json(scores)
         return
     rows = [(name, _told(value)) for name, value in flatten(scores)]
     output.print_table(f"{model} on {', '.join(map(str, files))}", ("score", "value"), rows)
+
+
+def _load_for(
+    found: Discovery,
+    files: Sequence[Path],
+    time_column: str | None,
+    states: options.Names,
+    inputs: options.Names,
+    how: tuple[Any, ...],
+) -> list[Trajectory]:
+    """Read files with the columns of a discovery, where they have them and no others are named."""
+    asked = found.columns_asked if states is None and inputs is None else {}
+    if asked:
+        with suppress(InputError):  # they are not the same
+            return load_table(files, time_column, asked["states"], asked["inputs"], *how)
+    return load_table(files, time_column, states, inputs, *how)
+
+
+def profile(
+    model: DiscoveryFile,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="The data that it was found in.")
+    ],
+    constant: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--constant",
+            help="A parameter such as k1, or state and place of a constant, x:1 (may be repeated);"
+            " by default all.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
+    time_column: options.TimeColumn = None,
+    states: options.StateColumns = None,
+    inputs: options.Inputs = None,
+    hold: options.Hold = None,
+    trajectory: options.TrajectoryColumn = None,
+    quantity: options.Quantity = None,
+    decimal: options.Decimal = None,
+    json: options.Json = False,
+) -> None:
+    """Show how far the data bound each constant: its profile likelihood.
+
+    A constant is held on a grid and all others are fitted again. The interval ends where the data
+    are followed clearly worse; where they never are, that side is open.
+    """
+    found = load_discovery(model)
+    how = (trajectory, hold, quantity, decimal, _say_to(json))
+    data = _load_for(found, files, time_column, states, inputs, how)
+    named = [found.profile(one, data) for one in constant or ()]
+    profiles = named or found.profiles(data)
+    if json:
+        output.print_json({"profiles": profiles})
+        return
+    rows = [
+        (own.state, own.index, own.of, own.value, own.interval_text, own.wald_text)
+        for own in profiles
+    ]
+    names = ("state", "place", "constant of", "value", "95 % interval", "by standard error")
+    output.print_table(f"{model} on {', '.join(map(str, files))}", names, rows)
 
 
 def _told(value: Any) -> Any:

@@ -5,6 +5,7 @@ from .orders import write_lines
 from .parameters import Parameter, Parameters, ParametricSystem
 from .prediction import predict
 from .problem import DISCOVERY, DiscoverySettings
+from .profile import Profile
 from .records import is_own_record
 from .result import Discovery
 from .scoring import (
@@ -27,6 +28,7 @@ __all__ = [
     "Parameter",
     "Parameters",
     "ParametricSystem",
+    "Profile",
     "Score",
     "StateVerdict",
     "TrajectoryRegressor",

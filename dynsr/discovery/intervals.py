@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import sympy
 
@@ -27,6 +27,9 @@ class Constant:
     low, high : the ends of its 95 % interval; None where the data do not tell.
     of : what it stands at: the term that it multiplies, "1" for one alone, or the function that it
         stands in.
+    error : its standard error; inf where the data do not tell.
+    profiled : whether the interval is that of the profile likelihood, since the one by the standard
+        error is wrong there. One end alone may then be unknown: the data leave that side open.
     """
 
     value: float
@@ -34,6 +37,8 @@ class Constant:
     low: float | None
     high: float | None
     of: str
+    error: float = math.inf
+    profiled: bool = False
 
     def __repr__(self) -> str:
         """Write the constant, its interval and what it stands at."""
@@ -53,17 +58,39 @@ class Constant:
     @property
     def interval_text(self) -> str:
         """The interval, to be read."""
-        if self.low is None or self.high is None:
-            return "unknown"
-        return f"{self.low:.{self._digits}g} to {self.high:.{self._digits}g}"
+        return write_interval(self.low, self.high)
 
     @property
     def _digits(self) -> int:
-        """Digits enough that the ends of the interval differ in the last two."""
-        if self.low is None or self.high is None or not self.high > self.low:
-            return 6
-        size = max(abs(self.low), abs(self.high))
-        return min(10, max(2, math.ceil(math.log10(size / (self.high - self.low))) + 2))
+        return _digits_of(self.low, self.high)
+
+
+def write_interval(low: float | None, high: float | None) -> str:
+    """Write an interval to be read.
+
+    Parameters
+    ----------
+    low, high : its ends; None for a side that is open.
+
+    >>> write_interval(0.98765, 1.02345), write_interval(0.5, None), write_interval(None, None)
+    ('0.9877 to 1.023', '0.5 or more', 'unknown')
+    """
+    if low is None and high is None:
+        return "unknown"
+    if low is None:
+        return f"{high:.3g} or less"
+    if high is None:
+        return f"{low:.3g} or more"
+    digits = _digits_of(low, high)
+    return f"{low:.{digits}g} to {high:.{digits}g}"
+
+
+def _digits_of(low: float | None, high: float | None) -> int:
+    """Digits enough that the ends of an interval differ in the last two."""
+    if low is None or high is None or not high > low:
+        return 6
+    size = max(abs(low), abs(high))
+    return min(10, max(2, math.ceil(math.log10(size / (high - low))) + 2))
 
 
 def _close(one: float, other: float) -> bool:
@@ -75,6 +102,7 @@ def list_constants(
     errors: Sequence[tuple[float, float]],
     fitted: Sequence[float] | None = None,
     reach: float = 1.96,
+    ends: Sequence[tuple[float, float] | None] = (),
 ) -> tuple[Constant, ...]:
     """Give the constants of an equation in the order of its printed text.
 
@@ -84,6 +112,8 @@ def list_constants(
     errors : (value, standard error) of its constants in the order in which SymPy keeps them.
     fitted : their values before they were made simple numbers, in the same order.
     reach : standard errors that a 95 % interval reaches to either side.
+    ends : intervals in the place of these, in the order of the printed text; None keeps one,
+        inf is for a side that is open.
 
     >>> x, y = sympy.symbols("x y")
     >>> found = list_constants(2 * x - 3 * x * y, [(-3.0, 0.1), (2.0, 0.2)])
@@ -99,9 +129,46 @@ def list_constants(
     known = [(v, e, f) for (v, e), f in zip(errors, before, strict=True)]
     paired = _pair(kept, known)
     middles = [middle for _, middle in paired]
-    reaches = [reach * error for error, _ in paired]
+    own = [error for error, _ in paired]
     order = printed_order(template, values)
-    return tuple(_make(template, list(values), i, kept, middles, reaches) for i in order)
+    found = [_make(template, list(values), i, kept, middles, own, reach) for i in order]
+    if len(ends) == len(found):
+        found = [_with_ends(one, pair) for one, pair in zip(found, ends, strict=True)]
+    return tuple(found)
+
+
+def _with_ends(constant: Constant, ends: tuple[float, float] | None) -> Constant:
+    if ends is None:
+        return constant
+    low, high = (end if math.isfinite(end) else None for end in ends)
+    return replace(constant, low=low, high=high, profiled=True)
+
+
+def printed_places(expr: sympy.Expr) -> list[int]:
+    """Give the place that each printed constant of an equation has among those of its loose form.
+
+    Parameters
+    ----------
+    expr : the equation; :func:`dynsr.fit.loosen_all` makes it loose.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> printed_places(2 * x - 3 * x * y)
+    [1, 0]
+    """
+    return printed_order(*take_apart(expr))
+
+
+def home_of(expr: sympy.Expr, index: int) -> str:
+    """Say what a constant stands at.
+
+    Parameters
+    ----------
+    expr : the equation.
+    index : the place of the constant in its printed text.
+    """
+    template, values = take_apart(expr)
+    place = printed_order(template, values)[index]
+    return _home(template, list(values), place, list(values.values()))
 
 
 def take_apart(expr: sympy.Expr) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]:
@@ -147,9 +214,10 @@ def _make(
     index: int,
     values: Sequence[float],
     fitted: Sequence[float],
-    reaches: Sequence[float],
+    errors: Sequence[float],
+    reach: float,
 ) -> Constant:
-    beside, middle = reaches[index], fitted[index]
+    beside, middle = reach * errors[index], fitted[index]
     known = math.isfinite(beside)
     return Constant(
         values[index],
@@ -157,6 +225,7 @@ def _make(
         middle - beside if known else None,
         middle + beside if known else None,
         _home(template, symbols, index, values),
+        errors[index],
     )
 
 

@@ -17,7 +17,13 @@ import numpy as np
 import sympy
 
 from dynsr.data import System
-from dynsr.discovery.intervals import Constant, list_constants, printed_order, take_apart
+from dynsr.discovery.intervals import (
+    Constant,
+    list_constants,
+    printed_order,
+    take_apart,
+    write_interval,
+)
 from dynsr.errors import InputError
 from dynsr.expression import check_name, shown, to_latex_formula
 from dynsr.fit import pairs_alike
@@ -100,7 +106,7 @@ class Parameters(Mapping[str, Parameter]):
                 p.name,
                 f"{p.value:.6g}",
                 f"{p.error:.2g}" if math.isfinite(p.error) else "unknown",
-                "unknown" if p.low is None or p.high is None else f"{p.low:.6g} to {p.high:.6g}",
+                _say_interval(p.low, p.high),
                 p.unit,
                 f"{p.of} of {', '.join(s + chr(39) for s in p.states)}",
             )
@@ -155,6 +161,11 @@ class Parameters(Mapping[str, Parameter]):
 
         rows = "".join(line("td", row) for row in self.rows())
         return f"<table>{line('th', _HEAD)}{rows}</table>"
+
+
+def _say_interval(low: float | None, high: float | None) -> str:
+    both = low is not None and high is not None
+    return f"{low:.6g} to {high:.6g}" if both else write_interval(low, high)
 
 
 def _escape_latex(text: str) -> str:
@@ -536,7 +547,6 @@ def list_parameters(
     equations: Mapping[str, sympy.Expr],
     names: Names,
     constants: Mapping[str, Sequence[Constant]],
-    reach: float = 1.96,
     units: Mapping[str, str] | None = None,
 ) -> Parameters:
     """Give the parameters with what the fit says of them; the surest place of each counts.
@@ -546,17 +556,15 @@ def list_parameters(
     equations : state -> right-hand side with numbers.
     names : state -> the names of its constants.
     constants : state -> its constants with their intervals, in the same order.
-    reach : standard errors that an interval reaches to either side.
     units : parameter -> its unit.
     """
     found: dict[str, Parameter] = {}
     for state in equations:
         for text, constant in zip(names[state], constants[state], strict=True):
             sign, name = _signed(text)
-            low, high, error = constant.low, constant.high, math.inf
-            if low is not None and high is not None:
-                error = (high - low) / (2 * reach)
-                low, high = sorted([sign * low, sign * high])
+            low, high, error = constant.low, constant.high, constant.error
+            if sign < 0:
+                low, high = (None if end is None else -end for end in (high, low))
             first = found.get(name)
             if first is not None:
                 states = tuple(dict.fromkeys([*first.states, state]))

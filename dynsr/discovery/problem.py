@@ -39,6 +39,7 @@ from dynsr.fit import (
     Measurements,
     Noise,
     ParetoFront,
+    ProfileSettings,
     approach,
     confirm,
     description_length,
@@ -109,6 +110,7 @@ class DiscoverySettings:
     shares : how the steps share a time budget, where there is one.
     verdict : when equations are a law, an approximation, or not found.
     followers : how sums of terms are chosen for their integration where no law is found.
+    profile : where intervals of constants in noise come from profile likelihoods, and how.
 
     >>> DiscoverySettings(rows=2000).selection.compared
     5
@@ -120,6 +122,7 @@ class DiscoverySettings:
     shares: Shares = Shares()
     verdict: VerdictSettings = VerdictSettings()
     followers: FollowerSettings = FollowerSettings()
+    profile: ProfileSettings = ProfileSettings()
 
     def without_snapping(self) -> DiscoverySettings:
         """Give the same settings for constants that stay as fitted."""

@@ -51,8 +51,9 @@ from dynsr.discovery.parameters import (
     rename,
 )
 from dynsr.discovery.prediction import Measured, is_sampled, predict, predict_with_doses
+from dynsr.discovery.profile import Ends, Profile, Profiles, read_constant
 from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
-from dynsr.discovery.verdict import Verdict, VerdictSettings, explain, judge
+from dynsr.discovery.verdict import NOT_FOUND, Verdict, VerdictSettings, explain, judge
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
 from dynsr.errors import EngineError, EngineUnavailable, InputError, need
 from dynsr.expression import (
@@ -77,6 +78,8 @@ from dynsr.fit import (
     Match,
     Noise,
     ParetoFront,
+    ProfileSettings,
+    is_noisy,
     measure_covariance,
     noise_of,
     polish,
@@ -84,7 +87,7 @@ from dynsr.fit import (
     score_candidate,
 )
 from dynsr.jobs import from_plain, to_plain
-from dynsr.selection import forecast_miss
+from dynsr.selection import ComparisonSettings, forecast_miss
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -146,6 +149,9 @@ class Discovery:
     ensemble : state -> the terms of an ensemble, where one was asked for.
     parameter_names : state -> the names of its constants in their order, where :meth:`rename` gave
         some; a sign before a name says that the constant is minus the parameter.
+    profiled : state -> the 95 % interval of each constant, in the order of ``constants[state]``, by
+        the profile likelihood where the one by the standard error is wrong, None elsewhere; inf is
+        for a side that the data leave open.
 
     >>> x = sympy.Symbol("x")
     >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
@@ -168,12 +174,15 @@ class Discovery:
     details: Mapping[str, str] = field(default_factory=dict)
     ensemble: Mapping[str, tuple[Inclusion, ...]] = field(default_factory=dict)
     parameter_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    profiled: Mapping[str, tuple[Ends | None, ...]] = field(default_factory=dict)
 
     @property
     def constants(self) -> dict[str, tuple[Constant, ...]]:
         """State -> its constants as its printed formula has them, each with its 95 % interval."""
         return {
-            s: list_constants(e, self.errors.get(s, ()), self.fitted.get(s), self.reach)
+            s: list_constants(
+                e, self.errors.get(s, ()), self.fitted.get(s), self.reach, self.profiled.get(s, ())
+            )
             for s, e in self.equations.items()
         }
 
@@ -195,7 +204,7 @@ class Discovery:
             with suppress(InputError):  # none that pint, which may be absent, can read
                 named, signed = put_names(self.equations, names)
                 units = self._units().of_symbols(named, signed)
-        return list_parameters(self.equations, names, self.constants, self.reach, units)
+        return list_parameters(self.equations, names, self.constants, units)
 
     @property
     def system(self) -> ParametricSystem:
@@ -276,6 +285,7 @@ class Discovery:
             equations=equations,
             errors={},
             fitted={},
+            profiled={},
             verdict=None,
             explanation={},
             parameter_names=left,
@@ -319,6 +329,71 @@ class Discovery:
         )
         found[np.diag_indices(len(errors))] = errors**2
         return pd.DataFrame(found, index=list(parameters), columns=list(parameters))
+
+    def profile(self, which: str | tuple[str, int], data: Any = None) -> Profile:
+        """Give the profile likelihood of one constant: what the data say of it.
+
+        The constant is held on a grid, and the other constants and the states are fitted again at
+        each value (Raue et al. 2009). Where the profile is no parabola, the interval by the
+        standard error is wrong, and that of the profile stands in ``constants`` too.
+
+        Parameters
+        ----------
+        which : a name in ``parameters``, such as "k1"; or a state and the place of a constant in
+            ``constants[state]``, such as ``("x", 0)`` or "x:0". Constants that are one parameter
+            are held together by its name, and one by one by their place.
+        data : what :func:`dynsr.discover` takes; the data of the discovery by default.
+
+        Raises InputError when there is no such constant or no data, the equations are a map, or
+        they cannot be fitted along the data.
+
+        >>> import dynsr
+        >>> t = np.linspace(0, 5, 60)
+        >>> x = np.exp(-0.5 * t) + 0.02 * np.random.default_rng(0).normal(size=60)
+        >>> found = dynsr.discover((t, x[:, None]), preset="quick", jobs=1)
+        >>> own = found.profile("k1")
+        >>> own.low < 0.5 < own.high
+        True
+        """
+        own, asked = self._profiles(data), read_constant(which)
+        return own.named(asked, self._names) if isinstance(asked, str) else own.profile(*asked)
+
+    def profiles(self, data: Any = None) -> tuple[Profile, ...]:
+        """Give the profile likelihood of every constant, in the order of ``constants``.
+
+        Parameters
+        ----------
+        data : what :func:`dynsr.discover` takes; the data of the discovery by default.
+
+        Raises InputError where :meth:`profile` does.
+        """
+        own = self._profiles(data)
+        return tuple(own.profile(state, index) for state, index, _ in own.places)
+
+    def _profiles(self, data: Any = None, settings: ProfileSettings | None = None) -> Profiles:
+        if self.is_map:
+            raise InputError("a map has no joint fit of its states; its errors are of one step")
+        form, runs = form_of(self.settings), self._runs(data)
+        prepared = form.prepare(runs)
+        self._need_columns(prepared)
+        settings = settings or self._settings(ProfileSettings, "profile")
+        rows = self._settings(ComparisonSettings, "selection", "comparison").rows
+        known = self._known_inputs(prepared)
+        return Profiles.of(self.equations, prepared, known, form.known, rows, settings)
+
+    def with_profiles(self, settings: ProfileSettings | None = None) -> Discovery:
+        """Take intervals from profile likelihoods where those by standard errors are wrong.
+
+        Wald's interval is kept where the chi-square at both of its ends, all other constants fitted
+        again, has risen by about as much as on a parabola.
+
+        Parameters
+        ----------
+        settings : what "about" is; by default those of the discovery.
+
+        Raises InputError where :meth:`profile` does.
+        """
+        return replace(self, profiled=self._profiles(None, settings).ends())
 
     def coefficient_units(self) -> dict[str, dict[str, str]]:
         """State -> term -> the unit of its coefficient, in the units that ``discover`` was given.
@@ -399,6 +474,7 @@ class Discovery:
             errors=match.errors,
             fitted=match.fitted,
             reach=match.reach,
+            profiled={},
             verdict=verdict,
             explanation={
                 s: explain(s, e, verdict.states[s], self.is_map, judging) + origin[s]
@@ -447,6 +523,7 @@ class Discovery:
             equations={**self.equations, **changed},
             errors={},
             fitted={},
+            profiled={},
             verdict=None,
             explanation={},
             parameter_names={},
@@ -585,21 +662,12 @@ class Discovery:
         chosen = find_engine(engine or self.engine)
         if self.is_map:
             refuse_idle(engine, "a map is iterated")
-        runs = list(self.trajectories) if data is None else self._read(data)
-        if not runs:
-            raise InputError("the data are not here; give some to score on")
-        own = {n: way for n, way in self.hold.items() if n in runs[0].input_names}
-        asked = check_hold(hold, runs[0].input_names)
-        runs = in_unit(settle_hold(runs, {**own, **asked}), self.time_unit)
+        runs = self._runs(data, hold)
         if self.is_map:
             return score_map(self.equations, runs)
         form = form_of(self.settings)
         runs = form.prepare(runs)
-        if missing := [n for n in arguments_of(self.equations) if n not in runs[0].names]:
-            raise InputError(
-                f"the equations need the input {missing[0]!r}, which the data do not have; "
-                "give its column"
-            )
+        self._need_columns(runs)
         whole = [self._whole(run, chosen) for run in runs]
         known, scores = self._known_inputs(runs), {}
         for state, expr in self.equations.items():
@@ -612,6 +680,22 @@ class Discovery:
                 "trajectory_rmse": rmse(np.concatenate([w[:, position] for w in whole]), truth),
             }
         return scores
+
+    def _runs(self, data: Any, hold: Mapping[str, str] | str | None = None) -> list[Trajectory]:
+        """Give trajectories in the unit and with the inputs of the discovery; its own for None."""
+        runs = list(self.trajectories) if data is None else self._read(data)
+        if not runs:
+            raise InputError("the data are not here; give some")
+        own = {n: way for n, way in self.hold.items() if n in runs[0].input_names}
+        asked = check_hold(hold, runs[0].input_names)
+        return in_unit(settle_hold(runs, {**own, **asked}), self.time_unit)
+
+    def _need_columns(self, runs: Sequence[Trajectory]) -> None:
+        if missing := [n for n in arguments_of(self.equations) if n not in runs[0].names]:
+            raise InputError(
+                f"the equations need the input {missing[0]!r}, which the data do not have; "
+                "give its column"
+            )
 
     @property
     def columns_asked(self) -> dict[str, list[str]]:
@@ -785,6 +869,7 @@ class Discovery:
             "details": dict(self.details),
             **({"ensemble": to_plain(self.ensemble)} if self.ensemble else {}),
             **({"parameter_names": to_plain(self.parameter_names)} if self.parameter_names else {}),
+            **({"profiled": to_plain(self.profiled)} if self.profiled else {}),
         }
 
     @classmethod
@@ -799,6 +884,7 @@ class Discovery:
             "details": dict[str, str],
             "ensemble": dict[str, tuple[Inclusion, ...]],
             "parameter_names": dict[str, tuple[str, ...]],
+            "profiled": dict[str, tuple[Ends | None, ...]],
         }
         return cls(**read_discovery(Path(path), **further, verdict=Verdict | None))
 
@@ -859,6 +945,27 @@ class Discovery:
             said = Text(self._said_of(state))
             table.add_row(Text(f"{state}'"), Text(shown(expr), style="bold"), said, why)
         return table
+
+
+def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
+    """Give a discovery whose intervals are those of profiles where others are wrong.
+
+    Slopes of exact data leave no doubt of the parabola, and what is no equation of the data has no
+    constants to be sure of: those stay as they are.
+
+    Parameters
+    ----------
+    found : a discovery with its data.
+    settings : the numbers that decide.
+    """
+    judged = found.verdict is not None and found.verdict.level != NOT_FOUND
+    if not (found.complete and judged) or found.is_map or not is_noisy(found.trajectories):
+        return found
+    try:
+        return found.with_profiles(settings)
+    except (InputError, KeyboardInterrupt):
+        # The search is over, and what it found is not lost.
+        return found
 
 
 def _agrees(run: Trajectory, name: str, expr: sympy.Expr) -> bool:

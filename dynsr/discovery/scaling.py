@@ -14,7 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from dynsr.data import Trajectory, take_trajectories
 from dynsr.discovery.confirmation import confirm
-from dynsr.discovery.result import Discovery
+from dynsr.discovery.problem import DISCOVERY
+from dynsr.discovery.result import Discovery, with_profiles
 from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
@@ -196,11 +197,14 @@ def in_fitting_units(search: Search) -> Search:
             with threadpool_limits(1):
                 found = with_told(_search_in(units, runs, settings), runs)
                 found = finish_by(until, lambda: confirm(found), lambda: found)[0]
-            whole, cut = finish_by(
-                until, lambda: with_ensemble(found, members, seed), lambda: found
-            )
-            if members and cut:
-                ended = [*whole.settings.get("ended_by_budget", ()), "ensemble"]
+                profiling = settings.get("settings", DISCOVERY).profile
+                sure, late = finish_by(
+                    until, lambda: with_profiles(found, profiling), lambda: found
+                )
+            whole, cut = finish_by(until, lambda: with_ensemble(sure, members, seed), lambda: sure)
+            ended = ["profiles"] * late + ["ensemble"] * bool(members and cut)
+            if ended:
+                ended = [*whole.settings.get("ended_by_budget", ()), *ended]
                 whole = replace(whole, settings={**whole.settings, "ended_by_budget": ended})
             return whole
 

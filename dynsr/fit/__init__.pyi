@@ -44,6 +44,7 @@ from .noise import (
 )
 from .parsimony import collapse, without_flat_line
 from .polishing import loosen_all, polish, untouched_match
+from .profile import ProfileSettings, Profiling
 from .settings import FIT, CollocationSettings, FitSettings
 from .shooting import (
     STABLE,
@@ -84,6 +85,8 @@ __all__ = [
     "Pace",
     "ParetoFront",
     "Probes",
+    "ProfileSettings",
+    "Profiling",
     "RatioFit",
     "Shooting",
     "Windows",

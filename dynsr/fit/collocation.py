@@ -489,6 +489,33 @@ class Collocation:
             states, constants = moved
         return self._finish(states, constants)
 
+    def cost(self, states: np.ndarray, constants: np.ndarray) -> float:
+        """Sum of squares that a fit ends in: misses, and defects times their last weight.
+
+        Parameters
+        ----------
+        states : (k, n) the trajectory.
+        constants : (P,) values.
+        """
+        return self._cost(states, constants, self.settings.stiffness[-1])
+
+    def fit_free(
+        self, states: np.ndarray, constants: np.ndarray, ways: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, float] | None:
+        """Fit the states, and the constants along some directions, from a start near by.
+
+        Parameters
+        ----------
+        states : (k, n) where the trajectory starts.
+        constants : (P,) where the constants start.
+        ways : (P, F) directions in which the constants may go.
+
+        Gives states, constants and :meth:`cost`; None where the slopes are not finite.
+        """
+        stiffness = self.settings.stiffness[-1]
+        moved = self._stage(states, constants, stiffness, ways)
+        return None if moved is None else (*moved, self._cost(*moved, stiffness))
+
     def _finish(self, states: np.ndarray, constants: np.ndarray) -> CollocationFit | None:
         try:
             information = self.normal(states.T, constants).information
@@ -546,7 +573,11 @@ class Collocation:
         return np.where(np.isfinite(found), found, np.inf)
 
     def _stage(
-        self, states: np.ndarray, constants: np.ndarray, stiffness: float
+        self,
+        states: np.ndarray,
+        constants: np.ndarray,
+        stiffness: float,
+        ways: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Levenberg and Marquardt's steps at one weight of the defects."""
         cost, damping = self._cost(states, constants, stiffness), 1e-6
@@ -561,7 +592,7 @@ class Collocation:
             gathered, reach = self._gather(point, states, stiffness), self._reach(constants)
             while damping < 1e6:
                 try:
-                    step = self._step(gathered, damping, reach)
+                    step = self._step(gathered, damping, reach, ways)
                 except (LinAlgError, ValueError):
                     damping = max(damping * 100, 1e-4)
                     continue
@@ -576,10 +607,17 @@ class Collocation:
         return states, constants
 
     def _step(
-        self, gathered: _Gathered, damping: float, reach: np.ndarray
+        self,
+        gathered: _Gathered,
+        damping: float,
+        reach: np.ndarray,
+        ways: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         found, factor, white = self._eliminate(gathered, damping)
         pull, centre = found.pull, found.information
+        if ways is not None:
+            pull, centre = ways.T @ pull, ways.T @ centre @ ways
+            reach = np.min(np.where(ways, reach[:, None], np.inf), axis=0)
         count = centre.shape[0]
         shift = np.zeros(0)
         if count:
@@ -589,6 +627,8 @@ class Collocation:
                 shift = -np.linalg.solve(scaled, pull / scale) / scale
             # A linear step says nothing of what is far away.
             shift = np.clip(shift, -reach, reach)
+        if ways is not None:
+            shift = ways @ shift
         moved, _ = lapack.dtbtrs(factor, -(white @ np.append(1.0, shift)), uplo="U")
         if not np.all(np.isfinite(moved)):
             raise LinAlgError
@@ -1027,19 +1067,19 @@ class AlongFit:
         return self.problem.mesh.freedom(len(self.constants))
 
     @cached_property
-    def _scale(self) -> float:
+    def scale(self) -> float:
         """Variance of the misses in units of the noise that was given: noise is an estimate."""
         return max(float(np.sum(self.found.misses**2)) / self.freedom, 1e-12)
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """(P, P) of the constants."""
-        return self.found.covariance * self._scale
+        return self.found.covariance * self.scale
 
     @property
     def errors(self) -> np.ndarray:
         """(P,) standard errors; inf where the data say nothing."""
-        return self.found.errors * math.sqrt(self._scale)
+        return self.found.errors * math.sqrt(self.scale)
 
     @property
     def misses(self) -> np.ndarray:
@@ -1062,7 +1102,7 @@ class AlongFit:
         ----------
         other : the fit of fewer constants.
         """
-        return float(np.sum(other.found.misses**2) - np.sum(self.found.misses**2)) / self._scale
+        return float(np.sum(other.found.misses**2) - np.sum(self.found.misses**2)) / self.scale
 
 
 def fit_along(

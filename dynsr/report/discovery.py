@@ -33,11 +33,12 @@ from dynsr.discovery import (
 )
 from dynsr.errors import DynsrError, InputError
 from dynsr.expression import complexity, counting, evaluate, shown, to_mathml
-from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, rmse
+from dynsr.fit import Candidate, ParetoFront, free_constants, is_noisy, loosen, rmse
 from dynsr.report.page import Picture, render_page
 from dynsr.report.plots import (
     MOST_DOTS,
     draw_phase_portrait,
+    draw_profiles,
     draw_residuals,
     draw_slopes,
     draw_states,
@@ -167,6 +168,10 @@ def _ticks(largest: float) -> list[float]:
 
 
 _MOST_RUNS = 3
+_MOST_PROFILES = 12
+_PROFILED = (
+    "Where the standard error gives a wrong interval, that of the profile likelihood stands here."
+)
 _MOST_ROWS = 2000
 _MOST_STEPS = 200
 # Is it a map? -> what was done with the equations.
@@ -209,6 +214,7 @@ def render_discovery(found: Discovery) -> str:
         level=(found.verdict.level if found.verdict else "none").replace(" ", "-"),
         verdicts=_verdicts(found),
         ensemble=_ensemble(found),
+        profiles=list(_profiles(found)),
         summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
         parameters=_parameters(found),
@@ -283,7 +289,28 @@ def _constants(found: Discovery, state: str) -> Table | None:
         f"Constants of {state}, in the order of the formula",
         ("Constant of", "Value", "95 % interval", "Fitted", *(["Unit"] if units else [])),
         tuple(row + unit for row, unit in zip(rows, known, strict=True)),
+        _PROFILED if any(c.profiled for c in constants) else "",
     )
+
+
+def _profiles(found: Discovery) -> Iterator[Picture]:
+    """Draw the profile likelihoods of constants in noise; exact data leave no doubt of them."""
+    judged = found.verdict is not None and found.verdict.level != "not found"
+    if not (judged and found.trajectories) or found.is_map or not is_noisy(found.trajectories):
+        return
+    try:
+        every = found.profiles()
+    except InputError:  # too few rows, or not to be followed
+        return
+    some = every[:_MOST_PROFILES]
+    left_out = f" The first {len(some)} of {len(every)} are drawn." if some != every else ""
+    if some:
+        yield Picture.of(
+            draw_profiles(some),
+            "The profile likelihood of each constant: it is held, and all others are fitted again. "
+            "The shaded interval ends where the data are followed clearly worse; the dashed "
+            f"parabola is what the standard error says.{left_out}",
+        )
 
 
 def _coefficient_units(found: Discovery) -> dict[str, dict[str, str]]:

@@ -21,6 +21,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 
 from dynsr.data import Samples, Trajectory
+from dynsr.discovery import Profile
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
@@ -34,6 +35,8 @@ _LEFT, _RIGHT, _TOP, _BOTTOM, _LEGEND = 1.0, 0.12, 0.25, 0.5, 0.3
 # More dots than these hide each other: how many lie where is drawn instead.
 MOST_DOTS = 5000
 _BINS = (160, 80)
+# What of an open side is drawn, in units of the other side or of the constant.
+_OPEN = 3.0
 # What a curve that runs away may take of the picture: this many spans of the truth.
 _ROOM = 0.6
 _STYLE = {
@@ -195,6 +198,53 @@ def draw_slopes(samples: Samples, predicted: np.ndarray, time_unit: str = "") ->
     axis.set(xlabel=_time_label(time_unit), ylabel=f"d{samples.target}/dt")
     _legend_below(figure, axis)
     return figure
+
+
+def draw_profiles(profiles: Sequence[Profile]) -> Figure:
+    """Draw profile likelihoods of constants, two beside each other.
+
+    The dots are fits; the dashed parabola is what the standard error says; the horizontal line is
+    where the 95 % interval, which is shaded, ends.
+
+    Parameters
+    ----------
+    profiles : one or more.
+    """
+    columns = min(2, len(profiles))
+    rows = -(-len(profiles) // columns)
+    figure, axes = _canvas(rows, columns, (_WIDTH, 2.2 * rows + 0.6))
+    for axis, own in zip(axes.flat, profiles, strict=False):
+        _draw_profile(axis, own)
+    for axis in axes.flat[len(profiles) :]:
+        axis.set_axis_off()
+    for axis in axes[:, 0]:
+        axis.set_ylabel("loss of log-likelihood")
+    _legend_below(figure, axes.flat[0])
+    return figure
+
+
+def _draw_profile(axis: Axes, own: Profile) -> None:
+    top = 2.5 * own.limit
+    near = own.values[own.criterion <= top]
+    left, right = float(near.min()), float(near.max())
+    # A side that is open goes far; its first part shows what the rest is like.
+    if own.high is None:
+        right = min(right, own.value + _OPEN * max(own.value - left, abs(own.value)))
+    if own.low is None:
+        left = max(left, own.value - _OPEN * max(right - own.value, abs(own.value)))
+    axis.plot(own.values, own.criterion, "o-", color=COLOURS[0], ms=3, lw=1.4, label="profile")
+    error = (own.wald[1] - own.wald[0]) / 2
+    if np.isfinite(error) and error > 0:
+        grid = np.linspace(left, right, 101)
+        parabola = own.limit * ((grid - sum(own.wald) / 2) / error) ** 2
+        axis.plot(grid, parabola, color=COLOURS[1], ls="--", lw=1.2, label="standard error")
+    axis.axhline(own.limit, color="black", lw=0.8, ls=":", label="95 %")
+    low = left if own.low is None else own.low
+    high = right if own.high is None else own.high
+    axis.axvspan(low, high, color=COLOURS[0], alpha=0.1, lw=0)
+    axis.set_ylim(0, top)
+    axis.set_xlim(left, right)
+    axis.set_title(own.title, fontsize=9)
 
 
 def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str, up: str) -> Figure:
