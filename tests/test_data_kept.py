@@ -95,14 +95,6 @@ def test_imaginary_parts_are_never_dropped(source):
         (pl.DataFrame({"t": [], "x": []}).lazy(), "holds no rows"),
         ({"t": T, "x": [10**400] * 101}, "give numbers"),
         ({"t": np.arange(101) + 2**62, "x": X}, "more than 16 digits"),
-        (
-            np.ma.array(
-                list(zip(T, X, strict=True)),
-                dtype=[("t", float), ("x", float)],
-                mask=[(0, 1)] + [(0, 0)] * 100,
-            ),
-            "1 of 101 values are masked",
-        ),
         ({"t": T, "x": MILLISECONDS.astype("timedelta64[Y]")}, "no numbers"),
     ],
 )

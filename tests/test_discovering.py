@@ -67,7 +67,7 @@ BAD_DATA = {
     "ragged rows": (text("t,x\n" + "1,2\n" * 9 + "1,2,3\n"), "one cell a column"),
     "duplicate time": (broken(5, 0, T[4]), "repeats in row 6"),
     "unsorted time": (broken(5, 0, 0.01), "runs backwards at row 6"),
-    "few values": (broken(slice(7, None), 1, np.nan), "'x' is empty in 144 of 151 rows"),
+    "few values": (broken(slice(7, None), 1, np.nan), "'x' has 7 values in the 151 rows"),
     "infinite value": (broken(7, 1, np.inf), "holds inf in row 8"),
     "text cell": (broken(7, 1, "broken"), "holds the text 'broken' in row 8"),
     "code in a cell": (broken(7, 1, "__import__('os')"), "holds the text"),

@@ -151,8 +151,8 @@ def test_a_smoother_that_does_not_fit_is_refused(scheme):
         discover(decay(), method=QUICK, jobs=1, scheme=scheme)
 
 
-def test_masked_values_are_refused_and_never_data():
-    """Wherever a masked array comes in, the values below its mask do not."""
+def test_masked_values_are_not_measured_and_never_data():
+    """Wherever a masked array comes in, the values below its mask do not; a time must be there."""
     t, x = decay()
     masked = np.ma.masked_array(x, mask=np.zeros_like(x, dtype=bool))
     masked[7, 0] = np.ma.masked
@@ -162,8 +162,13 @@ def test_masked_values_are_refused_and_never_data():
         lambda: take_trajectories(np.ma.column_stack([t, masked])),
         lambda: Trajectory(t, masked, ("x",)),
     ):
-        with pytest.raises(InputError, match="masked; drop those rows"):
-            make()
+        made = make()
+        run = made if isinstance(made, Trajectory) else made[0][0]
+        rows = run.own_rows("x")
+        assert np.array_equal(run.t[rows], np.delete(t, 7))
+        assert np.array_equal(run.x[rows], np.delete(x, 7, axis=0))
+    with pytest.raises(InputError, match="time in row 8 is nan"):
+        Trajectory(np.ma.masked_array(t, mask=np.arange(len(t)) == 7), x, ("x",))
     whole = np.ma.masked_array(x, mask=np.zeros_like(x, dtype=bool))
     assert take_trajectories((t, whole))[0][0].x[7, 0] == x[7, 0]
 

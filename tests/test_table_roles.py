@@ -517,16 +517,19 @@ def test_a_constant_column_is_left_out():
     assert table.left_out == {"room": "is 21.5 in every row"}
 
 
-def test_rows_with_empty_cells_are_left_out_and_counted():
-    """Rows where a state has no value are left out, and one note says how many."""
+def test_rows_with_empty_cells_are_kept_and_counted():
+    """Rows where a state has no value are kept, and one note says how many cells are empty."""
     rare = np.where(np.arange(N) % 3 == 0, RISE, np.nan)
     table = read_trajectories({"t": T, "OD": DECAY, "glucose": rare})
-    assert len(table.trajectories[0]) == 10
-    note = "'glucose' is empty in 20 of 30 rows; the 10 rows where it has a value are used."
+    (run,) = table.trajectories
+    assert len(run) == N
+    assert run.measured.sum(axis=0).tolist() == [N, 10]
+    assert np.array_equal(run.observed[:, 1], rare, equal_nan=True)
+    note = "Of 30 rows, cells are empty: 'glucose' in 20; each state counts where it was measured."
     assert note in table.notes
     table = read_trajectories({"t": T, "OD": DECAY, "glucose": rare}, states=["OD"])
     assert len(table.trajectories[0]) == N
-    with pytest.raises(InputError, match=r"'g' is empty in 25 of 30 rows.*--states OD"):
+    with pytest.raises(InputError, match=r"'g' has 5 values in the 30 rows.*--states OD"):
         read_trajectories({"t": T, "OD": DECAY, "g": np.where(np.arange(N) % 6, np.nan, RISE)})
 
 

@@ -195,7 +195,7 @@ REFUSED = {
     "unsorted time": (bent(5, 0, 0.1), "runs backwards at row 6 of data.csv (0.4 then 0.1)"),
     "few values": (
         table_text(rows=np.column_stack([T, np.where(T > 0.65, np.nan, T**3), T**2])),
-        "'x' is empty in 14 of 21 rows of data.csv, which leaves 7 rows",
+        "'x' has 7 values in the 21 rows of data.csv; at least 8 are needed: give more of them",
     ),
     "infinite value": (bent(7, 2, "inf"), "'y' of data.csv holds inf in row 8"),
     "text cell": (bent(7, 1, "broken"), "'x' of data.csv holds the text 'broken' in row 8"),

@@ -256,9 +256,9 @@ class Work:
         if self._found is None:
             raise InputError(_NOTHING)
         found = self._found.with_constants(values) if values else self._found
-        chosen = found.trajectories[run % len(found.trajectories)]
+        chosen = found.carried[run % len(found.carried)]
         every = max(1, len(chosen) // _MOST_ROWS)
-        thin = chosen.select(slice(_MOST_STEPS) if found.is_map else slice(None, None, every))
+        thin = chosen.select(slice(_MOST_STEPS) if found.is_map else chosen.every(every))
         lines, said = write_lines(found.equations, found.settings), ""
         try:
             model = _follow(found, thin)
@@ -533,17 +533,12 @@ def _follow(found: Discovery, run: Trajectory) -> Trajectory:
 def _draw(run: Trajectory, model: Trajectory | None) -> str:
     words = "the data"
     if model is not None:
-        run = _of_states(run, [state for state in run.states if state in model.states])
+        run = run.of_states([state for state in run.states if state in model.states])
         words = "the data, and the equations integrated from the first row"
     return Picture.of(draw_states(run, model), words).svg
 
 
 def _at_a_glance(run: Trajectory) -> Trajectory:
     """Give what a small picture has room for."""
-    thin = run.select(slice(None, None, max(1, len(run) // _MOST_ROWS)))
-    return _of_states(thin, run.states[:_MOST_PANELS])
-
-
-def _of_states(run: Trajectory, states: Sequence[str]) -> Trajectory:
-    columns = run.x[:, [run.index(state) for state in states]]
-    return replace(run, x=columns, states=tuple(states))
+    thin = run.select(run.every(max(1, len(run) // _MOST_ROWS)))
+    return thin.of_states(run.states[:_MOST_PANELS])

@@ -7,6 +7,7 @@ from .dosing import cut_at_doses
 from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .noise_model import StateNoise, measurement_noise, robust_scale
+from .observation import carry
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
 from .reading import (
     column_units,
@@ -60,6 +61,7 @@ __all__ = [
     "Trajectory",
     "add_velocities",
     "bracketed_unit",
+    "carry",
     "check_hold",
     "check_new",
     "check_replaceable",

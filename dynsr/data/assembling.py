@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.data.trajectory import as_floats, as_times, refuse_mask
+from dynsr.data.trajectory import as_floats, as_times, without_mask
 from dynsr.errors import InputError, one_line, printable
 
 # What a file may hold, unpacked. Larger ones would be thinned to MAX_ROWS anyway.
@@ -328,9 +328,8 @@ def load_mapping(arrays: Mapping[str, Any], label: str, decimal: str | None = No
     for key, value in arrays.items():
         if key in labels or key in single:
             continue
-        refuse_mask(value)
         try:
-            array = np.asarray(value)
+            array = np.asarray(without_mask(value))
         except ValueError:
             raise InputError(f"{key!r} of {label} has rows of different lengths") from None
         if array.ndim == 1:
@@ -374,7 +373,7 @@ def _is_text(value: Any) -> bool:
 
 def _plain(array: np.ndarray) -> np.ndarray:
     """Give numbers, dates and durations as they are, and all else as objects."""
-    refuse_mask(array)
+    array = without_mask(array)
     return np.asarray(array) if array.dtype.kind in "mMfiubc" else array.astype(object)
 
 
@@ -432,7 +431,6 @@ def with_times(columns: Columns, t: Any) -> Columns:
 
 def load_array(array: np.ndarray, label: str) -> Columns:
     """Load the columns of an array, the first of which is the time, or of its named fields."""
-    refuse_mask(array)
     if array.dtype.names:
         return load_mapping({name: array[name] for name in array.dtype.names}, label)
     if array.ndim != 2 or array.shape[1] < 2:

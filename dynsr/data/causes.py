@@ -12,6 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from dynsr.data.determinism import Orbit, Pairs, forced_share, nearest_pairs
 from dynsr.data.noise_model import interpolation_residuals, measurement_noise, robust_scale
+from dynsr.data.observation import carry
 from dynsr.data.samples import Samples
 from dynsr.data.slopes import choose_samples, smooth_column
 from dynsr.data.trajectory import Trajectory
@@ -131,7 +132,8 @@ def diagnose(
     some = [runs] if isinstance(runs, Trajectory) else list(runs)
     some[0].index(target)
     picked = np.linspace(0, len(some) - 1, min(len(some), settings.runs)).astype(int)
-    some = [some[i] for i in picked]
+    # What is said of a state rests on the rows at which it was measured.
+    some = [run.at_own_rows(target) for run in carry([some[i] for i in picked])]
     causes = list(_few_rows(some, target, settings))
     long = [run for run in some if len(run) >= settings.few_rows]
     if not long or np.ptp(np.concatenate([_column(run, target) for run in long])) == 0:

@@ -71,12 +71,11 @@ def cut_at_doses(
 def _cut(run: Trajectory, doses: Mapping[str, str], states: Sequence[str]) -> list[Trajectory]:
     columns, given = run.by_name, np.zeros((len(run), len(states)))
     for state, column in doses.items():
-        given[:, states.index(state)] += columns[column]
+        # An empty cell says that nothing was given.
+        given[:, states.index(state)] += np.nan_to_num(columns[column])
     inputs = [name for name in run.input_names if name not in doses.values()]
     plain = replace(
-        run,
-        x=run.x[:, [run.index(state) for state in states]],
-        states=tuple(states),
+        run.of_states(states),
         inputs=run.inputs[:, [run.input_names.index(name) for name in inputs]],
         input_names=tuple(inputs),
         hold={name: way for name, way in run.hold.items() if name in inputs},

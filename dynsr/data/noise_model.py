@@ -17,6 +17,8 @@ from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
 _MAD = 1.4826
+# Rows of a column that has neighbours on either side of some row.
+_FEWEST = 5
 
 
 def robust_scale(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
@@ -50,8 +52,9 @@ def measurement_noise(trajectory: Trajectory) -> np.ndarray:
 
     Each point is compared with the polynomial through its neighbours (a high-order difference);
     the median absolute miss, scaled for the normal law, is noise plus what the polynomial cannot
-    follow, so the smallest over orders 2 to 8 is taken. Times may be uneven. Kinks that held inputs
-    make are no noise.
+    follow, so the smallest over orders 2 to 8 is taken. Times may be uneven, and rows at which a
+    state was not measured say nothing of it; NaN where that leaves fewer than 5. Kinks that held
+    inputs make are no noise.
 
     >>> t = np.linspace(0, 10, 500)
     >>> noisy = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, 500)
@@ -60,10 +63,21 @@ def measurement_noise(trajectory: Trajectory) -> np.ndarray:
     """
     parts = find_forced([trajectory])
     smooth = trajectory if parts is None else parts[0].taken_from(trajectory)
-    orders = [order for order in (2, 4, 6, 8) if len(trajectory) > order + 2]
+    if trajectory.unmeasured.size:
+        found = np.full(len(trajectory.states), np.nan)
+        for place, own in enumerate(smooth.measured.T):
+            if np.count_nonzero(own) >= _FEWEST:
+                found[[place]] = _noise_between(smooth.t[own], smooth.x[own, place, None])
+        return found
+    return _noise_between(smooth.t, smooth.x)
+
+
+def _noise_between(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """(k,) standard deviations of what columns (n, k) miss of their neighbours."""
+    orders = [order for order in (2, 4, 6, 8) if len(t) > order + 2]
     if not orders:
-        raise InputError(f"{len(trajectory)} rows are too few to estimate noise; give at least 5")
-    found = [robust_scale(interpolation_residuals(smooth.t, smooth.x, o), axis=0) for o in orders]
+        raise InputError(f"{len(t)} rows are too few to estimate noise; give at least 5")
+    found = [robust_scale(interpolation_residuals(t, x, o), axis=0) for o in orders]
     return np.min(found, axis=0)
 
 

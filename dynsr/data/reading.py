@@ -24,6 +24,7 @@ from dynsr.data.grouping import find_restarts
 from dynsr.data.names import clean_name
 from dynsr.data.oddities import OddSettings
 from dynsr.data.roles import Roles
+from dynsr.data.steps import between_rows
 from dynsr.data.times import convert_times
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory, as_floats, settle_hold
 from dynsr.data.understanding import Asked, understand
@@ -88,10 +89,10 @@ def read_trajectories(
     max_rows : more rows than this are thinned evenly, with a DynsrWarning.
 
     Times may be uneven, and rows may stand in any order where it is known which belong together.
-    Rows of one time are averaged, rows where a column has no value are left out, and what else was
-    assumed stands in the table's notes. Names that cannot stand in a formula are changed, with a
-    DynsrWarning. Raises InputError, one line that names the value and the remedy, when the table
-    cannot be used.
+    Rows of one time are averaged, a state without a value in a row was not measured there, and what
+    else was assumed stands in the table's notes. Names that cannot stand in a formula are changed,
+    with a DynsrWarning. Raises InputError, one line that names the value and the remedy, when the
+    table cannot be used.
 
     >>> t = np.linspace(0, 1, 11)
     >>> table = read_trajectories({"t": t, "x": t**2, "y": t**3})
@@ -330,7 +331,8 @@ def write_csv(
     for number, run in enumerate(runs, start=1):
         if run.names != runs[0].names:
             raise InputError("the trajectories have different columns; write them to several files")
-        frame = pandas.DataFrame(np.column_stack([run.t, run.columns]), columns=["t", *run.names])
+        table = np.column_stack([run.t, run.observed, run.inputs])
+        frame = pandas.DataFrame(table, columns=["t", *run.names])
         if len(runs) > 1:
             frame.insert(0, "trajectory", number)
         frames.append(frame)
@@ -489,11 +491,9 @@ def _as_inputs(run: Trajectory, columns: Sequence[str]) -> Trajectory:
     kept = [name for name in run.states if name not in moved]
     if not kept:
         raise InputError("every column is an input; leave at least one state")
-    x = run.x[:, [run.index(name) for name in kept]]
-    extra = run.x[:, [run.index(name) for name in moved]]
-    inputs = np.column_stack([run.inputs, extra])
-    names = (*run.input_names, *moved)
-    return replace(run, x=x, states=tuple(kept), inputs=inputs, input_names=names)
+    extra = [between_rows(run.t, run.observed[:, run.index(name)]) for name in moved]
+    inputs = np.column_stack([run.inputs, *extra])
+    return replace(run.of_states(kept), inputs=inputs, input_names=(*run.input_names, *moved))
 
 
 def column_units(run: Trajectory, units: Mapping[str, str] | str | None) -> dict[str, str] | None:

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline, make_smoothing_spline
 
 from dynsr.data.forcing import Forced, find_forced
 from dynsr.data.noise_model import interpolation_residuals, measurement_noise, robust_scale
+from dynsr.data.observation import carry
 from dynsr.data.samples import (
     CENTRAL,
     CENTRAL_ORDERS,
@@ -39,6 +40,8 @@ from dynsr.errors import InputError, need
 SMOOTHERS = ("gp", "spline", "total-variation", "weak")
 # Order up to which all central differences are looked at; higher ones while the errors fall.
 _USUAL_ORDER = 6
+# Rows of a state up to which a run says nothing of its slopes.
+_FEWEST = 4
 _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
 
 
@@ -463,8 +466,9 @@ def choose_samples(
     settings : what the choice of scheme rests on.
 
     ``Samples.scheme`` names the choice and ``Samples.noise`` the slope error to expect. When a
-    column is noisy its smoothed values replace it in ``X``. Warns with BiasWarning when own
-    slopes do not fit the states. Raises InputError when there are too few rows.
+    column is noisy its smoothed values replace it in ``X``. The rows are those at which the target
+    was measured; another state that was not stands on its curve there. Warns with BiasWarning when
+    own slopes do not fit the states. Raises InputError when there are too few rows.
 
     >>> t = np.linspace(0, 10, 1001)
     >>> circle = Trajectory(t, np.column_stack([np.sin(t), np.cos(t)]), ("x", "y"))
@@ -476,7 +480,16 @@ def choose_samples(
         raise InputError("no trajectory was given; give at least one")
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
+    runs = carry(runs)
     given = _own_slopes(runs, target, slopes, settings)
+    if any(run.unmeasured.size for run in runs):
+        both = zip(runs, given, strict=True)
+        given = [None if g is None else g[run.own_rows(target)] for run, g in both]
+        runs = [run.at_own_rows(target) for run in runs]
+        long = [len(run) > _FEWEST for run in runs]
+        runs, given = list(compress(runs, long)), list(compress(given, long))
+        if not runs:
+            raise InputError(f"{target} was measured in too few rows for slopes; give more of them")
     resolve = scheme == "auto" and slopes is None
     parts = find_forced(runs) if resolve else None
     measured = runs

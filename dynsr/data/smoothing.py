@@ -15,7 +15,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
 
 from dynsr.data.forcing import Forced, find_forced
 from dynsr.data.gaussian_process import Process, ProcessSettings, fit_process, screen
@@ -32,6 +32,8 @@ from dynsr.errors import InputError
 
 # What is worked out from longer columns is not kept for the next who asks.
 LONGEST_KEPT = 20_000
+# Usual distances of its rows over which a curve comes to rest beyond the last of them.
+_COASTS = 5.0
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ class SmoothSettings:
     unknown : ``process.known`` while it is.
     chunk : most rows smoothed at once; longer trajectories are smoothed in overlapping pieces.
     overlap : rows that two pieces share.
+    fewest : rows of a state below which it is not smoothed.
     process : settings of the Gaussian process.
     noise : settings of the estimate of the noise.
     """
@@ -70,6 +73,7 @@ class SmoothSettings:
     unknown: float = 10.0
     chunk: int = 1000
     overlap: int = 60
+    fewest: int = 4
     process: ProcessSettings = field(default_factory=ProcessSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
 
@@ -146,7 +150,8 @@ def smooth(
 
     Parameters
     ----------
-    run : the trajectory; times may be uneven; 4 rows are enough.
+    run : the trajectory; times may be uneven; 4 rows are enough. A state that was not measured at
+        every row is smoothed from its own rows; where it was not measured its noise is inf.
     noise : the noise of each state, of :func:`dynsr.data.smoothing.estimate_noise`. It may be
         found to be somewhat larger or smaller, the less so the more rows there are.
     settings : what is tried.
@@ -168,8 +173,8 @@ def smooth(
         forced = None if found is None else found[0]
     taken = np.zeros_like(run.x) if forced is None else forced.x
     columns = [
-        smooth_values(run.t, run.x[:, k] - taken[:, k], noise[k], settings, taken[:, k])
-        for k in range(len(run.states))
+        _smooth_own(run.t, run.x[:, k] - taken[:, k], noise[k], settings, taken[:, k], own)
+        for k, own in enumerate(run.measured.T)
     ]
     names = ("x", "slope", "x_sd", "slope_sd", "noise")
     stacked = {name: np.column_stack([getattr(c, name) for c in columns]) for name in names}
@@ -180,6 +185,68 @@ def smooth(
     return SmoothedTrajectory(
         t=run.t, method=tuple(c.method for c in columns), states=run.states, **stacked
     )
+
+
+def _smooth_own(
+    t: np.ndarray,
+    x: np.ndarray,
+    noise: StateNoise,
+    settings: SmoothSettings,
+    taken: np.ndarray,
+    own: np.ndarray,
+) -> SmoothColumn:
+    """Smooth one column from its own rows, and read the curve at the others."""
+    if own.all():
+        return smooth_values(t, x, noise, settings, taken)
+    sd = np.where(own, noise.sd(x + taken), np.inf)
+    rest, none = np.zeros(len(t)), np.zeros(len(t), dtype=bool)
+    rows = np.flatnonzero(own)
+    if len(rows) < settings.fewest:
+        # Too few to bend a curve through: what stands between them is a line.
+        wide = np.full(len(t), float(np.std(x)))
+        return SmoothColumn(x, np.gradient(x, t), wide, wide, sd, "line", rest, none)
+    found = smooth_values(t[rows], x[rows], noise, settings, taken[rows])
+    value, slope = read_curve(t[rows], found.x, _sure_slopes(t[rows], found), t)
+    value[rows], slope[rows] = found.x, found.slope
+    sd[rows], rest[rows], none[rows] = found.noise, found.leverage, found.outlier
+    spread = [np.interp(t, t[rows], own_sd) for own_sd in (found.x_sd, found.slope_sd)]
+    return SmoothColumn(value, slope, spread[0], spread[1], sd, found.method, rest, none)
+
+
+def _sure_slopes(t: np.ndarray, found: SmoothColumn) -> np.ndarray:
+    """Give the slopes of a smoothed column; where they are unsure, those of a spline through it.
+
+    How unsure the spline's are is told by those of another one, which never overshoots.
+    """
+    spline = CubicSpline(t, found.x)(t, 1)
+    apart = spline - PchipInterpolator(t, found.x)(t, 1)
+    size = np.maximum(found.slope_sd**2 + apart**2, 1e-300)
+    return np.asarray((found.slope * apart**2 + spline * found.slope_sd**2) / size)
+
+
+def read_curve(
+    own: np.ndarray, x: np.ndarray, slope: np.ndarray, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give values and slopes at times (n,) of a curve through rows with values and slopes.
+
+    Between the rows it is a cubic; beyond them it goes on in its last direction, and comes to rest
+    over the usual distance of a few rows, since nothing is known there.
+
+    Parameters
+    ----------
+    own, x, slope : (m,) times, values and slopes of the rows.
+    t : (n,) times.
+
+    >>> own = np.array([0.0, 1.0, 2.0])
+    >>> read_curve(own, own**2, 2 * own, np.array([0.5, 1.5]))[0].tolist()
+    [0.25, 2.25]
+    """
+    inside = np.clip(t, own[0], own[-1])
+    spline = CubicHermiteSpline(own, x, slope)
+    beyond, rest = t - inside, _COASTS * float(np.median(np.diff(own)))
+    slopes = spline(inside, 1) * np.exp(-np.abs(beyond) / rest)
+    last = spline(inside, 1) * np.sign(beyond) * rest * -np.expm1(-np.abs(beyond) / rest)
+    return np.asarray(spline(inside) + last), np.asarray(slopes)
 
 
 def smooth_values(
@@ -438,16 +505,20 @@ def estimate_noise(
     parts = find_forced(runs)
     taken = [np.zeros_like(run.x) for run in runs] if parts is None else [p.x for p in parts]
     return tuple(
-        _state_noise(
-            [
-                (run.t, run.x[:, k] - own[:, k], own[:, k])
-                for run, own in zip(runs, taken, strict=True)
-                if len(run) >= 5
-            ],
-            settings,
-        )
-        for k in range(len(runs[0].states))
+        _state_noise(_own_columns(runs, taken, k), settings) for k in range(len(runs[0].states))
     )
+
+
+def _own_columns(
+    runs: Sequence[Trajectory], taken: Sequence[np.ndarray], place: int
+) -> list[Column]:
+    """Give times, values and what was taken from these where a state was measured."""
+    columns = []
+    for run, part in zip(runs, taken, strict=True):
+        own = run.measured[:, place]
+        if np.count_nonzero(own) >= 5:
+            columns.append((run.t[own], (run.x - part)[own, place], part[own, place]))
+    return columns
 
 
 def _state_noise(columns: Sequence[Column], settings: SmoothSettings) -> StateNoise:

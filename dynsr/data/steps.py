@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from dynsr.data.columns import bare_name
+from dynsr.data.holding import choose_hold
 from dynsr.data.lines import last_digit
 
 _SET = re.compile(
@@ -126,6 +128,34 @@ def hold_on(values: np.ndarray) -> np.ndarray:
     there = np.isfinite(values)
     last = np.maximum.accumulate(np.where(there, np.arange(len(values)), -1))
     return np.where(last >= 0, values[np.maximum(last, 0)], np.nan)
+
+
+def between_rows(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Give the values of an input at all rows, where some of its cells are empty.
+
+    An input is known between its rows by how it is held (:func:`dynsr.data.holding.choose_hold`):
+    it keeps its value, or goes on to the next one.
+
+    Parameters
+    ----------
+    t : (n,) times.
+    values : (n,) numbers; NaN where a cell is empty. Without any number they stay as they are.
+
+    >>> between_rows(np.arange(5.0), np.array([0.0, np.nan, 2.0, 4.0, np.nan]))
+    array([0., 1., 2., 4., 4.])
+    """
+    there = np.isfinite(values)
+    if there.all() or not there.any():
+        return values
+    own_t, own = t[there], values[there]
+    hold = choose_hold(own_t, own)
+    if hold == "previous":
+        held = hold_on(values)
+        return np.where(np.isfinite(held), held, own[0])
+    if hold == "smooth" and len(own) > 3:
+        inside = np.clip(t, own_t[0], own_t[-1])
+        return np.where(there, values, CubicSpline(own_t, own)(inside))
+    return np.where(there, values, np.interp(t, own_t, own))
 
 
 def _single_steps(steps: np.ndarray) -> np.ndarray:

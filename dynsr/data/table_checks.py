@@ -72,8 +72,8 @@ def check_values(
     """
     states = dict(zip(roles.states, data, strict=False))
     for name, values in states.items():
-        if values.min() == values.max():
-            _refuse_constant(name, values[0], roles, label)
+        if np.nanmin(values) == np.nanmax(values):
+            _refuse_constant(name, float(np.nanmin(values)), roles, label)
     _warn_identical(dict(zip(names, data, strict=True)), label)
     _warn_scales(states, label)
 
@@ -125,7 +125,8 @@ def _warn_identical(columns: Mapping[str, np.ndarray], label: str) -> None:
 
 
 def _warn_scales(states: Mapping[str, np.ndarray], label: str) -> None:
-    scales = {name: float(np.std(values)) for name, values in states.items() if np.std(values) > 0}
+    every = {name: float(np.nanstd(values)) for name, values in states.items()}
+    scales = {name: size for name, size in every.items() if size > 0}
     if not scales:
         return
     low, high = min(scales, key=lambda n: scales[n]), max(scales, key=lambda n: scales[n])

@@ -29,22 +29,26 @@ FEWEST_ROWS = 8
 _LONGEST_SHOWN = 60
 
 
-def refuse_mask(values: Any) -> None:
-    """Raise InputError when values of an array are masked: what stands below a mask is no data.
+def without_mask(values: Any) -> Any:
+    """Give NaN, or NaT, where values of an array are masked: what stands below a mask is no data.
 
-    >>> refuse_mask(np.ma.masked_array([1.0, -99.0], mask=[False, True]))
-    Traceback (most recent call last):
-    ...
-    dynsr.errors.InputError: 1 of 2 values are masked; drop those rows, or fill them in
+    >>> without_mask(np.ma.masked_array([1.0, -99.0], mask=[False, True]))
+    array([ 1., nan])
+
+    Raises InputError where values that are no numbers, dates or durations are masked.
     """
     if not isinstance(values, np.ma.MaskedArray):
-        return
-    parts = [values[name] for name in values.dtype.names or ()] or [values]
-    count = sum(int(np.sum(np.ma.getmaskarray(part))) for part in parts)
-    if count:
+        return values
+    count = int(np.sum(np.ma.getmaskarray(values)))
+    if not count:
+        return values.data
+    if values.dtype.kind in "mM":
+        return np.where(np.ma.getmaskarray(values), np.array("NaT", values.dtype), values.data)
+    if values.dtype.kind not in "fiub":
         raise InputError(
             f"{count} of {values.size} values are masked; drop those rows, or fill them in"
         )
+    return np.where(np.ma.getmaskarray(values), np.nan, values.data.astype(float))
 
 
 def as_times(values: Any, what: str) -> tuple[np.ndarray, str]:
@@ -60,7 +64,7 @@ def as_times(values: Any, what: str) -> tuple[np.ndarray, str]:
     >>> as_times(np.array(["2024-01-01", "2024-01-02"], dtype="datetime64[D]"), "t")
     (array([0., 1.]), 'days')
     """
-    refuse_mask(values)
+    values = without_mask(values)
     try:
         array = np.asarray(values)
         array = _as_one_kind(array) if array.dtype.kind == "O" else array
@@ -79,15 +83,14 @@ def as_floats(values: Any, what: str) -> np.ndarray:
     values : an array, or what makes one.
     what : what a message calls them.
 
-    Raises InputError when values are masked, complex, integers that float64 does not hold, or no
-    numbers.
+    Masked values are NaN. Raises InputError when values are complex, integers that float64 does not
+    hold, or no numbers.
 
     >>> as_floats(np.array([0, 1500], dtype="timedelta64[ms]"), "t").tolist()
     [0.0, 1.5]
     """
-    refuse_mask(values)
     try:
-        array = np.asarray(values)
+        array = np.asarray(without_mask(values))
         if array.dtype.kind == "O":
             array = _as_one_kind(array)
         if array.dtype.kind == "c":
@@ -131,15 +134,18 @@ class Trajectory:
     ----------
     t : (n,) times, strictly increasing; dates and durations are counted in a unit of the size of
         their steps, which :attr:`time_unit` then says.
-    x : (n, k) states in the system's own units.
+    x : (n, k) states in the system's own units; NaN where a state was not measured.
     states : the k names of the columns of ``x``.
     inputs : (n, m) known inputs at the same times; empty by default.
     input_names : the m names of the columns of ``inputs``.
     origin : where it came from: engine, version, tolerances, unit of the times.
     hold : input -> what it does between rows: "previous" (keeps its value until the next row),
         "linear" or "smooth"; for inputs that are not named its values tell, see :attr:`holds`.
+    unmeasured : (n, k) cells that were not measured, whatever ``x`` holds there; by default those
+        that are NaN. Empty where every cell was measured.
 
-    Raises InputError, naming the row, when times do not increase or a value is not finite.
+    Raises InputError, naming the row, when times do not increase, a value is infinite, or an input
+    has none.
 
     >>> Trajectory([0.0, 0.5], [[1.0], [2.0]], ("x",)).x.shape
     (2, 1)
@@ -152,6 +158,7 @@ class Trajectory:
     input_names: tuple[str, ...] = ()
     origin: Mapping[str, Any] = field(default_factory=dict)
     hold: Mapping[str, Hold] = field(default_factory=dict)
+    unmeasured: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=bool))
 
     def __post_init__(self) -> None:
         """Bring the fields to float64 and check them."""
@@ -173,7 +180,9 @@ class Trajectory:
         if clash:
             raise InputError(f"column name {clash[0]!r} is used twice (t is the time); rename one")
         _check_times(t)
-        _check_finite(np.column_stack([x, u]), names)
+        gaps = _find_gaps(x, self.unmeasured)
+        _check_finite(np.column_stack([np.where(gaps, 0.0, x) if gaps.size else x, u]), names)
+        object.__setattr__(self, "unmeasured", gaps)
         for key, value in (("t", t), ("x", x), ("inputs", u), ("states", states)):
             object.__setattr__(self, key, value)
         object.__setattr__(self, "input_names", input_names)
@@ -194,6 +203,55 @@ class Trajectory:
     def names(self) -> tuple[str, ...]:
         """States, then inputs."""
         return (*self.states, *self.input_names)
+
+    @property
+    def measured(self) -> np.ndarray:
+        """(n, k) whether a state was measured at a row."""
+        return ~self.unmeasured if self.unmeasured.size else np.ones(self.x.shape, dtype=bool)
+
+    @property
+    def observed(self) -> np.ndarray:
+        """(n, k) the states as they were measured; NaN where they were not."""
+        return np.where(self.unmeasured, np.nan, self.x) if self.unmeasured.size else self.x
+
+    def as_measured(self) -> Trajectory:
+        """Give the same run with NaN where a state was not measured, whatever stood there."""
+        return replace(self, x=self.observed) if self.unmeasured.size else self
+
+    def of_states(self, states: Sequence[str]) -> Trajectory:
+        """Give the same run with some of its states alone.
+
+        Parameters
+        ----------
+        states : which, in this order.
+        """
+        places = [self.index(state) for state in states]
+        gaps = self.unmeasured[:, places] if self.unmeasured.size else self.unmeasured
+        return replace(self, x=self.x[:, places], states=tuple(states), unmeasured=gaps)
+
+    def own_rows(self, state: str) -> np.ndarray:
+        """Give the rows at which a state was measured.
+
+        Parameters
+        ----------
+        state : the state.
+
+        >>> Trajectory([0.0, 1.0], [[1.0], [np.nan]], ("x",)).own_rows("x").tolist()
+        [0]
+        """
+        return np.flatnonzero(self.measured[:, self.index(state)])
+
+    def at_own_rows(self, state: str) -> Trajectory:
+        """Give the rows at which a state was measured, the others standing on their curves there.
+
+        Parameters
+        ----------
+        state : the state.
+        """
+        if not self.unmeasured.size:
+            return self
+        own = self.select(self.own_rows(state))
+        return replace(own, unmeasured=np.empty((0, 0), dtype=bool))
 
     @property
     def columns(self) -> np.ndarray:
@@ -231,11 +289,26 @@ class Trajectory:
     def every(self, stride: int) -> np.ndarray:
         """Give the rows left where one in ``stride`` is kept, and each at which an input steps.
 
-        Between the rows that are kept a held input then has one value.
+        Between the rows that are kept a held input then has one value. Of a state that was not
+        measured at every row, one in so many of its own rows is kept that as many are left of it,
+        or all where it has no more.
         """
+        if stride == 1 or not self.unmeasured.size:
+            return np.union1d(self._one_in(stride), self._steps)
+        wanted = -(-len(self) // stride)
+        own = [self.own_rows(state) for state in self.states]
+        kept = [rows[:: max(1, len(rows) // wanted)] for rows in own]
+        return np.unique(np.concatenate([*kept, self._steps]))
+
+    def _one_in(self, stride: int) -> np.ndarray:
+        return np.arange(0, len(self), stride)
+
+    @property
+    def _steps(self) -> np.ndarray:
+        """Rows at which a held input steps."""
         held = [i for i, name in enumerate(self.input_names) if self.holds[name] == "previous"]
-        steps = np.flatnonzero(np.any(np.diff(self.inputs[:, held], axis=0) != 0, axis=1)) + 1
-        return np.union1d(np.arange(0, len(self), stride), steps)
+        changed = np.any(np.diff(self.inputs[:, held], axis=0) != 0, axis=1)
+        return np.flatnonzero(changed) + 1
 
     def thin(self, stride: int, stretches: int = 4) -> list[np.ndarray]:
         """Give the rows that stand for the run where about one in ``stride`` is wanted.
@@ -246,10 +319,10 @@ class Trajectory:
         stretches : where a held input steps so often that :meth:`every` leaves twice as many, so
             many stretches of all their rows are given instead, evenly spaced over the run.
         """
-        kept = self.every(stride)
         wanted = len(self) // stride
-        if len(kept) <= 2 * wanted or wanted < 2 * stretches:
-            return [kept]
+        many = len(np.union1d(self._one_in(stride), self._steps)) > 2 * wanted
+        if not many or wanted < 2 * stretches:
+            return [self.every(stride)]
         length = wanted // stretches
         starts = np.linspace(0, len(self) - length, stretches).astype(int)
         return [start + np.arange(length) for start in starts]
@@ -264,7 +337,10 @@ class Trajectory:
         Raises InputError when they are no rows, or times do not increase in that order.
         """
         check_rows(rows, len(self))
-        return replace(self, t=self.t[rows], x=self.x[rows], inputs=self.inputs[rows])
+        gaps = self.unmeasured[rows] if self.unmeasured.size else self.unmeasured
+        return replace(
+            self, t=self.t[rows], x=self.x[rows], inputs=self.inputs[rows], unmeasured=gaps
+        )
 
 
 def check_rows(rows: Any, count: int) -> None:
@@ -332,6 +408,17 @@ def columns_of(runs: Sequence[Trajectory]) -> dict[str, np.ndarray]:
     """
     named = [run.by_name for run in runs]
     return {name: np.concatenate([own[name] for own in named]) for name in named[0]}
+
+
+def _find_gaps(x: np.ndarray, unmeasured: Any) -> np.ndarray:
+    """(n, k) cells that were not measured; empty where all were."""
+    gaps = np.asarray(np.isnan(x))
+    given = np.asarray(unmeasured, dtype=bool)
+    if given.size:
+        if given.shape != x.shape:
+            raise InputError(f"unmeasured {given.shape} does not fit x {x.shape}")
+        gaps |= given
+    return gaps if np.any(gaps) else np.empty((0, 0), dtype=bool)
 
 
 def _check_times(t: np.ndarray) -> None:

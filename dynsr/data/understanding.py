@@ -15,7 +15,7 @@ from dynsr.data.names import clean_name, find_column
 from dynsr.data.replicates import find_replicates, stack_replicates
 from dynsr.data.roles import Roles, guess_roles
 from dynsr.data.rows import Run, order_rows, pooled_noise
-from dynsr.data.steps import hold_on, is_noted_at_changes
+from dynsr.data.steps import between_rows, hold_on, is_noted_at_changes
 from dynsr.data.table_checks import check_infinite, check_values, thin, to_numbers
 from dynsr.data.time_columns import Times, find_time, in_seconds_or_units
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory
@@ -78,8 +78,8 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     asked : what the caller said of the other columns.
 
     In this order: the time; runs that stand side by side; quantities below each other; what tells
-    trajectories apart; the role of each column; rows in order of time, repeated ones averaged,
-    incomplete ones left out.
+    trajectories apart; the role of each column; rows in order of time, repeated ones averaged.
+    Cells of states that are empty stay so: the state was not measured there.
     """
     notes = list(columns.notes)
     columns = _with_numbers(columns)
@@ -257,7 +257,7 @@ def _interleaved(times: Times, grouping: Grouping) -> list[str]:
 def _order(
     columns: Columns, times: Times, grouping: Grouping, roles: Roles
 ) -> tuple[list[Run], list[str]]:
-    """Give the complete rows of each trajectory in order of time, and what was done to them."""
+    """Give the rows of each trajectory in order of time, and what was done to them."""
     used = [*roles.states, *roles.inputs]
     columns.check_usable([*used, *roles.trajectory])
     by_name = dict(zip(columns.names, columns.values, strict=True))
@@ -272,7 +272,7 @@ def _order(
         )
     runs, notes = order_rows(grouping, t, values, roles.states, times.name, columns.label)
     runs = _held(runs, roles)
-    runs, said = _complete(runs, roles, columns.label)
+    runs, said = _observed(runs, roles, columns.label)
     notes += said
     runs, said = _long_enough(runs, columns.label)
     return runs, [*notes, *said]
@@ -291,35 +291,67 @@ def _held(runs: Sequence[Run], roles: Roles) -> list[Run]:
     ]
 
 
-def _complete(runs: Sequence[Run], roles: Roles, label: str) -> tuple[list[Run], list[str]]:
-    """Leave rows out where a state or an input has no value."""
-    empty = {
-        name: sum(int(np.sum(np.isnan(run.values[name]))) for run in runs)
-        for name in (*roles.states, *roles.inputs)
-    }
-    empty = {name: count for name, count in empty.items() if count}
-    if not empty:
-        return list(runs), []
+def _observed(runs: Sequence[Run], roles: Roles, label: str) -> tuple[list[Run], list[str]]:
+    """Give the rows where something was measured, and say which states were not at every one.
+
+    An input is known at all rows by what it does between its own. Rows in which there is nothing
+    but a time, and those before the first or after the last value of any state, say nothing.
+    """
     total = sum(len(run.t) for run in runs)
-    found = []
-    for run in runs:
-        there = np.all(np.isfinite(np.column_stack(list(run.values.values()))), axis=1)
-        found.append(run.at(np.flatnonzero(there)))
+    gaps = _count_empty(runs, roles.inputs)
+    told = [f"{name!r}, an input, in {count}" for name, count in gaps.items()]
+    found = [_with_inputs(run, roles) for run in runs]
+    found = [run.at(_rows_told(run, roles)) for run in found]
     kept = sum(len(run.t) for run in found)
-    counts = ", ".join(
-        f"{name!r} is empty in {count} of {total} rows" if i == 0 else f"{name!r} in {count}"
-        for i, (name, count) in enumerate(sorted(empty.items(), key=lambda own: -own[1]))
-    )
-    if max((len(run.t) for run in found), default=0) < FEWEST_ROWS:
-        worst = max(empty, key=lambda name: empty[name])
-        others = ",".join(clean_name(n) for n in roles.states if n != worst) or "..."
-        raise InputError(
-            f"{counts} of {label}, which leaves {kept} rows where every column has a value; at "
-            f"least {FEWEST_ROWS} are needed: fill them in, or leave {worst!r} out "
-            f"(--states {others})"
+    empty = _count_empty(found, roles.states)
+    for name in roles.states:
+        count = kept - empty.get(name, 0)
+        if count < FEWEST_ROWS:
+            others = ",".join(clean_name(n) for n in roles.states if n != name) or "..."
+            raise InputError(
+                f"{name!r} has {count} value{'s' * (count != 1)} in the {total} rows of {label}; "
+                f"at least {FEWEST_ROWS} are needed: give more of them, or leave {name!r} out "
+                f"(--states {others})"
+            )
+    notes = []
+    if kept < total:
+        lost = total - kept
+        rows = "1 row was" if lost == 1 else f"{lost} rows were"
+        notes.append(f"{rows} left out: no state has a value there.")
+    if empty:
+        listed = [f"{n!r} in {c}" for n, c in sorted(empty.items(), key=lambda own: -own[1])]
+        notes.append(
+            f"Of {kept} rows, cells are empty: {', '.join(listed)}; each state counts where it was "
+            "measured."
         )
-    which = "all columns have a value" if len(empty) > 1 else "it has a value"
-    return found, [f"{counts}; the {kept} rows where {which} are used."]
+    if told:
+        notes.append(
+            f"Of {total} rows, cells are empty: {', '.join(told)}; its value there is that between "
+            "its rows (--hold)."
+        )
+    return found, notes
+
+
+def _count_empty(runs: Sequence[Run], names: Sequence[str]) -> dict[str, int]:
+    """Column -> how many of its cells are empty, where any is."""
+    counts = {name: sum(int(np.sum(np.isnan(run.values[name]))) for run in runs) for name in names}
+    return {name: count for name, count in counts.items() if count}
+
+
+def _with_inputs(run: Run, roles: Roles) -> Run:
+    inputs = {name: between_rows(run.t, run.values[name]) for name in roles.inputs}
+    return replace(run, values={**run.values, **inputs})
+
+
+def _rows_told(run: Run, roles: Roles) -> np.ndarray:
+    """Give the rows where a state has a value; with inputs, those between two such rows too."""
+    there = np.any([np.isfinite(run.values[name]) for name in roles.states], axis=0)
+    known = np.all([np.isfinite(run.values[name]) for name in roles.inputs], axis=0)
+    own = np.flatnonzero(there & known)
+    if not roles.inputs or not len(own):
+        return own
+    between = np.arange(own[0], own[-1] + 1)
+    return between[np.broadcast_to(known, run.t.shape)[between]]
 
 
 def _long_enough(runs: Sequence[Run], label: str) -> tuple[list[Run], list[str]]:
@@ -374,19 +406,20 @@ def _make(
     found = []
     kept = thin([len(run.t) for run in runs], asked.max_rows, columns.label)
     for run, (t, _), rows in zip(runs, counted, kept, strict=True):
-        extra = functions(t[rows][None]).T
-        _check_formulas(extra, t[rows], asked.formulas)
-        table = np.column_stack([run.values[name][rows] for name in wanted])
-        found.append(
-            Trajectory(
-                t[rows],
-                table[:, :count],
-                tuple(names[:count]),
-                np.column_stack([table[:, count:], extra]),
-                (*names[count:], *asked.formulas),
-                {**origin, "name": run.name},
-            )
+        extra = functions(t[None]).T
+        _check_formulas(extra[rows], t[rows], asked.formulas)
+        table = np.column_stack([run.values[name] for name in wanted])
+        whole = Trajectory(
+            t,
+            table[:, :count],
+            tuple(names[:count]),
+            np.column_stack([table[:, count:], extra]),
+            (*names[count:], *asked.formulas),
+            {**origin, "name": run.name},
         )
+        # A state that is measured seldom keeps its rows.
+        some = whole.every(rows.step or 1) if whole.unmeasured.size else rows
+        found.append(whole.select(some))
     return found
 
 

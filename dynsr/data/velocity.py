@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynsr.data.forcing import Forced, find_forced
-from dynsr.data.noise_model import measurement_noise
+from dynsr.data.noise_model import StateNoise, measurement_noise
+from dynsr.data.observation import carry
 from dynsr.data.samples import SCHEMES, Samples, join_samples
 from dynsr.data.slopes import (
     Choice,
@@ -18,6 +19,7 @@ from dynsr.data.slopes import (
     local_polynomial,
     smooth_column,
 )
+from dynsr.data.smoothing import estimate_noise, smooth
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
@@ -34,7 +36,9 @@ def add_velocities(
     """Put the slopes of some states beside the columns, as states of their own.
 
     The slopes are those of the scheme that the data choose for them, smoothed where there is noise;
-    rows at the ends that have none go. The states themselves stay as they were measured.
+    rows at the ends that have none go. The states themselves stay as they were measured. Where a
+    state was not measured at every row, the slopes are those of the curves of
+    :func:`dynsr.data.smoothing.smooth`.
 
     Parameters
     ----------
@@ -51,6 +55,10 @@ def add_velocities(
     >>> run.states, bool(np.allclose(run.x[:, 1], np.cos(run.t), atol=1e-6))
     (('x', 'v'), True)
     """
+    runs = carry(runs)
+    if any(run.unmeasured.size for run in runs):
+        noise = estimate_noise(runs)
+        return [_with_slopes(run, velocities, noise) for run in runs]
     parts: Sequence[Forced | None] = find_forced(runs) or [None] * len(runs)
     pairs = zip(runs, parts, strict=True)
     return [_with_velocities(run, velocities, scheme, settings, part) for run, part in pairs]
@@ -64,10 +72,10 @@ def _with_velocities(
     forced: Forced | None,
 ) -> Trajectory:
     slopes = []
-    smooth = run if forced is None else forced.taken_from(run)
+    smoothed = run if forced is None else forced.taken_from(run)
     for state in velocities:
-        x = smooth.x[:, run.index(state)]
-        chosen = scheme if scheme != "auto" else _choose_first(smooth, state, settings).scheme
+        x = smoothed.x[:, run.index(state)]
+        chosen = scheme if scheme != "auto" else _choose_first(smoothed, state, settings).scheme
         slopes.append(smooth_column(run.t, x, chosen))
     rows = slice(max(s.rows.start for s in slopes), min(s.rows.stop for s in slopes))
     columns = [s.slope[rows.start - s.rows.start : rows.stop - s.rows.start] for s in slopes]
@@ -77,6 +85,17 @@ def _with_velocities(
     kept = run.select(rows)
     states = (*kept.states, *velocities.values())
     return replace(kept, x=np.column_stack([kept.x, *columns]), states=states)
+
+
+def _with_slopes(
+    run: Trajectory, velocities: Mapping[str, str], noise: Sequence[StateNoise]
+) -> Trajectory:
+    """Give a run with the slopes of its curves, for states not measured at every row."""
+    places = [run.index(state) for state in velocities]
+    gaps = ~run.measured
+    gaps = np.column_stack([gaps, gaps[:, places]])
+    x = np.column_stack([run.x, smooth(run, noise).slope[:, places]])
+    return replace(run, x=x, states=(*run.states, *velocities.values()), unmeasured=gaps)
 
 
 def _choose_first(run: Trajectory, state: str, settings: SlopeSettings) -> Choice:
@@ -122,6 +141,7 @@ def choose_second_samples(
     >>> bool(np.allclose(samples.y, -samples.columns["x"], atol=1e-4))
     True
     """
+    runs = [run.at_own_rows(target) for run in carry(runs)]
     parts, measured = find_forced(runs), runs
     if parts is not None:
         runs = [_take(run, part, velocities) for run, part in zip(runs, parts, strict=True)]
@@ -140,12 +160,12 @@ def choose_second_samples(
 
 def _take(run: Trajectory, forced: Forced, velocities: Mapping[str, str]) -> Trajectory:
     """Take what held inputs bend from the states, and its slope from their velocities."""
-    smooth = forced.taken_from(run)
-    x = smooth.x.copy()
+    plain = forced.taken_from(run)
+    x = plain.x.copy()
     for state, velocity in velocities.items():
         own = run.index(velocity)
         x[:, own] = run.x[:, own] - forced.slope[:, run.index(state)]
-    return replace(smooth, x=x)
+    return replace(plain, x=x)
 
 
 def _add(
@@ -244,9 +264,9 @@ def _samples(
         elif choice.scheme in SCHEMES:
             continue
         else:
-            smooth = smooth_column(run.t, run.x[:, place], choice.scheme)
-            rows = smooth.rows
-            columns[rows, place] = smooth.x
+            found = smooth_column(run.t, run.x[:, place], choice.scheme)
+            rows = found.rows
+            columns[rows, place] = found.x
         start, stop = max(start, rows.start), min(stop, rows.stop)
     first, second, choice = seconds[target]
     inside = slice(start - first, stop - first)

@@ -47,10 +47,10 @@ def confirm(found: Discovery) -> Discovery:
 def _distances(found: Discovery, engine: AbstractEngine) -> dict[str, float | None]:
     states = list(found.equations)
     truths, curves = [], []
-    for run in found.trajectories:
-        truth = np.column_stack([run.x[:, run.index(state)] for state in states])
+    for run in found.carried:
+        places = [run.index(state) for state in states]
         inputs = found.inputs_of(run)
-        truths.append(truth)
-        curves.append(predict(found.equations, truth[0], run.t, inputs, engine).x)
+        truths.append(run.observed[:, places])
+        curves.append(predict(found.equations, run.x[0, places], run.t, inputs, engine).x)
     x, y = np.concatenate(curves), np.concatenate(truths)
     return {state: rmse(x[:, i], y[:, i]) for i, state in enumerate(states)}

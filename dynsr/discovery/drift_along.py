@@ -191,6 +191,8 @@ class Along:
             return {}
         for place in range(len(states)):
             mine = owners == place
+            if not np.any(mine):
+                continue
             size = 1.4826 * float(np.median(np.abs(z[mine])))
             far = mine & (np.abs(z) > _FAR * size)
             level = math.sqrt(max(float(np.mean(z[mine & ~far] ** 2)), 1e-3))
@@ -239,7 +241,7 @@ class Along:
             both -= begin @ (begin.T @ both)
             parts.append((both[:, 0], both[:, 1], both[:, 2:]))
         target, own, design = (np.concatenate(some) for some in zip(*parts, strict=True))
-        rows = len(target)
+        rows = sum(int(np.sum(np.isfinite(own[:, place]))) for own in self.course.noise)
         return Lines(target - own, target, np.zeros((len(target), 0)), design, rows)
 
     def refit(self, equations: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
@@ -344,9 +346,10 @@ def _total(followed: Followed) -> float:
 def _squares(followed: Followed) -> np.ndarray:
     """(k,) mean size of the squares of misses, of which those far off count little."""
     total = sum(np.sum(_FAR**2 * np.log1p((z / _FAR) ** 2), axis=(0, 2)) for z in followed.misses)
-    return np.asarray(total / sum(z.shape[0] * z.shape[2] for z in followed.misses))
+    return np.asarray(total / np.maximum(followed.counts, 1))
 
 
 def _rows(followed: Followed) -> np.ndarray:
     """(k,) independent rows of the misses."""
-    return np.asarray(sum(independent_rows(z) for z in followed.misses))
+    lanes = [followed.lanes(place) for place in range(len(followed.counts))]
+    return np.array([sum(independent_rows(z[:, None])[0] for z in own) for own in lanes])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import sympy
@@ -112,10 +113,11 @@ class Course:
     Parameters
     ----------
     runs : the trajectories.
-    noise : for each run (n, k) standard deviations of the noise of its rows, above 0.
+    noise : for each run (n, k) standard deviations of the noise of its rows, above 0; inf where a
+        state was not measured.
     states : the k states that are followed; other columns are read from the data.
     inputs : input name -> expression in ``t`` where it is known.
-    thinned : how many rows of the data stand behind one row here.
+    thinned : how many measurements of the data stand behind one here.
     """
 
     runs: tuple[Trajectory, ...]
@@ -134,13 +136,13 @@ class Course:
         rows: int,
     ) -> Course:
         """Take every so many-th row, so that ``rows`` are left at most."""
-        total = sum(map(len, runs))
-        every = max(1, math.ceil(total / rows))
+        every = max(1, math.ceil(sum(map(len, runs)) / rows))
         taken = [run.thin(every if len(run) >= 8 * every else 1) for run in runs]
         pairs = [(i, rows) for i, own in enumerate(taken) for rows in own]
         thin = tuple(runs[i].select(rows) for i, rows in pairs)
         own = tuple(noise[i][rows] for i, rows in pairs)
-        return cls(thin, own, tuple(states), inputs, total / sum(map(len, thin)))
+        total, left = (sum(int(np.sum(run.measured)) for run in some) for some in (runs, thin))
+        return cls(thin, own, tuple(states), inputs, total / left)
 
     @property
     def longest(self) -> int:
@@ -178,7 +180,8 @@ class Course:
 class Followed:
     """A system fitted to the trajectories: one entry for each group of windows of one length.
 
-    ``misses`` are (rows, k, W) in units of the noise; NaN where the equations diverge.
+    ``misses`` are (rows, k, W) in units of the noise, 0 where nothing was measured; NaN where the
+    equations diverge.
     """
 
     shootings: tuple[Shooting, ...]
@@ -195,12 +198,38 @@ class Followed:
     def sizes(self) -> np.ndarray:
         """(k,) mean squared miss of every state, in units of its noise."""
         total = sum(np.sum(z**2, axis=(0, 2)) for z in self.misses)
-        count = sum(z.shape[0] * z.shape[2] for z in self.misses)
-        found: np.ndarray = total / count
+        found: np.ndarray = total / np.maximum(self.counts, 1)
+        return found
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """(k,) measurements of every state that are followed."""
+        return np.asarray(sum(s.counts for s in self.shootings))
+
+    @property
+    def told(self) -> np.ndarray:
+        """(N,) whether there is a measurement, of all misses in the order of :meth:`linearise`."""
+        return np.concatenate([s.told.transpose(2, 0, 1).reshape(-1) for s in self.shootings])
+
+    def lanes(self, place: int) -> list[np.ndarray]:
+        """Give the misses of one state (rows, W) at its measurements, window by window.
+
+        Parameters
+        ----------
+        place : that of the state.
+        """
+        found = []
+        for shooting, z in zip(self.shootings, self.misses, strict=True):
+            own = shooting.told[:, place]
+            parts = [z[rows, place, [lane]][:, None] for lane, rows in enumerate(own.T)]
+            found += [z[:, place]] if own.all() else [part for part in parts if len(part)]
         return found
 
     def linearise(self, rows: slice | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Misses (N,), their slopes by constants and all starts (N, P + k W), states (N,)."""
+        """Misses (N,), their slopes by constants and all starts (N, P + k W), states (N,).
+
+        Only measurements are among them.
+        """
         count, lanes = len(self.constants), [s.shape[1] for s in self.starts]
         k = len(self.misses[0][0])
         columns = count + k * sum(lanes)
@@ -216,7 +245,9 @@ class Followed:
                 misses.append(flat[lane])
                 slopes.append(block)
                 owners.append(np.tile(np.arange(k), len(z)))
-        return np.concatenate(misses), np.concatenate(slopes), np.concatenate(owners)
+        told = self.told
+        every = np.concatenate(misses), np.concatenate(slopes), np.concatenate(owners)
+        return every if told.all() else (every[0][told], every[1][told], every[2][told])
 
 
 def follow(

@@ -10,7 +10,7 @@ import numpy as np
 import sympy
 import torch
 
-from dynsr.data import Samples, Trajectory, choose_samples, robust_scale
+from dynsr.data import Samples, Trajectory, carry, choose_samples, robust_scale
 from dynsr.discovery.prediction import Measured
 from dynsr.engines import Drive, Motion, follow
 from dynsr.errors import InputError
@@ -163,7 +163,7 @@ class HybridModel:
         Raises InputError when an equation is missing or a time lies beyond the measured inputs, and
         EngineError, with time and state, where the solution ends before the last time.
         """
-        run = self.trajectories[0]
+        (run,) = carry(self.trajectories[:1])
         times = run.t if t is None else np.asarray(t, dtype=float)
         order = [run.index(state) for state in self.equations]
         start = run.x[0] if x0 is None else np.asarray(x0, dtype=float)

@@ -254,6 +254,8 @@ def _compare_free_runs(
     actual, expected = [], []
     for run in runs:
         first = np.arange(0, len(run) - settings.steps, max(1, len(run) // settings.rows))
+        whole: np.ndarray = np.all(run.measured, axis=1)
+        first = first[whole[first] & whole[first + settings.steps]]
         if not len(first):
             continue
         plain = run.x[first][:, states].T
@@ -288,7 +290,10 @@ def _judge_state(
     state, r2 = step.state, step.r2
     size = step.size / step.spread
     found = StateVerdict(NOT_FOUND, "", float(f"{r2:.6g}"), free, noise=float(f"{size:.6g}"))
-    if np.ptp([value for run in runs for value in run.x[:, run.index(state)]]) == 0:
+    if (
+        np.ptp([value for run in runs for value in run.x[run.own_rows(state), run.index(state)]])
+        == 0
+    ):
         return replace(found, level=LAW, reason=f"{state} does not change.")
     if not (math.isfinite(r2) and np.all(np.isfinite(step.jacobian))):
         return replace(found, reason="the equation has no value on some rows.")

@@ -38,6 +38,8 @@ ENGINES = {
 def pair_rows(runs: Sequence[Trajectory], target: str) -> Samples:
     """Pair every row with the next value of the target, where it follows after one usual step.
 
+    Only rows where every state was measured are paired, and only with measured values.
+
     Parameters
     ----------
     runs : trajectories of the same columns.
@@ -52,8 +54,19 @@ def pair_rows(runs: Sequence[Trajectory], target: str) -> Samples:
     steps = [np.diff(run.t) for run in runs]
     usual = float(np.median(np.concatenate(steps)))
     kept = [np.flatnonzero(np.abs(step - usual) <= _EVEN * usual) for step in steps]
+    whole: list[np.ndarray] = [np.all(run.measured, axis=1) for run in runs]
+    after = [run.measured[:, run.index(target)] for run in runs]
     if 2 * sum(map(len, kept)) < sum(map(len, steps)):
         raise InputError("the rows are at uneven times; a map needs one row a step")
+    kept = [
+        rows[before[rows] & own[rows + 1]]
+        for rows, before, own in zip(kept, whole, after, strict=True)
+    ]
+    if not sum(map(len, kept)):
+        raise InputError(
+            f"no row where every column was measured is followed by a value of {target!r}; "
+            "a map needs such pairs"
+        )
     return Samples(
         np.concatenate([run.columns[rows] for run, rows in zip(runs, kept, strict=True)]),
         np.concatenate(

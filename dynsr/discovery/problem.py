@@ -371,8 +371,8 @@ class Problem:
         Few rows an oscillation miss their neighbours as noise does, and what follows rows far
         closer than noise shows that there is none.
         """
-        data = self.measurements
-        if data is None or not len(fitted.misses):
+        data = self.measurements or self._gapped
+        if self.confirmed or data is None or not len(fitted.misses):
             return None
         close = float(np.sqrt(np.mean(fitted.misses**2))) < _FAR_BELOW_NOISE
         if not close and data.parts == 1 and not data.may_be_exact:
@@ -434,7 +434,7 @@ class Problem:
         noise: Mapping[str, Noise],
         settings: FitSettings,
     ) -> Match:
-        data, exact = self.measurements, next(iter(self.confirmed), None)
+        data, exact = self.measurements or self._gapped, next(iter(self.confirmed), None)
         if exact is not None and exact.exprs.keys() == system.keys():
             return polish(
                 exact.exprs, self.runs, self.inputs, samples, noise, settings, None, exact
@@ -512,16 +512,29 @@ class Problem:
         data = Measurements.of(self.runs, self.inputs, comparison.rows, self.form.known)
         return data if comparison.ask(data) else None
 
+    @property
+    def _gaps(self) -> bool:
+        """Whether a state was not measured at every row."""
+        return any(run.unmeasured.size for run in self.runs)
+
+    @cached_property
+    def _gapped(self) -> Measurements | None:
+        """The states with their noise and smoothed curves, where one has gaps; else None."""
+        if not self._gaps or self.form.discrete:
+            return None
+        rows = self.settings.selection.comparison.rows
+        return Measurements.of(self.runs, self.inputs, rows, self.form.known)
+
     def split(self) -> tuple[Sequence[Trajectory], Sequence[Trajectory]]:
         """Give the trajectories to search in, and those held back to choose by forecasts."""
-        if self.form.discrete or self.measurements is not None:
+        if self.form.discrete or self.measurements is not None or self._gaps:
             return self.runs, []
         return split_held_back(self.runs)
 
     def noise(self) -> list[np.ndarray] | None:
         """(n, k) standard deviations of the noise of each run; None where it is not known."""
         if self.confirmed:
-            return [np.zeros_like(run.x) for run in self.runs]
+            return [np.where(run.measured, 0.0, np.inf) for run in self.runs]
         data = self.measurements
         if data is None or any(
             len(a) != len(b) for a, b in zip(data.runs, self.runs, strict=False)
@@ -643,7 +656,8 @@ class Problem:
     def _missed_slopes(self, equations: Mapping[str, sympy.Expr]) -> dict[str, tuple[float, float]]:
         """State -> median miss of its slopes and their error, as shares of their size."""
         found: dict[str, tuple[float, float]] = {}
-        if self.measurements is not None or self.slopes:
+        # Slopes of what stands on a curve are none of the data.
+        if self.measurements is not None or self.slopes or self._gaps:
             return found
         for state, expr in equations.items():
             own = self.samples(state, self.runs, known_left_out=False)

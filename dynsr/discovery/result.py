@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -17,6 +18,7 @@ from dynsr.data import (
     Hold,
     Samples,
     Trajectory,
+    carry,
     check_hold,
     check_time_unit,
     choose_samples,
@@ -225,7 +227,7 @@ class Discovery:
         )
         if not self.trajectories:
             return bare
-        run = self.trajectories[0]
+        run = self.carried[0]
         start = {s: float(run.x[0, run.index(s)]) for s in self.equations if s in run.states}
         times = float(run.t[0]), float(run.t[-1])
         return replace(bare, x0=start, span=times, step=float(np.median(np.diff(run.t))))
@@ -318,7 +320,7 @@ class Discovery:
             used = {str(s) for e in named.values() for s in e.free_symbols} - {*parameters, *named}
             driven = tuple(sorted(used - {"t"}))
             flow = Flow(named, driven, symbols)
-            spread = measure_covariance(flow, values, self.trajectories, self.inputs)
+            spread = measure_covariance(flow, values, self.carried, self.inputs)
         errors = np.array([parameter.error for parameter in parameters.values()])
         own = np.sqrt(np.diag(spread))
         known = np.isfinite(errors) & np.isfinite(own) & (own > 0)
@@ -463,9 +465,9 @@ class Discovery:
             verdict = judge_map(chosen, self.trajectories, self.front, judging)
         else:
             slopes = self._slopes_of(chosen)
-            match = polish(chosen, self.trajectories, self.inputs, *slopes, fitting)
+            match = polish(chosen, self.carried, self.inputs, *slopes, fitting)
             verdict = judge(
-                match.exprs, self.trajectories, self.inputs, front=self.front, settings=judging
+                match.exprs, self.carried, self.inputs, front=self.front, settings=judging
             )
         origin = {s: f" {self._origin(s)}" for s in chosen} | {state: " Chosen by hand."}
         return replace(
@@ -586,12 +588,12 @@ class Discovery:
             raise InputError("the data are not here; give x0 and t")
         times = self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
         if x0 is None:
-            x0 = self.trajectories[0].select(slice(0, 1)).x[0][self._positions()]
+            x0 = self.carried[0].x[0][self._positions()]
         if self.is_map:
             refuse_idle(engine, "a map is iterated")
             if hold is not None or doses is not None:
                 raise InputError("a map has no time between rows; leave hold and doses out")
-            own = inputs_in(self.trajectories[0], self.equations) if t is None else self.inputs
+            own = inputs_in(self.carried[0], self.equations) if t is None else self.inputs
             return iterate(self.equations, x0, times, {**own, **(inputs or {})})
         given = {**self.inputs_of(), **(inputs or {})}
         for name, value in (inputs or {}).items():
@@ -601,6 +603,11 @@ class Discovery:
                 given[name] = Measured(name, times, values, self.hold[name])
         chosen = engine or self.engine
         return predict_with_doses(self.equations, x0, times, doses, given, chosen, hold)
+
+    @cached_property
+    def carried(self) -> tuple[Trajectory, ...]:
+        """The data, in which a state stands on its curve where it was not measured."""
+        return tuple(carry(self.trajectories)) if self.trajectories else ()
 
     @property
     def hold(self) -> dict[str, Hold]:
@@ -619,6 +626,8 @@ class Discovery:
         in ``t`` is that, unless the run measured another one.
         """
         source = run or (self.trajectories[0] if self.trajectories else None)
+        if source is not None:
+            (source,) = carry([source])
         given: dict[str, Any] = self._known_inputs([] if source is None else [source])
         for name in arguments_of(self.equations):
             if name not in given and source is not None and name in source.names:
@@ -666,13 +675,13 @@ class Discovery:
         if self.is_map:
             return score_map(self.equations, runs)
         form = form_of(self.settings)
-        runs = form.prepare(runs)
+        runs = form.prepare(carry(runs))
         self._need_columns(runs)
         whole = [self._whole(run, chosen) for run in runs]
         known, scores = self._known_inputs(runs), {}
         for state, expr in self.equations.items():
             samples = form.samples(runs, state)
-            truth = np.concatenate([run.x[:, run.index(state)] for run in runs])
+            truth = np.concatenate([run.observed[:, run.index(state)] for run in runs])
             position = list(self.equations).index(state)
             scores[state] = {
                 "slope_rmse": rmse(evaluate(expr, _with_time(samples)), samples.y),

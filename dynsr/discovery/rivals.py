@@ -70,7 +70,7 @@ def compare_rivals(
     for (state, expr), value in zip(chosen, bits, strict=True):
         more = count_constants(expr) - count_constants(equations[state])
         cost = structure_bits(expr) - structure_bits(with_floats(equations[state]))
-        rows = sum(z.size for z in followed.misses) * course.thinned
+        rows = float(np.sum(followed.counts)) * course.thinned
         found[state].append((expr, float(value) + cost + more * constant_bits(rows)))
     return {state: sorted(pairs, key=lambda pair: pair[1]) for state, pairs in found.items()}
 
@@ -87,7 +87,7 @@ def columns_along(
     """
     parts = []
     for shooting, z in zip(shootings, misses, strict=True):
-        x = shooting.windows.x + z * shooting.spread
+        x = shooting.windows.x + shooting.missed(z)
         driven = shooting.windows.driven_rows
         parts.append(
             np.concatenate([x, driven], axis=1)

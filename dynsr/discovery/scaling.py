@@ -61,8 +61,8 @@ class Units:
         """
         span = max(float(run.t[-1] - run.t[0]) for run in runs)
         sizes = {
-            name: max(float(np.max(np.abs(run.columns[:, i]))) for run in runs)
-            for i, name in enumerate(runs[0].names)
+            name: max(float(np.nanmax(np.abs(own))) for own in columns)
+            for name, columns in _measured_columns(runs).items()
         }
         _check("the time", span)
         for name, size in sizes.items():
@@ -229,6 +229,15 @@ def in_fitting_units(search: Search) -> Search:
         return units.restore(found, runs, drives)
 
     return cast("Search", scaled)
+
+
+def _measured_columns(runs: Sequence[Trajectory]) -> dict[str, list[np.ndarray]]:
+    """Column -> its values in each run that has any."""
+    columns = [np.column_stack([run.observed, run.inputs]) for run in runs]
+    return {
+        name: [own[:, i] for own in columns if not np.all(np.isnan(own[:, i]))]
+        for i, name in enumerate(runs[0].names)
+    }
 
 
 def _scale(own: Any, factor: float) -> Any:

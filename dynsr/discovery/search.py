@@ -17,6 +17,7 @@ from dynsr.arguments import checked
 from dynsr.data import (
     Samples,
     Trajectory,
+    carry,
     column_units,
     take_trajectories,
 )
@@ -274,7 +275,7 @@ def discover(
     targeted = _choose_targets(targets, runs[0])
     scheme = scheme or ("forward" if preset == "paper" else "auto")
     form = read_form(order, explicit_time, discrete, runs[0], targeted, slopes)
-    runs = form.prepare(runs, scheme, settings.slopes)
+    runs = form.prepare(carry(runs), scheme, settings.slopes)
     demands = read_demands(
         runs[0].states,
         runs[0].names,
@@ -352,7 +353,7 @@ def discover(
     return replace(
         found,
         explanation=_explain(found, problem),
-        trajectories=tuple(runs),
+        trajectories=tuple(run.as_measured() for run in runs),
         inputs=drives,
         engine=chosen,
         settings=record,

@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 from scipy.special import chdtrc
 
-from dynsr.data import Samples, Trajectory, choose_samples, diagnose
+from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose
 from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
 from dynsr.discovery.drift_along import Along
 from dynsr.discovery.drift_exact import drift_of_slopes, same_in_time
@@ -234,8 +234,8 @@ def judge(
     equations : state -> right-hand side.
     runs : the trajectories that they were found on.
     inputs : input name -> expression in ``t`` where it is known.
-    noise : for each run (n, k) standard deviations of the noise of its states; by default one for
-        each state, estimated.
+    noise : for each run (n, k) standard deviations of the noise of its states, inf where they were
+        not measured; by default one for each state, estimated.
     front : state -> other formulas that were found, of which the closest are compared.
     rivals : state -> (formula, bits above the equation) where they have been compared already.
     causes : state -> a sentence that says what its data lack; by default what they tell.
@@ -341,11 +341,14 @@ class _Bench:
         noise: Sequence[np.ndarray] | None,
         settings: VerdictSettings,
     ) -> _Bench:
+        runs = carry(runs)
         columns = [runs[0].index(state) for state in equations]
         plain, spread = noise_and_spread(runs)
         whole = [np.broadcast_to(plain, r.x.shape) for r in runs] if noise is None else noise
+        whole = [np.where(r.measured, own, np.inf) for r, own in zip(runs, whole, strict=True)]
         spread = np.maximum(spread[columns], 1e-300)
-        typical = np.sqrt(np.mean(np.concatenate([n[:, columns] for n in whole]) ** 2, axis=0))
+        every = np.concatenate([level[:, columns] for level in whole])
+        typical = np.sqrt(np.mean(every**2, axis=0, where=np.isfinite(every)))
         clean = typical < settings.exact * spread
         least = np.where(clean, settings.solver, settings.finest) * spread
         own = [np.sqrt(level[:, columns] ** 2 + least**2) for level in whole]
@@ -417,16 +420,18 @@ class _Bench:
         """(k,) share of the variance of each state that is explained; -inf on divergence."""
         missed, total = np.zeros(len(self.spread)), np.zeros(len(self.spread))
         for shooting, z in zip(followed.shootings, followed.misses, strict=True):
-            missed += np.sum((z * shooting.spread) ** 2, axis=(0, 2))
-            x = shooting.windows.x
-            total += np.sum((x - self._means[:, None]) ** 2, axis=(0, 2))
+            missed += np.sum(shooting.missed(z) ** 2, axis=(0, 2))
+            off = (shooting.windows.x - self._means[:, None]) ** 2
+            total += np.sum(off, axis=(0, 2), where=shooting.told)
         with np.errstate(all="ignore"):
             return np.nan_to_num(1 - missed / np.maximum(total, 1e-300), nan=-np.inf)
 
     @property
     def _means(self) -> np.ndarray:
         columns = [self.course.runs[0].index(state) for state in self.equations]
-        found: np.ndarray = np.mean(np.concatenate([r.x for r in self.course.runs]), axis=0)
+        found: np.ndarray = np.nanmean(
+            np.concatenate([r.observed for r in self.course.runs]), axis=0
+        )
         return found[columns]
 
     def span(self, followed: Followed) -> float:
@@ -452,7 +457,7 @@ class _Bench:
         squares = np.array([np.sum(_tame(z[owners == i]) ** 2) for i in range(k)])
         chi = squares / freedom
         correlation, systematic = zip(
-            *(_correlate([m[:, i] for m in followed.misses]) for i in range(k)), strict=True
+            *(_correlate(followed.lanes(i)) for i in range(k)), strict=True
         )
         # Clean data are no surer than their solver, however well they are followed.
         level = np.where(self.clean, np.maximum(chi, 1.0), np.maximum(chi, 1e-12))
@@ -481,16 +486,15 @@ class _Bench:
         failed = np.full(k, np.inf), np.full(k, np.inf), np.ones(k)
         known = [max(2, round((1 - self.settings.held_back) * len(z))) for z in followed.misses]
         first = [first_rows(s, n) for s, n in zip(followed.shootings, known, strict=True)]
-        if len(self.places) + k > sum(
-            z.shape[1] * n for z, n in zip(followed.misses, known, strict=True)
-        ):
+        if len(self.places) + k > sum(int(np.sum(s.told[:, :, 0])) for s in first):
             return failed
         fitted = follow(first, followed.constants, starts=followed.starts, free=True)
         if not fitted.finite:
             return failed
         with np.errstate(all="ignore"):
             z, by, owners = fitted.linearise()
-            level = np.array([max(np.mean(_tame(z[owners == i]) ** 2), 1.0) for i in range(k)])
+            sizes = [np.sum(_tame(z[owners == i]) ** 2) for i in range(k)]
+            level = np.maximum(np.array(sizes) / np.maximum(fitted.counts, 1), 1.0)
             covariance = _covariance(by / np.sqrt(level)[owners][:, None])
             whole = replace(
                 fitted,
@@ -508,7 +512,7 @@ class _Bench:
                 np.tile(np.repeat(np.arange(len(m)) >= n, k), m.shape[2])
                 for m, n in zip(whole.misses, known, strict=True)
             ]
-        )
+        )[whole.told]
         return self._compare_forecast(z, by, owners, later, covariance, level, whole)
 
     def _compare_forecast(
@@ -523,8 +527,15 @@ class _Bench:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         missed, surprise, allowed = [], [], []
         unit = np.concatenate([s.spread.transpose(2, 0, 1).reshape(-1) for s in whole.shootings])
+        unit = unit[whole.told]
         for i in range(len(self.spread)):
             mine = np.flatnonzero(later & (owners == i))
+            if not len(mine):
+                # Nothing of it was measured there.
+                missed.append(np.inf)
+                surprise.append(0.0)
+                allowed.append(1.0)
+                continue
             missed.append(np.sqrt(np.mean((z * unit)[mine] ** 2)) / self.spread[i])
             mine = mine[:: max(1, len(mine) // 200)]
             joint = by[mine] @ covariance @ by[mine].T + level[i] * np.eye(len(mine))
@@ -568,7 +579,7 @@ class _Bench:
             return replace(found, reason=said + self._because(state, cause))
         if doubts:
             said = f"{follows_to(r2)}{self._while(followed)}, but {'; '.join(doubts)}."
-            explained = self._leaves_noise(place, evidence, found, self._rows(followed))
+            explained = self._leaves_noise(place, evidence, found, self._rows(followed, place))
             because = self._because(state, cause, explained)
             return replace(found, level=APPROXIMATION, reason=said + because)
         return replace(found, level=LAW, reason=self._praise(place, noise, followed, evidence))
@@ -709,7 +720,7 @@ class _Bench:
                 "its columns keep a relation along the data, so that other forms are the same "
                 "there: a run from another start tells them apart"
             )
-        rows = self._rows(followed)
+        rows = self._rows(followed, place)
         if not self._leaves_noise(place, evidence, found, rows):
             doubts.append(f"what is left over is not noise{_where(followed, place)}")
         share = found.forecast
@@ -736,9 +747,9 @@ class _Bench:
             doubts.append(f"{rows:.0f} rows are too few to be sure")
         return doubts
 
-    def _rows(self, followed: Followed) -> float:
-        """Rows of the data that were followed."""
-        return sum(z.shape[0] * z.shape[2] for z in followed.misses) * self.course.thinned
+    def _rows(self, followed: Followed, place: int) -> float:
+        """Rows of the data that were followed in which a state was measured."""
+        return float(followed.counts[place]) * self.course.thinned
 
     def _leaves_noise(
         self, place: int, evidence: _Evidence, found: StateVerdict, rows: float
@@ -776,9 +787,10 @@ class _Bench:
     def cross_layers(self) -> dict[str, StateVerdict] | None:
         """Judge stiff equations of clean data by one implicit integration from the first rows.
 
-        None where the data are noisy or have no layers, and where that does not reproduce them.
+        None where the data are noisy, lack values or have no layers, and where that does not
+        reproduce them.
         """
-        if not np.all(self.clean):
+        if not np.all(self.clean) or any(run.unmeasured.size for run in self.runs):
             return None
         causes = [diagnose(self.course.runs, state) for state in self.equations]
         stiff = any(cause.kind == "stiff" for told in causes for cause in told)
@@ -817,7 +829,7 @@ class _Bench:
     def _terms(
         self, state: str, evidence: _Evidence, followed: Followed
     ) -> tuple[TermCertainty, ...]:
-        rows, found = self._rows(followed), []
+        rows, found = self._rows(followed, list(self.equations).index(state)), []
         for term, ratio in evidence.ratios[state]:
             doubt = math.exp(max(-700.0, -(ratio**2) / 2)) * math.sqrt(rows)
             name = "a constant inside it" if term is None else shown(term)
@@ -1010,7 +1022,7 @@ def _covariance(slopes: np.ndarray) -> np.ndarray:
 
 def _tame(z: np.ndarray) -> np.ndarray:
     """Leave rare outliers out of a sum of squares: those beyond six robust sizes."""
-    bound = 6 * 1.4826 * float(np.median(np.abs(z)))
+    bound = 6 * 1.4826 * float(np.median(np.abs(z))) if len(z) else 0.0
     out = np.abs(z) > bound
     return np.where(out, 0.0, z) if 0 < np.mean(out) < 0.02 else z
 
@@ -1038,8 +1050,12 @@ def _where(followed: Followed, place: int) -> str:
     z = followed.misses[0][:, place, :]
     t = followed.shootings[0].windows.t
     parts = np.array_split(np.arange(z.shape[0]), min(8, max(1, len(z) // 3)))
+    told = followed.shootings[0].told[:, place]
     sizes = np.array(
-        [[float(np.mean(z[p, lane] ** 2)) for p in parts] for lane in range(z.shape[1])]
+        [
+            [float(np.sum(z[p, lane] ** 2)) / max(np.sum(told[p, lane]), 1) for p in parts]
+            for lane in range(z.shape[1])
+        ]
     )
     lane, part = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
     if sizes[lane, part] < 2.5 * float(np.mean(sizes)):

@@ -45,9 +45,13 @@ class Candidate:
 
 
 def rmse(predicted: np.ndarray, actual: np.ndarray) -> float:
-    """Root of the mean squared difference; inf where a prediction is not a finite number."""
+    """Root of the mean squared difference; inf where a prediction is not a finite number.
+
+    Actual values that are NaN, where nothing was measured, are none to be compared with.
+    """
+    told = ~np.isnan(actual)
     with np.errstate(all="ignore"):
-        value = float(np.sqrt(np.mean((np.asarray(predicted) - actual) ** 2)))
+        value = float(np.sqrt(np.mean((np.asarray(predicted) - actual) ** 2, where=told)))
     return value if math.isfinite(value) else math.inf
 
 

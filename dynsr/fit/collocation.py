@@ -28,6 +28,7 @@ from dynsr.data import (
     Samples,
     SmoothedTrajectory,
     Trajectory,
+    carry,
     estimate_noise,
     find_forced,
     join_samples,
@@ -763,6 +764,7 @@ class Measurements:
             five rows at least.
         derived : state -> its slope that was made from it.
         """
+        runs = carry(runs)
         noise = estimate_noise(runs)
         longest = max(map(len, runs))
         stride = max(1, min(-(-sum(map(len, runs)) // rows), (longest - 1) // 4))
@@ -775,9 +777,14 @@ class Measurements:
         return cls(thinned, inputs, smoothed, derived or {})
 
     @cached_property
+    def _spread(self) -> np.ndarray:
+        """(k,) standard deviation of what was measured of each state."""
+        return np.asarray(np.nanstd(np.concatenate([run.observed for run in self.runs]), axis=0))
+
+    @cached_property
     def deviations(self) -> list[np.ndarray]:
         """(n, k) standard deviation of the noise of each run; inf where nothing is measured."""
-        spread = np.std(np.concatenate([run.x for run in self.runs]), axis=0)
+        spread = self._spread
         made = {str(slope) for slope in self.derived.values()}
         hidden = [state in made for state in self.runs[0].states]
         lowest = np.maximum(self.finest * spread, 1e-300)
@@ -786,7 +793,7 @@ class Measurements:
     @cached_property
     def noise_share(self) -> float:
         """Median over the measured states of the noise as a share of the spread."""
-        spread = np.std(np.concatenate([run.x for run in self.runs]), axis=0)
+        spread = self._spread
         noise = np.concatenate(self.deviations)
         measured = np.any(np.isfinite(noise), axis=0)
         own = [np.median(column[np.isfinite(column)]) for column in noise.T[measured]]
@@ -872,7 +879,7 @@ class Measurements:
         return found
 
     def samples(self, state: str) -> Samples:
-        """Give the smoothed states and slopes of one state as samples.
+        """Give the smoothed states and slopes of one state as samples, where it was measured.
 
         Parameters
         ----------
@@ -889,13 +896,13 @@ class Measurements:
                 run.t,
                 float(np.sqrt(np.mean(smoothed.slope_sd[:, place] ** 2))),
                 smoothed.slope_sd[:, place],
-            )
+            ).select(run.own_rows(state))
             for run, smoothed in zip(self.runs, self.smoothed, strict=True)
         ]
         return join_samples(pieces)
 
     def half(self, which: int) -> Measurements:
-        """Give the same data with every second row measured only.
+        """Give the same data with every second row measured only, of those of each state.
 
         Parameters
         ----------
@@ -904,7 +911,8 @@ class Measurements:
         halved = []
         for smoothed in self.smoothed:
             noise = smoothed.noise.copy()
-            noise[1 - which :: 2] = np.inf
+            for column in noise.T:
+                column[np.flatnonzero(np.isfinite(column))[1 - which :: 2]] = np.inf
             halved.append(replace(smoothed, noise=noise))
         return replace(self, smoothed=halved)
 

@@ -61,7 +61,8 @@ def confirm(
     {'x': -x/2}
     """
     constants = sum(len(free_constants(e, "constant ")[1]) for e in exprs.values())
-    rows = sum(map(len, runs)) * len(exprs)
+    columns = [runs[0].index(state) for state in exprs]
+    rows = sum(int(np.sum(run.measured[:, columns])) for run in runs)
     if rows < 5 * constants or min(map(len, runs)) <= _INTERVALS:
         return None
     try:

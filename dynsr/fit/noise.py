@@ -121,11 +121,19 @@ def noise_and_spread(runs: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray
     The noise is the mean over the trajectories of more than four rows; 0 where all are shorter.
     """
     long = [measurement_noise(run) for run in runs if len(run) > 4]
-    noise = np.mean(long, axis=0) if long else np.zeros(len(runs[0].states))
-    return noise, np.std(np.concatenate([run.x for run in runs]), axis=0)
+    noise = np.zeros(len(runs[0].states))
+    if long:
+        told = np.isfinite(long)
+        noise = np.sum(np.where(told, long, 0.0), axis=0) / np.maximum(np.sum(told, axis=0), 1)
+    return noise, np.nanstd(np.concatenate([run.observed for run in runs]), axis=0)
 
 
 def is_noisy(runs: Sequence[Trajectory]) -> bool:
-    """Say whether measurement noise of a state is above 1e-5 of its spread."""
+    """Say whether measurement noise of a state is above 1e-5 of its spread.
+
+    A state that was not measured at every row counts as noisy: where it starts is to be fitted.
+    """
+    if any(run.unmeasured.size for run in runs):
+        return True
     noise, spread = noise_and_spread(runs)
     return bool(np.any(noise > NOISY * spread))

@@ -13,14 +13,14 @@ from functools import cached_property
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory, robust_scale
+from dynsr.data import Trajectory, carry, robust_scale
 from dynsr.engines import Drive, jumps_of
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
 from dynsr.fit.flow import PLAIN, Flow, Pace, Track, Windows, cut_windows
 from dynsr.fit.linear import cauchy_weights
-from dynsr.fit.noise import independent_rows, is_noisy
+from dynsr.fit.noise import independent_rows, is_noisy, noise_and_spread
 from dynsr.fit.settings import FIT, FitSettings
 
 # Runge-Kutta 4 is stable for |eigenvalue| * step up to about 2.8 (Hairer and Wanner 1996, IV.2).
@@ -71,6 +71,8 @@ def _diagonal(blocks: np.ndarray) -> np.ndarray:
 class Shooting:
     """Misses of a flow at the rows of all windows, in units of each state's ``spread``.
 
+    Where a spread is inf nothing was measured: the miss is 0 and counts as none.
+
     With ``free`` starts each window begins at a fitted state and is compared with its own first
     measurement too; otherwise it begins at that measurement. ``spread`` is (k,), or (m + 1, k, W)
     where each row has its own. ``width`` widens the unit of the weights: at 2.385 a Cauchy fit has
@@ -114,9 +116,36 @@ class Shooting:
         last = lanes.shape[2] if self.free else count
         return self._compare(found), lanes[..., :count], lanes[..., count:last]
 
+    @cached_property
+    def told(self) -> np.ndarray:
+        """(rows, k, W) whether a state was measured, at the rows of the misses."""
+        there = np.broadcast_to(np.isfinite(self._spreads()), self.windows.x.shape)
+        return there[0 if self.free else 1 :]
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """(k,) measurements of every state among the misses."""
+        return np.asarray(np.count_nonzero(self.told, axis=(0, 2)))
+
+    def missed(self, misses: np.ndarray) -> np.ndarray:
+        """Give misses (rows, k, W) in the units of the states; 0 where nothing was measured."""
+        spread = np.broadcast_to(self._spreads(), self.windows.x.shape)[0 if self.free else 1 :]
+        return misses * np.where(self.told, spread, 0.0)
+
+    def sizes(self, misses: np.ndarray) -> np.ndarray:
+        """(k,) robust size of the misses where there are measurements."""
+        if self.told.all():
+            return robust_scale(misses, axis=(0, 2))
+        each = [own[told] for own, told in zip(misses.swapaxes(0, 1), self._by_state, strict=True)]
+        return np.array([robust_scale(own) if len(own) else 0.0 for own in each])
+
+    @property
+    def _by_state(self) -> np.ndarray:
+        return self.told.swapaxes(0, 1)
+
     def unit(self, misses: np.ndarray) -> np.ndarray:
         """(k,) unit of the weights: ``width`` robust sizes of the misses, not below rounding."""
-        return np.maximum(self.width * robust_scale(misses, axis=(0, 2)), 1e-13)
+        return np.maximum(self.width * self.sizes(misses), 1e-13)
 
     def minimise(
         self,
@@ -198,7 +227,8 @@ class Shooting:
         scale = np.maximum(scale, 1e-300)
         scaled = by_constant / scale
         square = (misses / unit) ** 2
-        curvature = np.mean((1 - square) / (1 + square) ** 2, axis=(0, 2))[:, None]
+        curved = (1 - square) / (1 + square) ** 2 * self.told
+        curvature = (np.sum(curved, axis=(0, 2)) / np.maximum(self.counts, 1))[:, None]
         # Below a tenth the misses are no noise about a fit, and no curvature is left to divide by.
         level = np.maximum(curvature, 0.1) / unit**2
         expected = _by_lane(np.broadcast_to(level, misses.shape))
@@ -222,10 +252,20 @@ class Shooting:
 
     def _inflation(self, misses: np.ndarray) -> float:
         """Give the rows that count as one of the state whose misses keep their sign longest."""
+        if not self.told.all():
+            # Signs are those of one measured row after another.
+            return max(self._inflation_of(misses[:, [i]], i) for i in range(misses.shape[1]))
         each = misses.shape[0] * misses.shape[2]
         runs = independent_rows(misses)
         # White noise itself has fewer runs than n / 2 by chance, by sqrt(n) / 2 at one sigma.
         return float(np.max(each / np.minimum(runs + 2 * np.sqrt(each), each)))
+
+    def _inflation_of(self, misses: np.ndarray, place: int) -> float:
+        """Give the same of one state, of its measured rows."""
+        lanes = [misses[own, 0, lane] for lane, own in enumerate(self.told[:, place].T)]
+        each = sum(map(len, lanes))
+        runs = sum(float(independent_rows(own[:, None, None])[0]) for own in lanes if len(own))
+        return each / min(runs + 2 * math.sqrt(each), each) if each else 1.0
 
 
 def _by_lane(values: np.ndarray) -> np.ndarray:
@@ -344,8 +384,12 @@ def build_shooting(
     Misses are in units of each state's spread, or of ``deviations``: for every run the standard
     deviation (n, columns of the run's states) of the noise of each measurement.
     """
+    runs = carry(runs)
     columns = [runs[0].index(state) for state in flow.rhs]
-    spread = np.std(np.concatenate([run.x for run in runs]), axis=0)[columns]
+    spread = np.nanstd(np.concatenate([run.observed for run in runs]), axis=0)[columns]
+    if deviations is None and any(run.unmeasured.size for run in runs):
+        whole = noise_and_spread(runs)[1]
+        deviations = [np.where(run.measured, whole, np.inf) for run in runs]
     drives = drives_of(flow.driven, runs, inputs)
     windows = cut_windows(
         [run.t for run in runs],
@@ -554,6 +598,7 @@ def _fit(
         constants, starts = fit_loss(shooting, constants, starts, settings)
         # Along time, so that signs that stay show correlated errors.
         misses = shooting.misses(constants, starts).transpose(2, 1, 0).ravel()
+        misses = misses[shooting.told.transpose(2, 1, 0).ravel()]
         return constants, _standard_errors(shooting, constants, starts), misses
 
 

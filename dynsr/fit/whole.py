@@ -57,14 +57,13 @@ class StatesFit:
     @property
     def sizes(self) -> np.ndarray:
         """(k,) robust size of the misses of every state, in state units."""
-        spreads = self.shooting.spread
-        units = spreads[:, None] if spreads.ndim == 1 else spreads
-        return np.asarray(robust_scale(self.misses * units, axis=(0, 2)))
+        return self.shooting.sizes(self.shooting.missed(self.misses))
 
     @property
     def freedom(self) -> int:
         """Measurements less the constants and starts that were fitted to them, 1 at least."""
-        return max(self.misses.size - len(self.constants) - self.starts.size, 1)
+        measured = int(np.sum(self.shooting.counts))
+        return max(measured - len(self.constants) - self.starts.size, 1)
 
     def put(self, numbers: Sequence[sympy.Expr]) -> dict[str, sympy.Expr]:
         """Give the equations with P numbers in the places of the constants."""
@@ -82,8 +81,9 @@ class StatesFit:
         if mine.shape != theirs.shape or not np.all(np.isfinite(theirs)):
             return math.inf
         square = mine**2
-        curvature = float(np.mean((1 - square) / (1 + square) ** 2))
-        score = float(np.mean(square / (1 + square) ** 2))
+        told = self.shooting.told
+        curvature = float(np.mean((1 - square) / (1 + square) ** 2, where=told))
+        score = float(np.mean(square / (1 + square) ** 2, where=told))
         lost = float(np.sum(np.log1p(theirs**2)) - np.sum(np.log1p(square)))
         return lost * max(curvature, 0.1) / score
 
@@ -171,16 +171,17 @@ def _in_reach(
     """
     shooting, constants, starts = best
     with np.errstate(all="ignore"):
-        now = _large(shooting.misses(constants, starts))
+        now = _large(shooting, shooting.misses(constants, starts))
         flow = replace(longer.flow, stride=shooting.flow.stride)
         at = replace(longer, flow=flow, pace=shooting.pace)
-        then = _large(at.misses(constants, begin))
+        then = _large(at, at.misses(constants, begin))
     return bool(np.all(then <= settings.match_reach * now))
 
 
-def _large(misses: np.ndarray) -> np.ndarray:
+def _large(shooting: Shooting, misses: np.ndarray) -> np.ndarray:
     """(k,) size that a tenth of the misses exceed: errors grow towards the end of a window."""
-    return np.asarray(np.quantile(np.abs(misses), 0.9, axis=(0, 2)))
+    sizes = zip(np.abs(misses).swapaxes(0, 1), shooting.told.swapaxes(0, 1), strict=True)
+    return np.array([np.quantile(own[told], 0.9) if told.any() else 0.0 for own, told in sizes])
 
 
 def _lengths(first: int, longest: int) -> list[int]:
@@ -253,13 +254,13 @@ def _grows(
     sizes = []
     for shooting, constants, starts in (before, after):
         misses = shooting.misses(constants, starts)
-        count = misses.shape[0] * misses.shape[2]
+        count = np.maximum(shooting.counts, 1)
         # Each start takes the misses that it is fitted to.
-        left = max(count - misses.shape[2] - len(constants) / misses.shape[1], 1)
-        sizes.append(robust_scale(misses, axis=(0, 2)) * math.sqrt(count / left))
+        left = np.maximum(count - misses.shape[2] - len(constants) / misses.shape[1], 1)
+        sizes.append(shooting.sizes(misses) * np.sqrt(count / left))
     # The robust size of n normal misses has a relative error of 1.17 / sqrt(n).
-    chance = 1 + 2 * 1.17 / math.sqrt(misses.shape[0] * misses.shape[2])
-    return bool(np.any(sizes[1] > max(settings.match_follows, chance) * sizes[0]))
+    chance = 1 + 2 * 1.17 / np.sqrt(count)
+    return bool(np.any(sizes[1] > np.maximum(settings.match_follows, chance) * sizes[0]))
 
 
 def _weigh(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Shooting:
@@ -270,12 +271,14 @@ def _weigh(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Sho
     with np.errstate(all="ignore"):
         found = shooting.flow.run(shooting.windows, starts, constants, shooting.pace)
     misses = shooting.misses(constants, starts)
-    own = np.broadcast_to(shooting.spread[None, :, None], found.shape).copy()
+    spread, told = shooting.spread, shooting.told
+    own = np.broadcast_to(spread[None, :, None] if spread.ndim == 1 else spread, found.shape).copy()
     changed = False
     for j in range(found.shape[1]):
         share = (found[:, j] / math.sqrt(float(np.mean(found[:, j] ** 2)) or 1.0)) ** 2
         shapes = [np.ones_like(share), *(1 + ratio**2 * share for ratio in _RATIOS)]
-        fits = [_variance(misses[:, j], shape) for shape in shapes]
+        mine = told[:, j]
+        fits = [_variance(misses[:, j][mine], shape[mine]) for shape in shapes]
         best = min(range(len(fits)), key=lambda i: fits[i][0])
         if fits[best][0] < fits[0][0] - 2:
             size = math.sqrt(fits[best][1])

@@ -395,9 +395,9 @@ def _front(found: Discovery, state: str, samples: tuple[Samples, np.ndarray] | N
 
 
 def _trajectories(found: Discovery) -> Iterator[Picture]:
-    for number, run in enumerate(found.trajectories[:_MOST_RUNS], 1):
+    for number, run in enumerate(found.carried[:_MOST_RUNS], 1):
         # A map goes from row to row: none may be left out between.
-        rows = slice(_MOST_STEPS) if found.is_map else slice(None, None, _stride(run))
+        rows = slice(_MOST_STEPS) if found.is_map else run.every(_stride(run))
         thin = run.select(rows)
         drawn = _say_thinned(run, thin, found.is_map)
         model = _simulate(found, thin)
@@ -408,7 +408,7 @@ def _trajectories(found: Discovery) -> Iterator[Picture]:
             if model
             else f"{name}: the data. The equations cannot be integrated over it.{drawn}",
         )
-        if len(run.states) > 1:
+        if len(run.states) > 1 and np.any(np.all(thin.measured[:, :2], axis=1)):
             yield Picture.of(
                 draw_phase_portrait(thin, model, *run.states[:2]),
                 f"{name} as a phase portrait: {run.states[1]} against {run.states[0]}.{drawn}",

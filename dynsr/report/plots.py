@@ -126,15 +126,16 @@ def draw_states(
 
     Parameters
     ----------
-    true : the trajectory of the data, with k states.
+    true : the trajectory of the data, with k states; of one that was not measured at every row
+        the points that there are.
     found : a trajectory of the same states, at any times.
     intervals : state -> (lower, upper), each (n,) at the times of ``found``, in state units.
     """
     height = 1.6 * len(true.states) + 0.8
     figure, axes = _framed(len(true.states), 1, (_WIDTH, height), sharex=True)
     for axis, state in zip(axes.flat, true.states, strict=True):
-        column = true.x[:, true.index(state)]
-        axis.plot(true.t, column, color="black", lw=2.2, alpha=0.8, label="data")
+        column = true.observed[:, true.index(state)]
+        axis.plot(true.t, column, label="data", **_look_of(column))
         if found is not None:
             curve = found.x[:, found.index(state)]
             axis.plot(found.t, curve, color=COLOURS[1], ls="--", lw=1.4, label="found")
@@ -252,20 +253,22 @@ def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str,
 
     Parameters
     ----------
-    true : the trajectory of the data.
+    true : the trajectory of the data, with rows at which both were measured.
     found : one of the same states; None draws the data alone.
     across, up : names of the states on the two axes.
     """
     figure, axes = _framed(1, 1, (_WIDTH, 4.6))
     axis = axes.flat[0]
     i, j = true.index(across), true.index(up)
-    axis.plot(true.x[:, i], true.x[:, j], color="black", lw=2.2, alpha=0.8, label="data")
-    axis.plot(*true.x[0, [i, j]], "o", color="black", label="start")
+    both = true.observed[:, [i, j]]
+    whole = both[np.all(np.isfinite(both), axis=1)]
+    axis.plot(*whole.T, label="data", **_look_of(both[:, 0] + both[:, 1]))
+    axis.plot(*whole[0], "o", color="black", label="start")
     if found is not None:
         path = found.x[:, [found.index(across), found.index(up)]]
         axis.plot(*path.T, color=COLOURS[1], ls="--", lw=1.4, label="found")
-        _follow(axis, true.x[:, j], [path[:, 1]])
-        low, high = _limits(true.x[:, i], [path[:, 0]])
+        _follow(axis, whole[:, 1], [path[:, 1]])
+        low, high = _limits(whole[:, 0], [path[:, 0]])
         axis.set_xlim(low, high)
     axis.set(xlabel=across, ylabel=up)
     _legend_below(figure, axis)
@@ -380,6 +383,14 @@ def _framed(
         hspace=0.18,
     )
     return figure, axes
+
+
+def _look_of(column: np.ndarray) -> dict[str, Any]:
+    """Give the look of measured values: a line, or points where some are not there."""
+    plain = {"color": "black", "alpha": 0.8}
+    if np.all(np.isfinite(column)):
+        return {**plain, "lw": 2.2}
+    return {**plain, "ls": "", "marker": "o", "ms": 3.0, "markeredgewidth": 0.0}
 
 
 def _draw_dots(

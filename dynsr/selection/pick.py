@@ -46,8 +46,8 @@ def forecast_misses(
     """Give the sizes of the misses of W forecasts over ``window`` intervals, (window, k, W).
 
     Each starts at its first measurement; states without an expression are read from the data.
-    In units of the spread; inf where a forecast diverges. ``fit`` says how many there are, and how
-    finely they are integrated.
+    In units of the spread; inf where a forecast diverges, NaN where nothing was measured. ``fit``
+    says how many there are, and how finely they are integrated.
 
     >>> t = np.linspace(0, 1, 51)
     >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
@@ -61,7 +61,8 @@ def forecast_misses(
         starts, constants = shooting.windows.x[0], np.array(values)
         pace = choose_pace(shooting, constants, starts, fit.match_substeps)
         misses = np.abs(replace(shooting, pace=pace).misses(constants, starts))
-    return np.nan_to_num(misses, nan=np.inf, posinf=np.inf)
+    misses = np.nan_to_num(misses, nan=np.inf, posinf=np.inf)
+    return misses if shooting.told.all() else np.where(shooting.told, misses, np.nan)
 
 
 def forecast_miss(
@@ -71,7 +72,7 @@ def forecast_miss(
     inputs: Mapping[str, sympy.Expr] | None = None,
 ) -> float:
     """Give the median of :func:`forecast_misses`; inf when most forecasts diverge."""
-    return float(np.median(forecast_misses(exprs, trajectories, inputs=inputs)))
+    return float(np.nanmedian(forecast_misses(exprs, trajectories, inputs=inputs)))
 
 
 # The median of n sizes of Gaussian errors has a relative standard error of

@@ -1,0 +1,69 @@
+"""Observation: each state counts where it was measured, and is read off its curve elsewhere.
+
+A search evaluates formulas in all states at once. Where one of them was not measured, it stands for
+a moment on the smooth curve through its own rows; that this is no measurement is kept beside it
+(:attr:`dynsr.data.Trajectory.unmeasured`), so that nothing is fitted to it and nothing counts it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dynsr.data.smoothing import estimate_noise, smooth
+from dynsr.data.trajectory import FEWEST_ROWS, Trajectory
+from dynsr.errors import InputError
+
+
+def carry(runs: Sequence[Trajectory]) -> list[Trajectory]:
+    """Give runs in which a state stands on its curve where it was not measured.
+
+    The cells stay marked as unmeasured. Runs that were measured everywhere stay as they are.
+
+    Parameters
+    ----------
+    runs : trajectories of the same columns.
+
+    Raises InputError when a state was measured in fewer than 8 rows of all runs together.
+
+    >>> t = np.linspace(0.0, 6.0, 61)
+    >>> x = np.sin(t)
+    >>> x[20:22] = np.nan
+    >>> (run,) = carry([Trajectory(t, x[:, None], ("x",))])
+    >>> bool(abs(run.x[20, 0] - np.sin(t[20])) < 1e-3), bool(run.measured[20, 0])
+    (True, False)
+    """
+    if not any(np.isnan(run.x).any() for run in runs):
+        return list(runs)
+    for place, state in enumerate(runs[0].states):
+        count = sum(int(np.sum(run.measured[:, place])) for run in runs)
+        if count < FEWEST_ROWS:
+            raise InputError(
+                f"state {state!r} was measured in {count} rows; give at least {FEWEST_ROWS}, or "
+                "leave it out"
+            )
+    begun = [_with_lines(run, _usual(runs)) for run in runs]
+    noise = estimate_noise(begun)
+    return [
+        replace(run, x=np.where(run.measured, run.x, smooth(run, noise).x))
+        if run.unmeasured.size
+        else run
+        for run in begun
+    ]
+
+
+def _usual(runs: Sequence[Trajectory]) -> np.ndarray:
+    """(k,) mean of every state where it was measured."""
+    return np.asarray(np.nanmean(np.concatenate([run.observed for run in runs]), axis=0))
+
+
+def _with_lines(run: Trajectory, usual: np.ndarray) -> Trajectory:
+    """Give a run with lines between measured rows; ``usual`` where there are none at all."""
+    if not run.unmeasured.size:
+        return run
+    x = run.x.copy()
+    for place, own in enumerate(run.measured.T):
+        x[:, place] = np.interp(run.t, run.t[own], run.x[own, place]) if own.any() else usual[place]
+    return replace(run, x=x)
