@@ -47,11 +47,11 @@ def spawn(*words, **options):
 
 
 def test_all_commands_are_there():
-    """The command has the fourteen verbs."""
+    """The command has the fifteen verbs."""
     wanted = (
         "systems generate describe discover score simulate replicate audit crosscheck benchmark"
     )
-    assert set(NAMES) == {*wanted.split(), "report", "doctor", "app", "profile"}
+    assert set(NAMES) == {*wanted.split(), "export", "report", "doctor", "app", "profile"}
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -32,6 +32,7 @@ ROOMS = (
     "selection",
     "jobs",
     "discovery",
+    "export",
     "report",
     "paper",
     "checks",
@@ -47,6 +48,7 @@ FILES_ALONE = ("errors", "arguments")
 EXCEPTIONS = {
     ("discovery/result.py", "report"): "Discovery.plot and .report are the result's own verbs",
     ("discovery/profile.py", "report"): "Profile.plot is the profile's own verb",
+    ("discovery/result.py", "export"): "Discovery.export is the result's own verb",
 }
 
 # Foreign module -> the only files that may import it, by name.
@@ -58,6 +60,7 @@ HOMES = {
     },
     "matplotlib": {"report/plots.py"},
     "tornado": {"app/serving.py"},
+    "libsbml": {"export/sbml.py"},
     "juliacall": {"engines/julia/worker.py"},
     "juliapkg": {"engines/julia/setup.py"},
     "diffeqpy": {"engines/julia/worker.py"},

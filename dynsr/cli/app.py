@@ -55,6 +55,7 @@ for _panel, _command, _example in (
     (_DISCOVERY, page.app, "app l.csv"),
     (_DISCOVERY, results.score, "score lorenz/discovery.json other.csv"),
     (_DISCOVERY, results.profile, "profile lorenz/discovery.json l.csv --constant x:0"),
+    (_DISCOVERY, results.export, "export lorenz --to julia -o lorenz.jl"),
     (_DISCOVERY, results.report, "report lorenz/discovery.json -o report.html"),
     (_PAPER, paper.replicate, "replicate --systems pendulum --methods sindy"),
     (_PAPER, paper.audit, "audit --json"),

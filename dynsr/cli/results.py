@@ -214,6 +214,83 @@ def _say_to(json: bool) -> Callable[[str], None]:
     return (lambda words: None) if json else output.note
 
 
+def complete_format(incomplete: str) -> Iterator[tuple[str, str]]:
+    """Offer the names of the formats to the shell, with what they are."""
+    from dynsr.export import FORMATS
+
+    for name, one in FORMATS.items():
+        if name.startswith(incomplete):
+            yield name, one.title
+
+
+def export(
+    model: DiscoveryFile,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            "--to",
+            metavar="FORMAT",
+            help="What to write it as; without it, the formats are listed.",
+            autocompletion=complete_format,
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="File to write, a folder for petab; stdout by default.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    files: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--data",
+            help="Data that go with it, as for petab; a saved discovery has none.",
+            rich_help_panel=options.DATA,
+        ),
+    ] = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Write a saved discovery, with named parameters, for another tool."""
+    from dataclasses import replace
+
+    from dynsr.export import FORMATS, Source, find_format, save_format, write_format
+
+    if to is None:
+        rows = [(name, one.title, one.suffix or "folder") for name, one in FORMATS.items()]
+        if json:
+            output.print_json(
+                [dict(zip(("format", "title", "file"), r, strict=True)) for r in rows]
+            )
+        else:
+            output.print_table("Formats", ("format", "what it is", "file"), rows)
+        return
+    find_format(to)
+    found = load_discovery(model)
+    source = Source.of(found)
+    if files:
+        asked = found.columns_asked
+        states, inputs = asked.get("states"), asked.get("inputs")
+        how = (None, None, None, None, _say_to(json))
+        source = replace(source, runs=tuple(load_table(files, None, states, inputs, *how)))
+    if out is not None:
+        written = save_format(source, to, out, force)
+        if json:
+            output.print_json({"format": to, "files": written})
+        else:
+            output.note(f"written: {', '.join(map(str, written))}")
+        return
+    text = write_format(source, to)
+    if json:
+        output.print_json({"format": to, "text": text})
+    else:
+        output.print_lines(*text.rstrip("\n").split("\n"))
+
+
 def report(
     source: Annotated[
         Path,

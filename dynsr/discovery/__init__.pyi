@@ -1,6 +1,7 @@
 from .cut_short import beside_data, keep_formulas
 from .estimator import DynsrRegressor
-from .maps import inputs_in, iterate, pair_rows, write_map_mathml
+from .intervals import write_interval
+from .maps import inputs_in, iterate, pair_rows, write_map_latex, write_map_mathml
 from .orders import write_lines
 from .parameters import Parameter, Parameters, ParametricSystem
 from .prediction import predict
@@ -47,6 +48,8 @@ __all__ = [
     "score_expressions",
     "trajectory_loss",
     "trajectory_losses",
+    "write_interval",
     "write_lines",
+    "write_map_latex",
     "write_map_mathml",
 ]

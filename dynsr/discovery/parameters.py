@@ -106,7 +106,7 @@ class Parameters(Mapping[str, Parameter]):
                 p.name,
                 f"{p.value:.6g}",
                 f"{p.error:.2g}" if math.isfinite(p.error) else "unknown",
-                _say_interval(p.low, p.high),
+                write_interval(p.low, p.high),
                 p.unit,
                 f"{p.of} of {', '.join(s + chr(39) for s in p.states)}",
             )
@@ -161,11 +161,6 @@ class Parameters(Mapping[str, Parameter]):
 
         rows = "".join(line("td", row) for row in self.rows())
         return f"<table>{line('th', _HEAD)}{rows}</table>"
-
-
-def _say_interval(low: float | None, high: float | None) -> str:
-    both = low is not None and high is not None
-    return f"{low:.6g} to {high:.6g}" if both else write_interval(low, high)
 
 
 def _escape_latex(text: str) -> str:

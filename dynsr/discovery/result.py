@@ -772,6 +772,39 @@ class Discovery:
         text = self._write_latex(system.equations, self.time_unit, system.parameters)
         return f"{text}\n\n{system.parameters.to_latex()}"
 
+    def export(self, format: str, path: str | Path | None = None, *, force: bool = False) -> str:  # noqa: A002
+        """Write the equations with named parameters for another tool; gives the text.
+
+        Parameters
+        ----------
+        format : "python", "torch", "jax", "c", "fortran", "matlab", "r", "julia",
+            "modelingtoolkit", "catalyst", "modelica", "sbml", "petab", "casadi", "control",
+            "do-mpc", "latex", "mathml", "markdown" or "bibtex".
+        path : the file to write as well, a folder for "petab".
+        force : whether files that are there are replaced.
+
+        Raises InputError when there is no such format, it cannot hold these equations, or a file is
+        there; MissingExtra when what writes it is not installed.
+
+        >>> x = sympy.Symbol("x")
+        >>> print(Discovery({"x": -2 * x}, {"x": ()}, {}, {}).export("catalyst").splitlines()[-5])
+            k1, x --> ∅
+        """
+        from dynsr.export import Source, save_format, write_format
+
+        if path is None:
+            return write_format(Source.of(self), format)
+        return save_format(Source.of(self), format, Path(path), force)[-1].read_text("utf-8")
+
+    def cite(self) -> str:
+        """Give BibTeX of dynsr, of the methods that ran, of the score and of what integrated.
+
+        >>> x = sympy.Symbol("x")
+        >>> print(Discovery({"x": -2 * x}, {"x": ()}, {}, {}).cite()[:16])
+        @software{dynsr,
+        """
+        return self.export("bibtex")
+
     def to_python(self) -> str:
         """Write the equations as a Python function for ``scipy.integrate.solve_ivp``.
 

@@ -9,8 +9,10 @@ from .evaluation import (
     evaluate,
 )
 from .export import (
+    JULIA_WORDS,
     arguments_of,
     call_names,
+    julia_code,
     shown,
     take_inputs,
     to_julia,
@@ -34,6 +36,7 @@ from .writing import ByText, as_float_tree, round_constants, to_text
 
 __all__ = [
     "FUNCTIONS",
+    "JULIA_WORDS",
     "LARGEST_IN_FRACTION",
     "NAMED_FUNCTIONS",
     "OPERATORS",
@@ -61,6 +64,7 @@ __all__ = [
     "evaluate",
     "expand_terms",
     "has_pole",
+    "julia_code",
     "lines_below",
     "number_bits",
     "parse",

@@ -30,13 +30,13 @@ def arguments_of(equations: Mapping[str, sympy.Expr]) -> tuple[str, ...]:
 
 # Words that name no variable; those that formulas cannot hold are left out.
 _PYTHON_WORDS = ("__debug__",)
-_JULIA_WORDS = (
+JULIA_WORDS = (
     *("abstract", "baremodule", "begin", "catch", "ccall", "const", "do", "elseif", "end"),
     *("export", "false", "function", "im", "isa", "let", "local", "macro", "module", "mutable"),
     *("outer", "primitive", "quote", "struct", "true", "type", "using", "where"),
 )
 # What a call passes itself, in one export or another.
-_CALL_NAMES = ("callable", "math", "self", "state", "t", *_JULIA_WORDS, *_PYTHON_WORDS)
+_CALL_NAMES = ("callable", "math", "self", "state", "t", *JULIA_WORDS, *_PYTHON_WORDS)
 # A name that code reads or sets: no part of another thing, of a number or of a comment.
 _NAME = re.compile(r"#.*|(?<![.\w])[^\W\d]\w*")
 
@@ -336,6 +336,17 @@ class _Julia(JuliaCodePrinter):
         return repr(float(expr))
 
 
+def julia_code(expr: sympy.Expr) -> str:
+    """Write one expression in Julia, for numbers.
+
+    >>> julia_code(sympy.Symbol("x") ** 2 / 3)
+    '0.3333333333333333 * x ^ 2'
+    """
+    # On numbers Julia's plain operators serve; SymPy prints the elementwise ones.
+    code = str(_Julia({"contract": False}).doprint(as_float_tree(expr)))
+    return code.replace(".*", "*").replace("./", "/").replace(".^", "^")
+
+
 def to_julia(equations: Mapping[str, sympy.Expr], name: str = "rhs!", time_unit: str = "") -> str:
     """Write a Julia function ``rhs!(du, u, p, t)`` for DifferentialEquations.jl.
 
@@ -353,19 +364,15 @@ def to_julia(equations: Mapping[str, sympy.Expr], name: str = "rhs!", time_unit:
     """
 
     def code(equations: Mapping[str, sympy.Expr], inputs: Mapping[str, str]) -> str:
-        printer = _Julia({"contract": False})
         lines = [f"    {state} = u[{i}]" for i, state in enumerate(equations, 1)]
         lines += [f"    {i} = p.{c} isa Number ? p.{c} : p.{c}(t)" for i, c in inputs.items()]
         lines = [f"    # t is in {time_unit}"] * bool(time_unit) + lines
         for i, expr in enumerate(equations.values(), 1):
-            # On numbers Julia's plain operators serve; SymPy prints the elementwise ones.
-            code = printer.doprint(as_float_tree(expr)).replace(".*", "*").replace("./", "/")
-            code = code.replace(".^", "^")
-            lines.append(f"    du[{i}] = {code}")
+            lines.append(f"    du[{i}] = {julia_code(expr)}")
         head = f"function {name}(du, u, p, t)"
         return "\n".join([head, *lines, "    return nothing", "end"]) + "\n"
 
-    return _write(equations, name, code, _JULIA_WORDS)
+    return _write(equations, name, code, JULIA_WORDS)
 
 
 def to_text_block(equations: Mapping[str, sympy.Expr], digits: int = 6) -> str:

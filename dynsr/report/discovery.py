@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -32,6 +33,7 @@ from dynsr.discovery import (
     write_map_mathml,
 )
 from dynsr.errors import DynsrError, InputError
+from dynsr.export import FORMATS, Source, write_format
 from dynsr.expression import complexity, counting, evaluate, shown, to_mathml
 from dynsr.fit import Candidate, ParetoFront, free_constants, is_noisy, loosen, rmse
 from dynsr.report.page import Picture, render_page
@@ -224,6 +226,7 @@ def render_discovery(found: Discovery) -> str:
         slopes=[picture for state in samples for picture in _slopes(found, samples[state])],
         scores=_scores(found),
         exports=[("LaTeX", latex), ("Python", found.to_python()), ("Julia", found.to_julia())],
+        formats=list(_formats(found)),
         facts=_facts(found),
     )
 
@@ -509,6 +512,16 @@ def _scores(found: Discovery) -> Table | None:
         "standard deviation. Whole trajectory: RMSE of one integration from the first row to the "
         "last; a chaotic system leaves any data in the end.",
     )
+
+
+def _formats(found: Discovery) -> Iterator[tuple[str, str]]:
+    """Give (title, text) of what the equations with named parameters are written as."""
+    source = Source.of(found)
+    for name, one in FORMATS.items():
+        # What needs a package of its own, or cannot hold these equations, is left out.
+        if one.needs is None:
+            with suppress(InputError):
+                yield one.title, write_format(source, name)
 
 
 def _facts(found: Discovery) -> list[tuple[str, str]]:

@@ -1,0 +1,5 @@
+"""Export: found equations, with their parameters, in the languages of other tools."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,280 @@
+"""Source: what an exporter is given, in names that its language allows."""
+
+from __future__ import annotations
+
+import math
+import re
+import unicodedata
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import sympy
+
+from dynsr import __version__
+from dynsr.data import System, Trajectory
+from dynsr.discovery import Discovery, Parameters, ParametricSystem, write_interval
+from dynsr.expression import differentiate, shown, with_signs
+
+_TEXT = re.compile(r"\"[^\"\n]*\"|'[^'\n]*'")
+_IDENTIFIER = re.compile(r"(?<![.\w])[^\W\d]\w*")
+_LONGEST = 48
+
+
+@dataclass(frozen=True)
+class Source:
+    """What an exporter writes.
+
+    Parameters
+    ----------
+    system : the equations with their named parameters.
+    runs : the data; empty where they are not there.
+    noise : state -> standard deviation of its measurement noise, where it is known.
+    methods, engine : what found the equations, for citations.
+    own : name in the code -> name in the equations, where they differ.
+    """
+
+    system: ParametricSystem
+    runs: tuple[Trajectory, ...] = ()
+    noise: Mapping[str, float] | None = None
+    methods: tuple[str, ...] = ()
+    engine: str = ""
+    own: Mapping[str, str] | None = None
+
+    @classmethod
+    def of(cls, found: Discovery | ParametricSystem | System) -> Source:
+        """Give what is written of a discovery or of a system.
+
+        Parameters
+        ----------
+        found : the discovery, or a system with or without named parameters.
+        """
+        if isinstance(found, System):
+            return cls(ParametricSystem.of(found))
+        if isinstance(found, ParametricSystem):
+            return cls(found)
+        judged = {} if found.verdict is None else found.verdict.states
+        return cls(
+            found.system,
+            found.trajectories,
+            {state: float(own.noise) for state, own in judged.items()},
+            tuple(map(str, found.settings.get("methods", ()))),
+            str(found.settings.get("engine", "")),
+        )
+
+    @property
+    def states(self) -> list[str]:
+        """Names of the states."""
+        return list(self.system.equations)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameter -> value."""
+        return self.system.parameters.numbers
+
+    @property
+    def known(self) -> dict[str, sympy.Expr]:
+        """Input -> its expression in ``t``."""
+        return {n: as_code(e) for n, e in self.system.inputs.items() if e is not None}
+
+    @property
+    def measured(self) -> list[str]:
+        """Inputs whose values alone are known: the code takes them."""
+        return [name for name, expr in self.system.inputs.items() if expr is None]
+
+    @cached_property
+    def equations(self) -> dict[str, sympy.Expr]:
+        """State -> right-hand side as code can compute it."""
+        return {state: as_code(expr) for state, expr in self.system.equations.items()}
+
+    @cached_property
+    def jacobian(self) -> list[list[sympy.Expr]]:
+        """Derivatives (k, k) of the right-hand sides by the states."""
+        columns = [sympy.Symbol(state) for state in self.states]
+        return [[differentiate(e, c) for c in columns] for e in self.equations.values()]
+
+    @property
+    def start(self) -> list[float]:
+        """(k,) values of the states at the first time; ones where the data are not there."""
+        return [float(self.system.x0.get(state, 1.0)) for state in self.states]
+
+    def needed(self, *exprs: sympy.Expr) -> set[str]:
+        """Give the names that expressions hold, with those that their known inputs hold.
+
+        Parameters
+        ----------
+        exprs : the expressions.
+        """
+        found = {str(s) for e in exprs for s in e.free_symbols}
+        return found | {
+            str(s) for n in found & self.known.keys() for s in self.known[n].free_symbols
+        }
+
+    def about(self) -> Iterator[str]:
+        """Give lines of a comment: who made it, the unit of the time, the parameters."""
+        kind = "a map, from one row to the next" if self.system.discrete else "equations"
+        yield f"Made by dynsr {__version__}: {kind}."
+        for new, old in (self.own or {}).items():
+            yield f"{new} is {old}."
+        if self.system.time_unit:
+            yield f"The time t is in {self.system.time_unit}."
+        for p in self.system.parameters.values():
+            unit = f" {p.unit}" if p.unit else ""
+            known = p.low is not None or p.high is not None
+            within = f" (95 %: {write_interval(p.low, p.high)})" if known else ""
+            yield f"{p.name} = {p.value:.6g}{unit}{within}"
+        for name in self.measured:
+            yield f"{name} is an input whose values were measured."
+
+    def comment(self, mark: str) -> str:
+        """Give the lines of :meth:`about` behind the mark of a comment.
+
+        Parameters
+        ----------
+        mark : such as "#".
+        """
+        return "".join(f"{mark} {line}\n" for line in self.about())
+
+    def lines(self) -> list[str]:
+        """Give the equations in words of a person."""
+        left = "[n+1]" if self.system.discrete else "'"
+        names = self.system.parameters
+        return [f"{s}{left} = {shown(e, first=names)}" for s, e in self.system.equations.items()]
+
+
+def as_code(expr: sympy.Expr) -> sympy.Expr:
+    """Give an expression with floats for fractions and pi, and signs for roots of squares.
+
+    Parameters
+    ----------
+    expr : the expression.
+
+    >>> as_code(sympy.pi * sympy.Symbol("x") / 2)
+    1.5707963267949*x
+    """
+    return _plain(with_signs(expr))
+
+
+def _plain(expr: sympy.Expr) -> sympy.Expr:
+    if expr.is_number:
+        return expr if expr.is_Integer else sympy.Float(float(expr))
+    return expr.func(*map(_plain, expr.args)) if expr.args else expr
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a language allows as a name.
+
+    Parameters
+    ----------
+    kept : words that name no variable.
+    comment : what begins a comment that runs to the end of a line.
+    fold : whether capitals are small letters.
+    shared : whether a name may be no word that the code itself uses.
+    """
+
+    kept: Collection[str] = ()
+    comment: str = "#"
+    fold: bool = False
+    shared: bool = True
+
+
+def name_in(source: Source, words: Words, write: Callable[[Source], str]) -> Source:
+    """Give a source in which no name of the equations is one that code or language uses.
+
+    Parameters
+    ----------
+    source : what is written.
+    words : what the language allows.
+    write : writes the code.
+    """
+    names = [*source.states, *source.parameters, *source.system.inputs]
+    # Names that can be none of the code's own show which those are.
+    blank = {name: f"blank{place}q" for place, name in enumerate(names)}
+    code = _TEXT.sub("", write(_renamed(source, blank)))
+    code = re.sub(rf"{re.escape(words.comment)}.*", "", code)
+
+    def folded(name: str) -> str:
+        return name.lower() if words.fold else name
+
+    used = _IDENTIFIER.findall(code) if words.shared else []
+    taken = {folded(n) for n in (*used, *words.kept, "t")}
+    taken -= {*blank.values()}
+    new: dict[str, str] = {}
+    for name in names:
+        other = plain_name(name)
+        while folded(other) in taken:
+            other += "_"
+        taken.add(folded(other))
+        new[name] = other
+    return _renamed(source, new)
+
+
+def plain_name(name: str) -> str:
+    """Give a name in ASCII that begins with a letter, as every language takes it.
+
+    Parameters
+    ----------
+    name : a name of the equations.
+
+    >>> [plain_name(name) for name in ("x", "\u03b8_1", "na\u00efve", "_x", "\u6e29")]
+    ['x', 'theta_1', 'naive', 'v_x', 'u6e29']
+    """
+    found = "".join(map(_plain_letter, unicodedata.normalize("NFKD", name)))[:_LONGEST]
+    return found if found[:1].isalpha() else f"v{found}"
+
+
+def _plain_letter(letter: str) -> str:
+    if letter.isascii():
+        return letter
+    if unicodedata.combining(letter):
+        return ""
+    called = unicodedata.name(letter, "")
+    greek = called.startswith("GREEK") and " LETTER " in called
+    return called.split()[-1].lower() if greek else f"u{ord(letter):x}"
+
+
+def _renamed(source: Source, new: Mapping[str, str]) -> Source:
+    """Give a source with other names, noting those that differ."""
+    swaps = {sympy.Symbol(a): sympy.Symbol(b) for a, b in new.items()}
+    system = source.system
+    changed = replace(
+        system,
+        equations={new[s]: e.xreplace(swaps) for s, e in system.equations.items()},
+        parameters=Parameters(
+            [
+                replace(p, name=new[n], states=tuple(new.get(s, s) for s in p.states))
+                for n, p in system.parameters.items()
+            ]
+        ),
+        inputs={new[name]: expr for name, expr in system.inputs.items()},
+        x0={new[s]: v for s, v in system.x0.items()},
+    )
+    noise = source.noise and {new.get(s, s): v for s, v in source.noise.items()}
+    own = {b: a for a, b in new.items() if a != b and not b.startswith("blank")}
+    return replace(source, system=changed, noise=noise, own=own)
+
+
+def times(source: Source) -> tuple[float, float, int]:
+    """Give the first time, the last one, and how many rows the data have between.
+
+    Parameters
+    ----------
+    source : what is written.
+    """
+    start, end = source.system.span
+    return start, end, max(2, round((end - start) / source.system.step) + 1)
+
+
+def number(value: float) -> str:
+    """Write a number with all its digits.
+
+    Parameters
+    ----------
+    value : the number.
+
+    >>> number(2), number(1 / 3)
+    ('2.0', '0.3333333333333333')
+    """
+    assert math.isfinite(value)
+    return repr(float(value))
