@@ -20,6 +20,7 @@ from .discovery import (
     bootstrap,
     discover,
     equation_rmse,
+    identifiability,
     score_expressions,
     trajectory_loss,
 )
@@ -73,6 +74,7 @@ __all__ = [
     "equation_rmse",
     "find_engine",
     "find_system",
+    "identifiability",
     "make_method",
     "make_samples",
     "parse",

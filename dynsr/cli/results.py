@@ -186,15 +186,17 @@ def profile(
     """Show how far the data bound each constant: its profile likelihood.
 
     A constant is held on a grid and all others are fitted again. The interval ends where the data
-    are followed clearly worse; where they never are, that side is open.
+    are followed clearly worse; where they never are, that side is open. Below it stands which
+    parameters data of this kind can determine at all, and which combinations of the others.
     """
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, _say_to(json))
     data = _load_for(found, files, time_column, states, inputs, how)
     named = [found.profile(one, data) for one in constant or ()]
     profiles = named or found.profiles(data)
+    known = found.identifiability(data)
     if json:
-        output.print_json({"profiles": profiles})
+        output.print_json({"profiles": profiles, "identifiability": known})
         return
     rows = [
         (own.state, own.index, own.of, own.value, own.interval_text, own.wald_text)
@@ -202,6 +204,7 @@ def profile(
     ]
     names = ("state", "place", "constant of", "value", "95 % interval", "by standard error")
     output.print_table(f"{model} on {', '.join(map(str, files))}", names, rows)
+    output.print_lines(*known.sentences)
 
 
 def _told(value: Any) -> Any:

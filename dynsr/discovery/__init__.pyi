@@ -1,5 +1,6 @@
 from .cut_short import beside_data, keep_formulas
 from .estimator import DynsrRegressor
+from .identifying import Identifiability, IdentifiabilitySettings, identifiability
 from .intervals import write_interval
 from .maps import inputs_in, iterate, pair_rows, write_map_latex, write_map_mathml
 from .orders import write_lines
@@ -26,6 +27,8 @@ __all__ = [
     "Discovery",
     "DiscoverySettings",
     "DynsrRegressor",
+    "Identifiability",
+    "IdentifiabilitySettings",
     "Parameter",
     "Parameters",
     "ParametricSystem",
@@ -39,6 +42,7 @@ __all__ = [
     "bootstrap",
     "discover",
     "equation_rmse",
+    "identifiability",
     "inputs_in",
     "is_own_record",
     "iterate",

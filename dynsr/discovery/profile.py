@@ -183,23 +183,33 @@ class Profiles:
 
         Raises InputError when there is none, or the data do not tell.
         """
-        signed = [names[state][index] for state, index, _ in self.places]
-        every = list(dict.fromkeys(text.lstrip("-") for text in signed))
+        tied, every, signed = self.tied(names)
         if name not in every:
             raise InputError(f"{name!r} is no parameter; those are {', '.join(every)}")
-        ways = np.zeros((len(signed), len(every)))
-        for text, (_, _, place) in zip(signed, self.places, strict=True):
-            ways[place, every.index(text.lstrip("-"))] = -1.0 if text.startswith("-") else 1.0
-        first = next(
-            p for p, text in zip(self.places, signed, strict=True) if text.lstrip("-") == name
-        )
-        try:
-            tied = self.profiling.tied(ways)
-        except np.linalg.LinAlgError:
-            raise InputError(
-                f"the data do not tell the parameters apart; {name!r} has no profile"
-            ) from None
+        first = self.places[signed.index(name)]
         return self._make(name, *first[:2], every.index(name), tied)
+
+    def tied(
+        self, names: Mapping[str, Sequence[str]]
+    ) -> tuple[Profiling, tuple[str, ...], list[str]]:
+        """Give the fit of the parameters, their names, and the name at each printed constant.
+
+        Parameters
+        ----------
+        names : state -> the parameter of each printed constant, with a minus where it is less that.
+
+        Raises InputError where the data do not tell.
+        """
+        texts = [names[state][index] for state, index, _ in self.places]
+        signed = [text.lstrip("-") for text in texts]
+        every = tuple(dict.fromkeys(signed))
+        ways = np.zeros((len(texts), len(every)))
+        for text, name, (_, _, place) in zip(texts, signed, self.places, strict=True):
+            ways[place, every.index(name)] = -1.0 if text.startswith("-") else 1.0
+        try:
+            return self.profiling.tied(ways), every, signed
+        except np.linalg.LinAlgError:
+            raise InputError("the fit to these data does not tell its parameters") from None
 
     def _make(self, name: str, state: str, index: int, place: int, begun: Profiling) -> Profile:
         rises = begun.profile(place)

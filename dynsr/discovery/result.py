@@ -28,6 +28,7 @@ from dynsr.data import (
     settle_hold,
     take_trajectories,
 )
+from dynsr.discovery.identifying import Identifiability, identify, with_data
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
 from dynsr.discovery.map_verdict import judge_map
 from dynsr.discovery.maps import (
@@ -371,6 +372,39 @@ class Discovery:
         """
         own = self._profiles(data)
         return tuple(own.profile(state, index) for state, index, _ in own.places)
+
+    def identifiability(self, data: Any = None) -> Identifiability:
+        """Say which parameters data can determine at all, and which these data do.
+
+        The first is a matter of the equations alone: a*b*x has one parameter where it seems to have
+        two (:func:`dynsr.identifiability`). The second is that of the joint fit: far below
+        saturation a*x/(b + x) tells a/b alone.
+
+        Parameters
+        ----------
+        data : what :func:`dynsr.discover` takes; the data of the discovery by default. Without any
+            the equations alone are asked.
+
+        Raises InputError when the equations are a map, have no parameter, or cannot be fitted along
+        the data.
+
+        >>> x = sympy.Symbol("x")
+        >>> Discovery({"x": -2 * x / (3 * x + 5)}, {}, {}, {}).identifiability()
+        Exact data of this kind determine every parameter.
+        """
+        if self.is_map:
+            raise InputError("a map has no joint fit of its states; its errors are of one step")
+        system = self.system
+        if not system.parameters:
+            raise InputError("the equations have no parameters")
+        rhs = {s: sympy.sympify(e) for s, e in system.equations.items()}
+        outputs = {s: sympy.Symbol(s) for s in rhs}
+        names, drives = list(system.parameters), arguments_of(self.equations)
+        structure = identify(rhs, outputs, names, drives, 0)
+        if data is None and not self.trajectories:
+            return structure
+        profiling, every, _ = self._profiles(data).tied(self._names)
+        return with_data(structure, every, profiling)
 
     def _profiles(self, data: Any = None, settings: ProfileSettings | None = None) -> Profiles:
         if self.is_map:

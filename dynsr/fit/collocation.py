@@ -189,40 +189,38 @@ class CollocationFit:
     information: np.ndarray
 
     @cached_property
-    @np.errstate(all="ignore")
-    def _scaled(self) -> tuple[np.ndarray, np.ndarray]:
-        """(P, P) information in units (P, P) that make its diagonal 1, and these."""
-        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        units = np.outer(scale, scale)
-        return self.information / units, units
-
-    @cached_property
     def covariance(self) -> np.ndarray:
         """(P, P) of the constants at the noise that was given; inf where that does not tell."""
-        scaled, units = self._scaled
-        if not np.all(np.isfinite(scaled)):
-            return np.full_like(self.information, np.inf)
-        with np.errstate(all="ignore"):
-            found = np.asarray(np.linalg.pinv(scaled, rcond=1e-13) / units)
-        # The inverse gives no variance at all to what nothing tells of.
-        unknown = self._open | ~(np.diag(found) > 0)
-        found[unknown] = found[:, unknown] = np.inf
-        return found
+        return covariance_of(self.information)
 
     @cached_property
     def errors(self) -> np.ndarray:
         """(P,) standard errors of the constants at the noise that was given; inf if unknown."""
         return np.sqrt(np.diag(self.covariance))
 
-    @property
-    def _open(self) -> np.ndarray:
-        """(P,) whether a constant has a share in a direction that the data say nothing of."""
-        scaled, _ = self._scaled
-        if not np.all(np.isfinite(scaled)):
-            return np.ones(len(scaled), dtype=bool)
-        values, directions = np.linalg.eigh(scaled)
-        silent = values < _SILENT * values.max(initial=0.0)
-        return np.asarray(np.sum(directions[:, silent] ** 2, axis=1) > 1e-6)
+
+@np.errstate(all="ignore")
+def covariance_of(information: np.ndarray) -> np.ndarray:
+    """(P, P) inverse of an information; inf for what has a share in a direction it says nothing of.
+
+    Parameters
+    ----------
+    information : (P, P), in inverse squares of the units of P constants.
+    """
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    # In these units its diagonal is 1.
+    units = np.outer(scale, scale)
+    scaled = information / units
+    if not np.all(np.isfinite(scaled)):
+        return np.full_like(information, np.inf)
+    found = np.asarray(np.linalg.pinv(scaled, rcond=1e-13) / units)
+    values, directions = np.linalg.eigh(scaled)
+    silent = values < _SILENT * values.max(initial=0.0)
+    # The inverse gives no variance at all to what nothing tells of.
+    unknown = np.sum(directions[:, silent] ** 2, axis=1) > 1e-6
+    unknown |= ~(np.diag(found) > 0)
+    found[unknown] = found[:, unknown] = np.inf
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import brentq
 
-from dynsr.fit.collocation import AlongFit, Collocation
+from dynsr.fit.collocation import AlongFit, Collocation, covariance_of
 from dynsr.fit.whole import interval_reach
 
 
@@ -153,11 +153,28 @@ class Profiling:
         moved = self.problem.fit_free(self.best.states, constants, ways)
         states, constants, cost = moved or (self.best.states, constants, math.inf)
         information = self.problem.normal(states.T, constants).information
-        covariance = np.linalg.inv(ways.T @ information @ ways)
-        errors = np.sqrt(np.maximum(np.diag(covariance), 0) * self.scale)
+        covariance = covariance_of(ways.T @ information @ ways)
+        errors = np.sqrt(np.diag(covariance) * self.scale)
         best = Held(math.nan, 0.0, constants, states)
         freedom = self.freedom + ways.shape[0] - ways.shape[1]
         return replace(self, ways=ways, best=best, errors=errors, cost=cost, freedom=freedom)
+
+    def relative_spread(self, values: np.ndarray, some: Sequence[int]) -> np.ndarray:
+        """(S, S) covariance of the logarithms of some parameters; huge where the data do not tell.
+
+        Parameters
+        ----------
+        values : (Q,) sizes of all parameters.
+        some : their places.
+        """
+        best = self.best
+        information = self.problem.normal(best.states.T, best.constants).information
+        own = self.ways.T @ information @ self.ways * np.outer(values, values) / self.scale
+        sizes, directions = np.linalg.eigh(own)
+        # What is smaller than rounding is no information.
+        sizes = np.maximum(sizes, np.finfo(float).eps * sizes.max(initial=0.0))
+        spread: np.ndarray = (directions / sizes) @ directions.T
+        return spread[np.ix_(some, some)]
 
     @cached_property
     def values(self) -> np.ndarray:

@@ -217,6 +217,7 @@ def render_discovery(found: Discovery) -> str:
         verdicts=_verdicts(found),
         ensemble=_ensemble(found),
         profiles=list(_profiles(found)),
+        known=_known(found),
         summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
         parameters=_parameters(found),
@@ -314,6 +315,17 @@ def _profiles(found: Discovery) -> Iterator[Picture]:
             "The shaded interval ends where the data are followed clearly worse; the dashed "
             f"parabola is what the standard error says.{left_out}",
         )
+
+
+def _known(found: Discovery) -> str:
+    """Say which parameters are known where some are not; nothing where all are."""
+    if found.is_map or not any(found.constants.values()):
+        return ""
+    try:
+        known = found.identifiability()
+    except InputError:  # too few rows, or not to be followed
+        return ""
+    return " ".join(known.sentences) if known.unknown or known.weak else ""
 
 
 def _coefficient_units(found: Discovery) -> dict[str, dict[str, str]]:
