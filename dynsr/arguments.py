@@ -16,6 +16,7 @@ import os
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any, TypeVar, get_args, get_origin
 
 from dynsr.errors import DynsrError, InputError, one_line
@@ -76,12 +77,28 @@ def _guarded(function: Callable[..., Any], name: str) -> Callable[..., Any]:
         except DynsrError:
             raise
         except Exception as error:
+            if isinstance(error, TypeError) and (unknown := _say_unknown(function, name, named)):
+                raise TypeError(unknown) from None
             said = _say_misfit(function, name, arguments, named)
             if said is None:
                 raise
             raise InputError(said) from error
 
     return guarded
+
+
+def _say_unknown(function: Callable[..., Any], name: str, named: Mapping[str, Any]) -> str | None:
+    """Say which keyword a function does not take, and what was meant; None where it takes all."""
+    kinds = inspect.signature(function).parameters
+    if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in kinds.values()):
+        return None
+    for given in named:
+        if given not in kinds:
+            own = [key for key in kinds if key != "self"]
+            near = get_close_matches(given, own, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it takes: {', '.join(own)}"
+            return f"{name}() got an unexpected keyword argument {given!r}; {hint}"
+    return None
 
 
 def _say_misfit(

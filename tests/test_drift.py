@@ -277,6 +277,6 @@ def test_a_discovery_names_the_drift():
         lambda t, x: [x[1], -(1 + 0.03 * t) * x[0] - 0.1 * x[1]], [1.0, 0.0], 40, 400, 0.0
     )
     found = discover(data, preset="quick", jobs=1)
-    assert found.verdict is not None and found.verdict.level != "law"
+    assert found.verdict.level != "law"
     assert "y' = -0.03*t*x - x - 0.1*y" in found.explanation["y"]
     assert all("t" not in map(str, e.free_symbols) for e in found.equations.values())

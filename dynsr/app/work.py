@@ -485,12 +485,12 @@ def show_found(found: Discovery) -> dict[str, Any]:
     found : the discovery.
     """
     write, left = (write_map_mathml, "[n+1]") if found.is_map else (to_mathml, "'")
-    verdicts = found.verdict.states if found.verdict else {}
+    verdicts = found.verdict.states
     known = "column_units" in found.settings
     units = found.coefficient_units() if known else {}
     return {
         "heading": found.heading,
-        "level": found.verdict.level if found.verdict else "",
+        "level": found.verdict.level if found.verdict.judged else "",
         "complete": found.complete,
         "seconds": round(found.seconds, 1),
         "equations": [

@@ -89,7 +89,9 @@ def _say(words: str, style: str = "") -> None:
 def _print_equations(found: Discovery, lines: Sequence[str]) -> None:
     """Print the verdict and below it the equations, on a terminal in a frame."""
     screen = output.console()
-    title, colour = _FRAMES.get(found.verdict.level if found.verdict else "", ("Equations", "blue"))
+    title, colour = _FRAMES.get(
+        found.verdict.level if found.verdict.judged else "", ("Equations", "blue")
+    )
     title = title if found.complete else f"{title}, so far"
     _say(found.heading, f"bold {colour}" if screen.is_terminal else "")
     if screen.is_terminal:

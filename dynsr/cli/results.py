@@ -84,13 +84,14 @@ def summarise(found: Discovery) -> dict[str, Any]:
         "kind": found.settings.get("kind", "flow"),
         "equations": found.equations,
         "text": write_lines(found.equations, found.settings),
-        "verdict": found.verdict
-        and {
+        "verdict": {
             "system": found.verdict.level,
             "reason": found.verdict.reason,
             "span": found.verdict.span,
             "states": found.verdict.states,
-        },
+        }
+        if found.verdict.judged
+        else None,
         "constants": found.constants,
         "errors": found.errors,
         "front": {state: front.candidates for state, front in found.front.items()},

@@ -42,8 +42,8 @@ def keep_formulas(
     >>> import sympy
     >>> run = Trajectory(t, [[1.0], [2.0], [4.0]], ("x",))
     >>> found = keep_formulas({"x": 2 * sympy.Symbol("x")}, [run], discrete=True)
-    >>> found.complete, found.verdict, found.is_map
-    (False, None, True)
+    >>> found.complete, found.verdict.judged, found.is_map
+    (False, False, True)
     """
     form = read_form(order, explicit_time, discrete, runs[0], runs[0].states)
     sought = form.searched(runs[0].states)

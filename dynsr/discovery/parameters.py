@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import sympy
 
+from dynsr.arguments import checked
 from dynsr.data import System
 from dynsr.discovery.intervals import (
     Constant,
@@ -39,6 +40,7 @@ _LETTERS = ("k", "p", "c", "par", "parameter_")
 Names = Mapping[str, Sequence[str]]
 
 
+@checked
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of found equations.
@@ -64,6 +66,7 @@ class Parameter:
     states: tuple[str, ...] = ()
 
 
+@checked
 class Parameters(Mapping[str, Parameter]):
     """The parameters of a system by their names, in the order of the equations.
 
@@ -177,6 +180,7 @@ def _say_unknown(name: object, known: Mapping[str, Any]) -> str:
     return f"unknown parameter {str(name)!r}{hint}; the parameters are: {names}"
 
 
+@checked
 @dataclass(frozen=True, repr=False)
 class ParametricSystem:
     """Equations with parameters that have names: what is simulated, fitted or written elsewhere.

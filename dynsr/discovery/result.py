@@ -28,6 +28,7 @@ from dynsr.data import (
     settle_hold,
     take_trajectories,
 )
+from dynsr.discovery.by_state import ByState
 from dynsr.discovery.identifying import Identifiability, identify, with_data
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
 from dynsr.discovery.map_verdict import judge_map
@@ -56,7 +57,7 @@ from dynsr.discovery.parameters import (
 from dynsr.discovery.prediction import Measured, is_sampled, predict, predict_with_doses
 from dynsr.discovery.profile import Ends, Profile, Profiles, read_constant
 from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
-from dynsr.discovery.verdict import NOT_FOUND, Verdict, VerdictSettings, explain, judge
+from dynsr.discovery.verdict import NOBODY, NOT_FOUND, Verdict, VerdictSettings, explain, judge
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
 from dynsr.errors import EngineError, EngineUnavailable, InputError, need
 from dynsr.expression import (
@@ -146,8 +147,8 @@ class Discovery:
     seconds : wall time.
     complete : False when Ctrl-C ended the searches and these are the best formulas so far.
     engine : what integrates the equations.
-    verdict : whether the equations are a law, an approximation or not found; None where nobody
-        judged them, as where the search was cut short.
+    verdict : whether the equations are a law, an approximation or not found; its level is "not
+        judged" where nobody judged them, as where the search was cut short.
     details : state -> how its formulas compared in bits, in words.
     ensemble : state -> the terms of an ensemble, where one was asked for.
     parameter_names : state -> the names of its constants in their order, where :meth:`rename` gave
@@ -173,21 +174,32 @@ class Discovery:
     engine: str | AbstractEngine = DEFAULT_ENGINE
     fitted: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     reach: float = 1.96
-    verdict: Verdict | None = None
+    verdict: Verdict = NOBODY
     details: Mapping[str, str] = field(default_factory=dict)
     ensemble: Mapping[str, tuple[Inclusion, ...]] = field(default_factory=dict)
     parameter_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     profiled: Mapping[str, tuple[Ends | None, ...]] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Have a name that is no state's told which there are."""
+        for name in ("equations", "front"):
+            object.__setattr__(self, name, ByState(getattr(self, name)))
+
     @property
     def constants(self) -> dict[str, tuple[Constant, ...]]:
         """State -> its constants as its printed formula has them, each with its 95 % interval."""
-        return {
-            s: list_constants(
-                e, self.errors.get(s, ()), self.fitted.get(s), self.reach, self.profiled.get(s, ())
-            )
-            for s, e in self.equations.items()
-        }
+        return ByState(
+            {
+                s: list_constants(
+                    e,
+                    self.errors.get(s, ()),
+                    self.fitted.get(s),
+                    self.reach,
+                    self.profiled.get(s, ()),
+                )
+                for s, e in self.equations.items()
+            }
+        )
 
     @property
     def parameters(self) -> Parameters:
@@ -289,7 +301,7 @@ class Discovery:
             errors={},
             fitted={},
             profiled={},
-            verdict=None,
+            verdict=NOBODY,
             explanation={},
             parameter_names=left,
         )
@@ -560,7 +572,7 @@ class Discovery:
             errors={},
             fitted={},
             profiled={},
-            verdict=None,
+            verdict=NOBODY,
             explanation={},
             parameter_names={},
         )
@@ -941,7 +953,7 @@ class Discovery:
             "settings": dict(self.settings),
             "seconds": self.seconds,
             "complete": self.complete,
-            "verdict": to_plain(self.verdict),
+            "verdict": to_plain(self.verdict) if self.verdict.judged else None,
             "details": dict(self.details),
             **({"ensemble": to_plain(self.ensemble)} if self.ensemble else {}),
             **({"parameter_names": to_plain(self.parameter_names)} if self.parameter_names else {}),
@@ -962,7 +974,8 @@ class Discovery:
             "parameter_names": dict[str, tuple[str, ...]],
             "profiled": dict[str, tuple[Ends | None, ...]],
         }
-        return cls(**read_discovery(Path(path), **further, verdict=Verdict | None))
+        fields = read_discovery(Path(path), **further, verdict=Verdict | None)
+        return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY})
 
     def __repr__(self) -> str:
         """Write the verdict, and below it the equations, one a line."""
@@ -1002,7 +1015,7 @@ class Discovery:
     def heading(self) -> str:
         """The verdict on the system in one sentence."""
         so_far = "" if self.complete else "The search was interrupted; the best so far. "
-        if self.verdict is None:
+        if not self.verdict.judged:
             return f"{so_far}Not judged."
         return f"{so_far}{self.verdict.level.capitalize()}: {self.verdict.reason}"
 
@@ -1034,7 +1047,7 @@ def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
     found : a discovery with its data.
     settings : the numbers that decide.
     """
-    judged = found.verdict is not None and found.verdict.level != NOT_FOUND
+    judged = found.verdict.judged and found.verdict.level != NOT_FOUND
     if not (found.complete and judged) or found.is_map or not is_noisy(found.trajectories):
         return found
     try:

@@ -70,7 +70,7 @@ from dynsr.discovery.tasks import (
     tasks_of,
     with_bits,
 )
-from dynsr.discovery.verdict import LAW, Verdict, explain
+from dynsr.discovery.verdict import LAW, NOBODY, Verdict, explain
 from dynsr.discovery.watching import with_progress
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle, share_engine
 from dynsr.errors import InputError
@@ -346,7 +346,7 @@ def discover(
     along = EXPLORATION in first and not shown
     record["engines"] = name_engines(ran, chosen, measured, along, FIRST_LOOK in first)
     record["engines"] |= ENGINES if discrete else {}
-    found = replace(found, verdict=None) if demands.conserved else found
+    found = replace(found, verdict=NOBODY) if demands.conserved else found
     found = _judge(problem, found, rivals, record, _left_to_us(method, preset), steps.parts)
     if cut := list(dict.fromkeys([*cut, *problem.cut])):
         record["ended_by_budget"] = cut
@@ -373,7 +373,7 @@ def _record_hold(
 
 def _explain(found: Discovery, problem: Problem) -> dict[str, str]:
     """Put what the verdict says before the words on where each equation comes from."""
-    states = found.verdict.states if found.verdict else {}
+    states = found.verdict.states
     form, settings = problem.form, problem.settings.verdict
     said = {
         s: explain(s, found.equations[s], own, form.discrete, settings) for s, own in states.items()
@@ -396,7 +396,7 @@ def _judge(
     """
     if not found.complete:
         return found
-    if found.verdict is None:
+    if not found.verdict.judged:
         try:
             with keeping(parts):
                 verdict = problem.judge_in_time(found, rivals)

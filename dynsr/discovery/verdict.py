@@ -36,6 +36,8 @@ from dynsr.fit import STABLE, Flow, ParetoFront, Shooting, noise_and_spread, tid
 from dynsr.selection import is_left_open
 
 LAW, APPROXIMATION, NOT_FOUND = LEVELS = ("law", "approximation", "not found")
+# Of equations that nobody has judged, as where a search was cut short.
+NOT_JUDGED = "not judged"
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,8 @@ class Verdict:
 
     Parameters
     ----------
-    level : that of the weakest state.
+    level : that of the weakest state; "not judged" where nobody judged the equations, as where the
+        search was cut short or other numbers were put in.
     reason : why, in words.
     states : state -> its own verdict.
     span : time over which the equations were followed at a stretch.
@@ -196,12 +199,22 @@ class Verdict:
 
     def __post_init__(self) -> None:
         """Check the level; raises InputError."""
-        _check_level(self.level)
+        if self.judged:
+            _check_level(self.level)
+
+    @property
+    def judged(self) -> bool:
+        """Whether the equations were judged at all."""
+        return self.level != NOT_JUDGED
 
     @property
     def rivals(self) -> dict[str, tuple[Rival, ...]]:
         """State -> different formulas that were compared, the closest first."""
         return {state: own.rivals for state, own in self.states.items()}
+
+
+# The verdict of nobody.
+NOBODY = Verdict(NOT_JUDGED, "nobody has judged these equations")
 
 
 def unjudged(equations: Iterable[str]) -> Verdict:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import sympy
 
 from dynsr import __version__
@@ -53,11 +54,18 @@ class Source:
             return cls(ParametricSystem.of(found))
         if isinstance(found, ParametricSystem):
             return cls(found)
-        judged = {} if found.verdict is None else found.verdict.states
+        runs = found.trajectories
+        # A verdict has the noise as a share of the spread.
+        noise = {
+            state: own.noise
+            * float(np.nanstd(np.concatenate([r.x[:, r.index(state)] for r in runs])))
+            for state, own in found.verdict.states.items()
+            if runs
+        }
         return cls(
             found.system,
-            found.trajectories,
-            {state: float(own.noise) for state, own in judged.items()},
+            runs,
+            noise,
             tuple(map(str, found.settings.get("methods", ()))),
             str(found.settings.get("engine", "")),
         )

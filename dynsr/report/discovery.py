@@ -211,9 +211,9 @@ def render_discovery(found: Discovery) -> str:
     samples, latex = _samples(found), found.latex()
     return render_page(
         "discovery.html.j2",
-        heading=_HEADINGS[found.verdict.level if found.verdict else ""],
+        heading=_HEADINGS[found.verdict.level if found.verdict.judged else ""],
         verdict=found.heading,
-        level=(found.verdict.level if found.verdict else "none").replace(" ", "-"),
+        level=(found.verdict.level if found.verdict.judged else "none").replace(" ", "-"),
         verdicts=_verdicts(found),
         ensemble=_ensemble(found),
         profiles=list(_profiles(found)),
@@ -299,7 +299,7 @@ def _constants(found: Discovery, state: str) -> Table | None:
 
 def _profiles(found: Discovery) -> Iterator[Picture]:
     """Draw the profile likelihoods of constants in noise; exact data leave no doubt of them."""
-    judged = found.verdict is not None and found.verdict.level != "not found"
+    judged = found.verdict.judged and found.verdict.level != "not found"
     if not (judged and found.trajectories) or found.is_map or not is_noisy(found.trajectories):
         return
     try:
@@ -375,7 +375,7 @@ def _ensemble(found: Discovery) -> Table | None:
 
 
 def _verdicts(found: Discovery) -> Table | None:
-    if found.verdict is None:
+    if not found.verdict.judged:
         return None
     rows = tuple(
         (state, own.level, own.r2, own.chi_square, own.forecast, own.noise, _surest(own))

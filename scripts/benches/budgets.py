@@ -106,7 +106,7 @@ def main() -> None:
                     f"{used:.2f} s",
                     f"{wall:.2f} s",
                     "late" if used > 1.1 * budget + 1 else "",
-                    found.verdict.level if found.verdict else "none",
+                    found.verdict.level,
                     ", ".join(found.settings.get("ended_by_budget", ())),
                 )
                 console.print(name, noise, budget, f"{used:.2f} {wall:.2f}", style="dim")

@@ -132,7 +132,7 @@ def search(
         seed,
         {s: to_text(e) for s, e in found.equations.items()},
         has_exact_terms(dict(found.equations), flow),
-        found.verdict.level if found.verdict else "",
+        found.verdict.level,
         taken,
     )
 

@@ -211,7 +211,7 @@ def answer_dynsr(threads: int, data: Any, seed: int) -> Any:
     from dynsr.discovery import discover
 
     found = discover(data, seed=seed, jobs=threads)
-    return Answer(found.equations, found.verdict.level if found.verdict else "")
+    return Answer(found.equations, found.verdict.level)
 
 
 def answer_peer(fit: Callable[..., str], threads: int, data: Any, seed: int) -> Any:

@@ -1,0 +1,97 @@
+"""What a user writes against dynsr: types that a checker knows, and names that are misspelt."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import dynsr
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.verdict import Verdict
+from dynsr.expression.parsing import parse
+from dynsr.fit.candidates import ParetoFront
+
+SCRIPT = """
+from __future__ import annotations
+
+import numpy as np
+import sympy
+
+import dynsr
+
+t = np.linspace(0.0, 3.0, 301)
+found = dynsr.discover({"t": t, "x": 2 * np.exp(-0.5 * t)}, preset="quick", jobs=1)
+level: str = found.verdict.level
+right: sympy.Expr = found.equations["x"]
+equations: dict[str, sympy.Expr] = found.equations
+best: dynsr.Candidate = found.front["x"][-1]
+rate: float = found.parameters["k1"].value
+error: float = found.parameters["k1"].error
+named: dynsr.Discovery = found.rename({"k1": "rate"}).with_parameters(rate=0.4)
+run: dynsr.Trajectory = named.simulate([1.0], np.linspace(0, 1, 11))
+last: float = float(run.x[-1, 0])
+code: str = named.export("c")
+scores: dict[str, dict[str, float]] = found.score()
+for state, constants in found.constants.items():
+    for constant in constants:
+        print(state, constant.value, constant.low, constant.of)
+regressor = dynsr.TrajectoryRegressor(preset="quick")
+regressor.fit(run.x, t=run.t)
+system: dynsr.System = named.system.to_system()
+again: dynsr.Trajectory = dynsr.simulate(system)
+"""
+
+
+@pytest.mark.slow
+def test_a_users_script_passes_a_type_checker(tmp_path):
+    """Strict mypy has nothing to say of a script that uses results without asking for None."""
+    (tmp_path / "user.py").write_text(SCRIPT)
+    (tmp_path / "mypy.ini").write_text("[mypy-sympy.*]\nignore_missing_imports = true\n")
+    command = [sys.executable, "-m", "mypy", "--strict", "user.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
+def test_a_users_script_runs(tmp_path):
+    """What passes the checker does what it says."""
+    (tmp_path / "user.py").write_text(SCRIPT)
+    done = subprocess.run([sys.executable, "user.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("x -0.5")
+
+
+def test_there_is_always_a_verdict(tmp_path):
+    """Equations that nobody judged say so; in a file it is nothing, as in those of before."""
+    found = Discovery({"x": parse("-x")}, {}, {"x": ParetoFront()}, {}, settings={"engine": "x"})
+    assert found.verdict == Verdict("not judged", found.verdict.reason)
+    assert not found.verdict.judged and found.heading == "Not judged."
+    again = Discovery.load(found.save(tmp_path / "found.json"))
+    assert again.verdict == found.verdict and found.as_record()["verdict"] is None
+
+
+@pytest.mark.parametrize("kind", ["equations", "front", "constants"])
+def test_a_state_that_is_none_is_a_key_error_with_the_names(kind):
+    """The nearest name is offered."""
+    front = {"prey": ParetoFront(), "hunters": ParetoFront()}
+    found = Discovery({"prey": parse("-prey"), "hunters": parse("prey")}, {}, front, {})
+    table = getattr(found, kind)
+    said = r"no state 'pray' \(did you mean 'prey'\?\); the states are: prey, hunters"
+    with pytest.raises(KeyError, match=said):
+        table["pray"]
+    assert table.get("pray") is None and isinstance(table, dict)
+
+
+def test_a_keyword_that_is_misspelt_is_told_the_nearest():
+    """Functions, estimators and methods of results say which keyword was meant, or all."""
+    t = np.linspace(0, 1, 20)
+    for call in (
+        lambda: dynsr.discover((t, t[:, None]), metho="sindy"),
+        lambda: dynsr.TrajectoryRegressor(metho="sindy"),
+    ):
+        with pytest.raises(TypeError, match=r"keyword argument 'metho'; did you mean 'method'\?"):
+            call()
+    found = Discovery({"x": parse("-x")}, {}, {}, {})
+    with pytest.raises(TypeError, match="'where'; it takes: x0, t, inputs, engine, hold, doses"):
+        found.simulate([1.0], t, where=3)
