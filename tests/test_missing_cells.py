@@ -308,3 +308,106 @@ def test_a_long_table_keeps_the_rows_of_what_is_measured_seldom():
     with pytest.warns(DynsrWarning, match="every 5th was kept"):
         table = read_trajectories({"t": t, "x": np.cos(t), "y": seldom}, max_rows=500)
     assert table.trajectories[0].measured[:, 1].sum() == np.isfinite(seldom).sum()
+
+
+def online(**columns: np.ndarray) -> pd.DataFrame:
+    """Give a table of some columns at all times."""
+    return pd.DataFrame({"t": T, **columns})
+
+
+def test_sources_of_different_states_are_one_experiment(tmp_path):
+    """Two files with clocks of their own are joined on the time, each state at its own rows."""
+    own = np.arange(3, 201, 13)
+    fast, slow = tmp_path / "online.csv", tmp_path / "offline.csv"
+    pd.DataFrame({"time [h]": T, "x": TRUE[:, 0]}).to_csv(fast, index=False)
+    minutes = np.round(60 * T[own] + 0.7, 6)
+    pd.DataFrame({"t [min]": minutes, "y": TRUE[own, 1]}).to_csv(slow, index=False)
+    table = read_trajectories([fast, slow])
+    (run,) = table.trajectories
+    assert run.states == ("x", "y")
+    assert run.measured.sum(axis=0).tolist() == [201, len(own)]
+    assert np.allclose(60 * run.t[run.own_rows("y")], minutes)
+    assert np.array_equal(run.x[run.own_rows("y"), 1], TRUE[own, 1])
+    assert len(run) == 201 + len(own)
+    assert any(
+        "online.csv (x) and offline.csv (y) measured one experiment" in n for n in table.notes
+    )
+    assert table.description.states == ("x", "y")
+    # The same with the states named, and with times that only rounding sets apart.
+    assert read_trajectories([fast, slow], states="x,y").trajectories[0].states == ("x", "y")
+    frames = [online(x=TRUE[:, 0]), pd.DataFrame({"t": np.arange(67) * 0.3, "y": TRUE[::3, 1]})]
+    assert len(take_trajectories(frames)[0][0]) == 201
+
+
+def test_sources_with_dates_are_joined_where_they_are():
+    """Files of dates are counted from the earliest date of all, not each from its own first row."""
+    when = pd.Timestamp("2024-03-01 08:00") + pd.to_timedelta(T, unit="h")
+    late = slice(25, None, 5)
+    fast = pd.DataFrame({"when": when, "x": TRUE[:, 0]})
+    slow = pd.DataFrame({"sampled": when[late], "y": TRUE[late, 1]})
+    for sources in ([fast, slow], [slow, fast]):
+        (run,) = read_trajectories(sources).trajectories
+        rows = run.own_rows("y")
+        at_y = np.interp(run.t[rows], run.t[run.own_rows("x")], TRUE[:, 0])
+        assert np.allclose(at_y, TRUE[late, 0])
+    with pytest.raises(InputError, match="counted in min and in no unit"):
+        read_trajectories([fast, online(y=TRUE[:, 1]).assign(t=T)])
+
+
+def test_experiments_of_several_sources_are_matched_by_name_or_by_order():
+    """Runs that a column names go together by name; files of one run each by their order."""
+    fast = pd.concat([online(x=TRUE[:, 0]).assign(run=name) for name in "ab"])
+    slow = pd.concat(
+        [online(y=k * TRUE[:, 1]).assign(run=name)[::10] for k, name in ((2, "b"), (1, "a"))]
+    )
+    runs = read_trajectories([fast, slow]).trajectories
+    assert [run.origin["name"] for run in runs] == ["a", "b"]
+    assert [float(run.x[0, 1]) for run in runs] == [5.0, 10.0]
+    files = [online(x=k * TRUE[:, 0]) for k in (1, 2)] + [online(y=k * TRUE[:, 1]) for k in (1, 2)]
+    runs = read_trajectories(files).trajectories
+    assert [run.x[0].tolist() for run in runs] == [[10.0, 5.0], [20.0, 10.0]]
+    with pytest.raises(InputError, match=r"2 trajectories of x and .* 1 trajectory of y"):
+        read_trajectories(files[:3])
+    with pytest.raises(InputError, match="with the same names"):
+        read_trajectories([fast, slow.replace({"run": {"b": "c"}})])
+
+
+def test_sources_that_do_not_meet_are_refused():
+    """Other times, or a state that both measured: one line says what to do."""
+    with pytest.raises(InputError, match=r"from 0 to 20 and .* from 100 to 120: they do not meet"):
+        read_trajectories([online(x=TRUE[:, 0]), online(y=TRUE[:, 1]).assign(t=T + 100)])
+    with pytest.raises(InputError, match="leave 'x' out of one of them or rename it there"):
+        read_trajectories([online(x=TRUE[:, 0]), online(x=TRUE[:, 0], y=TRUE[:, 1])])
+
+
+def test_an_input_of_one_source_is_known_at_the_rows_of_the_other():
+    """The input that only one file has is read between its rows where only the other has rows."""
+    fast = online(x=TRUE[:, 0], u=np.floor(T / 4))
+    slow = pd.DataFrame({"t": T[5::10] + 0.03, "y": TRUE[5::10, 1]})
+    (run,) = read_trajectories([fast, slow], inputs=["u"]).trajectories
+    assert run.input_names == ("u",)
+    assert np.array_equal(run.inputs[:, 0], np.floor(run.t / 4))
+    pair = [Trajectory(T, TRUE[:, :1], ("x",)), Trajectory(T[::4], TRUE[::4, 1:], ("y",))]
+    assert take_trajectories(pair)[0][0].measured.sum(axis=0).tolist() == [201, 51]
+
+
+def test_two_sources_are_searched_as_one():
+    """discover([online, offline]) finds the law of both, though their clocks differ."""
+    own = np.arange(4, 201, 7)
+    slow = pd.DataFrame({"t": T[own], "y": TRUE[own, 1]})
+    found = discover([online(x=TRUE[:, 0]), slow], jobs=1)
+    assert {s: str(e) for s, e in found.equations.items()} == {
+        "x": "-0.4*x*y + 1.1*x",
+        "y": "0.1*x*y - 0.4*y",
+    }
+    assert "joined on the time" in found.settings["table"]["notes"][0]
+
+
+def test_quantities_of_a_long_table_may_have_times_of_their_own():
+    """A column called a quantity names states, also where each is measured at its own times."""
+    fast = pd.DataFrame({"hours": T, "analyte": "x", "value": TRUE[:, 0]})
+    slow = pd.DataFrame({"hours": T[::7], "analyte": "y", "value": TRUE[::7, 1]})
+    (run,) = read_trajectories(pd.concat([fast, slow])).trajectories
+    assert run.states == ("x", "y")
+    assert run.measured.sum(axis=0).tolist() == [201, 29]
+    assert np.array_equal(run.observed[::7, 1], TRUE[::7, 1])

@@ -170,7 +170,8 @@ def discover(
         list[Path] | None,
         typer.Argument(
             metavar="[FILE]...",
-            help="Text (CSV), Excel, Parquet, .mat, .h5, .nc, .npz; one or many.",
+            help="Text (CSV), Excel, Parquet, .mat, .h5, .nc, .npz; one or many: runs, or, where "
+            "they share no state, one experiment joined on the time. Cells may be empty.",
         ),
     ] = None,
     system: Annotated[

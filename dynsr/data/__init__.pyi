@@ -7,7 +7,7 @@ from .dosing import cut_at_doses
 from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .noise_model import StateNoise, measurement_noise, robust_scale
-from .observation import carry
+from .observation import at_own_rows, carry, told_rows
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
 from .reading import (
     column_units,
@@ -61,6 +61,7 @@ __all__ = [
     "TimeColumn",
     "Trajectory",
     "add_velocities",
+    "at_own_rows",
     "bracketed_unit",
     "carry",
     "check_hold",
@@ -103,6 +104,7 @@ __all__ = [
     "smooth_column",
     "split_held_back",
     "take_trajectories",
+    "told_rows",
     "weak_form",
     "write_bytes",
     "write_csv",

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from dynsr.data.determinism import Orbit, Pairs, forced_share, nearest_pairs
 from dynsr.data.noise_model import interpolation_residuals, measurement_noise, robust_scale
-from dynsr.data.observation import carry
+from dynsr.data.observation import at_own_rows
 from dynsr.data.samples import Samples
 from dynsr.data.slopes import choose_samples, smooth_column
 from dynsr.data.trajectory import Trajectory
@@ -133,7 +133,7 @@ def diagnose(
     some[0].index(target)
     picked = np.linspace(0, len(some) - 1, min(len(some), settings.runs)).astype(int)
     # What is said of a state rests on the rows at which it was measured.
-    some = [run.at_own_rows(target) for run in carry([some[i] for i in picked])]
+    some = at_own_rows([some[i] for i in picked], target) or [some[0]]
     causes = list(_few_rows(some, target, settings))
     long = [run for run in some if len(run) >= settings.few_rows]
     if not long or np.ptp(np.concatenate([_column(run, target) for run in long])) == 0:

@@ -99,9 +99,13 @@ def _odd(table: Table, settings: OddSettings) -> Iterator[str]:
     clocks = [(name, odd) for name, run in runs for odd in odd_times(run.t, each)]
     yield from merge_places(clocks, f"time {found.time.column!r}", count == 1)
     for state in found.states:
-        seen = [(n, o) for n, run in runs for o in odd_values(run.t, run.by_name[state], each)]
+        seen = [
+            (name, odd)
+            for name, run in runs
+            for odd in odd_values(run.t, run.observed[:, run.index(state)], each)
+        ]
         yield from merge_places(seen, state, count == 1)
-    together = columns_of(table.trajectories)
+    together = columns_of([run.select(np.all(run.measured, axis=1)) for run in table.trajectories])
     for _, sentence in odd_states({state: together[state] for state in found.states}, settings):
         yield (
             f"{sentence}, so that its equation follows from the others'; leave it out, or say that "

@@ -313,15 +313,20 @@ def _options(found: Description) -> Iterator[tuple[str, str]]:
         yield f"--trajectory {both}", "these columns together name the trajectories"
 
 
-def join_descriptions(parts: Sequence[Description], runs: Sequence[Trajectory]) -> Description:
+def join_descriptions(
+    parts: Sequence[Description], runs: Sequence[Trajectory], joined: str = ""
+) -> Description:
     """Say how several tables were understood together.
 
     Parameters
     ----------
     parts : how each one was understood.
     runs : their trajectories, all counted in one unit.
+    joined : says that they measured the same experiments; "" where each holds runs of its own.
     """
     names = [_name_within(part, run) for part in parts for run in part.trajectories]
+    if joined:
+        names = [str(run.origin.get("name", "")) for run in runs]
     if len(set(names)) < len(names):
         names = [str(number) for number in range(1, len(names) + 1)]
     steps = np.concatenate([np.diff(run.t) for run in runs])
@@ -330,6 +335,9 @@ def join_descriptions(parts: Sequence[Description], runs: Sequence[Trajectory]) 
         RunRows(name, len(run), float(run.t[0]), float(run.t[-1]))
         for name, run in zip(names, runs, strict=True)
     ]
+    notes = [*([joined] if joined else []), *(note for part in parts for note in part.notes)]
+    inputs = [n for n in runs[0].input_names if not any(n in part.parameters for part in parts)]
+    formulas = {name: text for part in parts for name, text in part.formulas.items()}
     return replace(
         first,
         source=", ".join(dict.fromkeys(part.source for part in parts)),
@@ -340,10 +348,17 @@ def join_descriptions(parts: Sequence[Description], runs: Sequence[Trajectory]) 
             (float(steps.min()), float(steps.max())),
         ),
         trajectories=tuple(rows),
-        hold={name: runs[0].holds[name] for name in first.hold},
+        states=runs[0].states,
+        inputs=tuple(inputs),
+        parameters=tuple(dict.fromkeys(name for part in parts for name in part.parameters)),
+        formulas=formulas,
+        hold={name: runs[0].holds[name] for name in inputs if name not in formulas},
+        units={name: unit for part in parts for name, unit in part.units.items()},
+        renamed={old: new for part in parts for old, new in part.renamed.items()},
+        noise={state: column for part in parts for state, column in part.noise.items()},
         labels=tuple(dict.fromkeys(name for part in parts for name in part.labels)),
         left_out={name: why for part in parts for name, why in part.left_out.items()},
-        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 

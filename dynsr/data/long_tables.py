@@ -73,8 +73,10 @@ def find_quantity(
     labels : the columns that the caller named for runs; None where guessed.
     states : the states that the caller named.
 
-    There must be one column of numbers beside it, and every value must be there at the same times
-    within each run. Gives it, or None; and a sentence where it may be one but is not taken so.
+    There must be one column of numbers beside it. Every value must be there at the same times
+    within each run, or the column must be called a quantity, have a unit beside it, or hold the
+    states asked for: each quantity is then measured at times of its own. Gives it, or None; and a
+    sentence where it may be one but is not taken so.
     """
     look = _Look(columns, time)
     texts = [n for n in candidates if is_text(look.values(n))]
@@ -86,12 +88,15 @@ def find_quantity(
         others = look.labels(name, unit, texts, candidates) if labels is None else list(labels)
         numbers = look.numbers([n for n in candidates if n not in others], others)
         measured = [n for n in numbers if not is_error_name(n)]
-        if len(measured) != 1 or len(numbers) > 2 or not look.share_times(name, others):
+        wanted = states is not None and set(states) <= set(look.keys(name))
+        strong = bool(_QUANTITY.fullmatch(bare_name(name))) or unit is not None or wanted
+        if len(measured) != 1 or len(numbers) > 2:
+            continue
+        # What is called a quantity may have times of its own.
+        if not (look.share_times(name, others) or (strong and look.is_once(name, others))):
             continue
         found = Long(name, tuple(numbers), tuple(others), unit)
-        wanted = states is not None and set(states) <= set(look.keys(name))
-        told = labels is not None and not look.apart(others)
-        strong = _QUANTITY.fullmatch(bare_name(name)) or unit is not None or wanted or told
+        strong |= labels is not None and not look.apart(others)
         kind = _KIND.fullmatch(bare_name(name)) and not others
         codes = all(_CODE.fullmatch(key) for key in set(look.keys(name)))
         if strong or (kind and not codes):
@@ -252,6 +257,12 @@ class _Look:
             len(own) == len(moments) and len(np.unique(own)) == len(moments)
             for own in sizes.values()
         )
+
+    def is_once(self, quantity: str, labels: Sequence[str]) -> bool:
+        """Whether no value of a column is there twice at a moment of a run."""
+        _, index = self.moments(labels)
+        pairs = set(zip(self.keys(quantity), index.tolist(), strict=True))
+        return len(pairs) == len(index)
 
     def apart(self, labels: Sequence[str]) -> bool:
         """Whether no moment repeats within the runs."""

@@ -54,6 +54,37 @@ def carry(runs: Sequence[Trajectory]) -> list[Trajectory]:
     ]
 
 
+def told_rows(runs: Sequence[Trajectory], state: str) -> list[np.ndarray]:
+    """Give for each run the rows at which a state was measured and all others are known.
+
+    Where that leaves next to nothing, as with states that were measured one after the other, all
+    rows at which it was measured.
+
+    Parameters
+    ----------
+    runs : trajectories of the same columns.
+    state : the state.
+    """
+    told = [run.told_rows(state) for run in runs]
+    return told if sum(map(len, told)) >= FEWEST_ROWS else [run.own_rows(state) for run in runs]
+
+
+def at_own_rows(runs: Sequence[Trajectory], state: str, fewest: int = 1) -> list[Trajectory]:
+    """Give runs at the rows of :func:`told_rows`, where all states stand as if measured.
+
+    Parameters
+    ----------
+    runs : trajectories of the same columns, which may lack values.
+    state : the state.
+    fewest : runs that have fewer such rows are left out.
+    """
+    if not any(run.unmeasured.size for run in runs):
+        return list(runs)
+    none = np.empty((0, 0), dtype=bool)
+    some = zip(carry(runs), told_rows(runs, state), strict=True)
+    return [replace(run.select(rows), unmeasured=none) for run, rows in some if len(rows) >= fewest]
+
+
 def _usual(runs: Sequence[Trajectory]) -> np.ndarray:
     """(k,) mean of every state where it was measured."""
     return np.asarray(np.nanmean(np.concatenate([run.observed for run in runs]), axis=0))

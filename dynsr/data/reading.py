@@ -21,6 +21,7 @@ from dynsr.data.columns import Columns, beside, load_columns, names_of_states, w
 from dynsr.data.description import Description, describe_runs, join_descriptions
 from dynsr.data.dosing import cut_at_doses
 from dynsr.data.grouping import find_restarts
+from dynsr.data.joining import Source, join_sources
 from dynsr.data.names import clean_name
 from dynsr.data.oddities import OddSettings
 from dynsr.data.roles import Roles
@@ -73,7 +74,9 @@ def read_trajectories(
     source : a file of delimited text, Excel (.xlsx, .xls, .ods), MATLAB (.mat), HDF5 (.h5), NetCDF
         (.nc), Parquet, .npz or .npy; a frame of pandas or polars; a dataset of xarray; a mapping of
         columns; a pair of arrays (t (n,), x (n, k)); an array whose first column is the time; a
-        Trajectory; or a list of any of these, one or more trajectories each.
+        Trajectory; or a list of any of these, one or more trajectories each. Those of the same
+        states are runs; those that share no state measured the same experiments and are joined on
+        the time.
     time : name of the time column, of the date and the clock ("date,clock"), or the (n,) times
         themselves; guessed by default.
     states : names of the state columns; every other column by default. A source without
@@ -186,30 +189,83 @@ def _told(runs: Sequence[Trajectory], guess: str, understood: Description) -> Ta
     return Table(told, guess, understood, names=names)
 
 
-def _read_list(sources: list[Any], *arguments: Any) -> Table:
+def _read_list(
+    sources: list[Any],
+    time: str | Sequence[Any] | np.ndarray | None,
+    states: Sequence[str] | str | None,
+    inputs: Sequence[str] | Mapping[str, str] | str | None,
+    trajectory: Sequence[str] | str | None,
+    quantity: str | None,
+    decimal: str | None,
+    hold: Mapping[str, str] | str | None,
+    max_rows: int,
+) -> Table:
     if not sources:
         raise InputError("no data was given; give at least one file, frame or array")
-    *options, quantity, decimal, hold, max_rows = arguments
-    words = {"quantity": quantity, "decimal": decimal, "hold": hold}
     _refuse_twice(sources)
     share = max(max_rows // len(sources), FEWEST_ROWS)
-    tables = [read_trajectories(source, *options, **words, max_rows=share) for source in sources]
-    runs = _in_one_unit([run for table in tables for run in table.trajectories])
-    for run in runs[1:]:
-        if run.states != runs[0].states or run.input_names != runs[0].input_names:
-            raise InputError(
-                f"the trajectories have different columns ({', '.join(runs[0].names)} and "
-                f"{', '.join(run.names)}); give all the same columns"
+    tables = []
+    for source in sources:
+        own, known = _those_of(source, decimal, states, inputs)
+        tables.append(
+            read_trajectories(
+                source,
+                time,
+                own,
+                known,
+                trajectory,
+                quantity=quantity,
+                decimal=decimal,
+                max_rows=share,
             )
+        )
+    each = [len(table.trajectories) for table in tables]
+    flat = _in_one_unit([run for table in tables for run in table.trajectories])
+    ends = np.cumsum(each)
+    parts = [
+        Source(table.description.source, flat[end - count : end], bool(table.description.named_by))
+        for table, count, end in zip(tables, each, ends, strict=True)
+    ]
+    runs, joined = join_sources(parts)
     if hold is None:
         # What one file says of an input holds for all.
         given: dict[str, str] = {}
         for source in sources:
             given |= _given(source, runs) if isinstance(source, Trajectory) else {}
-        runs = settle_hold([replace(run, hold={}) for run in runs], given)
-    understood = join_descriptions([table.description for table in tables], runs)
+        hold = given
+    elif isinstance(hold, Mapping):
+        renamed = {old: new for t in tables for old, new in t.description.renamed.items()}
+        hold = {renamed.get(name, name): way for name, way in hold.items()}
+    runs = settle_hold([replace(run, hold={}) for run in runs], hold)
+    understood = join_descriptions([table.description for table in tables], runs, joined)
     told = _told(runs, "; ".join(dict.fromkeys(table.guess for table in tables)), understood)
     return replace(told, left_out=understood.left_out, notes=understood.notes)
+
+
+def _those_of(
+    source: Any,
+    decimal: str | None,
+    states: Sequence[str] | str | None,
+    inputs: Sequence[str] | Mapping[str, str] | str | None,
+) -> tuple[Sequence[str] | str | None, Sequence[str] | Mapping[str, str] | str | None]:
+    """Give the states and inputs that were asked for and that one of several sources has.
+
+    What none has is refused where it is read.
+    """
+    wanted, (known, formulas) = _listed(states), _split_inputs(inputs)
+    if (not wanted and not known) or isinstance(source, Trajectory):
+        return states, inputs
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        columns = load_columns(source, decimal)
+    if not columns.named:
+        return states, inputs
+    names = {*columns.names, *map(clean_name, columns.names), *columns.left_out}
+    own = [name for name in wanted or () if name in names] or wanted
+    if known:
+        kept = [name for name in known if name in names]
+        inputs = [*kept, *(f"{name}={text}" for name, text in formulas.items())]
+    return own, inputs
 
 
 def _refuse_twice(sources: Sequence[Any]) -> None:
@@ -420,7 +476,10 @@ def _read(data: Any, inputs: Sequence[str] | None) -> list[Trajectory]:
     if isinstance(data, Trajectory):
         return [data]
     if isinstance(data, (list, tuple)) and data and all(isinstance(d, Trajectory) for d in data):
-        return list(data)
+        if len({run.states for run in data}) == 1:
+            return list(data)
+        sources = [Source(f"trajectory {i}", [run]) for i, run in enumerate(data, start=1)]
+        return join_sources(sources)[0]
     if _is_pair(data):
         return [_from_arrays(*data)]
     # A tuple of runs is a list of runs.

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import compress, pairwise
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline, make_smoothing_spline
 
 from dynsr.data.forcing import Forced, find_forced
 from dynsr.data.noise_model import interpolation_residuals, measurement_noise, robust_scale
-from dynsr.data.observation import carry
+from dynsr.data.observation import at_own_rows, carry, told_rows
 from dynsr.data.samples import (
     CENTRAL,
     CENTRAL_ORDERS,
@@ -40,8 +40,8 @@ from dynsr.errors import InputError, need
 SMOOTHERS = ("gp", "spline", "total-variation", "weak")
 # Order up to which all central differences are looked at; higher ones while the errors fall.
 _USUAL_ORDER = 6
-# Rows of a state up to which a run says nothing of its slopes.
-_FEWEST = 4
+# Rows of a state below which a run says nothing of its slopes.
+_FEWEST = 5
 _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
 
 
@@ -483,11 +483,10 @@ def choose_samples(
     runs = carry(runs)
     given = _own_slopes(runs, target, slopes, settings)
     if any(run.unmeasured.size for run in runs):
-        both = zip(runs, given, strict=True)
-        given = [None if g is None else g[run.own_rows(target)] for run, g in both]
-        runs = [run.at_own_rows(target) for run in runs]
-        long = [len(run) > _FEWEST for run in runs]
-        runs, given = list(compress(runs, long)), list(compress(given, long))
+        rows = told_rows(runs, target)
+        both = [(g, own) for g, own in zip(given, rows, strict=True) if len(own) >= _FEWEST]
+        given = [None if g is None else g[own] for g, own in both]
+        runs = at_own_rows(runs, target, _FEWEST)
         if not runs:
             raise InputError(f"{target} was measured in too few rows for slopes; give more of them")
     resolve = scheme == "auto" and slopes is None

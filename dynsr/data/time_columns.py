@@ -39,6 +39,8 @@ class Times:
     unit : what plain numbers are counted in; "" where nothing says it.
     counted : whether they are seconds of dates or durations, which get the unit of their steps.
     from_first : whether they are counted from the first one.
+    first : what their 0 is where they are: "date" and seconds since 1970, or "clock" and those
+        since the day began; None otherwise.
     clock : the column of the time of the day beside one of dates.
     daily : whether they are times of the day alone, which begin again at midnight.
     left_out : other columns of dates or times -> the reason why they are not used.
@@ -50,6 +52,7 @@ class Times:
     unit: str = ""
     counted: bool = False
     from_first: bool = False
+    first: tuple[str, float] | None = None
     clock: str | None = None
     daily: bool = False
     left_out: Mapping[str, str] = field(default_factory=dict)
@@ -172,6 +175,7 @@ class _Look:
                 moments.seconds,
                 counted=True,
                 from_first=dates or moments.clock,
+                first=moments.first,
                 daily=moments.clock,
                 notes=notes,
             )
@@ -234,7 +238,14 @@ class _Look:
             return None
         dates = self._moments(day)
         assert dates is not None
-        return Times(day, dates.seconds + seconds, counted=True, from_first=True, clock=clock)
+        return Times(
+            day,
+            dates.seconds + seconds,
+            counted=True,
+            from_first=True,
+            first=dates.first,
+            clock=clock,
+        )
 
     def _time_of_day(self, name: str, days: np.ndarray) -> np.ndarray | None:
         moments = self._moments(name)

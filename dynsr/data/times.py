@@ -168,6 +168,16 @@ class Moments:
         return bool(np.all(there == there.astype("datetime64[D]")))
 
     @property
+    def first(self) -> tuple[str, float] | None:
+        """What seconds are counted from: a date, in seconds since 1970, or the start of a day."""
+        if self.clock:
+            return ("clock", 0.0)
+        if self.values.dtype.kind != "M":
+            return None
+        first = np.min(self.values[~np.isnat(self.values)])
+        return ("date", float((first - np.datetime64(0, "s")) / np.timedelta64(1, "s")))
+
+    @property
     def seconds(self) -> np.ndarray:
         """(n,) seconds, of dates from the first one on; NaN where a cell is empty."""
         values = self.values

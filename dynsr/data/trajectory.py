@@ -241,17 +241,23 @@ class Trajectory:
         """
         return np.flatnonzero(self.measured[:, self.index(state)])
 
-    def at_own_rows(self, state: str) -> Trajectory:
-        """Give the rows at which a state was measured, the others standing on their curves there.
+    def told_rows(self, state: str) -> np.ndarray:
+        """Give the rows at which a state was measured and all others are known from their curves.
+
+        Before its first and after its last row nothing tells of a state.
 
         Parameters
         ----------
         state : the state.
+
+        >>> x = [[1.0, np.nan], [1.0, 2.0], [np.nan, 3.0], [1.0, 4.0]]
+        >>> Trajectory(np.arange(4.0), x, ("x", "y")).told_rows("x").tolist()
+        [1, 3]
         """
-        if not self.unmeasured.size:
-            return self
-        own = self.select(self.own_rows(state))
-        return replace(own, unmeasured=np.empty((0, 0), dtype=bool))
+        begun = np.maximum.accumulate(self.measured, axis=0)
+        ended = np.maximum.accumulate(self.measured[::-1], axis=0)[::-1]
+        inside = np.flatnonzero(np.all(begun & ended, axis=1))
+        return np.intersect1d(self.own_rows(state), inside)
 
     @property
     def columns(self) -> np.ndarray:

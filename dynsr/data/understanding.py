@@ -395,8 +395,10 @@ def _make(
     own = {name: columns.units.get(name) or bracketed_unit(name) for name in wanted}
     units = {roles.renamed[name]: text for name, text in own.items() if text}
     noise = pooled_noise(runs, roles.states)
+    begins = None if times.first is None else (times.first[0], times.first[1] + float(start))
     origin = {
         "source": columns.label,
+        **({} if begins is None else {"begins": begins}),
         **({"time_unit": unit} if unit else {}),
         **({"units": units} if units else {}),
         **({"noise": {roles.renamed[n]: size for n, size in noise.items()}} if noise else {}),

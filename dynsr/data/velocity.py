@@ -10,7 +10,7 @@ import numpy as np
 
 from dynsr.data.forcing import Forced, find_forced
 from dynsr.data.noise_model import StateNoise, measurement_noise
-from dynsr.data.observation import carry
+from dynsr.data.observation import at_own_rows, carry
 from dynsr.data.samples import SCHEMES, Samples, join_samples
 from dynsr.data.slopes import (
     Choice,
@@ -141,7 +141,7 @@ def choose_second_samples(
     >>> bool(np.allclose(samples.y, -samples.columns["x"], atol=1e-4))
     True
     """
-    runs = [run.at_own_rows(target) for run in carry(runs)]
+    runs = at_own_rows(runs, target)
     parts, measured = find_forced(runs), runs
     if parts is not None:
         runs = [_take(run, part, velocities) for run, part in zip(runs, parts, strict=True)]

@@ -164,6 +164,8 @@ def discover(
     ----------
     data : a Trajectory, a list of them, ``(t, x)`` arrays, or what
         :func:`dynsr.data.reading.read_trajectories` reads or gives: a file, a frame, a mapping.
+        Each state counts where it was measured: cells may be empty (NaN), and in a list, sources
+        that share no state are one experiment, joined on the time.
     time : name of the time column, or the (n,) times themselves; guessed by default.
     states : names of the state columns; every other column by default.
     trajectory : the column, or columns, whose values together name the trajectory of a row.

@@ -19,7 +19,7 @@ import numpy as np
 import sympy
 
 from dynsr.arguments import checked
-from dynsr.data import Trajectory, weak_form
+from dynsr.data import Trajectory, at_own_rows, weak_form
 from dynsr.discovery.result import Discovery, Inclusion
 from dynsr.errors import InputError
 from dynsr.expression import ByText, compile_numpy, counting, expand_terms, shown
@@ -89,7 +89,8 @@ def bootstrap(
     sequences = np.random.SeedSequence(check_seed(seed)).spawn(len(found.equations))
     for (state, expr), sequence in zip(found.equations.items(), sequences, strict=True):
         exprs, bottom = _terms(expr, [c.expr for c in list(found.front[state])[-alternatives:]])
-        runs = [_weaken(run, state, exprs, bottom, pieces) for run in found.carried]
+        own = at_own_rows(found.carried, state)
+        runs = [_weaken(run, state, exprs, bottom, pieces) for run in own]
         blocks = [_join(run) for run in runs] if len(runs) >= 5 else [b for r in runs for b in r]
         whole = _join(blocks)
         coefficients = np.linalg.lstsq(whole.values.T, whole.y, rcond=None)[0]
@@ -120,7 +121,6 @@ def _weaken(
     run: Trajectory, state: str, exprs: Sequence[sympy.Expr], bottom: sympy.Expr, pieces: int
 ) -> list[_Weak]:
     """Give one block for each piece of a trajectory, of the bumps whose middle lies there."""
-    run = run.at_own_rows(state)
     evaluated = compile_numpy([*exprs, bottom], [*run.names, "t"])
     *rows, below = evaluated(np.concatenate([run.columns.T, run.t[None]]))
     values = np.array(rows) / below

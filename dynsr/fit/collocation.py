@@ -33,6 +33,7 @@ from dynsr.data import (
     find_forced,
     join_samples,
     smooth,
+    told_rows,
 )
 from dynsr.expression import Program, compile_columns
 from dynsr.fit.constants import free_constants
@@ -894,8 +895,10 @@ class Measurements:
                 run.t,
                 float(np.sqrt(np.mean(smoothed.slope_sd[:, place] ** 2))),
                 smoothed.slope_sd[:, place],
-            ).select(run.own_rows(state))
-            for run, smoothed in zip(self.runs, self.smoothed, strict=True)
+            ).select(rows)
+            for run, smoothed, rows in zip(
+                self.runs, self.smoothed, told_rows(self.runs, state), strict=True
+            )
         ]
         return join_samples(pieces)
 
