@@ -51,7 +51,15 @@ def test_all_commands_are_there():
     wanted = (
         "systems generate describe discover score simulate replicate audit crosscheck benchmark"
     )
-    assert set(NAMES) == {*wanted.split(), "export", "report", "doctor", "app", "profile"}
+    assert set(NAMES) == {
+        *wanted.split(),
+        "export",
+        "report",
+        "doctor",
+        "app",
+        "profile",
+        "suggest",
+    }
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -56,6 +56,7 @@ for _panel, _command, _example in (
     (_DISCOVERY, results.score, "score lorenz/discovery.json other.csv"),
     (_DISCOVERY, results.profile, "profile lorenz/discovery.json l.csv --constant x:0"),
     (_DISCOVERY, results.export, "export lorenz --to julia -o lorenz.jl"),
+    (_DISCOVERY, results.suggest, "suggest lorenz/discovery.json l.csv --rows 100"),
     (_DISCOVERY, results.report, "report lorenz/discovery.json -o report.html"),
     (_PAPER, paper.replicate, "replicate --systems pendulum --methods sindy"),
     (_PAPER, paper.audit, "audit --json"),

@@ -208,6 +208,67 @@ def profile(
     output.print_lines(*known.sentences)
 
 
+def suggest(
+    model: DiscoveryFile,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="The data that it was found in.")
+    ],
+    rows: Annotated[
+        int | None,
+        typer.Option(
+            "--rows",
+            min=2,
+            help="Rows of the experiment; those of the longest run by default.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
+    span: Annotated[
+        float | None,
+        typer.Option(
+            "--span",
+            help="Time from its first row to its last; that of the longest run by default.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
+    beyond: Annotated[
+        float,
+        typer.Option(
+            "--beyond",
+            min=0.0,
+            help="Share of the range of the states by which a start may lie outside of it.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = 0.5,
+    seed: options.Seed = 0,
+    time_column: options.TimeColumn = None,
+    states: options.StateColumns = None,
+    inputs: options.Inputs = None,
+    hold: options.Hold = None,
+    trajectory: options.TrajectoryColumn = None,
+    quantity: options.Quantity = None,
+    decimal: options.Decimal = None,
+    json: options.Json = False,
+) -> None:
+    """Suggest the next experiment: the start that would tell most.
+
+    Where other formulas follow the data nearly as well, it is where they and the answer part most;
+    else where most is learnt of the constants. Bits are those that the data of the experiment are
+    expected to tell.
+    """
+    from dynsr.discovery import SuggestionSettings
+
+    found = load_discovery(model)
+    how = (trajectory, hold, quantity, decimal, _say_to(json))
+    data = _load_for(found, files, time_column, states, inputs, how)
+    settings = SuggestionSettings(beyond=beyond)
+    made = found.suggest(data, rows=rows, span=span, seed=seed, settings=settings)
+    if json:
+        output.print_json(made)
+        return
+    output.print_lines(made.heading)
+    output.print_table(f"Next experiments: {made.size}", made.columns, made.table())
+
+
 def _told(value: Any) -> Any:
     """Give a value for a table; one that is not finite as a word."""
     finite = not isinstance(value, float) or math.isfinite(value)

@@ -18,15 +18,18 @@ from .scoring import (
     trajectory_losses,
 )
 from .search import discover
+from .suggesting import Alternative, Experiment, Suggestion, SuggestionSettings
 from .trajectory_estimator import TrajectoryRegressor
 from .uncertainty import bootstrap
 from .verdict import StateVerdict, Verdict, VerdictSettings
 
 __all__ = [
     "DISCOVERY",
+    "Alternative",
     "Discovery",
     "DiscoverySettings",
     "DynsrRegressor",
+    "Experiment",
     "Identifiability",
     "IdentifiabilitySettings",
     "Parameter",
@@ -35,6 +38,8 @@ __all__ = [
     "Profile",
     "Score",
     "StateVerdict",
+    "Suggestion",
+    "SuggestionSettings",
     "TrajectoryRegressor",
     "Verdict",
     "VerdictSettings",

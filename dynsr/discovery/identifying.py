@@ -280,20 +280,16 @@ class _Series:
         return found
 
     @property
-    def _order(self) -> int:
-        """Coefficients of a series: as many as there are unknowns tell all that there is to know.
-
-        (The derivatives of an output of order Q and more follow from those before.)
-        """
+    def _unknowns(self) -> int:
         return len(self.parameters) + len(self.rhs)
 
     @cached_property
     def _context(self) -> Any:
-        """Arithmetic in which the differences of that order have the digits asked for."""
+        """Arithmetic of its own, whose precision the order of a series asks for."""
         import mpmath
 
         context = mpmath.MPContext()
-        context.prec = self.settings.bits * (self._order + 2)
+        context.prec = self.settings.bits
         return context
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
@@ -303,7 +299,8 @@ class _Series:
         ----------
         rng : where chance comes from.
         """
-        mp, count = self._context, self._order + (self._order + 1) * len(self.inputs) + 1
+        mp, unknowns = self._context, self._unknowns
+        count = unknowns + (unknowns + 1) * len(self.inputs) + 1
         return np.array([mp.mpf(1) / 2 + mp.mpf(v) for v in rng.random(count)], dtype=object)
 
     def null_space(self, point: np.ndarray) -> list[np.ndarray]:
@@ -313,26 +310,39 @@ class _Series:
         ----------
         point : where.
         """
+        order = -(-self._unknowns // len(self.outputs)) + 1
+        while True:
+            slopes = self._slopes(point, order)
+            # The rank grows with every order until it stays for good (Hermann and Krener 1977).
+            before = slopes[: order * len(self.outputs)]
+            if self.rank(before) == self.rank(slopes) or order > self._unknowns:
+                return self._null_space(slopes)
+            order *= 2
+
+    def _slopes(self, point: np.ndarray, order: int) -> np.ndarray:
+        """(outputs * (order + 1), Q) what parameters and starts do to the outputs' series."""
         mp = self._context
+        # Differences of that order lose as many digits as often as they are taken.
+        mp.prec = self.settings.bits * (order + 2)
         step = mp.ldexp(1, -(self.settings.bits // 2))
-        base = self._coefficients(point)
+        base = self._coefficients(point, order)
         slopes = []
-        for i in range(self._order):
+        for i in range(self._unknowns):
             moved = point.copy()
             moved[i] = moved[i] + step
-            slopes.append((self._coefficients(moved) - base) / step)
-        return self._null_space(np.array(slopes, dtype=object).T)
+            slopes.append((self._coefficients(moved, order) - base) / step)
+        return np.array(slopes, dtype=object).T
 
-    def _coefficients(self, point: np.ndarray) -> np.ndarray:
+    def _coefficients(self, point: np.ndarray, order: int) -> np.ndarray:
         """(outputs * (order + 1),) coefficients of the outputs' series in the time.
 
         Coefficient n of a right-hand side is a difference of order n along the series of the states
         so far, over steps so small that what it is off by is beyond the digits asked for.
         """
-        mp, order = self._context, self._order
+        mp, last = self._context, self._unknowns
         count, k = len(self.parameters), len(self.rhs)
-        parameters, states = point[:count], [[value] for value in point[count:order]]
-        drives = np.array_split(point[order:-1], len(self.inputs)) if self.inputs else []
+        parameters, states = point[:count], [[value] for value in point[count:last]]
+        drives = np.array_split(point[last:-1], len(self.inputs)) if self.inputs else []
         start = point[-1]
         h = mp.ldexp(1, -self.settings.bits)
         outputs: list[Any] = []
@@ -384,7 +394,7 @@ class _Series:
             pivots.append(j)
         return left[: len(pivots)], pivots
 
-    def rank(self, rows: Sequence[np.ndarray]) -> int:
+    def rank(self, rows: Sequence[np.ndarray] | np.ndarray) -> int:
         """Count independent rows.
 
         Parameters

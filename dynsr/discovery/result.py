@@ -57,6 +57,8 @@ from dynsr.discovery.parameters import (
 from dynsr.discovery.prediction import Measured, is_sampled, predict, predict_with_doses
 from dynsr.discovery.profile import Ends, Profile, Profiles, read_constant
 from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
+from dynsr.discovery.rivals import MORE_CONSTANTS, count_constants
+from dynsr.discovery.suggesting import SUGGESTION, Suggestion, SuggestionSettings, suggest
 from dynsr.discovery.verdict import NOBODY, NOT_FOUND, Verdict, VerdictSettings, explain, judge
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
 from dynsr.errors import EngineError, EngineUnavailable, InputError, need
@@ -80,6 +82,7 @@ from dynsr.fit import (
     FitSettings,
     Flow,
     Match,
+    Measurements,
     Noise,
     ParetoFront,
     ProfileSettings,
@@ -90,7 +93,7 @@ from dynsr.fit import (
     rmse,
     score_candidate,
 )
-from dynsr.jobs import from_plain, to_plain
+from dynsr.jobs import check_seed, from_plain, to_plain
 from dynsr.selection import ComparisonSettings, forecast_miss
 
 if TYPE_CHECKING:
@@ -417,6 +420,67 @@ class Discovery:
             return structure
         profiling, every, _ = self._profiles(data).tied(self._names)
         return with_data(structure, every, profiling)
+
+    def suggest(
+        self,
+        data: Any = None,
+        *,
+        rows: int | None = None,
+        span: float | None = None,
+        seed: int = 0,
+        settings: SuggestionSettings = SUGGESTION,
+    ) -> Suggestion:
+        """Give the next experiment: the start, and course of the inputs, that would tell most.
+
+        Where other formulas follow the data nearly as well, it is where they and the answer part
+        most, though each may still move its constants as far as the data allow; else where most is
+        learnt of the constants.
+
+        Parameters
+        ----------
+        data : what :func:`dynsr.discover` takes; the data of the discovery by default.
+        rows, span : rows of the experiment, and its time from first to last; those of the longest
+            run by default.
+        seed : the starts that are tried come from it.
+        settings : the numbers that decide.
+
+        Raises InputError when the equations are a map, a state has no equation, there are no data,
+        or the equations cannot be fitted along them.
+
+        >>> import dynsr
+        >>> t = np.linspace(0, 5, 60)
+        >>> x = np.exp(-0.5 * t) + 0.02 * np.random.default_rng(0).normal(size=60)
+        >>> found = dynsr.discover((t, x[:, None]), preset="quick", jobs=1)
+        >>> found.suggest().best.bits > 0
+        True
+        """
+        if self.is_map:
+            raise InputError("a map has no joint fit of its states; its errors are of one step")
+        if rows is not None and rows < 2:
+            raise InputError(f"an experiment of {rows} rows shows no motion; give 2 or more")
+        if span is not None and not (np.isfinite(span) and span > 0):
+            raise InputError(f"a span of {span} is no time; give a number above 0")
+        form = form_of(self.settings)
+        prepared = form.prepare(self._runs(data))
+        self._need_columns(prepared)
+        if lacking := [s for s in prepared[0].states if s not in self.equations]:
+            raise InputError(
+                f"{lacking[0]!r} has no equation; an experiment needs one of each state"
+            )
+        most = self._settings(ComparisonSettings, "selection", "comparison").rows
+        measured = Measurements.of(prepared, self._known_inputs(prepared), most, form.known)
+        rng = np.random.default_rng(check_seed(seed))
+        others = {s: self._alternatives(s) for s in self.equations}
+        return suggest(self.equations, others, measured, rng, rows, span, settings)
+
+    def _alternatives(self, state: str) -> list[sympy.Expr]:
+        """Other formulas of a state: those that the verdict names, then those of the front."""
+        judged = self.verdict.states
+        named = judged[state].rivals if state in judged else ()
+        allowed = count_constants(self.equations[state]) + MORE_CONSTANTS
+        front = sorted(self.front.get(state, ()), key=lambda c: c.loss)
+        near = [c.expr for c in front if count_constants(c.expr) <= allowed]
+        return [*(parse(rival.equation) for rival in named), *near]
 
     def _profiles(self, data: Any = None, settings: ProfileSettings | None = None) -> Profiles:
         if self.is_map:

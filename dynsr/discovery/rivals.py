@@ -29,7 +29,7 @@ from dynsr.fit import (
 )
 
 # Longer formulas are no rivals of shorter ones: what they can do more, the misses tell.
-_MORE_CONSTANTS = 2
+MORE_CONSTANTS = 2
 
 
 def compare_rivals(
@@ -130,7 +130,7 @@ def _closest(
         "given",
         columns["t"][::every],
     )
-    allowed = count_constants(own) + _MORE_CONSTANTS
+    allowed = count_constants(own) + MORE_CONSTANTS
     pool = [c for c in front if c.expr.free_symbols and count_constants(c.expr) <= allowed]
     found = []
     for candidate in sorted(pool, key=lambda c: c.loss)[: 2 * most]:

@@ -1,6 +1,6 @@
 from .discovery import write_report
 from .page import Picture, render_page, write_table
-from .plots import Panel, draw_panels, draw_profiles, draw_states, to_bytes
+from .plots import Panel, draw_panels, draw_profiles, draw_states, draw_suggestion, to_bytes
 from .tables import Formula, Spread, Table
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "draw_panels",
     "draw_profiles",
     "draw_states",
+    "draw_suggestion",
     "render_page",
     "to_bytes",
     "write_report",

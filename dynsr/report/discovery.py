@@ -218,6 +218,7 @@ def render_discovery(found: Discovery) -> str:
         ensemble=_ensemble(found),
         profiles=list(_profiles(found)),
         known=_known(found),
+        suggestion=_suggestion(found),
         summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
         parameters=_parameters(found),
@@ -297,10 +298,32 @@ def _constants(found: Discovery, state: str) -> Table | None:
     )
 
 
-def _profiles(found: Discovery) -> Iterator[Picture]:
-    """Draw the profile likelihoods of constants in noise; exact data leave no doubt of them."""
+def _is_doubtful(found: Discovery) -> bool:
+    """Whether noise leaves a doubt of constants and alternatives; exact data leave none."""
     judged = found.verdict.judged and found.verdict.level != "not found"
-    if not (judged and found.trajectories) or found.is_map or not is_noisy(found.trajectories):
+    noisy = judged and bool(found.trajectories) and not found.is_map
+    return noisy and is_noisy(found.trajectories)
+
+
+def _suggestion(found: Discovery) -> Table | None:
+    """Give the experiments that would tell most."""
+    if not _is_doubtful(found):
+        return None
+    try:
+        made = found.suggest()
+    except DynsrError:  # too few rows, or not to be followed
+        return None
+    note = (
+        f"{made.heading} Each has {made.size}. A bit is a factor of two in how likely one is "
+        "against the other, as is expected before the experiment is made."
+    )
+    rows = tuple(made.table())
+    return Table("suggestion", "The next experiment", made.columns, rows, note)
+
+
+def _profiles(found: Discovery) -> Iterator[Picture]:
+    """Draw the profile likelihoods of constants in noise."""
+    if not _is_doubtful(found):
         return
     try:
         every = found.profiles()

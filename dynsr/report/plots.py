@@ -21,7 +21,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 
 from dynsr.data import Samples, Trajectory
-from dynsr.discovery import Profile
+from dynsr.discovery import Profile, Suggestion
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
@@ -246,6 +246,34 @@ def _draw_profile(axis: Axes, own: Profile) -> None:
     axis.set_ylim(0, top)
     axis.set_xlim(left, right)
     axis.set_title(own.title, fontsize=9)
+
+
+def draw_suggestion(suggestion: Suggestion) -> Figure:
+    """Draw what the answer and its alternatives do in the experiment that tells most.
+
+    The band is twice the noise to either side of the answer.
+
+    Parameters
+    ----------
+    suggestion : the experiments.
+    """
+    told = [(i, s, own) for i, (s, own) in enumerate(suggestion.noise.items()) if np.isfinite(own)]
+    figure, axes = _framed(len(told), 1, (_WIDTH, 1.6 * len(told) + 0.8), sharex=True)
+    t = suggestion.times - suggestion.times[0]
+    for axis, (i, state, noise) in zip(axes.flat, told, strict=True):
+        answer, *others = suggestion.curves[..., i]
+        axis.plot(t, answer, color=COLOURS[0], lw=1.8, label="found")
+        axis.fill_between(
+            t, answer - 2 * noise, answer + 2 * noise, color=COLOURS[0], alpha=0.2, lw=0
+        )
+        for number, curve in enumerate(others, 1):
+            style = STYLES[(number - 1) % len(STYLES)]
+            colour = COLOURS[number % len(COLOURS)]
+            axis.plot(t, curve, color=colour, ls=style, lw=1.4, label=f"alternative {number}")
+        axis.set_ylabel(state)
+    axes.flat[-1].set_xlabel("time from the start")
+    _legend_below(figure, axes.flat[0])
+    return figure
 
 
 def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str, up: str) -> Figure:

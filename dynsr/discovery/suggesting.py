@@ -1,0 +1,564 @@
+"""Suggesting: the next experiment, from which the data would tell most.
+
+Where other equations follow the data nearly as well, it is the start (and the course of the inputs)
+at which they and the answer part most: the expected rise of the chi-square when one is true and the
+other is fitted, which may still move its constants as far as the data so far allow, and its start
+(Box and Hill 1967, Technometrics 9, 57; linearised). Where no other equation is left, it is the one
+that tells most of the constants: the bits by which their uncertainty shrinks (Lindley 1956).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy
+
+from dynsr.data import Trajectory
+from dynsr.discovery.rivals import count_constants
+from dynsr.engines import Drive
+from dynsr.errors import InputError
+from dynsr.expression import shown
+from dynsr.fit import (
+    Flow,
+    Measurements,
+    Shooting,
+    Windows,
+    constant_bits,
+    drives_of,
+    finer_paces,
+    fit_along,
+    loosen_all,
+    prepare,
+    skeleton,
+    structure_bits,
+    tidy,
+    with_floats,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+Equations = Mapping[str, sympy.Expr]
+
+
+@dataclass(frozen=True)
+class SuggestionSettings:
+    """The numbers that decide a suggestion.
+
+    Parameters
+    ----------
+    starts : that are tried, drawn evenly over the range of the states.
+    beyond : share of that range by which they lie outside of it at most; no start is below 0 where
+        no state was.
+    farthest : an experiment that leaves the range by so many times its width is none.
+    shown : experiments that are given, the best first.
+    apart : share of the range by which their starts differ, where inputs do the same.
+    looked : formulas of each state that are fitted as alternatives, those of least loss.
+    plausible : bits that an alternative may take more than the answer to be one.
+    alternatives : of them, at most, those of the fewest bits.
+    levels : shares of its range at which an input is held constant.
+    courses : runs whose course of the inputs is tried again.
+    rows : of an experiment, at most.
+    prior : standard deviation of a constant of which the data say nothing, as a multiple of it.
+    error : of the integration, in units of the noise.
+    finest : steps of order 8 between two rows at most.
+    """
+
+    starts: int = 100
+    beyond: float = 0.5
+    farthest: float = 3.0
+    shown: int = 5
+    apart: float = 0.1
+    looked: int = 8
+    plausible: float = 40.0
+    alternatives: int = 3
+    levels: tuple[float, ...] = (0.0, 0.5, 1.0)
+    courses: int = 3
+    rows: int = 200
+    prior: float = 10.0
+    error: float = 0.1
+    finest: int = 16
+
+
+SUGGESTION: SuggestionSettings = SuggestionSettings()
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another system that follows the data.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side, fitted to the data.
+    state : whose equation is another one.
+    bits : that it takes more than the answer.
+    """
+
+    equations: Equations
+    state: str
+    bits: float
+
+    @property
+    def text(self) -> str:
+        """The equation that is another one."""
+        return f"{self.state}' = {shown(tidy(self.equations[self.state]), 4)}"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment that could be made.
+
+    Parameters
+    ----------
+    start : state -> value at its first row.
+    inputs : what the inputs do, in words; "" where there are none.
+    bits : that it is expected to tell: between answer and alternatives, each by its probability,
+        or of the constants.
+    each : bits between the answer and each alternative.
+    """
+
+    start: Mapping[str, float]
+    inputs: str
+    bits: float
+    each: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, repr=False)
+class Suggestion:
+    """Experiments that would tell most, the best first.
+
+    Parameters
+    ----------
+    experiments : the best of those that were tried.
+    again : the first run of the data made once more, for comparison.
+    alternatives : what they tell from the answer; empty where they tell of its constants.
+    equations : the answer, fitted to the data.
+    times : (n,) rows of each experiment.
+    noise : state -> standard deviation of its noise; inf where it is not measured.
+    curves : (1 + A, n, k) what the answer and each alternative do in the best experiment.
+    """
+
+    experiments: tuple[Experiment, ...]
+    again: Experiment
+    alternatives: tuple[Alternative, ...]
+    equations: Equations
+    times: np.ndarray
+    noise: Mapping[str, float]
+    curves: np.ndarray
+
+    @property
+    def best(self) -> Experiment:
+        """The experiment that tells most."""
+        return self.experiments[0]
+
+    @property
+    def heading(self) -> str:
+        """What the bits are of, in a sentence."""
+        if not self.alternatives:
+            return "No other equation is left: the bits are of the constants."
+        others = "; ".join(f"{a.text} ({a.bits:.3g} bits behind)" for a in self.alternatives)
+        return f"The bits are between the equations found and {others}."
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Headings of :meth:`table`."""
+        states = [f"{state}(0)" for state in self.best.start]
+        return ("experiment", *states, *["inputs"] * bool(self.best.inputs), "bits")
+
+    def table(self) -> list[tuple[Any, ...]]:
+        """Give a row for each experiment, and one for the first run made again."""
+        named = [(str(i), own) for i, own in enumerate(self.experiments, 1)]
+        return [
+            (name, *own.start.values(), *[own.inputs] * bool(self.best.inputs), own.bits)
+            for name, own in [*named, ("first run again", self.again)]
+        ]
+
+    def to_frame(self) -> pd.DataFrame:
+        """Give the table as a frame of pandas."""
+        import pandas as pd
+
+        return pd.DataFrame(self.table(), columns=list(self.columns))
+
+    def __repr__(self) -> str:
+        """Write the heading, the span and the table."""
+        rows = [self.columns, *(tuple(map(_read, row)) for row in self.table())]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in rows
+        ]
+        return "\n".join([self.heading, f"{self.size}:", *lines])
+
+    @property
+    def size(self) -> str:
+        """Rows and span of each experiment, in words."""
+        return f"{len(self.times)} rows over {self.times[-1] - self.times[0]:.4g}"
+
+    def plot(self) -> Figure:
+        """Draw what the answer and the alternatives do in the best experiment."""
+        from dynsr.report import draw_suggestion
+
+        return draw_suggestion(self)
+
+
+def _read(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A system fitted to the data: its flow, its constants, and how far these may move.
+
+    Parameters
+    ----------
+    flow : the system.
+    constants : (P,) values.
+    spread : (P, P) a root of their covariance.
+    """
+
+    flow: Flow
+    constants: np.ndarray
+    spread: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Courses:
+    """What a model does in every experiment, in units of the noise.
+
+    Parameters
+    ----------
+    found : (W, N) its states at the rows.
+    moves : (W, N, P) what a standard deviation of the constants does to them.
+    starts : (W, N, k) what the start does to them.
+    """
+
+    found: np.ndarray
+    moves: np.ndarray
+    starts: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """Experiments of one course of the inputs.
+
+    Parameters
+    ----------
+    label : the course, in words.
+    drive : driven columns (d + 1, n) at n times, the time the last.
+    starts : (k, W) starts.
+    """
+
+    label: str
+    drive: Any
+    starts: np.ndarray
+
+
+def suggest(
+    equations: Equations,
+    others: Mapping[str, Iterable[sympy.Expr]],
+    data: Measurements,
+    rng: np.random.Generator,
+    rows: int | None = None,
+    span: float | None = None,
+    settings: SuggestionSettings = SUGGESTION,
+) -> Suggestion:
+    """Give the experiments that would tell most.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side, of every state that was measured.
+    others : state -> formulas that may take the place of its equation, the likeliest first.
+    data : the measurements so far.
+    rng : where the starts come from.
+    rows, span : of an experiment; those of the longest run by default.
+    settings : the numbers that decide.
+
+    Raises InputError where the equations cannot be fitted to the data or not be integrated.
+    """
+    answer = fit_along(loosen_all(equations), data)
+    if answer is None:
+        raise InputError("the equations cannot be fitted along these data; their slopes diverge")
+    alternatives = list(_fit_alternatives(equations, others, data, answer, settings))
+    alternatives.sort(key=lambda pair: pair[0].bits)
+    taken = alternatives[: settings.alternatives]
+    longest = max(data.runs, key=len)
+    times = np.linspace(
+        0.0,
+        span or float(longest.t[-1] - longest.t[0]),
+        rows or min(len(longest), settings.rows),
+    )
+    times = times + float(longest.t[0])
+    noise = _noise_of(data, list(equations)) * math.sqrt(answer.scale)
+    models = [_model(answer, data, settings), *(_model(fit, data, settings) for _, fit in taken)]
+    tried = _Trial(models, [own.bits for own, _ in taken], times, noise, _range(data, equations))
+    plans = list(_plans(data, models[0].flow, tried.range, rng, settings))
+    found = [own for plan in plans for own in tried.experiments(plan, list(equations), settings)]
+    first = next((own for own in found if own.again), None)
+    best = tried.best_of([own for own in found if not own.again], settings)
+    if first is None or not best:
+        raise InputError("the equations cannot be integrated over an experiment of this span")
+    return Suggestion(
+        tuple(own.experiment for own in best),
+        first.experiment,
+        tuple(own for own, _ in taken),
+        answer.found.exprs,
+        times,
+        dict(zip(equations, noise.tolist(), strict=True)),
+        best[0].curves * np.where(np.isfinite(noise), noise, np.nan),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """An experiment that was tried.
+
+    ``curves`` (1 + A, n, k) are what the models do in it, in units of the noise; ``again`` says
+    whether it is the first run once more.
+    """
+
+    experiment: Experiment
+    curves: np.ndarray
+    again: bool
+
+
+def _fit_alternatives(
+    equations: Equations,
+    others: Mapping[str, Iterable[sympy.Expr]],
+    data: Measurements,
+    answer: Any,
+    settings: SuggestionSettings,
+) -> Iterator[tuple[Alternative, Any]]:
+    """Fit systems with another equation of one state; those far behind are no alternatives."""
+    measured = float(answer.problem.mesh.rows.sum())
+    cost = answer.problem.cost(answer.found.states.T, answer.constants)
+    for state, formulas in others.items():
+        own = equations[state]
+        known = {skeleton(with_floats(own))}
+        for expr in list(formulas)[: settings.looked]:
+            shape = skeleton(with_floats(expr))
+            if shape in known or not expr.free_symbols:
+                continue
+            known.add(shape)
+            fit = fit_along(loosen_all({**equations, state: expr}), data)
+            if fit is None:
+                continue
+            rise = fit.problem.cost(fit.found.states.T, fit.constants) - cost
+            more = count_constants(expr) - count_constants(own)
+            bits = rise / answer.scale / (2 * math.log(2)) + more * constant_bits(measured)
+            bits += structure_bits(with_floats(expr)) - structure_bits(with_floats(own))
+            if bits <= settings.plausible:
+                yield Alternative(fit.found.exprs, state, float(bits)), fit
+
+
+def _model(fit: Any, data: Measurements, settings: SuggestionSettings) -> _Model:
+    """Give the flow of a fit, and how far its constants may move."""
+    flow, _, _ = prepare(fit.problem.exprs, data.runs, data.inputs)
+    constants = fit.constants
+    prior = settings.prior * np.maximum(np.abs(constants), 1e-300)
+    scaled = fit.found.information * np.outer(prior, prior) / fit.scale
+    values, directions = np.linalg.eigh(scaled + np.eye(len(constants)))
+    spread = prior[:, None] * directions / np.sqrt(np.maximum(values, 1.0))
+    return _Model(flow, constants, spread)
+
+
+def _noise_of(data: Measurements, states: Sequence[str]) -> np.ndarray:
+    """(k,) standard deviation of the noise of each state; inf where none is measured."""
+    noise = np.concatenate(data.deviations)
+    places = [data.runs[0].index(state) for state in states]
+    found = []
+    for column in noise.T[places]:
+        told = column[np.isfinite(column)]
+        found.append(float(np.median(told)) if len(told) else math.inf)
+    return np.array(found)
+
+
+def _range(data: Measurements, states: Iterable[str]) -> np.ndarray:
+    """(2, k) lowest and highest value of each state in the smoothed data."""
+    places = [data.runs[0].index(state) for state in states]
+    x = np.concatenate([own.x for own in data.smoothed])[:, places]
+    return np.stack([x.min(axis=0), x.max(axis=0)])
+
+
+def _plans(
+    data: Measurements,
+    flow: Flow,
+    limits: np.ndarray,
+    rng: np.random.Generator,
+    settings: SuggestionSettings,
+) -> Iterator[_Plan]:
+    """Give the experiments, those of the first run's start first."""
+    low, high = limits
+    width = np.maximum(high - low, 1e-300)
+    bottom = low - settings.beyond * width
+    bottom = np.where((low >= 0) & (bottom < 0), 0.0, bottom)
+    top = high + settings.beyond * width
+    starts = bottom[:, None] + (top - bottom)[:, None] * rng.random((len(low), settings.starts))
+    places = [data.runs[0].index(state) for state in flow.rhs]
+    first = data.smoothed[0].x[0, places][:, None]
+    measured = [n for n in flow.driven if n not in data.inputs]
+    runs = data.runs[: settings.courses if measured else 1]
+    names = [f"as in run {i}" if measured else "" for i in range(1, len(runs) + 1)]
+    for place, (name, drive) in enumerate(
+        zip(names, drives_of(flow.driven, runs, data.inputs), strict=True)
+    ):
+        own = np.concatenate([first, starts], axis=1) if place == 0 else starts
+        yield _Plan(name, drive, own)
+    begin = np.array([float(data.runs[0].t[0])])
+    base = drives_of(flow.driven, data.runs[:1], data.inputs)[0]
+    columns = {n: np.concatenate([_column(run, n) for run in data.runs]) for n in measured}
+    for name in measured:
+        for share in settings.levels:
+            value = _level(columns[name], share)
+            held = {n: float(np.mean(own)) for n, own in columns.items()} | {name: value}
+            drives = tuple(Drive(n, begin, np.array([[held[n]]])) for n in measured)
+            yield _Plan(f"{name} = {value:.3g}", replace(base, drives=drives), starts)
+
+
+def _column(run: Trajectory, name: str) -> np.ndarray:
+    return np.asarray(run.columns[:, run.names.index(name)])
+
+
+def _level(column: np.ndarray, share: float) -> float:
+    return float(column.min() + share * np.ptp(column))
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """What experiments would tell.
+
+    Parameters
+    ----------
+    models : the answer, then the alternatives.
+    behind : bits that each alternative takes more than the answer.
+    times : (n,) rows of an experiment.
+    noise : (k,) standard deviation of the noise of each state.
+    range : (2, k) lowest and highest value of each state so far.
+    """
+
+    models: Sequence[_Model]
+    behind: Sequence[float]
+    times: np.ndarray
+    noise: np.ndarray
+    range: np.ndarray
+
+    def experiments(
+        self, plan: _Plan, states: Sequence[str], settings: SuggestionSettings
+    ) -> Iterator[_Tried]:
+        """Give each experiment that can be made.
+
+        Parameters
+        ----------
+        plan : the experiments.
+        states : names of the states.
+        settings : the numbers that decide.
+        """
+        courses = [self._follow(model, plan, settings) for model in self.models]
+        again = len(plan.starts[0]) > settings.starts
+        weights = np.exp2(-np.maximum(self.behind, 0.0)) if len(self.behind) else np.empty(0)
+        for lane, start in enumerate(plan.starts.T):
+            if not all(np.all(np.isfinite(own.found[lane])) for own in courses):
+                continue
+            if not self._is_near(courses[0].found[lane], settings):
+                continue
+            each = tuple(
+                min(
+                    self._apart(courses[0], other, lane),
+                    self._apart(other, courses[0], lane),
+                )
+                for other in courses[1:]
+            )
+            bits = (
+                float(np.average(each, weights=weights)) if each else self._told(courses[0], lane)
+            )
+            own = Experiment(dict(zip(states, start.tolist(), strict=True)), plan.label, bits, each)
+            shape = (len(courses), len(self.times), -1)
+            curves = np.array([course.found[lane] for course in courses]).reshape(shape)
+            yield _Tried(own, curves, again and lane == 0)
+
+    def best_of(self, tried: Sequence[_Tried], settings: SuggestionSettings) -> list[_Tried]:
+        """Give the experiments that tell most, the best first, none like one before it.
+
+        Parameters
+        ----------
+        tried : all of them.
+        settings : the numbers that decide.
+        """
+        width = np.maximum(self.range[1] - self.range[0], 1e-300)
+        found: list[_Tried] = []
+        for own in sorted(tried, key=lambda one: -one.experiment.bits):
+            start = np.array(list(own.experiment.start.values()))
+            near = (
+                np.max(np.abs(start - list(one.experiment.start.values())) / width) < settings.apart
+                for one in found
+                if one.experiment.inputs == own.experiment.inputs
+            )
+            if not any(near):
+                found.append(own)
+            if len(found) == settings.shown:
+                break
+        return found
+
+    def _is_near(self, found: np.ndarray, settings: SuggestionSettings) -> bool:
+        """Whether the answer stays near what the states were."""
+        low, high = self.range
+        told = np.isfinite(self.noise)
+        x = (found.reshape(len(self.times), -1) * np.where(told, self.noise, 0.0))[:, told]
+        room = settings.farthest * (high - low)[told]
+        return bool(np.all(x >= low[told] - room) and np.all(x <= high[told] + room))
+
+    def _follow(self, model: _Model, plan: _Plan, settings: SuggestionSettings) -> _Courses:
+        """Integrate a model through all experiments, in steps that are short enough."""
+        k, lanes = plan.starts.shape
+        t = np.repeat(self.times[:, None], lanes, axis=1)
+
+        def drive(times: np.ndarray, before: bool = False) -> np.ndarray:
+            found: np.ndarray = plan.drive(times.ravel(), before)
+            return found.reshape(len(found), *times.shape)
+
+        jumps = bool(len(plan.drive.jumps))
+        windows = Windows(t, np.zeros((len(t), k, lanes)), drive, jumps)
+        shooting = Shooting(model.flow, windows, self.noise, True)
+        with np.errstate(all="ignore"):
+            coarse = shooting.misses(model.constants, plan.starts)
+            for pace in finer_paces(1, settings.finest):
+                shooting = replace(shooting, pace=pace)
+                fine = shooting.misses(model.constants, plan.starts)
+                off = np.max(np.abs(fine - coarse), axis=(0, 1))
+                if np.all((off < settings.error) | ~np.isfinite(off)):
+                    break
+                coarse = fine
+            z, by_constant, by_start = shooting.linearise(model.constants, plan.starts)
+            moves = by_constant @ model.spread
+        return _Courses(z.transpose(2, 0, 1).reshape(lanes, -1), moves, by_start)
+
+    def _nuisance(self, own: _Courses, lane: int) -> np.ndarray:
+        """(N, k) what a start that is unknown within the range does."""
+        low, high = self.range
+        found: np.ndarray = own.starts[lane] * np.maximum(high - low, 1e-300)
+        return found
+
+    def _apart(self, true: _Courses, fitted: _Courses, lane: int) -> float:
+        """Bits expected between two models where one is true and the other fitted."""
+        gap = fitted.found[lane] - true.found[lane]
+        moves = np.concatenate([fitted.moves[lane], self._nuisance(fitted, lane)], axis=1)
+        if not np.all(np.isfinite(moves)):
+            return 0.0
+        pull = moves.T @ gap
+        left = gap @ gap - pull @ np.linalg.solve(np.eye(len(pull)) + moves.T @ moves, pull)
+        return float(max(left, 0.0) / (2 * math.log(2)))
+
+    def _told(self, own: _Courses, lane: int) -> float:
+        """Bits by which the uncertainty of the constants is expected to shrink."""
+        moves, start = own.moves[lane], self._nuisance(own, lane)
+        if not np.all(np.isfinite(moves)):
+            return 0.0
+        cross = start.T @ moves
+        seen = moves.T @ moves - cross.T @ np.linalg.solve(
+            np.eye(len(cross)) + start.T @ start, cross
+        )
+        return float(np.linalg.slogdet(np.eye(len(seen)) + seen)[1] / (2 * math.log(2)))
