@@ -72,11 +72,11 @@ def test_the_page_stands_alone(page):
 
 
 def test_the_page_holds_equations_pictures_and_fronts(page):
-    """Two equations; pictures of states, phases, and slopes and residuals of each; two fronts."""
+    """Two equations; pictures of states, phases, flow, slopes and residuals of each; two fronts."""
     reader = Reader()
     reader.feed(page)
     assert page.count('class="equation"') == reader.seen.count("math") == 2
-    assert page.count('<svg class="picture"') == 6
+    assert page.count('<svg class="picture"') == 7
     assert len(re.findall(r'class="front"', page)) == 2
     assert "1.0001*y" in page
 

@@ -60,7 +60,18 @@ from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
 from dynsr.discovery.rivals import MORE_CONSTANTS, count_constants
 from dynsr.discovery.suggesting import SUGGESTION, Suggestion, SuggestionSettings, suggest
 from dynsr.discovery.verdict import NOBODY, NOT_FOUND, Verdict, VerdictSettings, explain, judge
-from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle
+from dynsr.engines import (
+    DEFAULT_ENGINE,
+    AbstractEngine,
+    Branches,
+    FixedPoint,
+    Linearisation,
+    find_engine,
+    find_fixed_points,
+    follow_parameter,
+    linearise,
+    refuse_idle,
+)
 from dynsr.errors import EngineError, EngineUnavailable, InputError, need
 from dynsr.expression import (
     Units,
@@ -752,6 +763,150 @@ class Discovery:
             for name, expr in self.inputs.items()
             if all(_agrees(run, name, expr) for run in runs)
         }
+
+    def _still(
+        self, inputs: Mapping[str, float] | None, t: float | None
+    ) -> tuple[dict[str, sympy.Expr], dict[str, float]]:
+        """Give the equations without inputs, and the value of each input.
+
+        A measured input is its mean, and one that is a formula what it is at the time.
+        """
+        held: dict[str, float] = {}
+        for name in arguments_of(self.equations):
+            given = (inputs or {}).get(name)
+            formula = self.inputs.get(name)
+            columns = [run.columns[:, run.names.index(name)] for run in self.trajectories]
+            if given is not None:
+                held[name] = float(given)
+            elif formula is not None and (t is not None or not formula.free_symbols):
+                held[name] = float(evaluate(formula, {"t": np.asarray(t or 0.0)}))
+            elif formula is None and columns:
+                held[name] = float(np.nanmean(np.concatenate(columns)))
+            else:
+                raise InputError(f"nothing says what {name!r} is; give inputs={{{name!r}: value}}")
+        if unknown := [name for name in inputs or {} if name not in held]:
+            raise InputError(f"the equations have no input {unknown[0]!r}; leave it out")
+        put = {sympy.Symbol(name): sympy.Float(value) for name, value in held.items()}
+        if t is not None:
+            put[sympy.Symbol("t")] = sympy.Float(float(t))
+        return {s: e.xreplace(put) for s, e in self.equations.items()}, held
+
+    def linearise(
+        self,
+        at: Mapping[str, float] | Sequence[float] | FixedPoint,
+        inputs: Mapping[str, float] | None = None,
+        t: float = 0.0,
+    ) -> Linearisation:
+        """Linearise the equations at a point: the slope of a small deviation x is A x + B u.
+
+        Parameters
+        ----------
+        at : state -> value, values in the order of the equations, or a fixed point.
+        inputs : input -> value; by default the mean of what was measured, or the formula's value.
+        t : the time, where the equations or an input hold it.
+
+        Raises InputError when a value is missing or the equations have no slope there.
+
+        >>> x, u = sympy.symbols("x u")
+        >>> found = Discovery({"x": u - x**2}, {}, {}, {})
+        >>> near = found.linearise([1.0], {"u": 1.0})
+        >>> near.A.tolist(), near.B.tolist(), near.eigenvalues.tolist()
+        ([[-2.0]], [[1.0]], [-2.0])
+        """
+        if isinstance(at, FixedPoint):
+            at = at.at
+        if not isinstance(at, Mapping):
+            if len(at) != len(self.equations):
+                raise InputError(f"the point has {len(at)} values; give {len(self.equations)}")
+            at = dict(zip(self.equations, map(float, at), strict=True))
+        _, held = self._still(inputs, t)
+        return linearise(self.equations, at, held, t)
+
+    @property
+    def _box(self) -> dict[str, tuple[float, float]]:
+        """Give the span of each state in the data; -1 to 1 where they are not there."""
+        if not self.trajectories:
+            return dict.fromkeys(self.equations, (-1.0, 1.0))
+        x = np.concatenate([run.x[:, self._positions()] for run in self.trajectories])
+        ends = zip(np.nanmin(x, axis=0), np.nanmax(x, axis=0), strict=True)
+        return {s: (float(a), float(b)) for s, (a, b) in zip(self.equations, ends, strict=True)}
+
+    def fixed_points(
+        self,
+        inputs: Mapping[str, float] | None = None,
+        t: float | None = None,
+        box: Mapping[str, tuple[float, float]] | None = None,
+    ) -> tuple[FixedPoint, ...]:
+        """Find where the equations stand still, and whether small deviations die out there.
+
+        Parameters
+        ----------
+        inputs : input -> value, as in :meth:`linearise`.
+        t : the time, where the equations or an input hold it.
+        box : state -> (low, high) of what is looked through, and half as much on either side; by
+            default where the data are.
+
+        Raises InputError when the equations hold a time or an input that nothing says.
+
+        >>> x = sympy.Symbol("x")
+        >>> found = Discovery({"x": x - 4 * x**3}, {}, {}, {})
+        >>> [point.text for point in found.fixed_points()]
+        ['x = -0.5: stable node', 'x = 0: unstable node', 'x = 0.5: stable node']
+        """
+        still, _ = self._still(inputs, t)
+        return find_fixed_points(still, {**self._box, **(box or {})}, self.is_map)
+
+    def bifurcation(
+        self,
+        parameter: str,
+        values: Sequence[float] | np.ndarray,
+        inputs: Mapping[str, float] | None = None,
+        box: Mapping[str, tuple[float, float]] | None = None,
+    ) -> Branches:
+        """Follow the fixed points along a parameter; cycles are not followed.
+
+        Parameters
+        ----------
+        parameter : its name, of :attr:`parameters`.
+        values : its values, in order.
+        inputs, box : as in :meth:`fixed_points`.
+
+        Raises InputError when there is no such parameter.
+
+        >>> x = sympy.Symbol("x")
+        >>> found = Discovery({"x": x / 4 - x**3}, {}, {}, {})
+        >>> found.bifurcation("k2", [0.1, 0.3]).changes()
+        []
+        """
+        check_values(dict.fromkeys([parameter], 0.0), self.parameters)
+        _, held = self._still(inputs, None)
+        system = self.system
+        rest = {n: v for n, v in {**system.parameters.numbers, **held}.items() if n != parameter}
+        put = {sympy.Symbol(n): sympy.Float(v) for n, v in rest.items()}
+        equations = {s: e.xreplace(put) for s, e in system.equations.items()}
+        order = np.asarray(values, dtype=float)
+        return follow_parameter(
+            equations, parameter, order, {**self._box, **(box or {})}, self.is_map
+        )
+
+    def phase_portrait(
+        self, inputs: Mapping[str, float] | None = None, t: float | None = None
+    ) -> Figure:
+        """Draw the flow of two states: directions, nullclines, fixed points and the data.
+
+        Parameters
+        ----------
+        inputs, t : as in :meth:`fixed_points`.
+
+        Raises InputError when there are not two states or the equations are a map.
+        """
+        from dynsr.report import draw_flow
+
+        if len(self.equations) != 2 or self.is_map:
+            raise InputError("a phase portrait draws the flow of two states; these are others")
+        still, _ = self._still(inputs, t)
+        points = find_fixed_points(still, self._box)
+        return draw_flow(still, self._box, points, self.trajectories)
 
     def score(
         self,

@@ -12,6 +12,14 @@ from .base import (
 )
 from .drives import Drive, jumps_of
 from .embedded import EmbeddedEngine
+from .equilibria import (
+    Branches,
+    FixedPoint,
+    Linearisation,
+    find_fixed_points,
+    follow_parameter,
+    linearise,
+)
 from .julia.diffeqpy import DiffeqpyEngine
 from .julia.setup import install, is_configured, note_julia
 from .registry import (
@@ -37,11 +45,14 @@ __all__ = [
     "EXPLICIT",
     "START_NOTES",
     "AbstractEngine",
+    "Branches",
     "DiffeqpyEngine",
     "Drive",
     "EmbeddedEngine",
+    "FixedPoint",
     "InitialValueProblem",
     "Integration",
+    "Linearisation",
     "Motion",
     "Optimizer",
     "RecordingEngine",
@@ -50,12 +61,15 @@ __all__ = [
     "SparseSolution",
     "add_noise",
     "find_engine",
+    "find_fixed_points",
     "follow",
+    "follow_parameter",
     "install",
     "interpolate",
     "is_configured",
     "is_embedded",
     "jumps_of",
+    "linearise",
     "note_julia",
     "refuse_idle",
     "replay_steps",

@@ -1,6 +1,15 @@
 from .discovery import write_report
 from .page import Picture, render_page, write_table
-from .plots import Panel, draw_panels, draw_profiles, draw_states, draw_suggestion, to_bytes
+from .plots import (
+    Panel,
+    draw_branches,
+    draw_flow,
+    draw_panels,
+    draw_profiles,
+    draw_states,
+    draw_suggestion,
+    to_bytes,
+)
 from .tables import Formula, Spread, Table
 
 __all__ = [
@@ -9,6 +18,8 @@ __all__ = [
     "Picture",
     "Spread",
     "Table",
+    "draw_branches",
+    "draw_flow",
     "draw_panels",
     "draw_profiles",
     "draw_states",

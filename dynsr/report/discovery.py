@@ -32,9 +32,10 @@ from dynsr.discovery import (
     predict,
     write_map_mathml,
 )
+from dynsr.engines import FixedPoint
 from dynsr.errors import DynsrError, InputError
 from dynsr.export import FORMATS, Source, write_format
-from dynsr.expression import complexity, counting, evaluate, shown, to_mathml
+from dynsr.expression import arguments_of, complexity, counting, evaluate, shown, to_mathml
 from dynsr.fit import Candidate, ParetoFront, free_constants, is_noisy, loosen, rmse
 from dynsr.report.page import Picture, render_page
 from dynsr.report.plots import (
@@ -224,6 +225,8 @@ def render_discovery(found: Discovery) -> str:
         parameters=_parameters(found),
         fronts={state: _front(found, state, samples.get(state)) for state in found.equations},
         trajectories=list(_trajectories(found)),
+        fixed=_fixed_points(found),
+        flow=list(_flow(found)),
         left_out=max(0, len(found.trajectories) - _MOST_RUNS),
         slopes=[picture for state in samples for picture in _slopes(found, samples[state])],
         scores=_scores(found),
@@ -451,6 +454,59 @@ def _trajectories(found: Discovery) -> Iterator[Picture]:
                 draw_phase_portrait(thin, model, *run.states[:2]),
                 f"{name} as a phase portrait: {run.states[1]} against {run.states[0]}.{drawn}",
             )
+
+
+def _points(found: Discovery) -> tuple[FixedPoint, ...]:
+    """Give the fixed points of equations that say by themselves where these are."""
+    if not found.trajectories or arguments_of(found.equations):
+        return ()
+    try:
+        return found.fixed_points()
+    except InputError:  # they hold the time
+        return ()
+
+
+def _fixed_points(found: Discovery) -> Table | None:
+    rows = tuple(
+        (*(f"{v:.6g}" for v in p.at.values()), p.kind, ", ".join(map(_complex, p.eigenvalues)))
+        for p in _points(found)
+    )
+    if not rows:
+        return None
+    return Table(
+        "fixed-points",
+        "Fixed points",
+        (*found.equations, "Kind", "Eigenvalues"),
+        rows,
+        "Where the equations stand still, in the range of the data and half as much around it. "
+        "Eigenvalues: of the equations linearised there"
+        + (
+            "; beyond size 1 deviations grow."
+            if found.is_map
+            else "; with a real part above 0 deviations grow."
+        ),
+    )
+
+
+def _complex(value: complex) -> str:
+    sign = "+" if value.imag > 0 else "\u2212"
+    turning = f" {sign} {abs(value.imag):.4g}i" if value.imag else ""
+    return f"{value.real:.4g}{turning}"
+
+
+def _flow(found: Discovery) -> Iterator[Picture]:
+    """Draw the flow of two states that nothing drives."""
+    if len(found.equations) != 2 or found.is_map or arguments_of(found.equations):
+        return
+    if not found.trajectories or any(
+        "t" in map(str, e.free_symbols) for e in found.equations.values()
+    ):
+        return
+    yield Picture.of(
+        found.phase_portrait(),
+        "The flow of the equations: arrows where states go, lines where one of them stands still, "
+        "fixed points where both do, and the data.",
+    )
 
 
 def _stride(run: Trajectory) -> int:

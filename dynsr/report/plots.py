@@ -14,6 +14,7 @@ from html import escape
 from typing import Any, Literal
 
 import numpy as np
+import sympy
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -22,6 +23,8 @@ from matplotlib.figure import Figure
 
 from dynsr.data import Samples, Trajectory
 from dynsr.discovery import Profile, Suggestion
+from dynsr.engines import Branches, FixedPoint
+from dynsr.expression import compile_numpy
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
@@ -37,6 +40,9 @@ MOST_DOTS = 5000
 _BINS = (160, 80)
 # What of an open side is drawn, in units of the other side or of the constant.
 _OPEN = 3.0
+# Points across a picture of a flow, and the colour of its arrows.
+_FLOW_GRID = 41
+_GREY = "#8a8a8a"
 # What a curve that runs away may take of the picture: this many spans of the truth.
 _ROOM = 0.6
 _STYLE = {
@@ -300,6 +306,93 @@ def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str,
         axis.set_xlim(low, high)
     axis.set(xlabel=across, ylabel=up)
     _legend_below(figure, axis)
+    return figure
+
+
+def draw_flow(
+    equations: Mapping[str, sympy.Expr],
+    box: Mapping[str, tuple[float, float]],
+    points: Sequence[FixedPoint] = (),
+    runs: Sequence[Trajectory] = (),
+) -> Figure:
+    """Draw the flow of two states: directions, nullclines, fixed points, and the data.
+
+    Parameters
+    ----------
+    equations : the two states -> right-hand sides in them alone.
+    box : state -> (low, high) of what is drawn; near fixed points are drawn too.
+    points : the fixed points; those that are stable are filled.
+    runs : data of both states.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> figure = draw_flow({"x": y, "y": -x}, {"x": (-1.0, 1.0), "y": (-1.0, 1.0)})
+    >>> figure.axes[0].get_xlabel()
+    'x'
+    """
+    across, up = equations
+    figure, axes = _framed(1, 1, (_WIDTH, 4.8))
+    axis = axes.flat[0]
+    spans = [_with_points(box[s], [p.at[s] for p in points]) for s in (across, up)]
+    grid = np.meshgrid(*(np.linspace(*span, _FLOW_GRID) for span in spans))
+    rates = compile_numpy(list(equations.values()), [across, up])(np.array(grid))
+    rates = np.where(np.isfinite(rates), rates, np.nan)
+    axis.streamplot(*grid, *rates, color=_GREY, density=0.9, linewidth=0.6, arrowsize=0.7)
+    for k, (state, rate) in enumerate(zip((across, up), rates, strict=True)):
+        if np.nanmin(rate) < 0 < np.nanmax(rate):
+            look = {"colors": COLOURS[k], "linestyles": STYLES[k], "linewidths": 1.6}
+            axis.contour(*grid, rate, levels=[0.0], **look)
+            axis.plot([], [], color=COLOURS[k], ls=STYLES[k], label=f"{state}' = 0")
+    for k, run in enumerate(runs):
+        path = run.x[:, [run.index(across), run.index(up)]]
+        axis.plot(*path.T, color="black", lw=1.2, alpha=0.8, label=None if k else "data")
+    for stable, face in ((True, "black"), (False, "white")):
+        some = [p for p in points if p.stable == stable]
+        if some:
+            places = np.array([[p.at[across], p.at[up]] for p in some]).T
+            look = {"mec": "black", "mfc": face, "ms": 7, "ls": "", "zorder": 5}
+            axis.plot(*places, "o", label="stable" if stable else "not stable", **look)
+    axis.set(xlabel=across, ylabel=up, xlim=spans[0], ylim=spans[1])
+    axis.grid(visible=False)
+    _legend_below(figure, axis)
+    return figure
+
+
+def _with_points(span: tuple[float, float], places: Sequence[float]) -> tuple[float, float]:
+    """Give a span with a margin, which holds places that are near it."""
+    low, high = span
+    width = (high - low) or max(abs(high), 1.0)
+    near = [p for p in places if low - _ROOM * width <= p <= high + _ROOM * width]
+    return min([low, *near]) - 0.08 * width, max([high, *near]) + 0.08 * width
+
+
+def draw_branches(branches: Branches, state: str) -> Figure:
+    """Draw the fixed points of a state along a parameter; those that are stable are filled.
+
+    Parameters
+    ----------
+    branches : the fixed points at each value of the parameter.
+    state : the state on the vertical axis.
+
+    >>> figure = draw_branches(Branches("k", np.array([0.0]), ((),)), "x")
+    >>> figure.axes[0].get_xlabel()
+    'k'
+    """
+    figure, axes = _framed(1, 1, (_WIDTH, 3.6))
+    axis = axes.flat[0]
+    for stable, face in ((True, COLOURS[0]), (False, "white")):
+        pairs = [
+            (value, point.at[state])
+            for value, points in zip(branches.values, branches.points, strict=True)
+            for point in points
+            if point.stable == stable
+        ]
+        if pairs:
+            look = {"mec": COLOURS[0], "mfc": face, "ms": 3.5, "ls": ""}
+            label = "stable" if stable else "not stable"
+            axis.plot(*np.array(pairs).T, "o", label=label, **look)
+    axis.set(xlabel=branches.parameter, ylabel=state)
+    if axis.lines:
+        _legend_below(figure, axis)
     return figure
 
 

@@ -1,0 +1,340 @@
+"""Equilibria: where equations stand still, how they go near there, and along one constant.
+
+Fixed points are sought by Newton's method (MINPACK's hybrid) from points that fill a box evenly
+(Halton 1960), so that all within are found as far as one start comes to each; what lies on a
+whole line of them is said to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import sympy
+
+from dynsr.errors import InputError
+from dynsr.expression import compile_numpy, differentiate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Box = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class EquilibriumSettings:
+    """The numbers by which fixed points are sought and told apart.
+
+    Parameters
+    ----------
+    starts : points from which a search begins, for each state.
+    wide : share of the box by which the search goes beyond it on either side.
+    still : slopes below this share of their size in the box are none.
+    apart : distance, as a share of the box, from which on two points are two: where three meet, a
+        point is known to the cube root of ``still`` only.
+    singular : smallest singular value of the Jacobian, as a share of the largest, below which a
+        point is one of a line of fixed points.
+    zero : share of the largest eigenvalue below which a real part is none.
+    """
+
+    starts: int = 60
+    wide: float = 0.5
+    still: float = 1e-9
+    apart: float = 2e-3
+    singular: float = 1e-9
+    zero: float = 1e-7
+
+
+EQUILIBRIA = EquilibriumSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Equations near a point: the slope of a small deviation x is A x + B u.
+
+    Parameters
+    ----------
+    A : (k, k) derivatives of the right-hand sides by the states.
+    B : (k, m) derivatives by the inputs.
+    states, inputs : names of the rows and columns.
+    at : state -> value at the point.
+    slopes : (k,) right-hand sides at the point: nothing at a fixed point.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    at: Mapping[str, float]
+    slopes: np.ndarray
+
+    @property
+    def eigenvalues(self) -> np.ndarray:
+        """(k,) eigenvalues of A, largest real part first."""
+        found = np.linalg.eigvals(self.A)
+        return np.asarray(found[np.lexsort((-found.imag, -found.real))])
+
+
+@dataclass(frozen=True)
+class FixedPoint:
+    """A point at which the equations stand still.
+
+    Parameters
+    ----------
+    at : state -> value.
+    kind : such as "stable node", "saddle", "unstable focus", "centre"; "degenerate" where it is one
+        of a line of them, or several meet.
+    stable : whether small deviations die out.
+    eigenvalues : those of the linearised equations, largest real part first; of a map the largest
+        first.
+    """
+
+    at: Mapping[str, float]
+    kind: str
+    stable: bool
+    eigenvalues: tuple[complex, ...] = field(repr=False)
+
+    @property
+    def text(self) -> str:
+        """The point and its kind, to be read."""
+        return f"{', '.join(f'{n} = {v:.6g}' for n, v in self.at.items())}: {self.kind}"
+
+
+def linearise(
+    equations: Mapping[str, sympy.Expr],
+    at: Mapping[str, float],
+    inputs: Mapping[str, float] | None = None,
+    t: float = 0.0,
+) -> Linearisation:
+    """Linearise equations at a point.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side, in numbers.
+    at : state -> value.
+    inputs : input -> value.
+    t : the time, where the equations hold it.
+
+    Raises InputError when a value is missing or the equations have no slope there.
+
+    >>> w, v, u = sympy.symbols("w v u")
+    >>> found = linearise({"w": v, "v": -sympy.sin(w) + 2 * u}, {"w": 0.0, "v": 0.0}, {"u": 0.0})
+    >>> found.A.tolist(), found.B.tolist()
+    ([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [2.0]])
+    """
+    states, driven = tuple(equations), tuple(inputs or {})
+    values = {**{s: float(at[s]) for s in states if s in at}, **(inputs or {}), "t": float(t)}
+    needed = {str(s) for e in equations.values() for s in e.free_symbols} | {*states}
+    if missing := sorted(needed - values.keys()):
+        raise InputError(f"nothing says what {missing[0]!r} is at the point; give its value")
+    columns = [sympy.Symbol(name) for name in (*states, *driven)]
+    entries = [differentiate(e, c) for e in equations.values() for c in columns]
+    point = np.array(list(values.values()))
+    found = compile_numpy([*entries, *equations.values()], list(values))(point)
+    k = len(states)
+    matrix = found[: len(entries)].reshape(k, len(columns))
+    if not np.all(np.isfinite(found)):
+        where = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+        raise InputError(f"the equations have no slope at {where}; give another point")
+    return Linearisation(
+        matrix[:, :k],
+        matrix[:, k:],
+        states,
+        driven,
+        {s: values[s] for s in states},
+        found[len(entries) :],
+    )
+
+
+def find_fixed_points(
+    equations: Mapping[str, sympy.Expr],
+    box: Box,
+    discrete: bool = False,
+    near: Sequence[Mapping[str, float]] = (),
+    settings: EquilibriumSettings = EQUILIBRIA,
+) -> tuple[FixedPoint, ...]:
+    """Find the fixed points of equations in a box, and some beyond it.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side in the states alone, in numbers.
+    box : state -> (low, high) of what is looked through; half as much is on either side.
+    discrete : whether they are a map.
+    near : points where a search begins as well.
+    settings : the numbers by which they are sought.
+
+    Raises InputError when the equations hold more than their states.
+
+    >>> x = sympy.Symbol("x")
+    >>> for one in find_fixed_points({"x": x - x**3}, {"x": (-2.0, 2.0)}):
+    ...     print(one.text)
+    x = -1: stable node
+    x = 0: unstable node
+    x = 1: stable node
+    """
+    from scipy.optimize import root
+    from scipy.stats.qmc import Halton
+
+    states = list(equations)
+    others = sorted({str(s) for e in equations.values() for s in e.free_symbols} - {*states})
+    if others:
+        raise InputError(f"the equations hold {others[0]!r}; give its value, for it stands nowhere")
+    shift = [sympy.Symbol(s) if discrete else sympy.S.Zero for s in states]
+    still = [e - s for e, s in zip(equations.values(), shift, strict=True)]
+    rhs = compile_numpy(still, states)
+    columns = [sympy.Symbol(s) for s in states]
+    jacobian = compile_numpy([differentiate(e, c) for e in still for c in columns], states)
+    k = len(states)
+    low, high = np.array([box[s] for s in states], dtype=float).T
+    span = np.where(high > low, high - low, np.maximum(np.abs(high), 1.0))
+    begin, whole = low - settings.wide * span, (1 + 2 * settings.wide) * span
+    sample = Halton(k, scramble=False).random(settings.starts * k + 1)[1:]
+    starts = np.concatenate(
+        [np.array([[p[s] for s in states] for p in near]).reshape(-1, k), begin + sample * whole]
+    )
+    sizes = np.abs(rhs(starts.T))
+    finite = np.where(np.isfinite(sizes), sizes, 0.0)
+    scale = np.maximum(np.mean(finite, axis=1), np.finfo(float).tiny)
+    found: list[np.ndarray] = []
+    with np.errstate(all="ignore"):
+        for start in starts[np.all(np.isfinite(sizes), axis=0)]:
+            done = root(
+                lambda y: rhs(low + y * span) / scale,
+                (start - low) / span,
+                jac=lambda y: jacobian(low + y * span).reshape(k, k) * span / scale[:, None],
+            )
+            point = low + done.x * span
+            inside = np.all((point >= begin) & (point <= begin + whole))
+            if not inside or not np.all(np.abs(rhs(point)) <= settings.still * scale):
+                continue
+            point = np.where(np.abs(point) <= settings.still * span, 0.0, point)
+            if all(np.max(np.abs(point - p) / span) > settings.apart for p in found):
+                found.append(point)
+    ordered = sorted(found, key=lambda p: tuple(np.round(p / span, 6)))
+    points = [_describe(p, jacobian(p).reshape(k, k), states, discrete, settings) for p in ordered]
+    # Of a line of fixed points one stands for all.
+    alone = [p for p in points if p.kind != DEGENERATE]
+    middle = dict(zip(states, (low + high) / 2, strict=True))
+    lines = sorted(
+        (p for p in points if p.kind == DEGENERATE),
+        key=lambda p: sum(
+            ((p.at[s] - middle[s]) / w) ** 2 for s, w in zip(states, span, strict=True)
+        ),
+    )
+    return (*alone, *lines[:1])
+
+
+DEGENERATE = "degenerate"
+
+
+def _describe(
+    point: np.ndarray,
+    slope: np.ndarray,
+    states: Sequence[str],
+    discrete: bool,
+    settings: EquilibriumSettings,
+) -> FixedPoint:
+    at = dict(zip(states, map(float, point), strict=True))
+    own = np.linalg.eigvals(slope + np.eye(len(states)) if discrete else slope)
+    rate = np.abs(own) - 1 if discrete else own.real
+    order = np.lexsort((-own.imag, -rate))
+    own, rate = own[order], rate[order]
+    values = tuple(complex(v) for v in own)
+    sizes = np.linalg.svd(slope, compute_uv=False)
+    if sizes[-1] <= settings.singular * sizes[0] or not sizes[0]:
+        return FixedPoint(at, DEGENERATE, False, values)
+    zero = settings.zero * (1.0 if discrete else float(np.max(np.abs(own))))
+    turns = bool(np.any(np.abs(own.imag) > settings.zero * np.max(np.abs(own))))
+    shape = "focus" if turns else "node"
+    if np.all(rate < -zero):
+        return FixedPoint(at, f"stable {shape}", True, values)
+    if np.all(rate > zero):
+        return FixedPoint(at, f"unstable {shape}", False, values)
+    if np.any(rate > zero):
+        return FixedPoint(at, "saddle", False, values)
+    return FixedPoint(at, "centre" if turns else "at the edge of stability", False, values)
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """Fixed points along one parameter, as a search at each of its values finds them.
+
+    Parameters
+    ----------
+    parameter : its name.
+    values : (n,) its values.
+    points : the fixed points at each of them.
+    """
+
+    parameter: str
+    values: np.ndarray
+    points: tuple[tuple[FixedPoint, ...], ...]
+
+    def plot(self, state: str) -> Figure:
+        """Draw the fixed points of a state along the parameter; those that are stable are filled.
+
+        Parameters
+        ----------
+        state : the state on the vertical axis.
+        """
+        from dynsr.report import draw_branches
+
+        return draw_branches(self, state)
+
+    def changes(self) -> list[tuple[float, str]]:
+        """Give (value, what changes there) wherever points come, go, or change their stability.
+
+        >>> p = FixedPoint({"x": 0.0}, "stable node", True, (-1 + 0j,))
+        >>> q = FixedPoint({"x": 0.0}, "unstable node", False, (1 + 0j,))
+        >>> Branches("k", np.array([0.0, 1.0]), ((p,), (q,))).changes()
+        [(0.5, '1 stable -> 1 unstable')]
+        """
+        found = []
+        told = [_count(points) for points in self.points]
+        for i in range(1, len(told)):
+            if told[i] != told[i - 1]:
+                middle = float(self.values[i - 1] + self.values[i]) / 2
+                found.append((middle, f"{told[i - 1]} -> {told[i]}"))
+        return found
+
+
+def _count(points: Sequence[FixedPoint]) -> str:
+    # A node that turns into a focus goes the same way.
+    kinds = [point.kind.removesuffix(" node").removesuffix(" focus") for point in points]
+    return ", ".join(f"{kinds.count(k)} {k}" for k in sorted(set(kinds))) or "none"
+
+
+def follow_parameter(
+    equations: Mapping[str, sympy.Expr],
+    parameter: str,
+    values: np.ndarray,
+    box: Box,
+    discrete: bool = False,
+    settings: EquilibriumSettings = EQUILIBRIA,
+) -> Branches:
+    """Find the fixed points at each value of a parameter, beginning also where those before were.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side in the states and the parameter.
+    parameter : its name.
+    values : (n,) its values.
+    box : state -> (low, high) of what is looked through.
+    discrete : whether they are a map.
+    settings : the numbers by which they are sought.
+
+    >>> x, k = sympy.symbols("x k")
+    >>> found = follow_parameter({"x": k - x**2}, "k", np.array([-1.0, 1.0]), {"x": (-2.0, 2.0)})
+    >>> found.changes()
+    [(0.0, 'none -> 1 stable, 1 unstable')]
+    """
+    symbol, points = sympy.Symbol(parameter), []
+    near: list[Mapping[str, float]] = []
+    for value in values:
+        put = {s: e.xreplace({symbol: sympy.Float(float(value))}) for s, e in equations.items()}
+        there = find_fixed_points(put, box, discrete, near, settings)
+        near = [dict(point.at) for point in there]
+        points.append(there)
+    return Branches(parameter, np.asarray(values, dtype=float), tuple(points))
