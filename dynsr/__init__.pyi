@@ -21,6 +21,7 @@ from .discovery import (
     discover,
     equation_rmse,
     identifiability,
+    load,
     score_expressions,
     trajectory_loss,
 )
@@ -75,6 +76,7 @@ __all__ = [
     "find_engine",
     "find_system",
     "identifiability",
+    "load",
     "make_method",
     "make_samples",
     "parse",

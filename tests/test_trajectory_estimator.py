@@ -1,4 +1,4 @@
-"""The estimator for trajectories: PySINDy's verbs, and the same script with another import."""
+"""The estimator for trajectories: PySINDy's interface, and a script that runs with both."""
 
 import contextlib
 import io
@@ -58,8 +58,8 @@ def run(script):
 
 
 @pytest.mark.slow
-def test_a_script_for_pysindy_changes_one_import():
-    """The very same lines run with both, and each finds the three systems in its own writing."""
+def test_a_script_for_pysindy_runs_with_both():
+    """The very same lines run with either, and each finds the three systems in its own writing."""
     pytest.importorskip("pysindy")
     ours = SCRIPT.replace("from pysindy import", "from dynsr import TrajectoryRegressor as")
     assert sum(a != b for a, b in zip(SCRIPT.split("\n"), ours.split("\n"), strict=True)) == 1
@@ -157,3 +157,70 @@ def test_inputs_as_an_array(swing):
     drive = np.sin(2 * t)
     model = TrajectoryRegressor(**QUICK).fit(z, t, u=drive)
     assert np.allclose(model.simulate(z[0], t, u=drive), z, atol=1e-5)
+
+
+def test_names_may_be_those_of_the_estimator(swing):
+    """As in PySINDy 1; those of a fit go before, and do not stay for other data."""
+    t, x = swing
+    model = TrajectoryRegressor(feature_names=["q", "v"], **QUICK).fit(x, t)
+    assert model.equations() == ["v", "-4*q"] and model.feature_names == ["q", "v"]
+    assert model.fit(x, t, feature_names=["a", "b"]).equations() == ["b", "-4*a"]
+    alone = TrajectoryRegressor(**QUICK).fit(x, t)
+    decay = np.exp(-t)
+    assert alone.fit(decay, t).feature_names == ["x0"]
+    assert clone(TrajectoryRegressor(feature_names=["q", "v"])).feature_names == ["q", "v"]
+
+
+def test_the_step_may_be_that_of_the_estimator(swing):
+    """As in PySINDy 1; without any, the line asks for it."""
+    x = swing[1]
+    model = TrajectoryRegressor(t_default=0.02, **QUICK).fit(x)
+    assert model.equations() == ["x1", "-4*x0"]
+    with pytest.raises(InputError, match="x needs its times"):
+        TrajectoryRegressor(**QUICK).fit(x)
+
+
+def test_coefficients_are_those_of_the_equations(swing):
+    """Features times coefficients are the slopes; complexity counts what is not 0."""
+    t, x = swing
+    z = solve_ivp(lambda t, s: 2.0 - 0.5 * s + 0.1 * s**2, (0, 5), [1.0], t_eval=t, rtol=1e-10).y.T
+    model = TrajectoryRegressor(**QUICK).fit(z, t)
+    from dynsr.expression import evaluate, parse
+
+    columns = [
+        np.broadcast_to(evaluate(parse(name), {"x0": z[:, 0]}), len(z))
+        for name in model.get_feature_names()
+    ]
+    assert np.allclose(np.column_stack(columns) @ model.coefficients().T, model.predict(z))
+    assert model.complexity == 3
+    pair = TrajectoryRegressor(**QUICK).fit(x, t)
+    assert pair.coefficients().shape == (2, 2) and pair.complexity == 2
+
+
+def test_a_method_of_differentiation_is_used(swing):
+    """A function of states and times, or an object of PySINDy, gives the slopes."""
+    t, x = swing
+    asked = []
+
+    def slopes(states, times):
+        asked.append((states.shape, times.shape))
+        return np.column_stack([states[:, 1], -4 * states[:, 0]])
+
+    model = TrajectoryRegressor(differentiation_method=slopes, **QUICK).fit([x, x], [t, t])
+    assert asked == [((250, 2), (250,))] * 2 and model.equations() == ["x1", "-4*x0"]
+    pysindy = pytest.importorskip("pysindy", reason="pysindy is not installed")
+    method = pysindy.FiniteDifference(order=4)
+    theirs = TrajectoryRegressor(differentiation_method=method, **QUICK).fit(x, t)
+    assert theirs.equations() == ["x1", "-4*x0"]
+    with pytest.warns(DynsrWarning, match="differentiation_method has no effect"):
+        TrajectoryRegressor(differentiation_method="trend", **QUICK).fit(x, t)
+
+
+def test_results_have_one_naming(swing, tmp_path):
+    """What a discovery is turned into is called to_..., and load reads what save wrote."""
+    import dynsr
+
+    found = TrajectoryRegressor(**QUICK).fit(swing[1], swing[0]).discovery_
+    assert found.to_latex() == found.latex() and found.to_sympy() == found.equations
+    assert found.to_latex(names=True) == found.latex(names=True)
+    assert dynsr.load(found.save(tmp_path / "found.json")).equations == found.equations

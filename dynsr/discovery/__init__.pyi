@@ -9,7 +9,7 @@ from .prediction import predict
 from .problem import DISCOVERY, DiscoverySettings
 from .profile import Profile
 from .records import is_own_record
-from .result import Discovery
+from .result import Discovery, load
 from .scoring import (
     Score,
     equation_rmse,
@@ -52,6 +52,7 @@ __all__ = [
     "is_own_record",
     "iterate",
     "keep_formulas",
+    "load",
     "pair_rows",
     "predict",
     "score_expressions",

@@ -1037,6 +1037,24 @@ class Discovery:
         text = self._write_latex(system.equations, self.time_unit, system.parameters)
         return f"{text}\n\n{system.parameters.to_latex()}"
 
+    def to_latex(self, *, names: bool = False) -> str:
+        """Write the equations as LaTeX, as :meth:`latex` does.
+
+        Parameters
+        ----------
+        names : whether parameters stand in the place of numbers, with a table of their values.
+        """
+        return self.latex(names=names)
+
+    def to_sympy(self) -> dict[str, sympy.Expr]:
+        """Give state -> right-hand side (SymPy), to change at will.
+
+        >>> x = sympy.Symbol("x")
+        >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).to_sympy()
+        {'x': -2*x}
+        """
+        return dict(self.equations)
+
     def export(self, format: str, path: str | Path | None = None, *, force: bool = False) -> str:  # noqa: A002
         """Write the equations with named parameters for another tool; gives the text.
 
@@ -1274,6 +1292,24 @@ def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
     except (InputError, KeyboardInterrupt):
         # The search is over, and what it found is not lost.
         return found
+
+
+@checked
+def load(path: str | Path) -> Discovery:
+    """Read a saved discovery, as :meth:`Discovery.load` does; nothing in it is ever run.
+
+    Parameters
+    ----------
+    path : the JSON file.
+
+    Raises InputError when there is no such file or it holds something else.
+
+    >>> load("nowhere.json")
+    Traceback (most recent call last):
+    ...
+    dynsr.errors.InputError: ...
+    """
+    return Discovery.load(path)
 
 
 def _agrees(run: Trajectory, name: str, expr: sympy.Expr) -> bool:

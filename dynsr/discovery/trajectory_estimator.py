@@ -1,4 +1,4 @@
-"""Trajectory estimator: a discovery behind the verbs of PySINDy."""
+"""Trajectory estimator: a discovery behind the interface of PySINDy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dynsr.discovery.orders import form_of, write_lines
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
 from dynsr.errors import DynsrWarning, InputError
-from dynsr.expression import evaluate, shown
+from dynsr.expression import bare_term, evaluate, expand_terms, shown
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod
 
 Arrays = Any
@@ -28,15 +28,20 @@ _MOST_STEPS = 1_000_000
 
 @checked
 class TrajectoryRegressor(BaseEstimator):
-    """Find the equations of trajectories, with the verbs and arguments of ``pysindy.SINDy``.
+    """Find the equations of trajectories: an estimator with the interface of ``pysindy.SINDy``.
 
-    A script for PySINDy runs on it when ``from pysindy import SINDy`` becomes
-    ``from dynsr import TrajectoryRegressor as SINDy``. :func:`dynsr.discover` does the work.
+    It takes what scripts for PySINDy 1 and 2 give. :func:`dynsr.discover` does the work, so that it
+    finds terms that no library lists, and other constants than least squares of slopes.
 
     Parameters
     ----------
-    optimizer, feature_library, differentiation_method : PySINDy's own; they have no effect, with a
-        DynsrWarning, since the data choose terms, thresholds and slopes here.
+    optimizer, feature_library : PySINDy's own; they have no effect, with a DynsrWarning, since the
+        data choose terms and thresholds here.
+    differentiation_method : function of (n, k) states and (n,) times that gives the (n, k) slopes,
+        such as one of PySINDy's objects or one of your own; by default the data choose.
+    feature_names : names of the states, or of the states and the inputs, where :meth:`fit` is given
+        none, as in PySINDy 1.
+    t_default : the step between rows where none is given, as in PySINDy 1.
     method : "auto", the name of a method, a method with its settings, or several.
     preset : "best", "quick" or "paper".
     hold : input -> what it does between rows: "previous", "linear" or "smooth"; or one word for
@@ -49,7 +54,7 @@ class TrajectoryRegressor(BaseEstimator):
     ----------
     discovery_ : what was found (:class:`dynsr.Discovery`), with fronts, intervals and a verdict.
     equations_ : state -> right-hand side (SymPy).
-    feature_names : names of the states, then of the inputs.
+    feature_names : names of the states, then of the inputs, once it is fitted.
 
     >>> t = np.linspace(0, 3, 301)
     >>> model = TrajectoryRegressor(preset="quick", jobs=1).fit(np.exp(-0.5 * t), t=t)
@@ -62,6 +67,8 @@ class TrajectoryRegressor(BaseEstimator):
         optimizer: Any = None,
         feature_library: Any = None,
         differentiation_method: Any = None,
+        feature_names: Sequence[str] | None = None,
+        t_default: float | None = None,
         *,
         method: str | AbstractMethod | Sequence[str | AbstractMethod] = AUTO,
         preset: str = DEFAULT_PRESET,
@@ -74,6 +81,8 @@ class TrajectoryRegressor(BaseEstimator):
         self.optimizer = optimizer
         self.feature_library = feature_library
         self.differentiation_method = differentiation_method
+        self.feature_names = feature_names
+        self.t_default = t_default
         self.method = method
         self.preset = preset
         self.hold = hold
@@ -97,17 +106,21 @@ class TrajectoryRegressor(BaseEstimator):
         t : the step between rows, or the (n,) times, or a list of these, one a trajectory.
         x_dot : (n, k) slopes, or a list of them; made from the data by default.
         u : (n, m) inputs, or a list of them.
-        feature_names : names of the states, or of the states and the inputs; ``x0, x1, ...`` and
-            ``u0, u1, ...`` by default.
+        feature_names : names of the states, or of the states and the inputs; by default those of
+            the estimator, else ``x0, x1, ...`` and ``u0, u1, ...``.
 
         Raises InputError (a ValueError) when the data cannot be used or a setting is unknown.
         """
-        for name in ("optimizer", "feature_library", "differentiation_method"):
+        for name in ("optimizer", "feature_library"):
             _say_unused(name, getattr(self, name))
+        if feature_names is None and self.feature_names is not getattr(self, "_named", None):
+            # Names of an earlier fit may be those of other data.
+            feature_names = self.feature_names
         states, inputs = _name_columns(x, u, feature_names)
-        self.feature_names = [*states, *inputs]
+        self.feature_names = self._named = [*states, *inputs]
         self._states, self._inputs = states, inputs
         runs = self._take(x, t, u)
+        slopes = self._make_slopes(runs) if x_dot is None else self._slopes(x_dot)
         self.discovery_: Discovery = discover(
             runs,
             method=self.method,
@@ -116,10 +129,20 @@ class TrajectoryRegressor(BaseEstimator):
             discrete=self.discrete_time,
             seed=self.random_state,
             jobs=self.jobs,
-            slopes=None if x_dot is None else self._slopes(x_dot),
+            slopes=slopes,
         )
         self.equations_: dict[str, sympy.Expr] = self.discovery_.equations
         return self
+
+    def _make_slopes(self, runs: Sequence[Trajectory]) -> dict[str, list[np.ndarray]] | None:
+        """Give the slopes as the user's own method of differentiation makes them, if any."""
+        method = self.differentiation_method
+        if method is None:
+            return None
+        if self.discrete_time or not callable(method):
+            _say_unused("differentiation_method", method)
+            return None
+        return self._slopes([method(run.x, run.t) for run in runs])
 
     def predict(self, x: Arrays, u: Arrays = None) -> Any:
         """Give the slopes of states, (n, k), or a list of such arrays; of a map the next states.
@@ -137,12 +160,12 @@ class TrajectoryRegressor(BaseEstimator):
 
     def _evaluate(self, x: Any, u: Any) -> np.ndarray:
         table = _table(x) if u is None else np.column_stack([_table(x), _table(u)])
-        if table.shape[1] != len(self.feature_names):
+        if table.shape[1] != len(self._named):
             raise InputError(
                 f"{table.shape[1]} columns do not fit {len(self._states)} states "
                 f"({', '.join(self._states)}) and {len(self._inputs)} inputs"
             )
-        columns = dict(zip(self.feature_names, table.T, strict=True))
+        columns = dict(zip(self._named, table.T, strict=True))
         return np.column_stack([evaluate(self.equations_[s], columns) for s in self._states])
 
     def simulate(
@@ -214,6 +237,39 @@ class TrajectoryRegressor(BaseEstimator):
             scores.append(metric(samples.y, found, **metric_kws))
         return float(np.mean(scores))
 
+    def get_feature_names(self) -> list[str]:
+        """Give the terms of all equations, each without its coefficient.
+
+        >>> t = np.linspace(0, 3, 301)
+        >>> model = TrajectoryRegressor(preset="quick", jobs=1).fit(1 - np.exp(-0.5 * t), t=t)
+        >>> sorted(model.get_feature_names()), np.sort(model.coefficients()).tolist()
+        (['1', 'x0'], [[-0.5, 0.5]])
+        """
+        return [shown(term) for term in self._terms()]
+
+    def coefficients(self) -> np.ndarray:
+        """Give the coefficient (k, m) of every term of :meth:`get_feature_names` in each equation.
+
+        A term that is no sum, such as a ratio, is one feature with its own constants.
+        """
+        own = [self._split(self.equations_[state]) for state in self._states]
+        return np.array([[terms.get(term, 0.0) for term in self._terms()] for terms in own])
+
+    @property
+    def complexity(self) -> int:
+        """How many coefficients are not 0."""
+        return int(np.count_nonzero(self.coefficients()))
+
+    def _terms(self) -> list[sympy.Expr]:
+        check_is_fitted(self, "discovery_")
+        found = [self._split(self.equations_[state]) for state in self._states]
+        return list(dict.fromkeys(term for terms in found for term in terms))
+
+    def _split(self, expr: sympy.Expr) -> dict[sympy.Expr, float]:
+        terms = [] if expr == 0 else sympy.Add.make_args(expand_terms(expr))
+        bare = [bare_term(term) for term in terms]
+        return {b: float(term / b) for b, term in zip(bare, terms, strict=True)}
+
     def equations(self, precision: int = 3) -> list[str]:
         """Give the right-hand sides as text.
 
@@ -251,6 +307,7 @@ class TrajectoryRegressor(BaseEstimator):
     def _take(self, x: Arrays, t: Any, u: Arrays) -> list[Trajectory]:
         """Bring arrays of one trajectory, or lists of such, to trajectories."""
         tables = [_table(one) for one in (x if isinstance(x, list) else [x])]
+        t = self.t_default if t is None else t
         drives = u if isinstance(u, list) else [u] * len(tables)
         times = t if isinstance(t, list) and isinstance(x, list) else [t] * len(tables)
         if not len(tables) == len(drives) == len(times):
