@@ -31,6 +31,7 @@ def load_table(
     quantity: str | None = None,
     decimal: str | None = None,
     say: Callable[[str], None] = output.note,
+    noise: options.Names = None,
 ) -> list[Trajectory]:
     """Read the trajectories of files and say how their columns were understood."""
     from dynsr.data import read_trajectories
@@ -46,6 +47,7 @@ def load_table(
             quantity=quantity,
             decimal=decimal,
             hold=options.read_hold(hold),
+            noise=options.read_noise(noise),
         )
     warned = {str(warning.message) for warning in caught}
     for own in caught:
@@ -155,6 +157,7 @@ def describe(
     quantity: options.Quantity = None,
     decimal: options.Decimal = None,
     hold: options.Hold = None,
+    noise: options.KnownNoise = None,
     json: options.Json = False,
 ) -> None:
     """Show how a table is understood and what looks odd in it, without a search.
@@ -176,6 +179,7 @@ def describe(
         quantity=quantity,
         decimal=decimal,
         hold=options.read_hold(hold),
+        noise=options.read_noise(noise),
     )
     if json:
         output.print_json(found.to_dict())

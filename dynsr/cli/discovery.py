@@ -187,6 +187,7 @@ def discover(
     inputs: options.Inputs = None,
     hold: options.Hold = None,
     doses: options.Doses = None,
+    noise: options.KnownNoise = None,
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
     decimal: options.Decimal = None,
@@ -323,11 +324,20 @@ def discover(
     with notes:
         if files:
             data = load_table(
-                files, time_column, states, columns, trajectory, hold, quantity, decimal, notes.say
+                files,
+                time_column,
+                states,
+                columns,
+                trajectory,
+                hold,
+                quantity,
+                decimal,
+                notes.say,
+                noise,
             )
         else:
             given = [*(columns or []), *formulas]
-            given_beside = [*(hold or []), *(doses or [])]
+            given_beside = [*(hold or []), *(doses or []), *(noise or [])]
             _refuse_columns(time_column, states, trajectory, given, given_beside, quantity, decimal)
             data, formulas = _training_data(str(system), engine)
         with SearchProgress(quiet) as progress:
@@ -398,7 +408,7 @@ def _refuse_columns(
         ("--states", states),
         ("--trajectory", trajectory),
         ("--inputs", inputs),
-        ("--hold or --dose", hold),
+        ("--hold, --dose or --noise", hold),
         ("--quantity", quantity),
         ("--decimal", decimal),
     ):

@@ -178,6 +178,15 @@ Doses = Annotated[
         rich_help_panel=DATA,
     ),
 ]
+KnownNoise = Annotated[
+    Names,
+    typer.Option(
+        "--noise",
+        help="Measurement errors that you know, of a state: a standard deviation in its units, a "
+        "share of its size, or the column of them: x=0.1,y=5%,z=z_sd.",
+        rich_help_panel=DATA,
+    ),
+]
 TrajectoryColumn = Annotated[
     str | None,
     typer.Option(
@@ -420,6 +429,28 @@ def read_doses(values: Sequence[str] | None) -> dict[str, str] | None:
         if not state.strip() or not column.strip():
             raise InputError(f"--dose {name!r} must be a state and a column, such as x=dose")
     return {state.strip(): column.strip() for state, _, column in pairs.values()}
+
+
+def read_noise(values: Sequence[str] | None) -> dict[str, str] | None:
+    """Read ``x=0.1,y=5%,z=z_sd`` as what is said of the noise of states; None without the option.
+
+    Raises InputError that names what is no such pair.
+
+    >>> read_noise(["x=0.1,y=5%"]), read_noise(None)
+    ({'x': '0.1', 'y': '5%'}, None)
+    """
+    from dynsr.errors import InputError
+
+    names = read_names(values, "--noise")
+    if names is None:
+        return None
+    pairs = {name: name.partition("=") for name in names}
+    for name, (state, _, said) in pairs.items():
+        if not state.strip() or not said.strip():
+            raise InputError(
+                f"--noise {name!r} must be a state and its errors, such as x=0.1, x=5% or x=x_sd"
+            )
+    return {state.strip(): said.strip() for state, _, said in pairs.values()}
 
 
 def read_orders(values: Sequence[str] | None) -> int | dict[str, int]:

@@ -6,6 +6,7 @@ from .description import Description, RunRows, TimeColumn
 from .dosing import cut_at_doses
 from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
+from .known_noise import KnownNoise
 from .noise_model import StateNoise, measurement_noise, robust_scale
 from .observation import at_own_rows, carry, told_rows
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
@@ -50,6 +51,7 @@ __all__ = [
     "DiagnosisSettings",
     "Forced",
     "Hold",
+    "KnownNoise",
     "OddSettings",
     "Oddity",
     "RunRows",

@@ -31,6 +31,7 @@ def describe(
     quantity: str | None = None,
     decimal: str | None = None,
     hold: Mapping[str, str] | str | None = None,
+    noise: Mapping[str, Any] | None = None,
     max_rows: int = MAX_ROWS,
     settings: OddSettings = _SETTINGS,
 ) -> Description:
@@ -42,7 +43,7 @@ def describe(
     ----------
     source : what :func:`dynsr.data.read_trajectories` reads: a file, a frame, a mapping of columns,
         arrays, a Trajectory, or a list of these.
-    time, states, inputs, trajectory, quantity, decimal, hold, max_rows : as for
+    time, states, inputs, trajectory, quantity, decimal, hold, noise, max_rows : as for
         :func:`dynsr.data.read_trajectories`.
     settings : the numbers that decide what looks odd.
 
@@ -65,6 +66,7 @@ def describe(
             quantity=quantity,
             decimal=decimal,
             hold=hold,
+            noise=noise,
             max_rows=max_rows,
         )
     heard = [one_line(w.message) for w in caught if issubclass(w.category, DynsrWarning)]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from dynsr.data.holding import Hold
+from dynsr.data.known_noise import KnownNoise
 from dynsr.data.steps import between_rows
 from dynsr.data.times import convert_times
 from dynsr.data.trajectory import Trajectory
@@ -151,13 +152,18 @@ def _join(parts: Sequence[Trajectory], groups: Sequence[Source]) -> Trajectory:
     x = np.full((len(t), len(states)), np.nan)
     first = 0
     inputs: dict[str, np.ndarray] = {}
+    noise: dict[str, KnownNoise] = {}
     for part, rows in zip(parts, places, strict=True):
         x[rows, first : first + len(part.states)] = part.observed
         first += len(part.states)
+        for state, known in part.noise.items():
+            sd = np.full(len(t), np.sqrt(np.mean(known.sd**2)))
+            sd[rows] = known.sd
+            noise[state] = replace(known, sd=sd)
         for name, column in zip(part.input_names, part.inputs.T, strict=True):
             own = inputs.setdefault(name, np.full(len(t), np.nan))
             own[rows] = np.where(np.isnan(own[rows]), column, own[rows])
-    known = [between_rows(t, column) for column in inputs.values()]
+    driven = [between_rows(t, column) for column in inputs.values()]
     holds: dict[str, Hold] = {}
     for part in parts:
         holds = {**part.hold, **holds}
@@ -168,10 +174,11 @@ def _join(parts: Sequence[Trajectory], groups: Sequence[Source]) -> Trajectory:
         t,
         x,
         tuple(states),
-        np.column_stack(known) if known else np.empty((0, 0)),
+        np.column_stack(driven) if driven else np.empty((0, 0)),
         tuple(inputs),
         _joined_origin(parts),
         holds,
+        noise=noise,
     )
 
 

@@ -54,13 +54,23 @@ def measurement_noise(trajectory: Trajectory) -> np.ndarray:
     the median absolute miss, scaled for the normal law, is noise plus what the polynomial cannot
     follow, so the smallest over orders 2 to 8 is taken. Times may be uneven, and rows at which a
     state was not measured say nothing of it; NaN where that leaves fewer than 5. Kinks that held
-    inputs make are no noise.
+    inputs make are no noise. Errors that are known are taken as they are, by their mean square.
 
     >>> t = np.linspace(0, 10, 500)
     >>> noisy = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, 500)
     >>> bool(0.008 < measurement_noise(Trajectory(t, noisy[:, None], ("x",)))[0] < 0.012)
     True
     """
+    found = _estimate_by_neighbours(trajectory)
+    for state, known in trajectory.noise.items():
+        own, place = trajectory.own_rows(state), trajectory.index(state)
+        if known.sure and len(own):
+            squares = known.at(trajectory.x[:, place])[own] ** 2
+            found[place] = np.sqrt(np.mean(squares))
+    return found
+
+
+def _estimate_by_neighbours(trajectory: Trajectory) -> np.ndarray:
     parts = find_forced([trajectory])
     smooth = trajectory if parts is None else parts[0].taken_from(trajectory)
     if trajectory.unmeasured.size:

@@ -22,6 +22,7 @@ from dynsr.data.description import Description, describe_runs, join_descriptions
 from dynsr.data.dosing import cut_at_doses
 from dynsr.data.grouping import find_restarts
 from dynsr.data.joining import Source, join_sources
+from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
 from dynsr.data.names import clean_name
 from dynsr.data.oddities import OddSettings
 from dynsr.data.roles import Roles
@@ -65,6 +66,7 @@ def read_trajectories(
     quantity: str | None = None,
     decimal: str | None = None,
     hold: Mapping[str, str] | str | None = None,
+    noise: Mapping[str, Any] | None = None,
     max_rows: int = MAX_ROWS,
 ) -> Table:
     """Read one or many trajectories from a table, a file of one, or a list of such sources.
@@ -89,6 +91,9 @@ def read_trajectories(
     decimal : the decimal mark of numbers that are text, "." or ","; by default the cells tell.
     hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth";
         or one of these words for all. By default the values tell.
+    noise : state -> its measurement errors: a standard deviation in its units, a share of its size
+        such as "5 %", or the column of them. By default they are estimated; those of a column that
+        is called so, such as x_sd, then say how rows differ.
     max_rows : more rows than this are thinned evenly, with a DynsrWarning.
 
     Times may be uneven, and rows may stand in any order where it is known which belong together.
@@ -104,12 +109,18 @@ def read_trajectories(
     """
     if max_rows < 1:
         raise InputError(f"max_rows {max_rows} must be a whole number from 1 up")
+    errors = find_columns(noise)
     asked = Asked(
-        _listed(states), *_split_inputs(inputs), _listed(trajectory), _chosen(quantity), max_rows
+        _listed(states),
+        *_split_inputs(inputs),
+        _listed(trajectory),
+        _chosen(quantity),
+        errors,
+        max_rows,
     )
     if isinstance(source, list):
         return _read_list(
-            source, time, states, inputs, trajectory, quantity, decimal, hold, max_rows
+            source, time, states, inputs, trajectory, quantity, decimal, hold, noise, max_rows
         )
     times = None if time is None or _is_named(time, source) else time
     name: Any = time if times is None else "t"
@@ -129,7 +140,9 @@ def read_trajectories(
         hold = {found.roles.renamed.get(name, name): way for name, way in hold.items()}
     if isinstance(source, Trajectory) and not isinstance(hold, str):
         hold = {**_given(source, found.runs), **(hold or {})}
-    runs = settle_hold(found.runs, hold)
+    if isinstance(source, Trajectory) and [len(run) for run in found.runs] == [len(source)]:
+        found = replace(found, runs=[replace(run, noise=source.noise) for run in found.runs])
+    runs = settle_hold(say_noise(found.runs, noise, found.roles.renamed), hold)
     understood = describe_runs(
         columns.label, runs, found.roles, asked.formulas, found.left_out, found.notes
     )
@@ -198,6 +211,7 @@ def _read_list(
     quantity: str | None,
     decimal: str | None,
     hold: Mapping[str, str] | str | None,
+    noise: Mapping[str, Any] | None,
     max_rows: int,
 ) -> Table:
     if not sources:
@@ -206,7 +220,7 @@ def _read_list(
     share = max(max_rows // len(sources), FEWEST_ROWS)
     tables = []
     for source in sources:
-        own, known = _those_of(source, decimal, states, inputs)
+        own, known, errors = _those_of(source, decimal, states, inputs, noise)
         tables.append(
             read_trajectories(
                 source,
@@ -216,6 +230,7 @@ def _read_list(
                 trajectory,
                 quantity=quantity,
                 decimal=decimal,
+                noise=errors,
                 max_rows=share,
             )
         )
@@ -227,6 +242,8 @@ def _read_list(
         for table, count, end in zip(tables, each, ends, strict=True)
     ]
     runs, joined = join_sources(parts)
+    renamed = {old: new for table in tables for old, new in table.description.renamed.items()}
+    runs = say_noise(runs, noise, renamed)
     if hold is None:
         # What one file says of an input holds for all.
         given: dict[str, str] = {}
@@ -234,7 +251,6 @@ def _read_list(
             given |= _given(source, runs) if isinstance(source, Trajectory) else {}
         hold = given
     elif isinstance(hold, Mapping):
-        renamed = {old: new for t in tables for old, new in t.description.renamed.items()}
         hold = {renamed.get(name, name): way for name, way in hold.items()}
     runs = settle_hold([replace(run, hold={}) for run in runs], hold)
     understood = join_descriptions([table.description for table in tables], runs, joined)
@@ -247,25 +263,30 @@ def _those_of(
     decimal: str | None,
     states: Sequence[str] | str | None,
     inputs: Sequence[str] | Mapping[str, str] | str | None,
-) -> tuple[Sequence[str] | str | None, Sequence[str] | Mapping[str, str] | str | None]:
-    """Give the states and inputs that were asked for and that one of several sources has.
+    noise: Mapping[str, Any] | None,
+) -> tuple[
+    Sequence[str] | str | None,
+    Sequence[str] | Mapping[str, str] | str | None,
+    dict[str, str],
+]:
+    """Give the states, inputs and columns of errors asked for that one of several sources has.
 
     What none has is refused where it is read.
     """
-    wanted, (known, formulas) = _listed(states), _split_inputs(inputs)
-    if (not wanted and not known) or isinstance(source, Trajectory):
-        return states, inputs
+    wanted, (known, formulas), errors = _listed(states), _split_inputs(inputs), find_columns(noise)
+    if not (wanted or known or errors) or isinstance(source, Trajectory):
+        return states, inputs, errors
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         columns = load_columns(source, decimal)
     if not columns.named:
-        return states, inputs
+        return states, inputs, errors
     names = {*columns.names, *map(clean_name, columns.names), *columns.left_out}
-    own = [name for name in wanted or () if name in names] or wanted
+    own = [name for name in wanted or () if name in names] or states
     if known:
         kept = [name for name in known if name in names]
         inputs = [*kept, *(f"{name}={text}" for name, text in formulas.items())]
-    return own, inputs
+    return own, inputs, {state: own for state, own in errors.items() if state in names}
 
 
 def _refuse_twice(sources: Sequence[Any]) -> None:
@@ -320,6 +341,82 @@ def in_unit(runs: Sequence[Trajectory], unit: str) -> list[Trajectory]:
             )
         found.append(replace(run, t=t, origin={**run.origin, "time_unit": unit}))
     return found
+
+
+def find_columns(noise: Mapping[str, Any] | None) -> dict[str, str]:
+    """Give what is said of measurement errors by the name of a column.
+
+    Parameters
+    ----------
+    noise : state -> its errors, as :func:`read_trajectories` takes them.
+
+    >>> find_columns({"x": "x_sd", "y": "5 %", "z": 0.1})
+    {'x': 'x_sd'}
+    """
+    said = {s: own for s, own in (noise or {}).items() if isinstance(own, str)}
+    read = {state: read_noise(state, own, 1) for state, own in said.items()}
+    return {state: own for state, own in read.items() if isinstance(own, str)}
+
+
+def say_noise(
+    runs: Sequence[Trajectory], noise: Mapping[str, Any] | None, renamed: Mapping[str, str]
+) -> list[Trajectory]:
+    """Give runs that know the measurement errors that the caller says.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    noise : state -> its errors, as :func:`take_trajectories` takes them.
+    renamed : name in the source -> name in formulas.
+
+    Raises InputError when something is no state, or its errors cannot be used.
+    """
+    if not noise:
+        return list(runs)
+    said = {renamed.get(state, state): own for state, own in noise.items()}
+    check_names(said, runs[0].states)
+    found = list(runs)
+    for state, value in said.items():
+        apart = _is_list_for(value, len(runs))
+        for i, run in enumerate(found):
+            found[i] = _with_noise(run, state, value[i] if apart else value)
+    return found
+
+
+def _with_noise(run: Trajectory, state: str, value: Any) -> Trajectory:
+    noise = read_noise(state, value, len(run))
+    words = value if isinstance(value, (str, int, float)) else "one value a row"
+    told = {**run.origin.get("said_noise", {}), state: words}
+    if isinstance(noise, str):
+        if state in run.noise and noise not in run.names:
+            # It was read with the table.
+            return run
+        run, sd = _without(run, noise, state)
+        noise = check_noise(state, KnownNoise(sd), f"column {noise!r}")
+    return replace(
+        run, noise={**run.noise, state: noise}, origin={**run.origin, "said_noise": told}
+    )
+
+
+def _without(run: Trajectory, column: str, state: str) -> tuple[Trajectory, np.ndarray]:
+    """Take the column of the errors of a state out of a trajectory."""
+    if column not in run.names or column == state:
+        raise InputError(
+            f"the noise of {state!r} is no number and no column: {column!r}; the columns are: "
+            f"{', '.join(run.names)}"
+        )
+    if column in run.states:
+        sd = run.observed[:, run.index(column)]
+        return run.of_states([s for s in run.states if s != column]), sd
+    place = run.input_names.index(column)
+    names = tuple(n for n in run.input_names if n != column)
+    less = replace(
+        run,
+        inputs=np.delete(run.inputs, place, axis=1),
+        input_names=names,
+        hold={n: way for n, way in run.hold.items() if n != column},
+    )
+    return less, run.inputs[:, place]
 
 
 def _listed(names: Sequence[str] | str | None) -> list[str] | None:
@@ -408,6 +505,7 @@ def take_trajectories(
     doses: Mapping[str, str] | None = None,
     quantity: str | None = None,
     decimal: str | None = None,
+    noise: Mapping[str, Any] | None = None,
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
@@ -423,6 +521,9 @@ def take_trajectories(
         :func:`dynsr.data.reading.read_trajectories`.
     doses : state -> column of amounts: the state jumps by the amount right after that row, which
         was measured before. Each part between doses counts as a trajectory.
+    noise : state -> its measurement errors, as for
+        :func:`dynsr.data.reading.read_trajectories`; or (n,) standard deviations at the times, or a
+        list of one such array a trajectory.
 
     Raises InputError when nothing usable is there.
 
@@ -431,16 +532,17 @@ def take_trajectories(
     (('x', 'F'), {'F': sin(t)})
     """
     columns, named = _sort_inputs(inputs)
+    errors = find_columns(noise)
     if any(own is not None for own in (time, states, trajectory, quantity, decimal)):
-        runs = _read_columns(data, columns, time, states, trajectory, quantity, decimal)
+        runs = _read_columns(data, columns, time, states, trajectory, quantity, decimal, errors)
     else:
-        runs = _read(data, columns)
+        runs = _read(data, columns, errors)
     runs = [_as_inputs(run, columns or []) for run in runs]
     if not runs:
         raise InputError("there is no trajectory in the data; give at least one")
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
-    runs = cut_at_doses(runs, doses)
+    runs = cut_at_doses(say_noise(runs, noise, {}), doses)
     short = min(runs, key=len)
     if len(short) < FEWEST_ROWS:
         raise InputError(
@@ -470,7 +572,9 @@ def _is_formula(value: Any) -> bool:
     return isinstance(value, (str, sympy.Basic, int, float))
 
 
-def _read(data: Any, inputs: Sequence[str] | None) -> list[Trajectory]:
+def _read(
+    data: Any, inputs: Sequence[str] | None, noise: Mapping[str, str] | None = None
+) -> list[Trajectory]:
     if isinstance(data, Table):
         return data.trajectories
     if isinstance(data, Trajectory):
@@ -486,7 +590,7 @@ def _read(data: Any, inputs: Sequence[str] | None) -> list[Trajectory]:
     data = list(data) if isinstance(data, tuple) and data else data
     if isinstance(data, list) and data and all(map(_is_pair, data)):
         return _in_one_unit([_from_arrays(*pair) for pair in data])
-    return read_trajectories(data, inputs=inputs).trajectories
+    return read_trajectories(data, inputs=inputs, noise=noise).trajectories
 
 
 def _read_columns(
@@ -497,6 +601,7 @@ def _read_columns(
     trajectory: Sequence[str] | str | None,
     quantity: str | None,
     decimal: str | None,
+    noise: Mapping[str, str] | None = None,
 ) -> list[Trajectory]:
     """Read trajectories whose columns the caller names."""
     data = data.trajectories if isinstance(data, Table) else data
@@ -504,7 +609,7 @@ def _read_columns(
     if apart and states is None and isinstance(data, np.ndarray) and not data.dtype.names:
         return [_from_arrays(time, data)]
     return read_trajectories(
-        data, time, states, inputs, trajectory, quantity=quantity, decimal=decimal
+        data, time, states, inputs, trajectory, quantity=quantity, decimal=decimal, noise=noise
     ).trajectories
 
 

@@ -65,6 +65,7 @@ def guess_roles(
     inputs: Sequence[str] | None,
     formulas: Mapping[str, str],
     quantity: str | None = None,
+    errors: Mapping[str, str] | None = None,
 ) -> Roles:
     """Give each column its role: as the caller said, or else by its values and its name.
 
@@ -76,6 +77,7 @@ def guess_roles(
     states, inputs : names in the source or in formulas; None where guessed.
     formulas : inputs that are expressions in ``t``, by name.
     quantity : the column whose values were given columns of their own.
+    errors : state -> the column of its measurement errors, where the caller says it.
 
     Raises InputError that lists the columns when one that was named is not there, or when no column
     is left for a state.
@@ -85,8 +87,10 @@ def guess_roles(
     chosen = None if states is None else [find_column(name, columns, "state") for name in states]
     taken = {*time.columns, *grouping.trajectory, *grouping.labels, *(known or []), *(chosen or [])}
     left_out = dict(time.left_out)
+    said = _find_errors(errors or {}, columns)
+    taken |= set(said.values())
+    left_out |= {own: f"is the noise of {state!r}" for state, own in said.items()}
     free = [n for n in columns.names if n not in taken and n not in left_out]
-    noise: dict[str, str] = {}
     for name in free:
         if clean_name(name) in formulas:
             left_out[name] = "is given as a formula"
@@ -96,9 +100,9 @@ def guess_roles(
     held: list[str] = []
     if chosen is None:
         left_out |= look.redundant([n for n in free if n not in apart], known or [])
-        moving = [n for n in free if n not in left_out and n not in apart]
-        noise = look.noise(moving)
-        left_out |= {own: f"is the noise of {state!r}" for state, own in noise.items()}
+    moving = [n for n in free if n not in left_out and n not in apart]
+    noise = look.noise_beside(chosen, moving, said)
+    left_out |= {own: f"is the noise of {state!r}" for state, own in noise.items()}
     free = [n for n in free if n not in left_out]
     if known is None:
         known = _guess_inputs([n for n in free if n not in apart], columns, chosen)
@@ -139,12 +143,20 @@ def guess_roles(
         states is not None,
         tuple(parameters),
         tuple(name for name in grouping.labels if name not in used),
-        {state: own for state, own in noise.items() if state in chosen},
+        {state: own for state, own in {**noise, **said}.items() if state in chosen},
         time.clock,
         quantity,
         tuple(held),
         left_out,
     )
+
+
+def _find_errors(errors: Mapping[str, str], columns: Columns) -> dict[str, str]:
+    """Give the columns of errors that the caller named, by the columns whose errors they are."""
+    return {
+        find_column(state, columns, "noise of a state"): find_column(own, columns, "noise")
+        for state, own in errors.items()
+    }
 
 
 def _check_roles(
@@ -232,6 +244,25 @@ class _Look:
             if state is not None and state not in found.values() and state not in found:
                 found[state] = name
         return found
+
+    def noise_beside(
+        self, chosen: Sequence[str] | None, moving: Sequence[str], said: Mapping[str, str]
+    ) -> dict[str, str]:
+        """Give the columns of errors by what they are of: of the states, where these are chosen.
+
+        Parameters
+        ----------
+        chosen : the states that the caller named; None where they are guessed.
+        moving : columns that nobody gave a role.
+        said : state -> column that the caller named.
+        """
+        states = tuple(chosen or ())
+        found = self.noise([*states, *moving])
+        return {
+            state: own
+            for state, own in found.items()
+            if state not in said and own not in states and (chosen is None or state in states)
+        }
 
     def is_held(self, name: str) -> bool:
         """Whether a column holds its value and steps."""

@@ -19,6 +19,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
 
 from dynsr.data.forcing import Forced, find_forced
 from dynsr.data.gaussian_process import Process, ProcessSettings, fit_process, screen
+from dynsr.data.known_noise import KnownNoise
 from dynsr.data.noise_model import (
     Column,
     NoiseSettings,
@@ -54,6 +55,7 @@ class SmoothSettings:
     screened : about as many rows decide which logarithm of the time is tried.
     refined : up to so many rows noise is estimated from the smoothed trajectory too.
     unknown : ``process.known`` while it is.
+    certain : the same where it is said.
     chunk : most rows smoothed at once; longer trajectories are smoothed in overlapping pieces.
     overlap : rows that two pieces share.
     fewest : rows of a state below which it is not smoothed.
@@ -71,6 +73,7 @@ class SmoothSettings:
     screened: int = 150
     refined: int = 600
     unknown: float = 10.0
+    certain: float = 1e-3
     chunk: int = 1000
     overlap: int = 60
     fewest: int = 4
@@ -173,7 +176,15 @@ def smooth(
         forced = None if found is None else found[0]
     taken = np.zeros_like(run.x) if forced is None else forced.x
     columns = [
-        _smooth_own(run.t, run.x[:, k] - taken[:, k], noise[k], settings, taken[:, k], own)
+        _smooth_own(
+            run.t,
+            run.x[:, k] - taken[:, k],
+            noise[k],
+            settings,
+            taken[:, k],
+            own,
+            run.noise.get(run.states[k]),
+        )
         for k, own in enumerate(run.measured.T)
     ]
     names = ("x", "slope", "x_sd", "slope_sd", "noise")
@@ -194,23 +205,49 @@ def _smooth_own(
     settings: SmoothSettings,
     taken: np.ndarray,
     own: np.ndarray,
+    known: KnownNoise | None,
 ) -> SmoothColumn:
     """Smooth one column from its own rows, and read the curve at the others."""
     if own.all():
-        return smooth_values(t, x, noise, settings, taken)
-    sd = np.where(own, noise.sd(x + taken), np.inf)
+        return _smooth_known(t, x, noise, settings, taken, known)
+    sd = noise.sd(x + taken) if known is None else known.at(x + taken)
+    sd = np.where(own, sd, np.inf)
     rest, none = np.zeros(len(t)), np.zeros(len(t), dtype=bool)
     rows = np.flatnonzero(own)
     if len(rows) < settings.fewest:
         # Too few to bend a curve through: what stands between them is a line.
         wide = np.full(len(t), float(np.std(x)))
         return SmoothColumn(x, np.gradient(x, t), wide, wide, sd, "line", rest, none)
-    found = smooth_values(t[rows], x[rows], noise, settings, taken[rows])
+    told = None if known is None else known.select(rows)
+    found = _smooth_known(t[rows], x[rows], noise, settings, taken[rows], told)
     value, slope = read_curve(t[rows], found.x, _sure_slopes(t[rows], found), t)
     value[rows], slope[rows] = found.x, found.slope
     sd[rows], rest[rows], none[rows] = found.noise, found.leverage, found.outlier
     spread = [np.interp(t, t[rows], own_sd) for own_sd in (found.x_sd, found.slope_sd)]
     return SmoothColumn(value, slope, spread[0], spread[1], sd, found.method, rest, none)
+
+
+def _smooth_known(
+    t: np.ndarray,
+    x: np.ndarray,
+    noise: StateNoise,
+    settings: SmoothSettings,
+    taken: np.ndarray,
+    known: KnownNoise | None,
+) -> SmoothColumn:
+    """Smooth one column; where its errors are known they stand, or their size alone is found."""
+    if known is None:
+        return smooth_values(t, x, noise, settings, taken)
+    certain = settings.certain if known.sure else settings.unknown
+    settings = replace(settings, process=replace(settings.process, known=certain))
+    if not known.sure:
+        return smooth_values(t, x, noise, settings, taken, known.sd)
+    sd = known.sd
+    if known.share:
+        sd = known.at(smooth_values(t, x, noise, settings, taken).x + taken)
+    found = smooth_values(t, x, noise, settings, taken, sd)
+    # A row that misses by more is no outlier: its error is known.
+    return replace(found, noise=known.at(found.x + taken))
 
 
 def _sure_slopes(t: np.ndarray, found: SmoothColumn) -> np.ndarray:
@@ -255,15 +292,18 @@ def smooth_values(
     noise: StateNoise,
     settings: SmoothSettings = _SETTINGS,
     taken: np.ndarray | None = None,
+    known: np.ndarray | None = None,
 ) -> SmoothColumn:
     """Smooth one column; the parameters are those of :func:`smooth`, for (n,) times and values.
 
-    ``taken`` (n,) is what was taken from the values, whose noise is that of the sum.
+    ``taken`` (n,) is what was taken from the values, whose noise is that of the sum; ``known`` (n,)
+    are their errors, where these are said.
     """
     taken = np.zeros(len(t)) if taken is None else taken
     if len(t) > LONGEST_KEPT:
-        return _smooth_anew(t, x, noise, settings, taken)
-    return _smooth_once(as_bytes(t), as_bytes(x), noise, settings, as_bytes(taken))
+        return _smooth_anew(t, x, noise, settings, taken, known)
+    said = b"" if known is None else as_bytes(known)
+    return _smooth_once(as_bytes(t), as_bytes(x), noise, settings, as_bytes(taken), said)
 
 
 def as_bytes(values: np.ndarray) -> bytes:
@@ -274,24 +314,36 @@ def as_bytes(values: np.ndarray) -> bytes:
 # A search smooths what its report then shows.
 @lru_cache(maxsize=32)
 def _smooth_once(
-    times: bytes, values: bytes, noise: StateNoise, settings: SmoothSettings, taken: bytes
+    times: bytes,
+    values: bytes,
+    noise: StateNoise,
+    settings: SmoothSettings,
+    taken: bytes,
+    known: bytes,
 ) -> SmoothColumn:
     t, x, part = (np.frombuffer(own) for own in (times, values, taken))
-    return _smooth_anew(t, x, noise, settings, part)
+    return _smooth_anew(t, x, noise, settings, part, np.frombuffer(known) if known else None)
 
 
 def _smooth_anew(
-    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings, taken: np.ndarray
+    t: np.ndarray,
+    x: np.ndarray,
+    noise: StateNoise,
+    settings: SmoothSettings,
+    taken: np.ndarray,
+    known: np.ndarray | None = None,
 ) -> SmoothColumn:
+    """Smooth one column, in pieces where it is long; ``known`` (n,) are its errors."""
     if len(t) <= settings.chunk:
-        return _smooth_piece(t, x, noise, settings, taken)
+        return _smooth_piece(t, x, noise, settings, taken, known)
     count = int(np.ceil((len(t) - settings.overlap) / (settings.chunk - settings.overlap)))
     edges = np.linspace(0, len(t), count + 1).astype(int)
     pieces = []
     for start, stop in pairwise(edges):
         low = max(start - settings.overlap // 2, 0)
         rows = slice(low, min(stop + settings.overlap // 2, len(t)))
-        piece = _smooth_piece(t[rows], x[rows], noise, settings, taken[rows])
+        own = None if known is None else known[rows]
+        piece = _smooth_piece(t[rows], x[rows], noise, settings, taken[rows], own)
         pieces.append((piece, slice(start - low, stop - low)))
     names = ("x", "slope", "x_sd", "slope_sd", "noise", "leverage", "outlier")
     joined = {n: np.concatenate([getattr(p, n)[rows] for p, rows in pieces]) for n in names}
@@ -341,22 +393,27 @@ def _arc_warps(t: np.ndarray, pilot: Process, settings: SmoothSettings) -> list[
 
 
 def _smooth_piece(
-    t: np.ndarray, x: np.ndarray, noise: StateNoise, settings: SmoothSettings, taken: np.ndarray
+    t: np.ndarray,
+    x: np.ndarray,
+    noise: StateNoise,
+    settings: SmoothSettings,
+    taken: np.ndarray,
+    known: np.ndarray | None = None,
 ) -> SmoothColumn:
     """Smooth one column of few enough rows: as it is, or its logarithm."""
     spread = float(np.std(x))
     if spread == 0:
         zero = np.zeros(len(t))
-        sd = noise.sd(x + taken)
+        sd = noise.sd(x + taken) if known is None else known
         return SmoothColumn(x, zero, sd, zero, sd, "constant", zero, zero > 0)
-    found, evidence = _smooth_plain(t, x, noise, settings, taken)
+    found, evidence = _smooth_plain(t, x, noise, settings, taken, known)
     if np.any(taken):
         # The logarithm of what is left says nothing of that of the sum.
         return found
     typical = float(np.median(np.abs(x)))
     if np.min(x * np.sign(x[0])) <= 0 or noise.multiplicative * typical < noise.additive:
         return found
-    relative = noise.sd(found.x) / np.abs(found.x)
+    relative = (noise.sd(found.x) if known is None else known) / np.abs(found.x)
     if not np.max(relative) < 0.5:
         return found
     logs = np.log(np.abs(x)) + relative**2 / 2
@@ -386,7 +443,8 @@ def _smooth_plain(
 ) -> tuple[SmoothColumn, float]:
     """Smooth in the warp of greatest evidence; gives that too.
 
-    ``known`` is the standard deviation of every row where the noise is that of a logarithm.
+    ``known`` is the standard deviation of every row where the noise is that of a logarithm, or
+    said.
     """
     from scipy.ndimage import gaussian_filter1d, median_filter
 
@@ -505,8 +563,22 @@ def estimate_noise(
     parts = find_forced(runs)
     taken = [np.zeros_like(run.x) for run in runs] if parts is None else [p.x for p in parts]
     return tuple(
-        _state_noise(_own_columns(runs, taken, k), settings) for k in range(len(runs[0].states))
+        _said_noise(runs, state) or _state_noise(_own_columns(runs, taken, k), settings)
+        for k, state in enumerate(runs[0].states)
     )
+
+
+def _said_noise(runs: Sequence[Trajectory], state: str) -> StateNoise | None:
+    """Give the noise of a state where its errors are known in every run; None where they are not.
+
+    Errors that differ from row to row are taken by their mean square.
+    """
+    said = [run.noise.get(state) for run in runs]
+    known = [own for own in said if own is not None and own.sure]
+    if len(known) < len(runs):
+        return None
+    squares = [own.sd[run.own_rows(state)] ** 2 for own, run in zip(known, runs, strict=True)]
+    return StateNoise(float(np.sqrt(np.mean(np.concatenate(squares)))), known[0].share)
 
 
 def _own_columns(

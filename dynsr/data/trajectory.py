@@ -19,6 +19,7 @@ from dynsr.data.holding import (
     choose_hold_together,
     holds_its_value,
 )
+from dynsr.data.known_noise import KnownNoise
 from dynsr.data.times import check_time_unit, count_times
 from dynsr.errors import InputError, one_line
 from dynsr.expression import check_name
@@ -141,6 +142,8 @@ class Trajectory:
     origin : where it came from: engine, version, tolerances, unit of the times.
     hold : input -> what it does between rows: "previous" (keeps its value until the next row),
         "linear" or "smooth"; for inputs that are not named its values tell, see :attr:`holds`.
+    noise : state -> its measurement errors, where they are known; see
+        :class:`dynsr.data.KnownNoise`. Those of other columns go.
     unmeasured : (n, k) cells that were not measured, whatever ``x`` holds there; by default those
         that are NaN. Empty where every cell was measured.
 
@@ -159,6 +162,7 @@ class Trajectory:
     origin: Mapping[str, Any] = field(default_factory=dict)
     hold: Mapping[str, Hold] = field(default_factory=dict)
     unmeasured: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=bool))
+    noise: Mapping[str, KnownNoise] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Bring the fields to float64 and check them."""
@@ -183,6 +187,11 @@ class Trajectory:
         gaps = _find_gaps(x, self.unmeasured)
         _check_finite(np.column_stack([np.where(gaps, 0.0, x) if gaps.size else x, u]), names)
         object.__setattr__(self, "unmeasured", gaps)
+        known = {state: own for state, own in self.noise.items() if state in states}
+        for state, own in known.items():
+            if own.sd.shape != t.shape:
+                raise InputError(f"noise {own.sd.shape} of {state!r} does not fit t {t.shape}")
+        object.__setattr__(self, "noise", known)
         for key, value in (("t", t), ("x", x), ("inputs", u), ("states", states)):
             object.__setattr__(self, key, value)
         object.__setattr__(self, "input_names", input_names)
@@ -344,8 +353,14 @@ class Trajectory:
         """
         check_rows(rows, len(self))
         gaps = self.unmeasured[rows] if self.unmeasured.size else self.unmeasured
+        noise = {state: own.select(rows) for state, own in self.noise.items()}
         return replace(
-            self, t=self.t[rows], x=self.x[rows], inputs=self.inputs[rows], unmeasured=gaps
+            self,
+            t=self.t[rows],
+            x=self.x[rows],
+            inputs=self.inputs[rows],
+            unmeasured=gaps,
+            noise=noise,
         )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from dynsr.data.calendars import join_calendar
 from dynsr.data.columns import Columns, bracketed_unit
 from dynsr.data.grouping import Grouping, guess_grouping
+from dynsr.data.known_noise import KnownNoise, check_noise
 from dynsr.data.long_tables import describe_long, find_quantity, widen
 from dynsr.data.names import clean_name, find_column
 from dynsr.data.replicates import find_replicates, stack_replicates
@@ -32,6 +33,7 @@ class Asked:
     states, inputs, trajectory : names in the source or in formulas.
     formulas : inputs that are expressions in ``t``, by name.
     quantity : the column of a long table that says which quantity a row is of; "" for none.
+    errors : state -> the column of its measurement errors.
     max_rows : more rows than this are thinned.
     """
 
@@ -40,6 +42,7 @@ class Asked:
     formulas: Mapping[str, str] = field(default_factory=dict)
     trajectory: Sequence[str] | None = None
     quantity: str | None = None
+    errors: Mapping[str, str] = field(default_factory=dict)
     max_rows: int = 200_000
 
     def keeping(self, states: Sequence[str], inputs: Sequence[str]) -> Asked:
@@ -100,7 +103,14 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     grouping = _group(columns, times, asked)
     notes += _interleaved(times, grouping)
     roles = guess_roles(
-        columns, times, grouping, asked.states, asked.inputs, asked.formulas, quantity
+        columns,
+        times,
+        grouping,
+        asked.states,
+        asked.inputs,
+        asked.formulas,
+        quantity,
+        asked.errors,
     )
     gone = tuple(n for n in source if n not in columns.names and n != quantity)
     roles = replace(roles, reshaped=gone)
@@ -258,7 +268,7 @@ def _order(
     columns: Columns, times: Times, grouping: Grouping, roles: Roles
 ) -> tuple[list[Run], list[str]]:
     """Give the rows of each trajectory in order of time, and what was done to them."""
-    used = [*roles.states, *roles.inputs]
+    used = [*roles.states, *roles.inputs, *roles.noise.values()]
     columns.check_usable([*used, *roles.trajectory])
     by_name = dict(zip(columns.names, columns.values, strict=True))
     values = {name: to_numbers(by_name[name], name, columns.label) for name in used}
@@ -403,6 +413,9 @@ def _make(
         **({"units": units} if units else {}),
         **({"noise": {roles.renamed[n]: size for n, size in noise.items()}} if noise else {}),
     }
+    said = {roles.renamed[state]: own for state, own in roles.noise.items()}
+    if said:
+        origin["said_noise"] = said
     names = [roles.renamed[name] for name in wanted]
     count = len(roles.states)
     found = []
@@ -418,10 +431,26 @@ def _make(
             np.column_stack([table[:, count:], extra]),
             (*names[count:], *asked.formulas),
             {**origin, "name": run.name},
+            noise=_read_errors(run, roles, asked),
         )
         # A state that is measured seldom keeps its rows.
         some = whole.every(rows.step or 1) if whole.unmeasured.size else rows
         found.append(whole.select(some))
+    return found
+
+
+def _read_errors(run: Run, roles: Roles, asked: Asked) -> dict[str, KnownNoise]:
+    """Give the measurement errors that stand in columns of their own.
+
+    Those that the caller named stand as they are; others say how rows differ.
+    """
+    found = {}
+    for state, column in roles.noise.items():
+        name = roles.renamed[state]
+        sure = state in asked.errors or name in asked.errors
+        noise = KnownNoise(run.values[column], sure=sure)
+        if sure or np.any(noise.sd > 0):
+            found[name] = check_noise(name, noise, f"column {column!r}")
     return found
 
 

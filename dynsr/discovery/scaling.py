@@ -87,7 +87,8 @@ class Units:
         units = np.array([float(self.columns[name]) for name in run.names])
         columns, k = run.columns / units, len(run.states)
         t = run.t / float(self.time)
-        return replace(run, t=t, x=columns[:, :k], inputs=columns[:, k:])
+        noise = {s: own.in_units(float(self.columns[s])) for s, own in run.noise.items()}
+        return replace(run, t=t, x=columns[:, :k], inputs=columns[:, k:], noise=noise)
 
     def apply_value(self, name: str, expr: sympy.Expr) -> sympy.Expr:
         """Give an expression for a column in these units."""
@@ -185,7 +186,8 @@ def in_fitting_units(search: Search) -> Search:
             n: settings.pop(n, None)
             for n in ("time", "states", "trajectory", "quantity", "decimal")
         }
-        asked |= {"hold": settings.get("hold"), "doses": settings.pop("doses", None)}
+        asked |= {n: settings.pop(n, None) for n in ("doses", "noise")}
+        asked["hold"] = settings.get("hold")
         runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), **asked)
         seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)

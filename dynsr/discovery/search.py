@@ -131,6 +131,7 @@ def discover(
     inputs: Mapping[str, Any] | Sequence[str] | str | None = None,
     hold: Mapping[str, str] | str | None = None,
     doses: Mapping[str, str] | None = None,
+    noise: Mapping[str, Any] | None = None,
     known: Mapping[str, str | sympy.Expr] | None = None,
     seed: int = 0,
     jobs: int = -1,
@@ -181,6 +182,10 @@ def discover(
         or one of these words for all. By default the values tell.
     doses : state -> column of amounts: the state jumps by the amount right after that row, which
         was measured before. Each part between doses counts as a trajectory.
+    noise : state -> its measurement errors where you know them: a standard deviation in its units,
+        a share of its size such as "5 %", the column of them, or one value a row. They then weigh
+        the rows, are no more estimated, and say what is left to explain. Of a column that is called
+        so, such as x_sd, the size is estimated unless it is named here.
     known : state -> the part of its equation that is given; the rest is searched.
     seed : all chance comes from it; the result does not depend on ``jobs``.
     jobs : searches at a time; -1 uses every core.
@@ -260,7 +265,7 @@ def discover(
     chosen, workers = find_engine(engine), effective_n_jobs(jobs)
     shared = share_engine(chosen, workers)
     runs, drives = take_trajectories(
-        data, inputs, time, states, trajectory, hold, doses, quantity, decimal
+        data, inputs, time, states, trajectory, hold, doses, quantity, decimal, noise
     )
     seed = check_asked(
         runs[0].states,

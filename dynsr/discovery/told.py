@@ -17,7 +17,10 @@ def with_told(found: Discovery, runs: Sequence[Trajectory]) -> Discovery:
     found : the discovery.
     runs : the data; what was read from them stands in their origin.
     """
-    told = {name: runs[0].origin.get(name) for name in ("columns", "table", "time_unit", "doses")}
+    told = {
+        name: runs[0].origin.get(name)
+        for name in ("columns", "table", "time_unit", "doses", "said_noise")
+    }
     known = {name: words for name, words in told.items() if words}
     found = replace(found, settings={**found.settings, **known})
     if "column_units" not in found.settings:

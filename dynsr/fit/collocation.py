@@ -76,6 +76,7 @@ class Mesh:
     start : (n, k) smoothed states, from which a fit starts.
     driven : (d, n + m) driven columns at the rows, then in the middle of the intervals.
     states, driven_names : names of the columns; the last driven one is ``t``.
+    known : (k,) whether the noise of a state is known; by default it is an estimate.
     """
 
     t: np.ndarray
@@ -86,6 +87,7 @@ class Mesh:
     driven: np.ndarray
     states: tuple[str, ...]
     driven_names: tuple[str, ...]
+    known: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=bool))
 
     @cached_property
     def h(self) -> np.ndarray:
@@ -775,6 +777,16 @@ class Measurements:
         ]
         return cls(thinned, inputs, smoothed, derived or {})
 
+    def known(self, states: Sequence[str]) -> np.ndarray:
+        """(k,) whether the noise of states is known as it stands, and no estimate.
+
+        Parameters
+        ----------
+        states : the k of them.
+        """
+        said = [[run.noise.get(state) for run in self.runs] for state in states]
+        return np.array([all(own is not None and own.sure for own in each) for each in said])
+
     @cached_property
     def _spread(self) -> np.ndarray:
         """(k,) standard deviation of what was measured of each state."""
@@ -1007,6 +1019,7 @@ class Measurements:
             np.concatenate([*at, *between], axis=1),
             tuple(states),
             (*others, *inputs, "t"),
+            self.known(states),
         )
 
 
@@ -1071,13 +1084,22 @@ class AlongFit:
         return self.found.constants
 
     @property
-    def freedom(self) -> int:
-        """Measurements less the constants and starts that were fitted to them, 1 at least."""
-        return self.problem.mesh.freedom(len(self.constants))
+    def freedom(self) -> float:
+        """Measurements less the constants and starts that were fitted to them, 1 at least.
+
+        Where all noise is known, nothing is estimated by them, and there is no end to it.
+        """
+        return math.inf if self._certain else self.problem.mesh.freedom(len(self.constants))
+
+    @property
+    def _certain(self) -> bool:
+        return bool(np.all(self.problem.mesh.known))
 
     @cached_property
     def scale(self) -> float:
         """Variance of the misses in units of the noise that was given: noise is an estimate."""
+        if self._certain:
+            return 1.0
         return max(float(np.sum(self.found.misses**2)) / self.freedom, 1e-12)
 
     @cached_property

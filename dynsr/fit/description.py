@@ -99,11 +99,13 @@ def information_criterion(
     exprs: Iterable[sympy.Expr],
     constants: int,
     structure: Callable[[sympy.Expr], float] = structure_bits,
+    known: np.ndarray | bool = False,
 ) -> float:
     """Bits of a system fitted to its states: the Bayesian information criterion over 2 ln 2.
 
     L = sum_s m_s/2 log2(mean squared miss of s) + structure of the equations + constants
-    log2(max m)/2.
+    log2(max m)/2. The logarithm is that of a likelihood whose noise is what is missed; where the
+    noise is known, it is the mean squared miss itself, less 1, over ln 2.
 
     Parameters
     ----------
@@ -112,8 +114,10 @@ def information_criterion(
     exprs : the k equations.
     constants : how many constants were fitted.
     structure : bits of an equation without its constants.
+    known : (k,) whether the noise of a state is known.
     """
-    data = float(np.sum(rows / 2 * np.log2(mean_squares)))
+    missed = np.where(known, (mean_squares - 1) / math.log(2), np.log2(mean_squares))
+    data = float(np.sum(rows / 2 * missed))
     terms = sum(map(structure, exprs))
     return data + terms + constant_bits(float(np.max(rows))) * constants
 

@@ -122,7 +122,7 @@ class Profiling:
     errors: np.ndarray
     cost: float
     scale: float
-    freedom: int
+    freedom: float
     settings: ProfileSettings = PROFILE
 
     @classmethod

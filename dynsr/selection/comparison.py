@@ -406,7 +406,9 @@ class SystemComparison:
         if len(self.names) > 1 and has("bits-powers"):
             said += _ANY_POWER * sum(map(count_free_powers, flat))
             said += _INVERSE * sum(count_inverses(e, s) for s, e in exprs.items())
-        length = information_criterion(squares, self.mesh.rows, flat, constants, written_length)
+        length = information_criterion(
+            squares, self.mesh.rows, flat, constants, written_length, self.mesh.known
+        )
         return length + said - self.common_bits(exprs, flat, _doubtful(fit))
 
     def common_bits(
@@ -558,7 +560,7 @@ def noise_shown(fit: SystemFit) -> dict[str, float] | None:
     """
     mesh, squares = fit.problem.mesh, fit.fit.mean_squares
     fitted = mesh.rows.sum() / mesh.freedom(len(fit.fit.constants))
-    shown = np.where(mesh.rows > 0, squares * fitted, 1.0)
+    shown = np.where((mesh.rows > 0) & ~mesh.known, squares * fitted, 1.0)
     if np.min(shown) >= _TOO_CLOSE:
         return None
     less = np.sqrt(np.minimum(shown, 1.0))
