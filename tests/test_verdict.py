@@ -112,6 +112,24 @@ def test_a_different_formula_that_does_as_well_keeps_an_equation_from_being_a_la
     assert explain("p", true["p"], found).count(found.rivals[0].equation) == 1
 
 
+@pytest.mark.slow
+def test_an_answer_that_the_last_fit_loosened_is_no_rival_of_itself():
+    """An enzyme whose speed of 1 became 1.03 at the end is told from others, not from itself."""
+    enzyme = {"x": parse("-x/(x + 3)")}
+    runs = [
+        replace(own, x=own.x + 0.025 * np.random.default_rng(seed).normal(size=own.x.shape))
+        for seed, start in enumerate([4.0, 5.86])
+        for own in [measure(enzyme, [start], 12, 60)]
+    ]
+    found = discover(runs, jobs=1, progress=False)
+    own = found.verdict.states["x"]
+    assert found.equations["x"].atoms(sympy.Float)
+    lines = [sympy.fraction(sympy.together(parse(one.equation)))[1] for one in own.rivals]
+    x = sympy.Symbol("x")
+    assert not any(line.is_polynomial(x) and sympy.degree(line, x) == 1 for line in lines)
+    assert "cannot be told apart" not in own.reason
+
+
 def test_a_formula_that_can_be_the_same_function_is_no_rival():
     """log(exp(x)) in disguise and a longer form of the equation are not different formulas."""
     data = measure(OSCILLATOR, [1.0, 0.0], 10, 150, 0.03)

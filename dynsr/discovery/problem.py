@@ -30,7 +30,7 @@ from dynsr.discovery.tasks import (
     Found,
 )
 from dynsr.discovery.verdict import LAW, Verdict, VerdictSettings, hold_to_slopes, judge, unjudged
-from dynsr.expression import compile_numpy, evaluate, has_pole
+from dynsr.expression import compile_numpy, evaluate, has_pole, ratio_forms
 from dynsr.fit import (
     Candidate,
     FitSettings,
@@ -275,7 +275,12 @@ class Problem:
             fitted, choice = self._polish(exact, noise), SystemChoice(picked)
         rivals = None
         if choice.fit is not None:
-            rivals = choice.different(self.settings.selection.comparison.apart)
+            near = choice.different(self.settings.selection.comparison.apart)
+            # The last fit may loosen what the comparison had as a simple number.
+            rivals = {
+                s: [pair for pair in own if not _of_one_form(pair[0], fitted.exprs[s])]
+                for s, own in near.items()
+            }
         returned = {s: self._as_returned(p, fitted.exprs[s], pools[s]) for s, p in picks.items()}
         found = Discovery(
             equations=fitted.exprs,
@@ -800,6 +805,15 @@ def _as_near(candidates: Sequence[Candidate]) -> list[sympy.Expr]:
 def _alike(one: sympy.Expr, other: sympy.Expr) -> bool:
     """Whether formulas differ in their constants alone."""
     return bool(skeleton(with_floats(one)) == skeleton(with_floats(other)))
+
+
+def _of_one_form(one: sympy.Expr, other: sympy.Expr) -> bool:
+    """Whether formulas differ in their constants alone, however their ratios are written."""
+    shapes = [
+        {skeleton(with_floats(form)) for form in ratio_forms(sympy.together(expr))}
+        for expr in (one, other)
+    ]
+    return not shapes[0].isdisjoint(shapes[1])
 
 
 def found_by(source: str) -> str:
