@@ -144,8 +144,9 @@ def test_a_suggestion_is_read_and_drawn():
     frame = made.to_frame()
     assert list(frame.columns) == ["experiment", "x(0)", "bits"] and len(frame) >= 3
     assert str(made).count("\n") == len(frame) + 2
-    labels = [line.get_label() for line in made.plot().axes[0].lines]
-    assert labels == ["found", "alternative 1"]
+    left, right = made.plot().axes
+    assert [line.get_label() for line in left.lines] == ["found", "other 1"]
+    assert len(right.lines) == 1
 
 
 @pytest.mark.parametrize(
@@ -189,3 +190,12 @@ def test_the_shell_and_the_report_suggest(tmp_path):
     assert told["experiments"][0]["bits"] > told["again"]["bits"]
     assert "is no time" in run("suggest", model, table, "--span", "-1", code=2).stderr
     assert "The next experiment" in found.report(tmp_path / "report.html").read_text("utf-8")
+
+
+def test_an_alternative_that_runs_away_is_told_apart():
+    """Sensitivities of any size end in no fault: a formula that explodes there is told at once."""
+    found = near_the_top(0.05, start=4.0)
+    front = [*found.front["x"], dynsr.Candidate(dynsr.parse("0.2 + 0.001*x**4"), 0.2, 8.0)]
+    wild = replace(found, front={"x": dynsr.ParetoFront(front)})
+    made = wild.suggest(settings=SuggestionSettings(plausible=1e9, farthest=1e9))
+    assert len(made.alternatives) >= 2 and math.isfinite(made.best.bits)

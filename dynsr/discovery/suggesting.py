@@ -3,7 +3,7 @@
 Where other equations follow the data nearly as well, it is the start (and the course of the inputs)
 at which they and the answer part most: the expected rise of the chi-square when one is true and the
 other is fitted, which may still move its constants as far as the data so far allow, and its start
-(Box and Hill 1967, Technometrics 9, 57; linearised). Where no other equation is left, it is the one
+(Box and Hill 1967, Technometrics 9, 57). Where no other equation is left, it is the one
 that tells most of the constants: the bits by which their uncertainty shrinks (Lindley 1956).
 """
 
@@ -21,7 +21,7 @@ from dynsr.data import Trajectory
 from dynsr.discovery.rivals import count_constants
 from dynsr.engines import Drive
 from dynsr.errors import InputError
-from dynsr.expression import shown
+from dynsr.expression import ratio_forms, shown
 from dynsr.fit import (
     Flow,
     Measurements,
@@ -59,6 +59,11 @@ class SuggestionSettings:
     shown : experiments that are given, the best first.
     apart : share of the range by which their starts differ, where inputs do the same.
     looked : formulas of each state that are fitted as alternatives, those of least loss.
+    refined : of the experiments, those for which systems are fitted to each other and not only
+        along a line, the best first.
+    steps, damping : of such a fit, and the factor by which it is damped more after a bad step.
+    enough : bits beyond which more tell nothing more; of such experiments the start nearest to the
+        range of the data is the best.
     plausible : bits that an alternative may take more than the answer to be one.
     alternatives : of them, at most, those of the fewest bits.
     levels : shares of its range at which an input is held constant.
@@ -75,6 +80,10 @@ class SuggestionSettings:
     shown: int = 5
     apart: float = 0.1
     looked: int = 8
+    refined: int = 8
+    steps: int = 8
+    damping: float = 10.0
+    enough: float = 40.0
     plausible: float = 40.0
     alternatives: int = 3
     levels: tuple[float, ...] = (0.0, 0.5, 1.0)
@@ -141,6 +150,7 @@ class Suggestion:
     times : (n,) rows of each experiment.
     noise : state -> standard deviation of its noise; inf where it is not measured.
     curves : (1 + A, n, k) what the answer and each alternative do in the best experiment.
+    enough : bits between two systems beyond which more are not counted.
     """
 
     experiments: tuple[Experiment, ...]
@@ -150,6 +160,7 @@ class Suggestion:
     times: np.ndarray
     noise: Mapping[str, float]
     curves: np.ndarray
+    enough: float
 
     @property
     def best(self) -> Experiment:
@@ -162,7 +173,8 @@ class Suggestion:
         if not self.alternatives:
             return "No other equation is left: the bits are of the constants."
         others = "; ".join(f"{a.text} ({a.bits:.3g} bits behind)" for a in self.alternatives)
-        return f"The bits are between the equations found and {others}."
+        most = f"{self.enough:g} at most"
+        return f"The bits, {most}, are between the equations found and {others}."
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -212,11 +224,11 @@ def _read(value: Any) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """A system fitted to the data: its flow, its constants, and how far these may move.
+    """A system fitted to the data, and how far its constants may move.
 
     Parameters
     ----------
-    flow : the system.
+    flow : the system; its P constants are states that rest, so that each experiment has its own.
     constants : (P,) values.
     spread : (P, P) a root of their covariance.
     """
@@ -233,13 +245,11 @@ class _Courses:
     Parameters
     ----------
     found : (W, N) its states at the rows.
-    moves : (W, N, P) what a standard deviation of the constants does to them.
-    starts : (W, N, k) what the start does to them.
+    moves : (W, N, k + P) what the start, and then the constants, do to them.
     """
 
     found: np.ndarray
     moves: np.ndarray
-    starts: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,12 +306,16 @@ def suggest(
     noise = _noise_of(data, list(equations)) * math.sqrt(answer.scale)
     models = [_model(answer, data, settings), *(_model(fit, data, settings) for _, fit in taken)]
     tried = _Trial(models, [own.bits for own, _ in taken], times, noise, _range(data, equations))
-    plans = list(_plans(data, models[0].flow, tried.range, rng, settings))
-    found = [own for plan in plans for own in tried.experiments(plan, list(equations), settings)]
+    states, driven = list(equations), _driven(models, data)
+    plans = list(_plans(data, states, driven, tried.range, rng, settings))
+    found = [own for plan in plans for own in tried.experiments(plan, states, settings)]
     first = next((own for own in found if own.again), None)
-    best = tried.best_of([own for own in found if not own.again], settings)
-    if first is None or not best:
+    others_tried = [own for own in found if not own.again]
+    if first is None or not others_tried:
         raise InputError("the equations cannot be integrated over an experiment of this span")
+    near = tried.best_of(others_tried, settings, settings.refined)
+    first, *near = [tried.refine(own, settings) for own in (first, *near)]
+    best = tried.best_of(near, settings, settings.shown)
     return Suggestion(
         tuple(own.experiment for own in best),
         first.experiment,
@@ -310,19 +324,33 @@ def suggest(
         times,
         dict(zip(equations, noise.tolist(), strict=True)),
         best[0].curves * np.where(np.isfinite(noise), noise, np.nan),
+        settings.enough,
     )
+
+
+def _driven(models: Sequence[_Model], data: Measurements) -> tuple[str, ...]:
+    """Name the columns that any of the models reads, in the order of the data."""
+    used = {name for model in models for name in model.flow.driven}
+    return tuple(n for n in dict.fromkeys([*data.runs[0].names, *data.inputs]) if n in used)
 
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
     """An experiment that was tried.
 
-    ``curves`` (1 + A, n, k) are what the models do in it, in units of the noise; ``again`` says
-    whether it is the first run once more.
+    Parameters
+    ----------
+    experiment : what it is expected to tell.
+    plan : the experiment alone.
+    curves : (1 + A, n, k) what the models do in it, in units of the noise.
+    outside : how far its start is outside of the range of the data, in shares of that.
+    again : whether it is the first run once more.
     """
 
     experiment: Experiment
+    plan: _Plan
     curves: np.ndarray
+    outside: float
     again: bool
 
 
@@ -338,12 +366,12 @@ def _fit_alternatives(
     cost = answer.problem.cost(answer.found.states.T, answer.constants)
     for state, formulas in others.items():
         own = equations[state]
-        known = {skeleton(with_floats(own))}
+        known = _shapes(own)
         for expr in list(formulas)[: settings.looked]:
-            shape = skeleton(with_floats(expr))
-            if shape in known or not expr.free_symbols:
+            shapes = _shapes(expr)
+            if not known.isdisjoint(shapes) or not expr.free_symbols:
                 continue
-            known.add(shape)
+            known |= shapes
             fit = fit_along(loosen_all({**equations, state: expr}), data)
             if fit is None:
                 continue
@@ -355,6 +383,11 @@ def _fit_alternatives(
                 yield Alternative(fit.found.exprs, state, float(bits)), fit
 
 
+def _shapes(expr: sympy.Expr) -> set[sympy.Expr]:
+    """Give the shapes of a formula, however its ratios are written."""
+    return {skeleton(with_floats(form)) for form in ratio_forms(sympy.together(expr))}
+
+
 def _model(fit: Any, data: Measurements, settings: SuggestionSettings) -> _Model:
     """Give the flow of a fit, and how far its constants may move."""
     flow, _, _ = prepare(fit.problem.exprs, data.runs, data.inputs)
@@ -363,7 +396,8 @@ def _model(fit: Any, data: Measurements, settings: SuggestionSettings) -> _Model
     scaled = fit.found.information * np.outer(prior, prior) / fit.scale
     values, directions = np.linalg.eigh(scaled + np.eye(len(constants)))
     spread = prior[:, None] * directions / np.sqrt(np.maximum(values, 1.0))
-    return _Model(flow, constants, spread)
+    resting = {str(symbol): sympy.S.Zero for symbol in flow.constants}
+    return _Model(Flow({**flow.rhs, **resting}, flow.driven, ()), constants, spread)
 
 
 def _noise_of(data: Measurements, states: Sequence[str]) -> np.ndarray:
@@ -386,7 +420,8 @@ def _range(data: Measurements, states: Iterable[str]) -> np.ndarray:
 
 def _plans(
     data: Measurements,
-    flow: Flow,
+    states: Sequence[str],
+    driven: tuple[str, ...],
     limits: np.ndarray,
     rng: np.random.Generator,
     settings: SuggestionSettings,
@@ -398,18 +433,18 @@ def _plans(
     bottom = np.where((low >= 0) & (bottom < 0), 0.0, bottom)
     top = high + settings.beyond * width
     starts = bottom[:, None] + (top - bottom)[:, None] * rng.random((len(low), settings.starts))
-    places = [data.runs[0].index(state) for state in flow.rhs]
+    places = [data.runs[0].index(state) for state in states]
     first = data.smoothed[0].x[0, places][:, None]
-    measured = [n for n in flow.driven if n not in data.inputs]
+    measured = [n for n in driven if n not in data.inputs]
     runs = data.runs[: settings.courses if measured else 1]
     names = [f"as in run {i}" if measured else "" for i in range(1, len(runs) + 1)]
     for place, (name, drive) in enumerate(
-        zip(names, drives_of(flow.driven, runs, data.inputs), strict=True)
+        zip(names, drives_of(driven, runs, data.inputs), strict=True)
     ):
         own = np.concatenate([first, starts], axis=1) if place == 0 else starts
         yield _Plan(name, drive, own)
     begin = np.array([float(data.runs[0].t[0])])
-    base = drives_of(flow.driven, data.runs[:1], data.inputs)[0]
+    base = drives_of(driven, data.runs[:1], data.inputs)[0]
     columns = {n: np.concatenate([_column(run, n) for run in data.runs]) for n in measured}
     for name in measured:
         for share in settings.levels:
@@ -449,7 +484,7 @@ class _Trial:
     def experiments(
         self, plan: _Plan, states: Sequence[str], settings: SuggestionSettings
     ) -> Iterator[_Tried]:
-        """Give each experiment that can be made.
+        """Give each experiment that can be made, with what it tells along a line.
 
         Parameters
         ----------
@@ -457,49 +492,119 @@ class _Trial:
         states : names of the states.
         settings : the numbers that decide.
         """
-        courses = [self._follow(model, plan, settings) for model in self.models]
+        courses = [self._follow(model, plan, None, settings) for model in self.models]
         again = len(plan.starts[0]) > settings.starts
-        weights = np.exp2(-np.maximum(self.behind, 0.0)) if len(self.behind) else np.empty(0)
         for lane, start in enumerate(plan.starts.T):
-            if not all(np.all(np.isfinite(own.found[lane])) for own in courses):
-                continue
-            if not self._is_near(courses[0].found[lane], settings):
+            finite = all(np.all(np.isfinite(own.found[lane])) for own in courses)
+            if not finite or not self._is_near(courses[0].found[lane], settings):
                 continue
             each = tuple(
-                min(
-                    self._apart(courses[0], other, lane),
-                    self._apart(other, courses[0], lane),
-                )
-                for other in courses[1:]
+                min(self._apart(0, i, courses, lane), self._apart(i, 0, courses, lane))
+                for i in range(1, len(courses))
             )
-            bits = (
-                float(np.average(each, weights=weights)) if each else self._told(courses[0], lane)
-            )
-            own = Experiment(dict(zip(states, start.tolist(), strict=True)), plan.label, bits, each)
+            bits = self._mean(each, settings) if each else self._told(courses[0], lane)
+            named = dict(zip(states, start.tolist(), strict=True))
             shape = (len(courses), len(self.times), -1)
-            curves = np.array([course.found[lane] for course in courses]).reshape(shape)
-            yield _Tried(own, curves, again and lane == 0)
+            yield _Tried(
+                Experiment(named, plan.label, bits, each),
+                replace(plan, starts=start[:, None]),
+                np.array([course.found[lane] for course in courses]).reshape(shape),
+                float(
+                    np.max(np.maximum(self.range[0] - start, start - self.range[1]) / self._width)
+                ),
+                again and lane == 0,
+            )
 
-    def best_of(self, tried: Sequence[_Tried], settings: SuggestionSettings) -> list[_Tried]:
+    @property
+    def _width(self) -> np.ndarray:
+        """(k,) width of the range of each state."""
+        return np.maximum(self.range[1] - self.range[0], 1e-300)
+
+    def _mean(self, each: Sequence[float], settings: SuggestionSettings) -> float:
+        """Bits to be expected: those of each alternative by its probability."""
+        weights = np.exp2(-np.maximum(self.behind, 0.0))
+        return float(np.average(np.minimum(each, settings.enough), weights=weights))
+
+    def refine(self, own: _Tried, settings: SuggestionSettings) -> _Tried:
+        """Fit each system to what the other does, where before only a line was followed.
+
+        Parameters
+        ----------
+        own : the experiment.
+        settings : the numbers that decide.
+        """
+        if len(self.models) == 1:
+            return own
+        each = tuple(
+            min(self._fitted_apart(0, i, own, settings), self._fitted_apart(i, 0, own, settings))
+            for i in range(1, len(self.models))
+        )
+        bits = self._mean(each, settings)
+        return replace(own, experiment=replace(own.experiment, bits=bits, each=each))
+
+    def _fitted_apart(
+        self, true: int, fitted: int, own: _Tried, settings: SuggestionSettings
+    ) -> float:
+        """Bits between two models where one is true and the other is fitted, by damped steps."""
+        aim, model = own.curves[true].ravel(), self.models[fitted]
+        scale = self._scale(model)
+        begin = np.concatenate([own.plan.starts[:, 0], model.constants])
+        moved, cost, damping = np.zeros(len(begin)), math.inf, 0.0
+        step = moved
+        for _ in range(settings.steps):
+            tried = moved + step
+            at = (begin + scale @ tried)[:, None]
+            course = self._follow(model, own.plan, at, settings)
+            gap = aim - course.found[0]
+            reached = float(gap @ gap + tried @ tried) if np.all(np.isfinite(gap)) else math.inf
+            if reached < cost and np.all(np.isfinite(course.moves)):
+                gained, moved, cost = cost - reached, tried, reached
+                damping /= settings.damping
+                if gained < settings.error:
+                    break
+            elif not np.any(step):
+                return 0.0
+            else:
+                damping = max(settings.damping * damping, 1.0)
+                course = self._follow(model, own.plan, (begin + scale @ moved)[:, None], settings)
+                gap = aim - course.found[0]
+            slopes = course.moves[0] @ scale
+            root = np.eye(len(moved))
+            columns = np.concatenate([slopes, root, math.sqrt(damping) * root])
+            target = np.concatenate([gap, -moved, np.zeros(len(moved))])
+            step = np.linalg.lstsq(columns, target, rcond=None)[0]
+        return cost / (2 * math.log(2))
+
+    def _scale(self, model: _Model) -> np.ndarray:
+        """(k + P, k + P) what start and constants may move: the range, and as the data allow."""
+        count, k = len(model.constants), len(self.noise)
+        found = np.zeros((k + count, k + count))
+        found[:k, :k] = np.diag(self._width)
+        found[k:, k:] = model.spread
+        return found
+
+    def best_of(
+        self, tried: Sequence[_Tried], settings: SuggestionSettings, most: int
+    ) -> list[_Tried]:
         """Give the experiments that tell most, the best first, none like one before it.
 
         Parameters
         ----------
         tried : all of them.
         settings : the numbers that decide.
+        most : experiments at most.
         """
-        width = np.maximum(self.range[1] - self.range[0], 1e-300)
         found: list[_Tried] = []
-        for own in sorted(tried, key=lambda one: -one.experiment.bits):
-            start = np.array(list(own.experiment.start.values()))
+        for own in sorted(tried, key=lambda one: (-one.experiment.bits, one.outside)):
             near = (
-                np.max(np.abs(start - list(one.experiment.start.values())) / width) < settings.apart
+                np.max(np.abs(own.plan.starts - one.plan.starts)[:, 0] / self._width)
+                < settings.apart
                 for one in found
-                if one.experiment.inputs == own.experiment.inputs
+                if one.plan.label == own.plan.label
             )
             if not any(near):
                 found.append(own)
-            if len(found) == settings.shown:
+            if len(found) == most:
                 break
         return found
 
@@ -511,54 +616,60 @@ class _Trial:
         room = settings.farthest * (high - low)[told]
         return bool(np.all(x >= low[told] - room) and np.all(x <= high[told] + room))
 
-    def _follow(self, model: _Model, plan: _Plan, settings: SuggestionSettings) -> _Courses:
-        """Integrate a model through all experiments, in steps that are short enough."""
+    def _follow(
+        self, model: _Model, plan: _Plan, at: np.ndarray | None, settings: SuggestionSettings
+    ) -> _Courses:
+        """Integrate a model through all experiments, in steps that are short enough.
+
+        ``at`` (k + P, W) are starts and constants; by default those of plan and model.
+        """
         k, lanes = plan.starts.shape
+        if at is None:
+            rest = np.repeat(model.constants[:, None], lanes, axis=1)
+            at = np.concatenate([plan.starts, rest])
         t = np.repeat(self.times[:, None], lanes, axis=1)
+        names = [*plan.drive.names, "t"]
+        own = [names.index(name) for name in (*model.flow.driven, "t")]
 
         def drive(times: np.ndarray, before: bool = False) -> np.ndarray:
-            found: np.ndarray = plan.drive(times.ravel(), before)
+            found: np.ndarray = plan.drive(times.ravel(), before)[own]
             return found.reshape(len(found), *times.shape)
 
         jumps = bool(len(plan.drive.jumps))
-        windows = Windows(t, np.zeros((len(t), k, lanes)), drive, jumps)
-        shooting = Shooting(model.flow, windows, self.noise, True)
+        windows = Windows(t, np.zeros((len(t), len(at), lanes)), drive, jumps)
+        noise = np.concatenate([self.noise, np.full(len(at) - k, np.inf)])
+        shooting, nothing = Shooting(model.flow, windows, noise, True), np.empty(0)
         with np.errstate(all="ignore"):
-            coarse = shooting.misses(model.constants, plan.starts)
+            coarse = shooting.misses(nothing, at)
             for pace in finer_paces(1, settings.finest):
                 shooting = replace(shooting, pace=pace)
-                fine = shooting.misses(model.constants, plan.starts)
+                fine = shooting.misses(nothing, at)
                 off = np.max(np.abs(fine - coarse), axis=(0, 1))
                 if np.all((off < settings.error) | ~np.isfinite(off)):
                     break
                 coarse = fine
-            z, by_constant, by_start = shooting.linearise(model.constants, plan.starts)
-            moves = by_constant @ model.spread
-        return _Courses(z.transpose(2, 0, 1).reshape(lanes, -1), moves, by_start)
+            z, _, moves = shooting.linearise(nothing, at)
+        found = z[:, :k].transpose(2, 0, 1).reshape(lanes, -1)
+        moves = moves.reshape(lanes, len(t), len(at), -1)[:, :, :k].reshape(lanes, len(t) * k, -1)
+        return _Courses(found, moves)
 
-    def _nuisance(self, own: _Courses, lane: int) -> np.ndarray:
-        """(N, k) what a start that is unknown within the range does."""
-        low, high = self.range
-        found: np.ndarray = own.starts[lane] * np.maximum(high - low, 1e-300)
-        return found
-
-    def _apart(self, true: _Courses, fitted: _Courses, lane: int) -> float:
-        """Bits expected between two models where one is true and the other fitted."""
-        gap = fitted.found[lane] - true.found[lane]
-        moves = np.concatenate([fitted.moves[lane], self._nuisance(fitted, lane)], axis=1)
+    def _apart(self, true: int, fitted: int, courses: Sequence[_Courses], lane: int) -> float:
+        """Bits expected along a line where one model is true and the other fitted."""
+        gap = courses[true].found[lane] - courses[fitted].found[lane]
+        moves = courses[fitted].moves[lane] @ self._scale(self.models[fitted])
         if not np.all(np.isfinite(moves)):
             return 0.0
-        pull = moves.T @ gap
-        left = gap @ gap - pull @ np.linalg.solve(np.eye(len(pull)) + moves.T @ moves, pull)
-        return float(max(left, 0.0) / (2 * math.log(2)))
+        # What the moves, each of which costs its square, cannot make up for.
+        columns = np.concatenate([moves, np.eye(moves.shape[1])])
+        aim = np.concatenate([gap, np.zeros(moves.shape[1])])
+        left = aim - columns @ np.linalg.lstsq(columns, aim, rcond=None)[0]
+        return float(left @ left / (2 * math.log(2)))
 
     def _told(self, own: _Courses, lane: int) -> float:
         """Bits by which the uncertainty of the constants is expected to shrink."""
-        moves, start = own.moves[lane], self._nuisance(own, lane)
+        moves = own.moves[lane] @ self._scale(self.models[0])
         if not np.all(np.isfinite(moves)):
             return 0.0
-        cross = start.T @ moves
-        seen = moves.T @ moves - cross.T @ np.linalg.solve(
-            np.eye(len(cross)) + start.T @ start, cross
-        )
-        return float(np.linalg.slogdet(np.eye(len(seen)) + seen)[1] / (2 * math.log(2)))
+        start = moves[:, : len(self.noise)]
+        told = [np.log1p(np.linalg.svd(part, compute_uv=False) ** 2) for part in (moves, start)]
+        return float((told[0].sum() - told[1].sum()) / (2 * math.log(2)))

@@ -255,30 +255,35 @@ def _draw_profile(axis: Axes, own: Profile) -> None:
 
 
 def draw_suggestion(suggestion: Suggestion) -> Figure:
-    """Draw what the answer and its alternatives do in the experiment that tells most.
+    """Draw the experiment that tells most, and by how much alternatives differ from the answer.
 
-    The band is twice the noise to either side of the answer.
+    On the left is what the answer and its alternatives do there, on the right what each alternative
+    differs by from the answer, with twice the noise as a band.
 
     Parameters
     ----------
     suggestion : the experiments.
     """
     told = [(i, s, own) for i, (s, own) in enumerate(suggestion.noise.items()) if np.isfinite(own)]
-    figure, axes = _framed(len(told), 1, (_WIDTH, 1.6 * len(told) + 0.8), sharex=True)
+    figure, axes = _canvas(len(told), 2, (_WIDTH, 1.7 * len(told) + 0.8), sharex=True)
     t = suggestion.times - suggestion.times[0]
-    for axis, (i, state, noise) in zip(axes.flat, told, strict=True):
+    for (left, right), (i, state, noise) in zip(axes, told, strict=True):
         answer, *others = suggestion.curves[..., i]
-        axis.plot(t, answer, color=COLOURS[0], lw=1.8, label="found")
-        axis.fill_between(
-            t, answer - 2 * noise, answer + 2 * noise, color=COLOURS[0], alpha=0.2, lw=0
-        )
+        left.plot(t, answer, color=COLOURS[0], lw=1.8, label="found")
+        right.axhspan(-2 * noise, 2 * noise, color=COLOURS[0], alpha=0.2, lw=0)
         for number, curve in enumerate(others, 1):
-            style = STYLES[(number - 1) % len(STYLES)]
-            colour = COLOURS[number % len(COLOURS)]
-            axis.plot(t, curve, color=colour, ls=style, lw=1.4, label=f"alternative {number}")
-        axis.set_ylabel(state)
-    axes.flat[-1].set_xlabel("time from the start")
-    _legend_below(figure, axes.flat[0])
+            line = {
+                "color": COLOURS[number % len(COLOURS)],
+                "ls": STYLES[(number - 1) % len(STYLES)],
+                "lw": 1.4,
+            }
+            left.plot(t, curve, label=f"other {number}", **line)
+            right.plot(t, curve - answer, **line)
+        left.set_ylabel(state)
+        right.set_ylabel(f"difference in {state}")
+    for axis in axes[-1]:
+        axis.set_xlabel("time from the start")
+    _legend_below(figure, axes[0, 0])
     return figure
 
 
