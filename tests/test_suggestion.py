@@ -97,6 +97,7 @@ def test_no_start_is_negative_where_no_state_was():
     assert all(value >= 0 for own in made.experiments for value in own.start.values())
 
 
+@pytest.mark.slow
 def test_the_same_seed_suggests_the_same():
     """All chance comes from the seed."""
     found = near_the_top(0.05)
@@ -192,6 +193,7 @@ def test_the_shell_and_the_report_suggest(tmp_path):
     assert "The next experiment" in found.report(tmp_path / "report.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_an_alternative_that_runs_away_is_told_apart():
     """Sensitivities of any size end in no fault: a formula that explodes there is told at once."""
     found = near_the_top(0.05, start=4.0)
@@ -199,3 +201,13 @@ def test_an_alternative_that_runs_away_is_told_apart():
     wild = replace(found, front={"x": dynsr.ParetoFront(front)})
     made = wild.suggest(settings=SuggestionSettings(plausible=1e9, farthest=1e9))
     assert len(made.alternatives) >= 2 and math.isfinite(made.best.bits)
+
+
+@pytest.mark.slow
+def test_a_formula_that_holds_the_answer_is_no_alternative():
+    """What has one term more can always do what the answer does: nothing tells them apart."""
+    found = near_the_top(0.05)
+    wider = dynsr.Candidate(dynsr.parse("0.01 + x - 0.1*x**2"), 0.04, 15.0)
+    more = replace(found, front={"x": dynsr.ParetoFront([*found.front["x"], wider])})
+    texts = [own.text for own in more.suggest().alternatives]
+    assert texts and not any("x**2" in text for text in texts)

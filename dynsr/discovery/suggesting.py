@@ -21,7 +21,7 @@ from dynsr.data import Trajectory
 from dynsr.discovery.rivals import count_constants
 from dynsr.engines import Drive
 from dynsr.errors import InputError
-from dynsr.expression import ratio_forms, shown
+from dynsr.expression import bare_term, expand_terms, ratio_forms, shown
 from dynsr.fit import (
     Flow,
     Measurements,
@@ -369,7 +369,9 @@ def _fit_alternatives(
         known = _shapes(own)
         for expr in list(formulas)[: settings.looked]:
             shapes = _shapes(expr)
-            if not known.isdisjoint(shapes) or not expr.free_symbols:
+            # What holds the answer's terms and more can do as it does, and is not told from it.
+            wider = _terms(own) <= _terms(expr)
+            if wider or not known.isdisjoint(shapes) or not expr.free_symbols:
                 continue
             known |= shapes
             fit = fit_along(loosen_all({**equations, state: expr}), data)
@@ -381,6 +383,10 @@ def _fit_alternatives(
             bits += structure_bits(with_floats(expr)) - structure_bits(with_floats(own))
             if bits <= settings.plausible:
                 yield Alternative(fit.found.exprs, state, float(bits)), fit
+
+
+def _terms(expr: sympy.Expr) -> set[sympy.Expr]:
+    return {bare_term(term) for term in sympy.Add.make_args(expand_terms(expr))}
 
 
 def _shapes(expr: sympy.Expr) -> set[sympy.Expr]:
