@@ -134,11 +134,11 @@ def test_restarting_time():
 
 
 def test_list_of_sources(tmp_path):
-    """A list gives one trajectory a source; differing columns are refused."""
+    """A list gives one trajectory a source; those that share a part of their states are refused."""
     table = read_trajectories([put(tmp_path, table_text()), {"t": T, "x": T**3, "y": T**2}])
     assert len(table.trajectories) == 2
     with pytest.raises(InputError, match="different columns"):
-        read_trajectories([{"t": T, "x": T}, {"t": T, "y": T}])
+        read_trajectories([{"t": T, "x": T}, {"t": T, "x": T, "y": T**2}])
 
 
 def test_inputs_by_name_column_and_formula():
