@@ -27,6 +27,7 @@ from .discovery import (
 )
 from .engines import add_noise, find_engine, simulate
 from .errors import DynsrError, EngineError, EngineUnavailable, InputError
+from .export import read_petab, read_sbml
 from .expression import parse
 from .fit import Candidate, ParetoFront
 from .methods import (
@@ -81,6 +82,8 @@ __all__ = [
     "make_samples",
     "parse",
     "printed_loss",
+    "read_petab",
+    "read_sbml",
     "replicate",
     "score_expressions",
     "simulate",

@@ -47,13 +47,14 @@ def spawn(*words, **options):
 
 
 def test_all_commands_are_there():
-    """The command has the fifteen verbs."""
+    """The command has its verbs."""
     wanted = (
         "systems generate describe discover score simulate replicate audit crosscheck benchmark"
     )
     assert set(NAMES) == {
         *wanted.split(),
         "export",
+        "import",
         "report",
         "doctor",
         "app",

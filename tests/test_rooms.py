@@ -62,7 +62,7 @@ HOMES = {
     },
     "matplotlib": {"report/plots.py"},
     "tornado": {"app/serving.py"},
-    "libsbml": {"export/sbml.py"},
+    "libsbml": {"export/sbml.py", "export/from_sbml.py"},
     "juliacall": {"engines/julia/worker.py"},
     "juliapkg": {"engines/julia/setup.py"},
     "diffeqpy": {"engines/julia/worker.py"},

@@ -55,6 +55,7 @@ for _panel, _command, _example in (
     (_DISCOVERY, page.app, "app l.csv"),
     (_DISCOVERY, results.score, "score lorenz/discovery.json other.csv"),
     (_DISCOVERY, results.profile, "profile lorenz/discovery.json l.csv --constant x:0"),
+    (_DISCOVERY, results.import_, "import model.xml -o model"),
     (_DISCOVERY, results.export, "export lorenz --to julia -o lorenz.jl"),
     (_DISCOVERY, results.suggest, "suggest lorenz/discovery.json l.csv --rows 100"),
     (_DISCOVERY, results.report, "report lorenz/discovery.json -o report.html"),
@@ -64,4 +65,6 @@ for _panel, _command, _example in (
     (_CARE, benchmarks.benchmark, "benchmark recovery --systems lorenz --noise 0,0.01"),
     (_CARE, checks.doctor, "doctor --install"),
 ):
-    app.command(rich_help_panel=_panel, epilog=f"Example: dynsr {_example}")(_command)
+    # A word that Python keeps for itself has an underscore there.
+    _name = _command.__name__.rstrip("_")
+    app.command(_name, rich_help_panel=_panel, epilog=f"Example: dynsr {_example}")(_command)

@@ -279,6 +279,59 @@ def _say_to(json: bool) -> Callable[[str], None]:
     return (lambda words: None) if json else output.note
 
 
+def import_(
+    model: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MODEL", help="A model of SBML (.xml, .sbml) or a PEtab problem (.yaml)."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder to write: discovery.json, and data.csv of a PEtab problem.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="Replace data.csv if it is there.", rich_help_panel=options.OUTPUT
+        ),
+    ] = False,
+    json: options.Json = False,
+) -> None:
+    """Read a model of another tool: equations to simulate, score and start from, and its data."""
+    from dynsr.data import write_csv
+    from dynsr.discovery import Discovery, write_lines
+    from dynsr.export import read_petab, read_sbml
+
+    runs: Sequence[Trajectory] = ()
+    if model.suffix.lower() in (".yaml", ".yml"):
+        system, runs = read_petab(model)
+    else:
+        system = read_sbml(model)
+    found = Discovery.from_system(system, runs)
+    files = []
+    if out is not None:
+        if runs:
+            out.mkdir(parents=True, exist_ok=True)
+            write_csv(runs, out / "data.csv", force=force)
+            files.append(out / "data.csv")
+        files.append(found.save(out / "discovery.json"))
+    if json:
+        about = {"equations": found.equations, "parameters": system.parameters.numbers}
+        output.print_json({**about, "start": system.x0, "runs": len(runs), "files": files})
+        return
+    output.print_lines(*write_lines(system.equations, found.settings))
+    rows = [(p.name, p.value) for p in system.parameters.values()]
+    output.print_table("Parameters", ("parameter", "value"), rows)
+    if files:
+        output.note(f"written: {', '.join(map(str, files))}")
+
+
 def complete_format(incomplete: str) -> Iterator[tuple[str, str]]:
     """Offer the names of the formats to the shell, with what they are."""
     from dynsr.export import FORMATS

@@ -376,6 +376,36 @@ def _read(state: str, expr: sympy.Expr) -> tuple[sympy.Expr, dict[sympy.Symbol, 
     return template.xreplace(own), {own[symbol]: value for symbol, value in values.items()}
 
 
+def find_names(system: ParametricSystem) -> dict[str, tuple[str, ...]]:
+    """Give the names of the constants of a system in numbers; nothing where they cannot be told.
+
+    Parameters
+    ----------
+    system : the system; a parameter that stands alone in a place is found again by its value.
+
+    >>> x, rate = sympy.symbols("x rate")
+    >>> find_names(ParametricSystem({"x": -rate * x}, Parameters([Parameter("rate", 2.0)])))
+    {'x': ('-rate',)}
+    """
+    names: dict[str, tuple[str, ...]] = {}
+    for state, expr in system.in_numbers.items():
+        own = {str(s) for s in system.equations[state].free_symbols} & set(system.parameters)
+        template, values = take_apart(expr)
+        found = []
+        for place in printed_order(template, values):
+            value = list(values.values())[place]
+            near = [
+                f"{'-' if math.copysign(1.0, system.parameters[n].value) * value < 0 else ''}{n}"
+                for n in sorted(own)
+                if math.isclose(abs(system.parameters[n].value), abs(value), rel_tol=_SAME)
+            ]
+            if len(near) != 1:
+                return {}
+            found += near
+        names[state] = tuple(found)
+    return names if fits(system.in_numbers, names) else {}
+
+
 def fits(equations: Mapping[str, sympy.Expr], names: Names) -> bool:
     """Whether names are as many as the constants, and one name stands for one value.
 

@@ -17,6 +17,7 @@ from dynsr.arguments import checked
 from dynsr.data import (
     Hold,
     Samples,
+    System,
     Trajectory,
     carry,
     check_hold,
@@ -46,6 +47,7 @@ from dynsr.discovery.parameters import (
     Parameters,
     ParametricSystem,
     check_values,
+    find_names,
     fits,
     list_parameters,
     name_by_role,
@@ -213,6 +215,44 @@ class Discovery:
                 )
                 for s, e in self.equations.items()
             }
+        )
+
+    @classmethod
+    def from_system(
+        cls,
+        system: System | ParametricSystem,
+        data: Trajectory | Sequence[Trajectory] = (),
+    ) -> Discovery:
+        """Take equations that are known as if they had been found: to score, report and start from.
+
+        Parameters
+        ----------
+        system : the equations; parameters keep their names where each stands alone.
+        data : trajectories of its states, if there are any.
+
+        Nobody has judged the result, and its parameters have no intervals.
+
+        >>> from dynsr.data import find_system
+        >>> known = Discovery.from_system(find_system("sir"))
+        >>> known.parameters.numbers
+        {'k1': 0.4, 'k2': 0.1}
+        """
+        if isinstance(system, System):
+            system = ParametricSystem.of(system)
+        runs = (data,) if isinstance(data, Trajectory) else tuple(data)
+        equations = system.in_numbers
+        settings = {"engine": DEFAULT_ENGINE, "seed": 0, "system": system.name}
+        settings |= {"kind": "map"} if system.discrete else {}
+        settings |= {"time_unit": system.time_unit} if system.time_unit else {}
+        return cls(
+            equations,
+            dict.fromkeys(equations, ()),
+            {state: ParetoFront() for state in equations},
+            {},
+            runs,
+            {name: expr for name, expr in system.inputs.items() if expr is not None},
+            settings,
+            parameter_names=find_names(system),
         )
 
     @property
