@@ -154,10 +154,12 @@ def barycentric_weights(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     each row.
     """
     gaps = nodes[:, :, None] - nodes[:, None, :]
+    largest = np.maximum(np.abs(gaps).max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
     diagonal = np.arange(nodes.shape[1])
     gaps[:, diagonal, diagonal] = 1.0
-    # Scaled so that products of many small gaps neither under- nor overflow.
-    scale = np.abs(gaps).max(axis=(1, 2), keepdims=True)
+    # Scaled so that products of many small gaps neither under- nor overflow; a power of two rounds
+    # nothing.
+    scale = np.where(largest < 1, 2.0 ** np.floor(np.log2(largest)), largest)
     return gaps, 1.0 / np.prod(gaps / scale, axis=2)
 
 
