@@ -121,7 +121,7 @@ class Found:
     inputs = {}
     seconds = 0.25
     complete = True
-    verdict = None
+    verdict = Discovery({}, {}, {}, {}).verdict
     heading = "Not judged."
     constants = {}
     details = {}

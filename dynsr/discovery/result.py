@@ -463,7 +463,7 @@ class Discovery:
         system = self.system
         if not system.parameters:
             raise InputError("the equations have no parameters")
-        rhs = {s: sympy.sympify(e) for s, e in system.equations.items()}
+        rhs = dict(system.equations)
         outputs = {s: sympy.Symbol(s) for s in rhs}
         names, drives = list(system.parameters), arguments_of(self.equations)
         structure = identify(rhs, outputs, names, drives, 0)
