@@ -8,7 +8,7 @@ from sympy.printing.pycode import PythonCodePrinter
 from dynsr.export.programs import PYTHON
 from dynsr.export.reactions import Reaction, find_reactions
 from dynsr.export.source import Source, Words, number, times
-from dynsr.expression import JULIA_WORDS, julia_code, to_text
+from dynsr.expression import JULIA_WORDS, AllDigits, julia_code, to_text
 
 MODELINGTOOLKIT: Words = Words((*JULIA_WORDS, "D", "System", "complete", "Differential"))
 CATALYST: Words = Words((*JULIA_WORDS, "D", "im", "nothing", "\u2205"))
@@ -28,10 +28,7 @@ MODELICA: Words = Words(
 CONTROL: Words = PYTHON
 
 
-class _Casadi(PythonCodePrinter):
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
-        return repr(float(expr))
-
+class _Casadi(AllDigits, PythonCodePrinter):
     def _print_Pow(self, expr: sympy.Pow, rational: bool = False) -> str:  # noqa: N802
         if expr.exp.is_Float and float(expr.exp) == 0.5:
             return f"casadi.sqrt({self._print(expr.base)})"

@@ -17,7 +17,7 @@ from sympy.printing.rcode import RCodePrinter
 from sympy.printing.rcode import reserved_words as reserved_words_r
 
 from dynsr.export.source import Source, Words, number, times
-from dynsr.expression import JULIA_WORDS, julia_code
+from dynsr.expression import JULIA_WORDS, AllDigits, julia_code
 
 PYTHON: Words = Words((*keyword.kwlist, *keyword.softkwlist, "self"))
 # What a module of torch is and has: a parameter of that name would take its place.
@@ -57,20 +57,15 @@ R: Words = Words(
 )
 
 
-class _Python(NumPyPrinter):
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
-        return repr(float(expr))
+class _Python(AllDigits, NumPyPrinter):
+    pass
 
 
-class _Jax(JaxPrinter):
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
-        return repr(float(expr))
+class _Jax(AllDigits, JaxPrinter):
+    pass
 
 
-class _Torch(TorchPrinter):
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
-        return repr(float(expr))
-
+class _Torch(AllDigits, TorchPrinter):
     def _print_Pow(self, expr: sympy.Pow, **_: Any) -> str:  # noqa: N802 (SymPy's protocol)
         # torch.pow takes no number for a base, and a root of a tensor is a power too.
         tightest = PRECEDENCE["Atom"]
@@ -78,9 +73,8 @@ class _Torch(TorchPrinter):
         return f"{base}**{self.parenthesize(expr.exp, tightest, strict=True)}"
 
 
-class _C(C99CodePrinter):
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
-        return repr(float(expr))
+class _C(AllDigits, C99CodePrinter):
+    pass
 
 
 class _Fortran(FCodePrinter):
@@ -88,14 +82,12 @@ class _Fortran(FCodePrinter):
         return real(float(expr))
 
 
-class _Octave(OctaveCodePrinter):
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
-        return repr(float(expr))
+class _Octave(AllDigits, OctaveCodePrinter):
+    pass
 
 
-class _R(RCodePrinter):
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
-        return repr(float(expr))
+class _R(AllDigits, RCodePrinter):
+    pass
 
 
 def numpy_code(expr: sympy.Expr) -> str:

@@ -14,6 +14,7 @@ from dynsr.data import Trajectory
 from dynsr.errors import InputError
 from dynsr.export.reactions import Reaction, find_reactions
 from dynsr.export.source import Source, Words, number
+from dynsr.expression import AllDigits
 
 # Names of the language of formulas that libsbml reads.
 SBML: Words = Words(
@@ -31,10 +32,7 @@ SBML: Words = Words(
 _LEVEL, _VERSION = 3, 2
 
 
-class _Formula(StrPrinter):
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
-        return repr(float(expr))
-
+class _Formula(AllDigits, StrPrinter):
     def _print_Abs(self, expr: sympy.Expr) -> str:  # noqa: N802 (SymPy's protocol)
         return f"abs({self._print(expr.args[0])})"
 

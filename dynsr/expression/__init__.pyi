@@ -10,6 +10,7 @@ from .evaluation import (
 )
 from .export import (
     JULIA_WORDS,
+    AllDigits,
     arguments_of,
     call_names,
     julia_code,
@@ -41,6 +42,7 @@ __all__ = [
     "NAMED_FUNCTIONS",
     "OPERATORS",
     "REAL_RESOLUTION",
+    "AllDigits",
     "ByText",
     "Prior",
     "Program",

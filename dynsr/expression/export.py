@@ -247,9 +247,15 @@ def _dotted(name: str) -> str:
     )
 
 
-class _Python(PythonCodePrinter):
+class AllDigits:
+    """Writes floats with all their digits, as Python does; stands before a printer of SymPy."""
+
     def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
         return repr(float(expr))
+
+
+class _Python(AllDigits, PythonCodePrinter):
+    pass
 
 
 def to_python(equations: Mapping[str, sympy.Expr], name: str = "rhs", time_unit: str = "") -> str:
@@ -331,9 +337,8 @@ def take_inputs(
     return [value(t) if callable(value) else value for value in values]
 
 
-class _Julia(JuliaCodePrinter):
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
-        return repr(float(expr))
+class _Julia(AllDigits, JuliaCodePrinter):
+    pass
 
 
 def julia_code(expr: sympy.Expr) -> str:
