@@ -315,7 +315,7 @@ def test_casadi_computes_the_equations(name):
     need_module("casadi")
     space = loaded(written(name, "casadi"), name)
     for t, state, expected in zip(*points(name), slopes(name), strict=True):
-        out = space["rhs"](t, state, space["PARAMETERS"]).full().ravel()
+        out = space["rhs"](t, state, [], space["PARAMETERS"]).full().ravel()
         assert np.allclose(out, expected, rtol=1e-10)
     if name in CALM:
         found = space["integrate"](x0=space["START"], p=space["PARAMETERS"])["xf"]

@@ -1165,6 +1165,41 @@ class Discovery:
 
         return EquationModule(self.equations)
 
+    def to_casadi(self) -> Any:
+        """Give the equations as a ``casadi.Function`` of ``t``, ``x``, ``u`` and ``p``.
+
+        ``u`` are the inputs that were measured, in the order of the alphabet, and ``p`` the
+        parameters in the order of :attr:`parameters`. Of a map it gives the next state.
+
+        Raises MissingExtra when CasADi is not installed.
+        """
+        from dynsr.export import Source, make_casadi
+
+        return make_casadi(Source.of(self))
+
+    def to_control(self) -> Any:
+        """Give the equations as a ``control.nlsys`` with named states, inputs and parameters.
+
+        Its outputs are the states. Of a map it is a system in discrete time.
+
+        Raises MissingExtra when python-control is not installed.
+        """
+        from dynsr.export import Source, make_control
+
+        return make_control(Source.of(self))
+
+    def to_do_mpc(self) -> Any:
+        """Give the equations as a ``do_mpc.model.Model`` that is set up.
+
+        The time, where equations hold it, is one more state; ``export("do-mpc")`` writes a
+        simulator and a controller too.
+
+        Raises MissingExtra when do-mpc is not installed.
+        """
+        from dynsr.export import Source, make_do_mpc
+
+        return make_do_mpc(Source.of(self))
+
     def hybrid(
         self, *, width: int = 32, epochs: int = 400, rate: float = 0.01, seed: int = 0
     ) -> HybridModel:

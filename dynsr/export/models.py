@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import sympy
 from sympy.printing.pycode import PythonCodePrinter
 
-from dynsr.export.programs import PYTHON
+from dynsr.export.programs import PYTHON, numpy_code
 from dynsr.export.reactions import Reaction, find_reactions
 from dynsr.export.source import Source, Words, number, times
 from dynsr.expression import JULIA_WORDS, AllDigits, julia_code, to_text
@@ -28,7 +29,9 @@ MODELICA: Words = Words(
 CONTROL: Words = PYTHON
 
 
-class _Casadi(AllDigits, PythonCodePrinter):
+class CasadiPrinter(AllDigits, PythonCodePrinter):
+    """Writes formulas in functions of CasADi."""
+
     def _print_Pow(self, expr: sympy.Pow, rational: bool = False) -> str:  # noqa: N802
         if expr.exp.is_Float and float(expr.exp) == 0.5:
             return f"casadi.sqrt({self._print(expr.base)})"
@@ -42,8 +45,8 @@ class _Casadi(AllDigits, PythonCodePrinter):
 
 
 for _name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log"):
-    setattr(_Casadi, f"_print_{_name}", _Casadi._print_Function)  # noqa: SLF001
-_Casadi._print_sign = _Casadi._print_Function  # noqa: SLF001
+    setattr(CasadiPrinter, f"_print_{_name}", CasadiPrinter._print_Function)  # noqa: SLF001
+CasadiPrinter._print_sign = CasadiPrinter._print_Function  # noqa: SLF001
 
 
 def write_modelingtoolkit(source: Source) -> str:
@@ -169,45 +172,58 @@ def write_modelica(source: Source) -> str:
 
 def _spoken(source: Source) -> tuple[list[str], list[str]]:
     """Give lines of Python that set what is known of inputs, and the slopes."""
-    printer = _Casadi({"fully_qualified_modules": True})
+    printer = CasadiPrinter({"fully_qualified_modules": True})
     known = [f"{u} = {printer.doprint(e)}" for u, e in source.known.items()]
     return known, [printer.doprint(e) for e in source.equations.values()]
 
 
 def write_casadi(source: Source) -> str:
-    """Write a function of CasADi and an integrator.
+    """Write a function of CasADi, and an integrator.
 
     Parameters
     ----------
     source : what is written.
     """
     known, slopes = _spoken(source)
-    start, end, _ = times(source)
-    names = [*source.states, *source.parameters, *source.measured]
-    given = [*source.parameters, *source.measured]
-    values = ", ".join([*map(number, source.parameters.values()), *["0.0"] * len(source.measured)])
-    return "\n".join(
-        [
-            f"{source.comment('#')}import casadi\n",
-            't = casadi.SX.sym("t")',
-            *(f'{n} = casadi.SX.sym("{n}")' for n in names),
-            *known,
-            f"STATE = casadi.vertcat({', '.join(source.states)})",
-            f"GIVEN = casadi.vertcat({', '.join(given)})",
-            f"SLOPE = casadi.vertcat({', '.join(slopes)})",
-            f"PARAMETERS = [{values}]",
-            f"START = [{', '.join(map(number, source.start))}]",
-            "# A function of t, the states, and the parameters followed by the inputs.",
-            'rhs = casadi.Function("rhs", [t, STATE, GIVEN], [SLOPE])',
-            'problem = {"t": t, "x": STATE, "p": GIVEN, "ode": SLOPE}',
-            'options = {"reltol": 1e-10, "abstol": 1e-12}',
+    start, end, count = times(source)
+    names = [*source.states, *source.measured, *source.parameters]
+    values = ", ".join(map(number, source.parameters.values()))
+    zeros = ", ".join(["0.0"] * len(source.measured))
+    lines = [
+        f"{source.comment('#')}import casadi\n",
+        't = casadi.SX.sym("t")',
+        *(f'{n} = casadi.SX.sym("{n}")' for n in names),
+        *known,
+        f"STATE = casadi.vertcat({', '.join(source.states)})",
+        f"INPUT = casadi.vertcat({', '.join(source.measured)})",
+        f"PARAMETER = casadi.vertcat({', '.join(source.parameters)})",
+        f"SLOPE = casadi.vertcat({', '.join(slopes)})",
+        f"PARAMETERS = [{values}]",
+        f"START = [{', '.join(map(number, source.start))}]",
+        "GIVEN = [t, STATE, INPUT, PARAMETER]",
+        'rhs = casadi.Function("rhs", GIVEN, [SLOPE], ["t", "x", "u", "p"], ["slopes"])',
+    ]
+    if source.system.discrete:
+        lines += [
+            "",
+            'if __name__ == "__main__":',
+            "    state = START",
+            f"    for row in range({count - 1}):",
+            f"        now = {start} + row * {number(source.system.step)}",
+            f"        state = rhs(now, state, [{zeros}], PARAMETERS)",
+            "    print(*state.full().ravel())",
+        ]
+    else:
+        lines += [
+            'problem = {"t": t, "x": STATE, "u": INPUT, "p": PARAMETER, "ode": SLOPE}',
+            'options = {"reltol": 1e-10, "abstol": 1e-12, "max_num_steps": 100000}',
             f'integrate = casadi.integrator("found", "cvodes", problem, {start}, {end}, options)',
             "",
             'if __name__ == "__main__":',
-            '    print(*integrate(x0=START, p=PARAMETERS)["xf"].full().ravel())',
-            "",
+            f"    solution = integrate(x0=START, u=[{zeros}], p=PARAMETERS)",
+            '    print(*solution["xf"].full().ravel())',
         ]
-    )
+    return "\n".join([*lines, ""])
 
 
 def write_control(source: Source) -> str:
@@ -217,8 +233,6 @@ def write_control(source: Source) -> str:
     ----------
     source : what is written.
     """
-    from dynsr.export.programs import numpy_code
-
     known = [f"    {u} = {numpy_code(e)}" for u, e in source.known.items()]
     slopes = ", ".join(numpy_code(e) for e in source.equations.values())
     start, end, count = times(source)
@@ -226,7 +240,9 @@ def write_control(source: Source) -> str:
     values = ", ".join(f'"{n}": {number(v)}' for n, v in source.parameters.items())
     lists = [str(list(names)).replace("'", '"') for names in (source.measured, source.states)]
     zero = ", 0.0" if source.measured else ""
-    step = f"    dt={number(source.system.step)},\n" if source.system.discrete else ""
+    discrete = source.system.discrete
+    step = f"    dt={number(source.system.step)},\n" if discrete else ""
+    exact = '{"rtol": 1e-10, "atol": 1e-12, "method": "LSODA"}'
     return "\n".join(
         [
             f"{source.comment('#')}import control",
@@ -258,7 +274,7 @@ def write_control(source: Source) -> str:
             f"    times = numpy.linspace({start}, {end}, {count})",
             "    response = control.input_output_response(",
             f"        found, times{zero}, initial_state=START,",
-            '        solve_ivp_kwargs={"rtol": 1e-10, "atol": 1e-12, "method": "LSODA"},',
+            *([] if discrete else [f"        solve_ivp_kwargs={exact},"]),
             "    )",
             "    print(*response.states[:, -1])",
             "",
@@ -267,33 +283,117 @@ def write_control(source: Source) -> str:
 
 
 def write_do_mpc(source: Source) -> str:
-    """Write a model of do-mpc, to which an objective and bounds are added.
+    """Write a model of do-mpc with a simulator, and a controller where there are inputs.
 
     Parameters
     ----------
-    source : what is written.
+    source : what is written; the time, where the equations hold it, is one more state.
     """
     known, slopes = _spoken(source)
     values = ", ".join(f'"{n}": {number(v)}' for n, v in source.parameters.items())
-    return "\n".join(
-        [
-            f"{source.comment('#')}import casadi",
-            "import do_mpc",
-            "",
-            'model = do_mpc.model.Model("continuous")',
-            *(f'{s} = model.set_variable("_x", "{s}")' for s in source.states),
-            *(f'{u} = model.set_variable("_u", "{u}")' for u in source.measured),
-            *(f'{n} = model.set_variable("_p", "{n}")' for n in source.parameters),
-            *(
-                ['t = model.set_variable("_tvp", "t")']
-                if "t" in source.needed(*source.equations.values())
-                else []
-            ),
-            *known,
-            *(f'model.set_rhs("{s}", {e})' for s, e in zip(source.states, slopes, strict=True)),
-            "model.setup()",
-            f"PARAMETERS = {{{values}}}",
-            f"START = [{', '.join(map(number, source.start))}]",
-            "",
-        ]
-    )
+    start, end, count = times(source)
+    discrete = source.system.discrete
+    step = number(source.system.step if discrete else (end - start) / (count - 1))
+    clock = f"t + {step}" if discrete else "casadi.SX(1)"
+    first = [*map(number, source.start), *([number(start)] if source.timed else [])]
+    lines = [
+        f"{source.comment('#')}import casadi",
+        "import do_mpc",
+        "",
+        f'model = do_mpc.model.Model("{"discrete" if discrete else "continuous"}")',
+        *(f'{s} = model.set_variable("_x", "{s}")' for s in source.states),
+        *(['t = model.set_variable("_x", "t")'] if source.timed else []),
+        *(f'{u} = model.set_variable("_u", "{u}")' for u in source.measured),
+        *(f'{n} = model.set_variable("_p", "{n}")' for n in source.parameters),
+        *known,
+        *(
+            f'model.set_rhs("{s}", casadi.SX({e}))'
+            for s, e in zip(source.states, slopes, strict=True)
+        ),
+        *([f'model.set_rhs("t", {clock})'] if source.timed else []),
+        "model.setup()",
+        f"PARAMETERS = {{{values}}}",
+        f"START = [{', '.join(first)}]",
+        f"STEP = {step}",
+        "",
+        "",
+        "def simulate():",
+        "    simulator = do_mpc.simulator.Simulator(model)",
+        f"    simulator.set_param(t_step={'1' if discrete else 'STEP'})",
+        *(
+            []
+            if discrete
+            else [
+                '    simulator.set_param(integration_tool="cvodes", abstol=1e-12, reltol=1e-10)',
+            ]
+        ),
+        *_known_to("simulator", "get_p_template()", bool(source.parameters)),
+        "    simulator.setup()",
+        "    simulator.x0 = casadi.DM(START)",
+        "    return simulator",
+        "",
+        "",
+    ]
+    if source.measured:
+        lines += _controller(source)
+    lines += [
+        'if __name__ == "__main__":',
+        "    state, simulator = casadi.DM(START), simulate()",
+        *(["    controller = control(START)"] if source.measured else []),
+        f"    for row in range({count - 1}):",
+        "        state = simulator.make_step("
+        + ("controller.make_step(state)" if source.measured else "")
+        + ")",
+        f"    print(*state[:{len(source.states)}, 0])",
+    ]
+    return "\n".join([*lines, ""])
+
+
+def _known_to(part: str, template: str, some: bool, place: str = "") -> list[str]:
+    """Write what tells a part of do-mpc the values of the parameters."""
+    if not some:
+        return []
+    return [
+        f"    known = {part}.{template}",
+        "    for name, value in PARAMETERS.items():",
+        f"        known[{place}name] = value",
+        f"    {part}.set_p_fun(lambda now: known)",
+    ]
+
+
+def _controller(source: Source) -> list[str]:
+    """Write a controller that brings the states to values, the inputs within those of the data."""
+    bounds = []
+    for name in source.measured:
+        old = (source.own or {}).get(name, name)
+        values = [run.by_name[old] for run in source.runs if old in run.names]
+        if values:
+            ends = {
+                "lower": np.min(np.concatenate(values)),
+                "upper": np.max(np.concatenate(values)),
+            }
+            bounds += [
+                f'    controller.bounds["{side}", "_u", "{name}"] = {number(end)}'
+                for side, end in ends.items()
+            ]
+    miss = " + ".join(f"({s} - aim[{place}]) ** 2" for place, s in enumerate(source.states))
+    rates = ", ".join(f"{u}=0.01" for u in source.measured)
+    discrete = source.system.discrete
+    return [
+        "def control(aim):",
+        '    """Give a controller that brings the states to aim; weights and bounds are yours."""',
+        "    controller = do_mpc.controller.MPC(model)",
+        f"    controller.set_param(n_horizon=20, t_step={'1' if discrete else 'STEP'})",
+        "    controller.settings.supress_ipopt_output()",
+        f"    miss = {miss}",
+        "    controller.set_objective(mterm=miss, lterm=miss)",
+        f"    controller.set_rterm({rates})",
+        *bounds,
+        *_known_to("controller", "get_p_template(1)", bool(source.parameters), '"_p", 0, '),
+        "    controller.setup()",
+        "    controller.x0 = casadi.DM(START)",
+        "    controller.set_initial_guess()",
+        "    return controller",
+        "",
+        "",
+    ]

@@ -146,7 +146,8 @@ def write_python(source: Source) -> str:
     remark = "    # Put in what the inputs do: numbers, or functions of t.\n" if inputs else ""
     if source.system.discrete:
         example = (
-            f"    state = {first}\n    for t in range({count - 1}):\n"
+            f"    state = {first}\n"
+            f"    for t in numpy.linspace({start}, {end}, {count})[:-1]:\n"
             f"        state = {name}(t, state{''.join(f', {i}' for i in inputs)})\n"
             "    print(state)\n"
         )

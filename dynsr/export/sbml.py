@@ -191,10 +191,9 @@ def write_petab(source: Source) -> dict[str, str]:
     inputs = source.measured
     header = ["conditionId", *begins.values(), *inputs]
     conditions, measurements = [header], [_MEASURED]
-    timed = "t" in source.needed(*source.equations.values())
     for place, run in enumerate(source.runs, 1):
         condition = f"run_{place}"
-        if timed and run.t[0]:
+        if source.timed and run.t[0]:
             raise InputError(
                 f"the equations hold t and the data begin at t = {run.t[0]:g}; PEtab begins at 0"
             )

@@ -106,6 +106,11 @@ class Source:
         """(k,) values of the states at the first time; ones where the data are not there."""
         return [float(self.system.x0.get(state, 1.0)) for state in self.states]
 
+    @property
+    def timed(self) -> bool:
+        """Whether the right-hand sides hold the time, themselves or in an input."""
+        return "t" in self.needed(*self.equations.values())
+
     def needed(self, *exprs: sympy.Expr) -> set[str]:
         """Give the names that expressions hold, with those that their known inputs hold.
 
