@@ -2,19 +2,19 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from known_systems import made
 from scipy.integrate import solve_ivp
 
 from dynsr.data.system import CART_POLE
 from dynsr.discovery.prediction import predict
+from dynsr.discovery.result import Discovery
 from dynsr.engines.simulation import simulate
 from dynsr.errors import InputError
 from dynsr.expression.export import (
     call_names,
-    to_julia,
     to_latex,
     to_mathml,
     to_numpy,
-    to_python,
     with_signs,
 )
 from dynsr.expression.parsing import parse
@@ -50,7 +50,7 @@ def test_the_numpy_function_is_the_equations(expected):
 def test_the_python_code_runs_on_its_own(expected):
     """The written module holds all it needs, and integrates with scipy."""
     space: dict = {}
-    exec(to_python(EQUATIONS), space)
+    exec(made(EQUATIONS).to_python(), space)
     assert np.allclose(space["rhs"](0.0, STATE, lambda t: FORCE), expected, rtol=1e-14)
     solved = solve_ivp(space["rhs"], (0, 1), STATE, args=(lambda t: FORCE,))
     assert solved.success
@@ -76,7 +76,7 @@ def test_the_julia_code_parses_as_julia():
     tree_sitter = pytest.importorskip("tree_sitter", reason="tree-sitter is not installed")
     julia = pytest.importorskip("tree_sitter_julia", reason="tree-sitter-julia is not installed")
     parser = tree_sitter.Parser(tree_sitter.Language(julia.language()))
-    code = to_julia({**EQUATIONS, "r": parse("x/3 + abs(y)^1.5")})
+    code = made({**EQUATIONS, "r": parse("x/3 + abs(y)^1.5")}).to_julia()
     assert not parser.parse(code.encode()).root_node.has_error
     assert "p.F(t)" in code and ".*" not in code
 
@@ -141,7 +141,7 @@ def test_inputs_are_called_alike_in_every_export(name, value):
     equations = {"x": parse(f"2*{name} - x*k")}
     called = call_names(equations)[name]
     space: dict = {}
-    exec(to_python(equations), space)
+    exec(made(equations).to_python(), space)
     module = EquationModule(equations)
     for function in (space["rhs"], to_numpy(equations)):
         for found in (
@@ -151,7 +151,7 @@ def test_inputs_are_called_alike_in_every_export(name, value):
             assert np.allclose(found, [2 * 0.7 - 6.0])
     found = module(2.0, torch.tensor([3.0], dtype=torch.float64), **{called: value, "k": 2.0})
     assert np.allclose(found.detach().numpy(), [2 * 0.7 - 6.0])
-    assert f"p.{called} isa Number ? p.{called} : p.{called}(t)" in to_julia(equations)
+    assert f"p.{called} isa Number ? p.{called} : p.{called}(t)" in made(equations).to_julia()
 
 
 def test_an_input_that_is_missing_or_too_much_is_named():
@@ -182,14 +182,14 @@ def test_exports_divide_by_nothing_that_the_formula_does_not(text, truth):
 
     equations = {"v": parse(text)}
     space: dict = {}
-    exec(to_python(equations), space)
+    exec(made(equations).to_python(), space)
     module = EquationModule(equations)
     for v in (-1.5, 0.0, 1.0, 2.0):
         assert space["rhs"](0.0, [v])[0] == pytest.approx(truth(v), abs=1e-15)
         assert to_numpy(equations)(0.0, np.array([v]))[0] == pytest.approx(truth(v), abs=1e-15)
         found = module(0.0, torch.tensor([v], dtype=torch.float64))
         assert found.item() == pytest.approx(truth(v), abs=1e-15)
-    assert " / " not in to_julia(equations)
+    assert " / " not in made(equations).to_julia()
 
 
 def test_a_division_of_the_formula_stays():
@@ -201,7 +201,21 @@ def test_a_division_of_the_formula_stays():
 def test_code_says_what_the_time_is_counted_in():
     """A unit that is known stands in a comment of every export; one that is not, nowhere."""
     equations = {"x": parse("-x")}
-    for write in (to_python, to_julia):
-        assert "# t is in days\n" in write(equations, time_unit="days")
-        assert "t is in" not in write(equations)
+    for write in (Discovery.to_python, Discovery.to_julia):
+        assert "# The time t is in days.\n" in write(made(equations, time_unit="days"))
+        assert "t is in" not in write(made(equations))
     assert to_latex(equations, "days").startswith("% time in days\n")
+
+
+def test_numbers_stand_in_code_where_no_names_are_asked_for():
+    """The short forms hold each number, whole ones as such; else they are the named forms."""
+    found = made({"x": parse("-2*x + u/3")})
+    code = found.to_python()
+    assert "def rhs(t, state, u):" in code and "- 2*x" in code and "0.3333333333333333*u" in code
+    assert "k1" not in code + found.to_julia()
+    assert "k1=" in found.export("python") and "k1 = p.k1" in found.export("julia")
+    named, plain = {}, {}
+    exec(found.export("python"), named)
+    exec(code, plain)
+    for function in ("rhs", "jacobian"):
+        assert np.allclose(named[function](0.0, [1.5], 0.6), plain[function](0.0, [1.5], 0.6))

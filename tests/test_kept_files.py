@@ -13,6 +13,7 @@ import sympy
 from command_line import run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from known_systems import made
 from scipy.integrate import solve_ivp
 
 from dynsr.data.reading import read_trajectories, write_csv
@@ -21,7 +22,6 @@ from dynsr.data.writing import write_bytes
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
 from dynsr.errors import InputError
-from dynsr.expression.export import to_julia, to_python
 from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.methods.rational import RationalSearch
 from dynsr.report.discovery import render_discovery
@@ -419,17 +419,17 @@ def test_code_that_is_written_keeps_its_own_names(names):
     a, b = sympy.symbols(names)
     equations = {names[0]: sympy.sin(b), names[1]: -2 * a}
     space: dict = {}
-    exec(to_python(equations), space)
+    exec(made(equations).to_python(), space)
     solved = solve_ivp(space["rhs"], (0, 1), [1.0, 0.5])
     assert solved.success
     assert space["rhs"](0.0, [0.3, 0.2]) == pytest.approx([np.sin(0.2), -0.6])
     kept = {"u": "u_", "du": "du_", "end": "end_", "p": "p_"}
-    assert f"{kept.get(names[0], names[0])} = u[1]" in to_julia(equations)
+    assert f"{kept.get(names[0], names[0])} = u[1]" in made(equations).to_julia()
 
 
 def test_code_is_never_written_from_a_name_that_is_none():
     """A state that is no name, made by hand, is refused where it would become code."""
     bad = "x = __import__('os').system('true')\n    x"
-    for write in (to_python, to_julia):
+    for write in (Discovery.to_python, Discovery.to_julia):
         with pytest.raises(InputError, match="cannot stand in a formula"):
-            write({bad: -x})
+            write(made({bad: -x}))

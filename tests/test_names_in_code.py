@@ -7,9 +7,10 @@ import re
 
 import numpy as np
 import pytest
+from known_systems import made
 
 from dynsr.errors import InputError
-from dynsr.expression.export import call_names, to_julia, to_numpy, to_python
+from dynsr.expression.export import call_names, to_numpy
 from dynsr.expression.operators import FUNCTIONS
 from dynsr.expression.parsing import check_name, parse
 
@@ -74,7 +75,7 @@ def test_states_may_be_called_like_anything_of_python(names):
     """Each name of Python, its modules and NumPy gives code that runs and the same slopes."""
     equations, space = make(names), {}
     state = np.linspace(0.2, 1.4, len(names))
-    exec(to_python(equations), space)
+    exec(made(equations).to_python(), space)
     truth = [float(e.subs(s, x)) for (s, e), x in zip(equations.items(), state, strict=True)]
     assert np.allclose(space["rhs"](0.0, state), truth, rtol=1e-13)
     assert np.allclose(to_numpy(equations)(0.0, state), truth, rtol=1e-13)
@@ -99,7 +100,7 @@ def test_inputs_may_be_called_like_anything_of_python(names):
     """Under the name that is said for a call, an input is a number or a function of time."""
     equations = {"x": parse("abs(x) + sign(x) + " + " + ".join(names))}
     calls, space = call_names(equations), {}
-    exec(to_python(equations), space)
+    exec(made(equations).to_python(), space)
     given = {call: (lambda t: t) if i % 2 else 2.0 for i, call in enumerate(calls.values())}
     for function in (space["rhs"], to_numpy(equations)):
         assert np.allclose(function(2.0, np.array([1.5]), **given), 2.5 + 2.0 * len(names))
@@ -110,7 +111,7 @@ def test_no_state_hides_what_the_julia_code_calls(names):
     """Nothing that is set in the function has a name that the code calls, asks for or returns."""
     equations = make(names)
     equations[names[0]] += parse("drive")
-    code = to_julia(equations)
+    code = made(equations).to_julia()
     body = "\n".join(code.splitlines()[1:-1])
     local = set(re.findall(r"^    (\w+) = ", body, re.MULTILINE))
     called = set(re.findall(r"(?<![.\w])([^\W\d]\w*)\(", body))
@@ -123,11 +124,12 @@ def test_no_state_hides_what_the_julia_code_calls(names):
 
 def test_one_name_gives_the_same_code_as_another():
     """Only what would hide something gets an underscore, and never a name of another state."""
-    code = to_python({"callable": parse("callable_ - callable"), "callable_": parse("callable*u")})
+    equations = {"callable": parse("callable_ - callable"), "callable_": parse("callable*u")}
+    code = made(equations).to_python()
     space: dict = {}
     exec(code, space)
-    assert space["rhs"](0.0, [2.0, 5.0], 3.0) == [3.0, 6.0]
-    assert "sum, = state" in to_python({"sum": parse("-sum")})
+    assert space["rhs"](0.0, [2.0, 5.0], 3.0).tolist() == [3.0, 6.0]
+    assert "sum, = state" in made({"sum": parse("-sum")}).to_python()
 
 
 def test_the_torch_module_takes_numbers_everywhere():

@@ -78,7 +78,7 @@ def test_report_and_exports_say_the_unit(found):
     assert page.count("time t (days)") >= 3 and "time t (s)" not in page
     assert "from t = 0 to 4.95 days" in page
     for code in (found.to_python(), found.to_julia()):
-        assert "# t is in days" in code
+        assert "# The time t is in days." in code
     assert "% time in days" in found.latex()
 
 

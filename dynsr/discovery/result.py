@@ -85,10 +85,8 @@ from dynsr.expression import (
     read_own_bits,
     read_units,
     shown,
-    to_julia,
     to_latex,
     to_numpy,
-    to_python,
     to_text,
 )
 from dynsr.fit import (
@@ -1129,13 +1127,14 @@ class Discovery:
         return self.export("bibtex")
 
     def to_python(self) -> str:
-        """Write the equations as a Python function for ``scipy.integrate.solve_ivp``.
+        """Write the equations with their numbers as a Python function for ``solve_ivp``.
 
-        Inputs are taken as in :meth:`to_numpy`.
+        Inputs are taken as in :meth:`to_numpy`; ``export("python")`` is the same with named
+        parameters.
 
         Of a map it is ``step(t, state)``, which gives the next state.
         """
-        return to_python(self.equations, "step" if self.is_map else "rhs", self.time_unit)
+        return self._write_numbers("python")
 
     def to_numpy(self) -> Callable[..., np.ndarray]:
         """Give the right-hand side as a function ``rhs(t, state, inputs...)`` of arrays.
@@ -1147,13 +1146,19 @@ class Discovery:
         return to_numpy(self.equations)
 
     def to_julia(self) -> str:
-        """Write the equations as a Julia function for DifferentialEquations.jl.
+        """Write the equations with their numbers as a Julia function for DifferentialEquations.jl.
 
-        Inputs are functions of the time, or numbers, in the named tuple ``p``.
+        Inputs are functions of the time, or numbers, in the named tuple ``p``;
+        ``export("julia")`` is the same with named parameters.
 
         Of a map it is ``step!(du, u, p, t)`` for a ``DiscreteProblem``.
         """
-        return to_julia(self.equations, "step!" if self.is_map else "rhs!", self.time_unit)
+        return self._write_numbers("julia")
+
+    def _write_numbers(self, format: str) -> str:  # noqa: A002
+        from dynsr.export import Source, write_format
+
+        return write_format(Source.of(self).in_numbers, format)
 
     def to_torch(self) -> EquationModule:
         """Give the right-hand side as a torch module whose constants can be trained.

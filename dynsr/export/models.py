@@ -26,7 +26,7 @@ MODELICA: Words = Words(
     ),
     "//",
 )
-CONTROL: Words = PYTHON
+CONTROL: Words = Words(PYTHON.kept)
 
 
 class CasadiPrinter(AllDigits, PythonCodePrinter):

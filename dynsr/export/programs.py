@@ -19,7 +19,7 @@ from sympy.printing.rcode import reserved_words as reserved_words_r
 from dynsr.export.source import Source, Words, number, times
 from dynsr.expression import JULIA_WORDS, AllDigits, julia_code
 
-PYTHON: Words = Words((*keyword.kwlist, *keyword.softkwlist, "self"))
+PYTHON: Words = Words((*keyword.kwlist, "__debug__", "self"), local=True, underscore=True)
 # What a module of torch is and has: a parameter of that name would take its place.
 TORCH: Words = Words(
     (
@@ -31,7 +31,8 @@ TORCH: Words = Words(
         *("add_module", "extra_repr", "requires_grad_", "dump_patches", "call_super_init"),
         *("register_buffer", "register_module", "register_parameter", "get_parameter"),
         *("get_buffer", "get_submodule", "set_submodule", "get_extra_state", "set_extra_state"),
-    )
+    ),
+    local=True,
 )
 C: Words = Words(
     (*reserved_words_c99, "main", "NULL", *("j0", "j1", "jn", "y0", "y1", "yn", "gamma", "I")),
@@ -221,12 +222,14 @@ def write_jax(source: Source) -> str:
     """
     printer = _Jax({"fully_qualified_modules": True})
     used = source.needed(*source.equations.values())
-    values = ", ".join(f'"{n}": {number(v)}' for n, v in source.parameters.items())
+    inputs = {u: source.called(u) for u in source.measured}
+    given = {**source.parameters, **dict.fromkeys(inputs.values(), 0.0)}
+    values = ", ".join(f'"{n}": {number(v)}' for n, v in given.items())
     body = [f"    {_unpacked(source.states)} = state"]
     body += [f'    {n} = args["{n}"]' for n in source.parameters if n in used]
     body += [
-        f'    {u} = args["{u}"](t) if callable(args["{u}"]) else args["{u}"]'
-        for u in source.measured
+        f'    {u} = args["{c}"](t) if callable(args["{c}"]) else args["{c}"]'
+        for u, c in inputs.items()
     ]
     body += [f"    {u} = {printer.doprint(e)}" for u, e in source.known.items()]
     slopes = ", ".join(printer.doprint(e) for e in source.equations.values())
@@ -439,11 +442,13 @@ def write_matlab(source: Source) -> str:
     lines = [f"  {s} = state({i});" for i, s in enumerate(source.states, 1) if s in used]
     lines += [f"  {n} = p.{n};" for n in source.parameters if n in used]
     for u in source.measured:
-        lines += [f"  {u} = p.{u};", f"  if isa({u}, 'function_handle'), {u} = {u}(t); end"]
+        called = source.called(u)
+        lines += [f"  {u} = p.{called};", f"  if isa({u}, 'function_handle'), {u} = {u}(t); end"]
     lines += [f"  {u} = {_plain(printer, e)};" for u, e in source.known.items() if u in used]
     slopes = "; ...\n    ".join(_plain(printer, e) for e in source.equations.values())
     default = f"  if nargin < 3, p = struct({values}); end\n" if not source.measured else ""
-    taken = [f"% p has the fields {', '.join([*source.parameters, *source.measured])}.\n"]
+    fields = ", ".join([*source.parameters, *map(source.called, source.measured)])
+    taken = [f"% p has the fields {fields}.\n"] if fields else []
     return (
         f"function slope = {name}(t, state, p)\n"
         f"{source.comment('%')}{''.join(taken)}{'' if source.system.discrete else example}"
@@ -475,11 +480,11 @@ def write_r(source: Source) -> str:
     lines = [f'  {s} <- state[["{s}"]]' for s in source.states if s in used]
     lines += [f'  {n} <- parameters[["{n}"]]' for n in source.parameters if n in used]
     for u in source.measured:
-        lines += [f"  {u} <- inputs${u}", f"  if (is.function({u})) {u} <- {u}(t)"]
+        lines += [f"  {u} <- inputs${source.called(u)}", f"  if (is.function({u})) {u} <- {u}(t)"]
     lines += [f"  {u} <- {printer.doprint(e)}" for u, e in source.known.items() if u in used]
     slopes = ", ".join(printer.doprint(e) for e in source.equations.values())
     call = f"times = seq({start}, {end}, length.out = {count}), func = rhs, parms = parameters"
-    more = ", inputs = list(" + ", ".join(f"{u} = 0" for u in source.measured) + ")"
+    more = ", inputs = list(" + ", ".join(f"{source.called(u)} = 0" for u in source.measured) + ")"
     example = (
         ""
         if source.system.discrete
@@ -506,10 +511,12 @@ def write_julia(source: Source) -> str:
     """
     name = "step!" if source.system.discrete else "rhs!"
     used = source.needed(*source.equations.values())
-    values = ", ".join(f"{n} = {number(v)}" for n, v in source.parameters.items())
+    inputs = {u: source.called(u) for u in source.measured}
+    given = {**source.parameters, **dict.fromkeys(inputs.values(), 0.0)}
+    values = ", ".join(f"{n} = {number(v)}" for n, v in given.items())
     lines = [f"    {s} = u[{i}]" for i, s in enumerate(source.states, 1) if s in used]
     lines += [f"    {n} = p.{n}" for n in source.parameters if n in used]
-    lines += [f"    {u} = p.{u} isa Number ? p.{u} : p.{u}(t)" for u in source.measured]
+    lines += [f"    {u} = p.{c} isa Number ? p.{c} : p.{c}(t)" for u, c in inputs.items()]
     lines += [f"    {u} = {julia_code(e)}" for u, e in source.known.items() if u in used]
     lines += [f"    du[{i}] = {julia_code(e)}" for i, e in enumerate(source.equations.values(), 1)]
     start, end, count = times(source)

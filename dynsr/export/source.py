@@ -15,10 +15,12 @@ import sympy
 from dynsr import __version__
 from dynsr.data import System, Trajectory
 from dynsr.discovery import Discovery, Parameters, ParametricSystem, write_interval
-from dynsr.expression import differentiate, shown, with_signs
+from dynsr.expression import call_names, check_name, differentiate, shown, with_signs
 
 _TEXT = re.compile(r"\"[^\"\n]*\"|'[^'\n]*'")
 _IDENTIFIER = re.compile(r"(?<![.\w])[^\W\d]\w*")
+_DEFINED = re.compile(r"\b(?:def|class) \w+")
+_EXAMPLE = "if __name__"
 _LONGEST = 48
 
 
@@ -33,6 +35,7 @@ class Source:
     noise : state -> standard deviation of its measurement noise, where it is known.
     methods, engine : what found the equations, for citations.
     own : name in the code -> name in the equations, where they differ.
+    calls : input -> the name by which a call gives it, where that is another than in the code.
     """
 
     system: ParametricSystem
@@ -41,6 +44,7 @@ class Source:
     methods: tuple[str, ...] = ()
     engine: str = ""
     own: Mapping[str, str] | None = None
+    calls: Mapping[str, str] | None = None
 
     @classmethod
     def of(cls, found: Discovery | ParametricSystem | System) -> Source:
@@ -71,6 +75,27 @@ class Source:
         )
 
     @property
+    def in_numbers(self) -> Source:
+        """The same with numbers in the place of parameters."""
+        put = {
+            sympy.Symbol(n): sympy.Integer(int(v)) if v.is_integer() else sympy.Float(v)
+            for n, v in self.parameters.items()
+        }
+        equations = {s: e.xreplace(put) for s, e in self.system.equations.items()}
+        return replace(
+            self, system=replace(self.system, equations=equations, parameters=Parameters(()))
+        )
+
+    def called(self, name: str) -> str:
+        """Give the name by which a call gives an input.
+
+        Parameters
+        ----------
+        name : of the input in the code.
+        """
+        return (self.calls or {}).get(name, name)
+
+    @property
     def states(self) -> list[str]:
         """Names of the states."""
         return list(self.system.equations)
@@ -99,7 +124,10 @@ class Source:
     def jacobian(self) -> list[list[sympy.Expr]]:
         """Derivatives (k, k) of the right-hand sides by the states."""
         columns = [sympy.Symbol(state) for state in self.states]
-        return [[differentiate(e, c) for c in columns] for e in self.equations.values()]
+        return [
+            [differentiate(e, c) if c in e.free_symbols else sympy.S.Zero for c in columns]
+            for e in self.equations.values()
+        ]
 
     @property
     def start(self) -> list[float]:
@@ -128,7 +156,8 @@ class Source:
         kind = "a map, from one row to the next" if self.system.discrete else "equations"
         yield f"Made by dynsr {__version__}: {kind}."
         for new, old in (self.own or {}).items():
-            yield f"{new} is {old}."
+            if self.called(new) != old:
+                yield f"{new} is {old}."
         if self.system.time_unit:
             yield f"The time t is in {self.system.time_unit}."
         for p in self.system.parameters.values():
@@ -137,7 +166,7 @@ class Source:
             within = f" (95 %: {write_interval(p.low, p.high)})" if known else ""
             yield f"{p.name} = {p.value:.6g}{unit}{within}"
         for name in self.measured:
-            yield f"{name} is an input whose values were measured."
+            yield f"{self.called(name)} is an input whose values were measured."
 
     def comment(self, mark: str) -> str:
         """Give the lines of :meth:`about` behind the mark of a comment.
@@ -184,12 +213,16 @@ class Words:
     comment : what begins a comment that runs to the end of a line.
     fold : whether capitals are small letters.
     shared : whether a name may be no word that the code itself uses.
+    local : whether names are set within functions alone, so that an example hides none of them.
+    underscore : whether a name may begin with an underscore.
     """
 
     kept: Collection[str] = ()
     comment: str = "#"
     fold: bool = False
     shared: bool = True
+    local: bool = False
+    underscore: bool = False
 
 
 def name_in(source: Source, words: Words, write: Callable[[Source], str]) -> Source:
@@ -200,12 +233,18 @@ def name_in(source: Source, words: Words, write: Callable[[Source], str]) -> Sou
     source : what is written.
     words : what the language allows.
     write : writes the code.
+
+    Raises InputError where a name could not stand in a formula, and so would not in code.
     """
     names = [*source.states, *source.parameters, *source.system.inputs]
+    for name in names:
+        check_name(name)
     # Names that can be none of the code's own show which those are.
     blank = {name: f"blank{place}q" for place, name in enumerate(names)}
     code = _TEXT.sub("", write(_renamed(source, blank)))
     code = re.sub(rf"{re.escape(words.comment)}.*", "", code)
+    if words.local:
+        code = _DEFINED.sub("", code.partition(_EXAMPLE)[0])
 
     def folded(name: str) -> str:
         return name.lower() if words.fold else name
@@ -214,27 +253,33 @@ def name_in(source: Source, words: Words, write: Callable[[Source], str]) -> Sou
     taken = {folded(n) for n in (*used, *words.kept, "t")}
     taken -= {*blank.values()}
     new: dict[str, str] = {}
+    calls: dict[str, str] = {}
+    given = call_names(source.system.in_numbers)
     for name in names:
-        other = plain_name(name)
+        called = other = plain_name(given.get(name, name), words.underscore)
         while folded(other) in taken:
             other += "_"
         taken.add(folded(other))
         new[name] = other
-    return _renamed(source, new)
+        if name in source.measured:
+            kept = {*calls.values(), *(new[n] for n in source.parameters)}
+            calls[other] = called if called not in kept else other
+    return replace(_renamed(source, new), calls=calls)
 
 
-def plain_name(name: str) -> str:
+def plain_name(name: str, underscore: bool = False) -> str:
     """Give a name in ASCII that begins with a letter, as every language takes it.
 
     Parameters
     ----------
     name : a name of the equations.
+    underscore : whether it may begin with an underscore.
 
     >>> [plain_name(name) for name in ("x", "\u03b8_1", "na\u00efve", "_x", "\u6e29")]
     ['x', 'theta_1', 'naive', 'v_x', 'u6e29']
     """
     found = "".join(map(_plain_letter, unicodedata.normalize("NFKD", name)))[:_LONGEST]
-    return found if found[:1].isalpha() else f"v{found}"
+    return found if found[:1].isalpha() or (underscore and found[:1] == "_") else f"v{found}"
 
 
 def _plain_letter(letter: str) -> str:

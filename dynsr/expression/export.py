@@ -1,9 +1,9 @@
-"""Exports: the equations as LaTeX, Python, numpy functions and Julia, all from the same SymPy."""
+"""Exports: the equations as text, LaTeX, MathML and numpy functions, all from the same SymPy."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,11 +11,9 @@ import sympy
 from sympy.printing.julia import JuliaCodePrinter
 from sympy.printing.latex import LatexPrinter
 from sympy.printing.mathml import MathMLPresentationPrinter
-from sympy.printing.pycode import PythonCodePrinter
 from sympy.printing.str import StrPrinter
 
 from dynsr.expression.evaluation import compile_numpy
-from dynsr.expression.parsing import check_name
 from dynsr.expression.writing import as_float_tree
 
 # From here on a number is too long for a fraction of a reader's.
@@ -28,17 +26,14 @@ def arguments_of(equations: Mapping[str, sympy.Expr]) -> tuple[str, ...]:
     return tuple(sorted(used - set(equations) - {"t"}))
 
 
-# Words that name no variable; those that formulas cannot hold are left out.
-_PYTHON_WORDS = ("__debug__",)
+# Words of Julia that name no variable; those that formulas cannot hold are left out.
 JULIA_WORDS = (
     *("abstract", "baremodule", "begin", "catch", "ccall", "const", "do", "elseif", "end"),
     *("export", "false", "function", "im", "isa", "let", "local", "macro", "module", "mutable"),
     *("outer", "primitive", "quote", "struct", "true", "type", "using", "where"),
 )
 # What a call passes itself, in one export or another.
-_CALL_NAMES = ("callable", "math", "self", "state", "t", *JULIA_WORDS, *_PYTHON_WORDS)
-# A name that code reads or sets: no part of another thing, of a number or of a comment.
-_NAME = re.compile(r"#.*|(?<![.\w])[^\W\d]\w*")
+_CALL_NAMES = ("callable", "numpy", "self", "state", "t", "__debug__", *JULIA_WORDS)
 
 
 def call_names(equations: Mapping[str, sympy.Expr]) -> dict[str, str]:
@@ -58,49 +53,6 @@ def _free(name: str, kept: Collection[str], others: Collection[str]) -> str:
     while other in kept or (other != name and other in others):
         other += "_"
     return other
-
-
-def _write(
-    equations: Mapping[str, sympy.Expr],
-    name: str,
-    code: Callable[[Mapping[str, sympy.Expr], Mapping[str, str]], str],
-    kept: Collection[str] = (),
-) -> str:
-    """Write code in which no state and no input has a name that the code uses for something else.
-
-    Parameters
-    ----------
-    equations : state -> right-hand side.
-    name : of the function; within it, another thing may have it.
-    code : writes it from equations, and from the inputs: name in the code -> name in a call.
-    kept : further names that the language keeps.
-
-    Raises InputError when a name could not stand in a formula, and so would not in code.
-    """
-    calls = call_names(equations)
-    names = [*equations, *calls]
-    for own in names:
-        check_name(own)
-    signed = {state: with_signs(expr) for state, expr in equations.items()}
-    # Names that can be none of the code's own show which those are.
-    blank = {own: f"blank{place}_" for place, own in enumerate(names)}
-    used = {*_NAME.findall(code(*_renamed(signed, calls, blank, blank))), *kept}
-    used -= {*blank.values(), name.removesuffix("!")}
-    free = {own: _free(calls.get(own, own), used, names) for own in names}
-    return code(*_renamed(signed, calls, free, calls))
-
-
-def _renamed(
-    equations: Mapping[str, sympy.Expr],
-    inputs: Iterable[str],
-    new: Mapping[str, str],
-    calls: Mapping[str, str],
-) -> tuple[dict[str, sympy.Expr], dict[str, str]]:
-    swaps = {sympy.Symbol(a): sympy.Symbol(b) for a, b in new.items() if a != b}
-    return (
-        {new[state]: expr.xreplace(swaps) for state, expr in equations.items()},
-        {new[name]: calls[name] for name in inputs},
-    )
 
 
 def with_signs(expr: sympy.Expr) -> sympy.Expr:
@@ -254,42 +206,6 @@ class AllDigits:
         return repr(float(expr))
 
 
-class _Python(AllDigits, PythonCodePrinter):
-    pass
-
-
-def to_python(equations: Mapping[str, sympy.Expr], name: str = "rhs", time_unit: str = "") -> str:
-    """Write a Python function ``rhs(t, state, inputs...)`` for scipy's ``solve_ivp``.
-
-    It needs nothing but Python's ``math``; inputs are functions of ``t``, or numbers. A name that
-    the function uses itself, such as ``state``, gets an underscore. A comment says what ``t`` is
-    counted in where a ``time_unit`` is given. Raises InputError when a name of the equations could
-    not stand in a formula.
-
-    >>> print(to_python({"x": -2 * sympy.Symbol("x")}))
-    import math
-    <BLANKLINE>
-    <BLANKLINE>
-    def rhs(t, state):
-        x, = state
-        return [-2*x]
-    """
-
-    def code(equations: Mapping[str, sympy.Expr], inputs: Mapping[str, str]) -> str:
-        printer = _Python({"fully_qualified_modules": True})
-        body = ", ".join(printer.doprint(as_float_tree(e)) for e in equations.values())
-        names = ", ".join(equations) + ("," if len(equations) == 1 else "")
-        values = "".join(f"    {i} = {i}(t) if callable({i}) else {i}\n" for i in inputs)
-        head = ", ".join(["t", "state", *inputs])
-        unit = f"    # t is in {time_unit}\n" if time_unit else ""
-        return (
-            f"import math\n\n\ndef {name}({head}):\n{unit}    {names} = state\n{values}"
-            f"    return [{body}]\n"
-        )
-
-    return _write(equations, name, code, _PYTHON_WORDS)
-
-
 def to_numpy(
     equations: Mapping[str, sympy.Expr],
 ) -> Callable[..., np.ndarray]:
@@ -350,34 +266,6 @@ def julia_code(expr: sympy.Expr) -> str:
     # On numbers Julia's plain operators serve; SymPy prints the elementwise ones.
     code = str(_Julia({"contract": False}).doprint(as_float_tree(expr)))
     return code.replace(".*", "*").replace("./", "/").replace(".^", "^")
-
-
-def to_julia(equations: Mapping[str, sympy.Expr], name: str = "rhs!", time_unit: str = "") -> str:
-    """Write a Julia function ``rhs!(du, u, p, t)`` for DifferentialEquations.jl.
-
-    Inputs are functions of ``t``, or numbers, in the named tuple ``p``. A name that the function or
-    Julia uses itself gets an underscore. A comment says what ``t`` is counted in where a
-    ``time_unit`` is given. Raises InputError when a name of the equations could
-    not stand in a formula.
-
-    >>> print(to_julia({"x": -2 * sympy.Symbol("x")}))
-    function rhs!(du, u, p, t)
-        x = u[1]
-        du[1] = -2 * x
-        return nothing
-    end
-    """
-
-    def code(equations: Mapping[str, sympy.Expr], inputs: Mapping[str, str]) -> str:
-        lines = [f"    {state} = u[{i}]" for i, state in enumerate(equations, 1)]
-        lines += [f"    {i} = p.{c} isa Number ? p.{c} : p.{c}(t)" for i, c in inputs.items()]
-        lines = [f"    # t is in {time_unit}"] * bool(time_unit) + lines
-        for i, expr in enumerate(equations.values(), 1):
-            lines.append(f"    du[{i}] = {julia_code(expr)}")
-        head = f"function {name}(du, u, p, t)"
-        return "\n".join([head, *lines, "    return nothing", "end"]) + "\n"
-
-    return _write(equations, name, code, JULIA_WORDS)
 
 
 def to_text_block(equations: Mapping[str, sympy.Expr], digits: int = 6) -> str:
