@@ -31,7 +31,15 @@ os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
 
 _ROOT = Path(__file__).parent
 # Folders and pages of the documentation that search.
-_SEARCHING = {"gallery", "coming-from", "README.md", "index.md", "tutorial.md", "your-data.md"}
+_SEARCHING = {
+    "gallery",
+    "coming-from",
+    "README.md",
+    "asked.md",
+    "index.md",
+    "tutorial.md",
+    "your-data.md",
+}
 
 # A shell starts background jobs with Ctrl-C ignored; the tests of it and their children would wait.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
