@@ -127,14 +127,6 @@ def test_jax_is_the_equations(name):
         assert np.allclose(space["rhs"](t, state, space["PARAMETERS"]), expected, rtol=1e-10)
 
 
-def test_the_example_in_jax_integrates():
-    """Run as a script, diffrax gives the last state."""
-    need_module("diffrax")
-    name = "lotka-volterra"
-    found = numbers(run(sys.executable, "-c", written(name, "jax")))
-    assert np.allclose(found, last(name), rtol=1e-6)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_c_is_the_equations(name, tmp_path):
@@ -331,14 +323,6 @@ def test_python_control_computes_the_equations(name):
         assert np.allclose(found.dynamics(t, state, []), expected, rtol=1e-10)
 
 
-@pytest.mark.slow
-def test_the_example_of_python_control_integrates():
-    """Run as a script, it prints the last state."""
-    need_module("control")
-    found = numbers(run(sys.executable, "-W", "ignore", "-c", written("sir", "control")))
-    assert np.allclose(found, last("sir"), rtol=1e-6)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_sbml_is_consistent(name):
     """libsbml finds no fault in any model."""
@@ -346,21 +330,6 @@ def test_sbml_is_consistent(name):
     from dynsr.export.sbml import find_faults
 
     assert find_faults(written(name, "sbml")) == []
-
-
-@pytest.mark.parametrize("name", CALM)
-def test_sbml_is_simulated_alike(name, tmp_path):
-    """Another simulator gives the trajectory of the model."""
-    need_module("libsbml")
-    roadrunner = pytest.importorskip("roadrunner", reason="libroadrunner is not installed")
-    runner = roadrunner.RoadRunner(written(name, "sbml"))
-    runner.integrator.relative_tolerance, runner.integrator.absolute_tolerance = 1e-11, 1e-13
-    own = KNOWN[name].states
-    runner.timeCourseSelections = ["time", *own]
-    start, end = KNOWN[name].train
-    assert start == 0
-    found = runner.simulate(0, end, 11)
-    assert np.allclose(found[-1, 1:], last(name), rtol=1e-6, atol=1e-7)
 
 
 def made(equations, run, **fields):

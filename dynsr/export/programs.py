@@ -186,7 +186,7 @@ def write_torch(source: Source) -> str:
     body = [f"        {_unpacked(source.states)} = state.unbind(-1)"]
     body += [f"        {n} = self.{n}" for n in source.parameters if n in used]
     body += [f"        {u} = {u}(t) if callable({u}) else {u}" for u in source.measured]
-    if source.known:
+    if source.timed:
         body.append("        t = torch.as_tensor(t, dtype=state.dtype)")
     body += [f"        {u} = {printer.doprint(e)}" for u, e in source.known.items()]
     slopes = [

@@ -160,6 +160,8 @@ class Source:
                 yield f"{new} is {old}."
         if self.system.time_unit:
             yield f"The time t is in {self.system.time_unit}."
+        if self.timed and self.system.span[0]:
+            yield f"The states begin at t = {self.system.span[0]:g}."
         for p in self.system.parameters.values():
             unit = f" {p.unit}" if p.unit else ""
             known = p.low is not None or p.high is not None
