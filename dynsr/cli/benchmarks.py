@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 BENCHMARKS = {
     "recovery": "equations of known systems found again from their data, at levels of noise",
-    "zoo": "textbook systems measured badly, judged on their trajectories, beside pysindy",
+    "zoo": "textbook systems with noisy data, tested on their trajectories, compared with pysindy",
     "random": "the same for mechanisms of textbooks put together by chance, drawn from --seed",
     "FILE.json": "the same for the systems of a suite: a list with id, init and substituted",
 }

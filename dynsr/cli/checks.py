@@ -26,10 +26,10 @@ def crosscheck(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Compare engines with recorded answers and other programs: a verdict a row.
+    """Compare engines with recorded answers and other programs.
 
-    Runs with whatever is installed and says what it left out; exit code 2 when a row differs. Other
-    programs that are held to a known law are right or wrong, which changes no exit code.
+    Runs with what is installed and reports what it left out. The exit code is 2 when a row differs.
+    Other programs are compared with a known law, which does not change the exit code.
     """
     from dynsr.checks import crosscheck as run
 
@@ -54,7 +54,7 @@ def doctor(
     ] = False,
     json: options.Json = False,
 ) -> None:
-    """Say what is installed, what works, what is missing, and the line that mends it.
+    """Report what is installed, what works, what is missing, and how to fix it.
 
     Exit code 1 when something that is there or set up fails, 2 when something that dynsr needs is
     missing.
@@ -70,7 +70,7 @@ def doctor(
         output.print_json(found)
     else:
         rows = [(check.name, check.state, check.detail, check.remedy) for check in found]
-        output.print_table("Doctor", ("what", "state", "detail", "what mends it"), rows)
+        output.print_table("Doctor", ("what", "state", "detail", "how to fix it"), rows)
     if any(check.state == "fails" for check in found):
         raise typer.Exit(1)
     if not is_healthy(found):

@@ -170,14 +170,14 @@ def discover(
         list[Path] | None,
         typer.Argument(
             metavar="[FILE]...",
-            help="Text (CSV), Excel, Parquet, .mat, .h5, .nc, .npz; one or many: runs, or, where "
-            "they share no state, one experiment joined on the time. Cells may be empty.",
+            help="Text (CSV), Excel, Parquet, .mat, .h5, .nc, .npz. Several files are several "
+            "runs, or one experiment if they share no state. Cells may be empty.",
         ),
     ] = None,
     system: Annotated[
         str | None,
         typer.Option(
-            help="Take the data of a known system instead.",
+            help="Use the data of a known system instead.",
             autocompletion=options.complete_system,
             rich_help_panel=options.DATA,
         ),
@@ -213,8 +213,8 @@ def discover(
     scheme: Annotated[
         str | None,
         typer.Option(
-            help="How slopes are made: auto (the data choose), forward, central4, weak, ...; "
-            "forward by default with preset paper, else auto.",
+            help="How slopes are estimated: auto (the data choose), forward, central4, weak, ... "
+            "The default is auto; with preset paper it is forward.",
             autocompletion=options.complete_scheme,
             rich_help_panel=options.SEARCH,
         ),
@@ -223,7 +223,7 @@ def discover(
         bool,
         typer.Option(
             "--snap/--no-snap",
-            help="Take simple numbers for constants where the data allow it, or leave them as "
+            help="Round constants to simple numbers where the data allow it, or leave them as "
             "fitted.",
             rich_help_panel=options.SEARCH,
         ),
@@ -239,7 +239,7 @@ def discover(
         bool,
         typer.Option(
             "--explicit-time",
-            help="Let equations hold the time t.",
+            help="Let equations contain the time t.",
             rich_help_panel=options.SEARCH,
         ),
     ] = False,
@@ -266,14 +266,14 @@ def discover(
         bool,
         typer.Option(
             "--ensemble",
-            help="Say how often each term is kept in fits to data drawn with replacement.",
+            help="Report how often each term is kept in fits to data drawn with replacement.",
             rich_help_panel=options.SEARCH,
         ),
     ] = False,
     start: Annotated[
         Path | None,
         typer.Option(
-            help="Go out from the formulas of an earlier discovery: its discovery.json or folder.",
+            help="Start from the formulas of an earlier discovery: its discovery.json or folder.",
             rich_help_panel=options.SEARCH,
         ),
     ] = None,
@@ -293,7 +293,7 @@ def discover(
         bool,
         typer.Option(
             "--details",
-            help="Say too how the formulas compared in bits.",
+            help="Report also how the formulas compare in bits.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
@@ -303,19 +303,19 @@ def discover(
         typer.Option(
             "--quiet",
             "-q",
-            help="Print the verdict, the equations and warnings alone.",
+            help="Print only the verdict, the equations and warnings.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
 ) -> None:
     """Find the equation of every state from data, and check them by integrating.
 
-    Columns are guessed and the guess is shown; --time, --states, --inputs and --trajectory say
-    otherwise. Ctrl-C ends the search with the best equations so far.
+    The roles of the columns are guessed and shown; --time, --states, --inputs and --trajectory
+    change them. Ctrl-C ends the search with the best equations so far.
     """
     from dynsr.engines import find_engine
 
-    # An engine that is unknown or absent is told before anything is read.
+    # An engine that is unknown or absent is reported before anything is read.
     find_engine(engine)
     if bool(files) == bool(system):
         raise InputError("give a file of data or --system, one of the two")

@@ -77,7 +77,7 @@ def _ended_by_signals(ends: Sequence[int], interrupts: Sequence[int]) -> Iterato
     """Let the end by a signal be that, whatever others made of the exception that it raised.
 
     Compiled code that calls Python may raise an error of its own in place of any exception, or go
-    on. After Ctrl-C, which a search may answer, an error that has a remedy is still told.
+    on. After Ctrl-C, which a search may answer, an error that has a remedy is still reported.
     """
     told = (DynsrError, _CLICK_ERROR, typer.Abort, OSError, MemoryError)
     try:

@@ -41,7 +41,7 @@ def complete_engine(incomplete: str) -> list[str]:
 
 
 def complete_column(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Offer the columns of the files that stand on the line; after a comma the next one."""
+    """Offer the columns of the files on the line; after a comma the next one."""
     # While a line is unfinished, files are among the arguments that have no place yet.
     files = (*(ctx.params.get("files") or ()), *ctx.args)
     found = [name for file in files for name in _columns_of(Path(file))]
@@ -103,7 +103,8 @@ OwnEngine = Annotated[
     ),
 ]
 Seed = Annotated[
-    int, typer.Option(min=0, help="Seed of all chance; same seed, same result.", show_default=True)
+    int,
+    typer.Option(min=0, help="Seed of all randomness; same seed, same result.", show_default=True),
 ]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes; -1 uses every core.")]
 Reltol = Annotated[float, typer.Option(help="Relative tolerance.", rich_help_panel=NUMERICS)]
@@ -117,7 +118,7 @@ Span = Annotated[
 ]
 Start = Annotated[
     str | None,
-    typer.Option("--x0", help="Start state, one number a state: 1,1.", rich_help_panel=DATA),
+    typer.Option("--x0", help="Start state, one number for each state: 1,1.", rich_help_panel=DATA),
 ]
 OutFile = Annotated[
     Path | None,
@@ -163,8 +164,8 @@ Hold = Annotated[
     Names,
     typer.Option(
         "--hold",
-        help="What inputs do between rows: previous (keep the value), linear or smooth, for all or "
-        "each: u=previous,v=linear.",
+        help="What inputs do between rows: previous (keep the value), linear or smooth. For all "
+        "inputs, or for each: u=previous,v=linear.",
         rich_help_panel=DATA,
     ),
 ]
@@ -173,8 +174,7 @@ Doses = Annotated[
     typer.Option(
         "--dose",
         "--doses",
-        help="State that jumps, and the column of amounts by which it does right after each row: "
-        "x=dose.",
+        help="State that jumps right after a row, and the column of the amounts: x=dose.",
         rich_help_panel=DATA,
     ),
 ]
@@ -182,8 +182,8 @@ KnownNoise = Annotated[
     Names,
     typer.Option(
         "--noise",
-        help="Measurement errors that you know, of a state: a standard deviation in its units, a "
-        "share of its size, or the column of them: x=0.1,y=5%,z=z_sd.",
+        help="Known measurement errors of states: a standard deviation in the state's units, a "
+        "share of its value, or a column of errors: x=0.1,y=5%,z=z_sd.",
         rich_help_panel=DATA,
     ),
 ]
@@ -191,7 +191,7 @@ TrajectoryColumn = Annotated[
     str | None,
     typer.Option(
         "--trajectory",
-        help="Column that names trajectories, or several by commas.",
+        help="Column that names the trajectories; several with commas.",
         autocompletion=complete_column,
         rich_help_panel=DATA,
     ),
@@ -201,7 +201,7 @@ Decimal = Annotated[
     typer.Option(
         "--decimal",
         metavar="MARK",
-        help="Decimal mark of text: . or , where cells do not tell it.",
+        help="Decimal mark of numbers in text: . or , if the file leaves it open.",
         rich_help_panel=DATA,
     ),
 ]
@@ -209,7 +209,7 @@ Quantity = Annotated[
     str | None,
     typer.Option(
         "--quantity",
-        help="Column of a long table that says which quantity a row is of; none for none.",
+        help="Column of a long table that names the quantity of each row; none for no column.",
         autocompletion=complete_column,
         rich_help_panel=DATA,
     ),
@@ -218,7 +218,7 @@ MethodName = Annotated[
     str,
     typer.Option(
         "--method",
-        help=f"{describe_methods()}. Several by commas.",
+        help=f"{describe_methods()}. Several with commas.",
         autocompletion=complete_method,
         rich_help_panel=SEARCH,
     ),
@@ -234,30 +234,30 @@ SAY = "Your say"
 Functions = Annotated[
     str | None,
     typer.Option(
-        help="Functions that equations may hold: exp,sqrt; none for sums and ratios of powers. "
-        "Operators too: +,* leaves out /, and ** adds powers like x**0.7.",
+        help="Functions that equations may contain: exp,sqrt; none for sums and ratios of powers. "
+        "Operators too: +,* excludes /, and ** adds powers like x**0.7.",
         rich_help_panel=SAY,
     ),
 ]
 MaxComplexity = Annotated[
     float | None,
     typer.Option(
-        help="Most bits of an equation, each fitted constant counted as one symbol.",
+        help="The most bits of an equation; each fitted constant counts as one symbol.",
         rich_help_panel=SAY,
     ),
 ]
 Complexity = Annotated[
     Names,
     typer.Option(
-        help="Bits that each function or operator costs more: sin=8,/=4.",
+        help="Additional bits for each function or operator: sin=8,/=4.",
         rich_help_panel=SAY,
     ),
 ]
 Loss = Annotated[
     str | None,
     typer.Option(
-        help="What a miss counts where formulas are ranked on slopes: squared, absolute, huber or "
-        "cauchy.",
+        help="How a residual counts when formulas are ranked on slopes: squared, absolute, huber "
+        "or cauchy.",
         autocompletion=complete_loss,
         rich_help_panel=SAY,
     ),
@@ -267,7 +267,7 @@ Terms = Annotated[
     typer.Option(
         "--terms",
         "--term",
-        help='Terms of your own to try: "x*y/(1+x)".',
+        help='Your own terms to try: "x*y/(1+x)".',
         rich_help_panel=SAY,
     ),
 ]
@@ -275,7 +275,7 @@ Must = Annotated[
     Names,
     typer.Option(
         "--must",
-        help='Term that an equation holds, its coefficient fitted: "x: x*y".',
+        help='Term that an equation must contain, with a fitted coefficient: "x: x*y".',
         rich_help_panel=SAY,
     ),
 ]
@@ -284,7 +284,7 @@ Constraint = Annotated[
     typer.Option(
         "--constraints",
         "--constraint",
-        help='Sign of a term, or none: "x: x*y < 0", "x: x**2 = 0".',
+        help='Sign of a coefficient, or a forbidden term: "x: x*y < 0", "x: x**2 = 0".',
         rich_help_panel=SAY,
     ),
 ]
@@ -299,14 +299,14 @@ Nonnegative = Annotated[
 Units = Annotated[
     str | None,
     typer.Option(
-        help="Units in which equations must make sense: x=m,v=m/s,t=s; or columns, for those in "
-        "brackets in the names of the columns.",
+        help="Units of the columns, which equations must respect: x=m,v=m/s,t=s; or the word "
+        "columns, for units in brackets in the names of the columns.",
         rich_help_panel=SAY,
     ),
 ]
 TimeBudget = Annotated[
     float | None,
-    typer.Option(help="Seconds after which the best found so far is taken.", rich_help_panel=SAY),
+    typer.Option(help="Seconds after which the best result so far is taken.", rich_help_panel=SAY),
 ]
 
 
@@ -364,7 +364,7 @@ def read_names(values: Sequence[str] | None, option: str = "") -> list[str] | No
 def read_pairs(values: Sequence[str] | None, option: str) -> dict[str, float] | None:
     """Read ``sin=8,/=4`` as numbers by name; None where the option was not given.
 
-    Raises InputError that names what is no such pair.
+    Raises InputError that names what is not such a pair.
 
     >>> read_pairs(["sin=8,/=4.5"], "--complexity")
     {'sin': 8.0, '/': 4.5}
@@ -389,7 +389,7 @@ def read_pairs(values: Sequence[str] | None, option: str) -> dict[str, float] | 
 def read_hold(values: Sequence[str] | None) -> dict[str, str] | str | None:
     """Read ``previous``, or ``u=previous,v=linear``; None where the option was not given.
 
-    Raises InputError that names what is neither.
+    Raises InputError that names what is neither of them.
 
     >>> read_hold(["u=previous,v=linear"]), read_hold(["smooth"]), read_hold(None)
     ({'u': 'previous', 'v': 'linear'}, 'smooth', None)
@@ -414,7 +414,7 @@ def read_hold(values: Sequence[str] | None) -> dict[str, str] | str | None:
 def read_doses(values: Sequence[str] | None) -> dict[str, str] | None:
     """Read ``x=dose`` as the column of the amounts given to a state; None without the option.
 
-    Raises InputError that names what is no such pair.
+    Raises InputError that names what is not such a pair.
 
     >>> read_doses(["x=dose"]), read_doses(None)
     ({'x': 'dose'}, None)
@@ -434,7 +434,7 @@ def read_doses(values: Sequence[str] | None) -> dict[str, str] | None:
 def read_noise(values: Sequence[str] | None) -> dict[str, str] | None:
     """Read ``x=0.1,y=5%,z=z_sd`` as what is said of the noise of states; None without the option.
 
-    Raises InputError that names what is no such pair.
+    Raises InputError that names what is not such a pair.
 
     >>> read_noise(["x=0.1,y=5%"]), read_noise(None)
     ({'x': '0.1', 'y': '5%'}, None)

@@ -45,7 +45,7 @@ def replicate(
 ) -> None:
     """Run the paper's experiment again: Table 1, the appendix tables, Figure 1 and a report.
 
-    Whatever ends it, the next call with the same folder goes on where it stopped.
+    If it is stopped, the next call with the same folder continues.
     """
     from dynsr.paper import PAPER_NAMES
     from dynsr.paper import replicate as run
@@ -102,7 +102,7 @@ def deliver_results(
 def load_results(folder: Path) -> tuple[list[Record], dict[str, Any]]:
     """Load the records and the settings of a replication from its folder.
 
-    Raises InputError when the folder holds no results, RecordError when a file is damaged.
+    Raises InputError when the folder has no results, RecordError when a file is damaged.
     """
     from dynsr.jobs import read_manifest, read_record
     from dynsr.paper import Record
@@ -110,7 +110,7 @@ def load_results(folder: Path) -> tuple[list[Record], dict[str, Any]]:
     settings = read_manifest(folder, "replication")
     records = [read_record(p, Record)[0] for p in sorted((folder / "cells").glob("[!.]*.json"))]
     if not records:
-        raise InputError(f"{str(folder)!r} holds no finished cell; run dynsr replicate first")
+        raise InputError(f"{str(folder)!r} has no finished cell; run dynsr replicate first")
     return records, settings
 
 

@@ -67,7 +67,7 @@ class SearchProgress:
     def _write(self, step: Step) -> None:
         """Write a line for what has ended, at most one in two seconds, so that a log stays short.
 
-        Between them, running tasks are told of at gaps that grow.
+        Between them, running tasks are reported, less and less often.
         """
         from dynsr.jobs import clock, say_left
 

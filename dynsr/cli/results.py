@@ -184,11 +184,11 @@ def profile(
     decimal: options.Decimal = None,
     json: options.Json = False,
 ) -> None:
-    """Show how far the data bound each constant: its profile likelihood.
+    """Show how well the data determine each constant: its profile likelihood.
 
-    A constant is held on a grid and all others are fitted again. The interval ends where the data
-    are followed clearly worse; where they never are, that side is open. Below it stands which
-    parameters data of this kind can determine at all, and which combinations of the others.
+    The constant is fixed at the values of a grid, and all others are fitted again. The interval
+    ends where the fit becomes clearly worse. If it never does, that side is open. Then the command
+    reports which parameters and combinations data of this kind can determine at all.
     """
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, _say_to(json))
@@ -249,11 +249,10 @@ def suggest(
     decimal: options.Decimal = None,
     json: options.Json = False,
 ) -> None:
-    """Suggest the next experiment: the start that would tell most.
+    """Suggest the next experiment: the start that gives most information.
 
-    Where other formulas follow the data nearly as well, it is where they and the answer part most;
-    else where most is learnt of the constants. Bits are those that the data of the experiment are
-    expected to tell.
+    If other formulas explain the data nearly as well, it is the start where their forecasts differ
+    most. Otherwise it is the start that determines the constants best. The information is in bits.
     """
     from dynsr.discovery import SuggestionSettings
 
@@ -421,7 +420,7 @@ def report(
         typer.Option(
             "--out",
             "-o",
-            help="HTML file; beside the source by default.",
+            help="HTML file; by default in the folder of the source.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,

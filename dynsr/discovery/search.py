@@ -165,92 +165,89 @@ def discover(
     ----------
     data : a Trajectory, a list of them, ``(t, x)`` arrays, or what
         :func:`dynsr.data.reading.read_trajectories` reads or gives: a file, a frame, a mapping.
-        Each state counts where it was measured: cells may be empty (NaN), and in a list, sources
-        that share no state are one experiment, joined on the time.
-    time : name of the time column, or the (n,) times themselves; guessed by default.
-    states : names of the state columns; every other column by default.
+        Cells may be empty (NaN): each state is used where it was measured. In a list, sources
+        without a common state are one experiment, joined on the time.
+    time : the name of the time column, or the (n,) times; guessed by default.
+    states : the names of the state columns; every other column by default.
     trajectory : the column, or columns, whose values together name the trajectory of a row.
-    quantity : the column of a long table that says which quantity a row is of, each of which then
-        gets a column of its own; guessed by default, and "none" for no such column.
-    decimal : the decimal mark of numbers that are text, "." or ","; by default the cells tell.
+    quantity : the column of a long table that names the quantity of each row. Each quantity gets
+        its own column. Guessed by default; "none" for a table without such a column.
+    decimal : the decimal mark of numbers that are text, "." or ","; guessed by default.
     method : "auto", the name of a method, a method with its settings, or several.
     preset : "best", "quick" or "paper".
-    targets : the states whose equations are sought; "all" of them by default.
-    inputs : columns that are inputs, or input name -> expression in ``t``, function of one time,
+    targets : the states whose equations are searched; "all" by default.
+    inputs : columns that are inputs; or input name -> expression in ``t``, function of one time,
         or values at the times.
-    hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth";
-        or one of these words for all. By default the values tell.
-    doses : state -> column of amounts: the state jumps by the amount right after that row, which
-        was measured before. Each part between doses counts as a trajectory.
-    noise : state -> its measurement errors where you know them: a standard deviation in its units,
-        a share of its size such as "5 %", the column of them, or one value a row. They then weigh
-        the rows, are no more estimated, and say what is left to explain. Of a column that is called
-        so, such as x_sd, the size is estimated unless it is named here.
-    known : state -> the part of its equation that is given; the rest is searched.
-    seed : all chance comes from it; the result does not depend on ``jobs``.
-    jobs : searches at a time; -1 uses every core.
-    engine : "embedded", "julia" or an engine: what regresses and integrates. The searches for
-        constants on the states stay in the embedded one; the record says which did what
-        (``settings["engines"]``). Another engine than that one also follows what was found over
-        the data (``settings["confirmed"]``).
-    scheme : how slopes are made; by default forward differences with preset "paper", as there,
-        and with the others "auto", which lets the data choose. Of the names that
-        :func:`dynsr.data.slopes.smooth_column` takes, "weak" is the weak form; in noise "auto" is
-        better than any of them, since it searches along the states and not on slopes.
-    slopes : state -> the user's own slopes, one array (or one a trajectory).
-    out : folder that keeps every finished task; the same call on it goes on where it was killed.
-    progress : called with a :class:`Step` as tasks end, and every half second while they run; True
-        shows live lines until the end, as a notebook does by default, and False none.
-    snap : whether constants become simple numbers where the data allow it; False leaves them as
-        fitted. Terms come and go in either case, and exponents stay whole.
-    order : 1, or 2 for ``x'' = f(x, x', ...)``, of all targets or state -> order. The velocity
-        ``x_dot`` is made from the data and is a state of its own, with ``x' = x_dot``.
-    explicit_time : whether equations may hold the time ``t``.
-    discrete : whether to find a map ``x[n+1] = f(x[n])`` from row to row; nothing is
-        differentiated or integrated then, and constants are those of least squares on one step.
+    hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth".
+        One word applies to all inputs. Chosen from the values by default.
+    doses : state -> column of amounts. The state jumps by the amount right after that row. Each
+        part between doses counts as a trajectory.
+    noise : state -> its known measurement errors: a standard deviation in its units, a share of
+        its value such as "5 %", a column of errors, or a value for each row. They weight the rows
+        and are not estimated. A column such as x_sd that is not named here gives relative errors,
+        whose size is estimated.
+    known : state -> the given part of its equation; the rest is searched.
+    seed : the source of all randomness; the result does not depend on ``jobs``.
+    jobs : the number of searches at a time; -1 uses every core.
+    engine : "embedded", "julia" or an engine, for regression and integration. Searches for
+        constants on the states always use the embedded engine. The record says which engine did
+        what (``settings["engines"]``). Another engine also integrates the result over the data
+        (``settings["confirmed"]``).
+    scheme : how slopes are estimated. "auto" lets the data choose. It is the default, except for
+        preset "paper", which uses forward differences. Other names are those of
+        :func:`dynsr.data.slopes.smooth_column`; "weak" is the weak form. In noise, "auto" is
+        better than any of them, because it uses no slopes.
+    slopes : state -> your own slopes, one array, or one for each trajectory.
+    out : a folder that keeps every finished task. The same call on it continues where it stopped.
+    progress : a function that is called with a :class:`Step` as tasks end, and every half second
+        while they run. True shows live lines, as a notebook does by default; False shows none.
+    snap : whether constants become simple numbers where the data allow it. False leaves them as
+        fitted. Terms are chosen in both cases, and exponents stay whole.
+    order : 1, or 2 for ``x'' = f(x, x', ...)``, for all targets or state -> order. The velocity
+        ``x_dot`` is estimated from the data and is a state, with ``x' = x_dot``.
+    explicit_time : whether equations may contain the time ``t``.
+    discrete : whether to find a map ``x[n+1] = f(x[n])`` from row to row. Then nothing is
+        differentiated or integrated, and the constants are those of least squares on one step.
     settings : the numbers that decide outside the methods.
-    functions : functions and operators that equations may hold, such as ["exp", "/"]; sums,
-        products and whole powers always may. None leaves the methods their own, [] sums and ratios
-        of powers. See :meth:`dynsr.expression.Vocabulary.read`.
-    max_complexity : most bits of an equation, each fitted constant counted as one symbol
+    functions : functions and operators that equations may contain, such as ["exp", "/"]. Sums,
+        products and whole powers are always allowed. None allows what each method has; [] allows
+        sums and ratios of powers. See :meth:`dynsr.expression.Vocabulary.read`.
+    max_complexity : the most bits of an equation; each fitted constant counts as one symbol
         (:func:`dynsr.fit.structure_bits`).
-    complexity : function or operator -> bits that each of it adds to the description length of a
-        formula, such as {"sin": 8, "/": 4}; in searches, fits, choices, fronts and
-        ``max_complexity`` alike.
+    complexity : function or operator -> bits that it adds to the description length of a formula,
+        such as {"sin": 8, "/": 4}, wherever bits are counted.
     loss : "squared", "absolute", "huber", "cauchy", or a function of predicted and actual slopes
-        (n,) that gives the loss of each row: what a miss counts where formulas that forecast
-        held-back data alike are ranked on the slopes, and in fits of the constants of the best of
-        them. It has no say in the searches, where the noise is so large that whole systems are
-        compared on the states, where exact slopes or a start end the search, nor in the last fit
-        of the constants to the states and in the verdict; errors on fronts are of least squares.
-    terms : terms in the columns that every method searches beside its own.
-    must : state -> a term, or several, that its equation holds, coefficients fitted, whether the
-        data ask for it or not; or lines such as "x: x*y". Floats inside a term are fitted too.
-    constraints : state -> term -> "+", "-" or 0, the sign of its coefficient where the equation is
-        multiplied out; or lines such as "x: x*y < 0".
-    conserved : linear combinations of states that do not change, such as "S + I + R"; the equation
+        (n,) that gives the loss of each row. It ranks formulas on slopes and fits the constants of
+        the best ones. It does not affect the searches, the comparison of whole systems in noise,
+        the last fit to the states, the verdict, or errors on fronts.
+    terms : terms in the columns that every method searches in addition to its own.
+    must : state -> a term, or several, that its equation must contain, with fitted coefficients;
+        or lines such as "x: x*y". Floats inside a term are fitted too.
+    constraints : state -> term -> "+", "-" or 0: the sign of its coefficient in the expanded
+        equation; or lines such as "x: x*y < 0".
+    conserved : linear combinations of states that do not change, such as "S + I + R". The equation
         of the last state of each follows from the others.
     nonnegative : states that never fall below 0: their slope at 0 is not negative.
     units : column, or "t" for the time, -> its unit as pint reads it, such as "m/s"; "columns"
-        takes those in brackets in the names of the columns. No equation then adds what cannot be
-        added, or takes a function of what is no plain number; coefficients carry any unit.
-    time_budget : seconds after which the best found so far is taken, without those in which
-        libraries load. A budget that is hit makes the result depend on the machine; the record says
-        what it ended. One that is not changes nothing.
+        reads units in brackets from the names of the columns. No equation adds different units, or
+        takes a function of a number with a unit. Coefficients may have any unit.
+    time_budget : seconds after which the best result is taken, without the time for loading
+        libraries. A budget that ends a search makes the result depend on the machine, and the
+        record names what it ended. A budget that does not changes nothing.
     ensemble : True, or a number of draws: how often each term is kept, and the interval of its
-        coefficient, over fits to data drawn with replacement (:func:`dynsr.bootstrap`); it stands
-        in ``found.ensemble``, the report and the shell.
-    start : an earlier discovery of the same columns, or the file or folder that it was saved to:
-        its formulas are fitted to these data and are candidates from the start; where they are a
-        law of these data too, nothing else is searched.
+        coefficient, in fits to data drawn with replacement (:func:`dynsr.bootstrap`). The result
+        is in ``found.ensemble``, in the report and in the shell's output.
+    start : an earlier discovery of the same columns, or the file or folder that it was saved to.
+        Its formulas are fitted to these data and are candidates. If they are a law of these data
+        too, the search ends.
 
-    Ctrl-C ends the searches: what they have found is given as a Discovery whose ``complete`` is
-    False and which nobody judged, and the same call on the same ``out`` goes on from there; with
-    nothing found yet it raises KeyboardInterrupt.
+    Ctrl-C ends the searches and gives what they have found: a Discovery whose ``complete`` is
+    False, without a verdict. The same call on the same ``out`` continues. If nothing was found
+    yet, it raises KeyboardInterrupt.
 
-    Part of the data is held back from the searches to choose among their formulas; then the
-    constants are fitted to all of it. Raises InputError when the data cannot be used, ``out``
-    holds another discovery or the engine is unknown, EngineUnavailable when it is absent.
+    The searches do not see a part of the data, which then chooses among their formulas. The
+    constants are fitted to all of the data. Raises InputError when the data cannot be used,
+    ``out`` has another discovery or the engine is unknown, EngineUnavailable when it is absent.
 
     >>> import numpy as np
     >>> t = np.linspace(0, 3, 301)
