@@ -94,7 +94,7 @@ def _say_unknown(function: Callable[..., Any], name: str, named: Mapping[str, An
         return None
     for given in named:
         if given not in kinds:
-            own = [key for key in kinds if key != "self"]
+            own = [key for key in kinds if key not in ("self", "cls")]
             near = get_close_matches(given, own, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"it takes: {', '.join(own)}"
             return f"{name}() got an unexpected keyword argument {given!r}; {hint}"

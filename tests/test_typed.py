@@ -1,7 +1,9 @@
 """What a user writes against dynsr: types that a checker knows, and names that are misspelt."""
 
+import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 import dynsr
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.verdict import Verdict
+from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import ParetoFront
 
@@ -40,7 +43,22 @@ regressor = dynsr.TrajectoryRegressor(preset="quick")
 regressor.fit(run.x, t=run.t)
 system: dynsr.System = named.system.to_system()
 again: dynsr.Trajectory = dynsr.simulate(system)
+for point in found.fixed_points():
+    stands: str = point.text
+matrix: np.ndarray = found.linearise({"x": 0.0}).A
+changes: list[tuple[float, str]] = found.bifurcation("k1", np.linspace(0.1, 1.0, 3)).changes()
+low: float | None = found.profile("x:0").low
+reason: str = found.verdict.states["x"].reason
+latex: str = found.latex(names=True)
+rows: np.ndarray = found.to_numpy()(0.0, np.array([1.0]))
+known: dynsr.Discovery = dynsr.Discovery.from_system(system, [run])
+described: dynsr.Description = dynsr.describe(run)
+method: dynsr.AbstractMethod = dynsr.make_method("sindy")
+noisy: dynsr.Trajectory = dynsr.add_noise(run, 0.1, np.random.default_rng(0))
 """
+WRONG = (
+    "import dynsr\nlevel: int = dynsr.load('a').verdict.level\ndynsr.load('a').front['x'].bits\n"
+)
 
 
 @pytest.mark.slow
@@ -51,6 +69,24 @@ def test_a_users_script_passes_a_type_checker(tmp_path):
     command = [sys.executable, "-m", "mypy", "--strict", "user.py"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["standard", "strict"])
+def test_a_users_script_passes_pyright(tmp_path, mode):
+    """Pyright has nothing to say of the same script, and sees what is wrong in another."""
+    need = "basedpyright is not installed"
+    pytest.importorskip("basedpyright", reason=need)
+    (tmp_path / "user.py").write_text(SCRIPT)
+    (tmp_path / "wrong.py").write_text(WRONG)
+    home = str(Path(dynsr.__file__).parents[1])
+    settings = {"typeCheckingMode": mode, "extraPaths": [home], "reportMissingTypeStubs": False}
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(settings))
+    command = [sys.executable, "-m", "basedpyright", "--pythonpath", sys.executable]
+    done = subprocess.run([*command, "user.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    done = subprocess.run([*command, "wrong.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert '"bits"' in done.stdout and '"str" is not assignable to "int"' in done.stdout
 
 
 @pytest.mark.slow
@@ -71,11 +107,12 @@ def test_there_is_always_a_verdict(tmp_path):
     assert again.verdict == found.verdict and found.as_record()["verdict"] is None
 
 
-@pytest.mark.parametrize("kind", ["equations", "front", "constants"])
+@pytest.mark.parametrize("kind", ["equations", "front", "constants", "explanation"])
 def test_a_state_that_is_none_is_a_key_error_with_the_names(kind):
     """The nearest name is offered."""
     front = {"prey": ParetoFront(), "hunters": ParetoFront()}
-    found = Discovery({"prey": parse("-prey"), "hunters": parse("prey")}, {}, front, {})
+    said = {"prey": "few terms", "hunters": "few terms"}
+    found = Discovery({"prey": parse("-prey"), "hunters": parse("prey")}, {}, front, said)
     table = getattr(found, kind)
     said = r"no state 'pray' \(did you mean 'prey'\?\); the states are: prey, hunters"
     with pytest.raises(KeyError, match=said):
@@ -95,3 +132,7 @@ def test_a_keyword_that_is_misspelt_is_told_the_nearest():
     found = Discovery({"x": parse("-x")}, {}, {}, {})
     with pytest.raises(TypeError, match="'where'; it takes: x0, t, inputs, engine, hold, doses"):
         found.simulate([1.0], t, where=3)
+    with pytest.raises(TypeError, match="'begin'; it takes: equations, x0"):
+        dynsr.System.from_strings({"x": "-x"}, begin=[1.0])
+    with pytest.raises(InputError, match=r"no setting 'treshold' \(did you mean 'thresholds'\?\)"):
+        dynsr.make_method("sindy", treshold=0.1)

@@ -196,7 +196,7 @@ class Discovery:
 
     def __post_init__(self) -> None:
         """Have a name that is no state's told which there are."""
-        for name in ("equations", "front"):
+        for name in ("equations", "front", "explanation"):
             object.__setattr__(self, name, ByState(getattr(self, name)))
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -73,8 +74,11 @@ class AbstractMethod(ABC):
         settings = [f.name for f in fields(cls) if f.init]  # type: ignore[arg-type]
         for setting in changes:
             if setting not in settings:
+                near = get_close_matches(setting, settings, 1)
+                hint = f" (did you mean {near[0]!r}?)" if near else ""
+                known = ", ".join(settings)
                 raise InputError(
-                    f"{cls.__name__} has no setting {setting!r}; it has: {', '.join(settings)}"
+                    f"{cls.__name__} has no setting {setting!r}{hint}; it has: {known}"
                 )
         return cls(**{**cls.presets[name], **changes})
 
