@@ -47,7 +47,6 @@ def endless(*_: object, **__: object) -> None:
         (problem, "polish", NOISY),
         (problem, "polish", EXACT),
         (problem, "judge", NOISY),
-        (problem, "other_in_halves", NOISY),
         (search, "follow_anyway", NOISY),
         (search._Steps, "_end_early", EXACT),
     ],

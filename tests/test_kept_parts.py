@@ -198,7 +198,7 @@ def test_fits_of_whole_systems_are_made_once_however_often_a_run_is_cut(tmp_path
     usual = sorted(made)
     assert {name for name, _ in usual} == {"system", "drift"}
     with monkeypatch.context() as patch:
-        cut_after_each(patch, 100)
+        cut_after_each(patch, 20)
         made.clear()
         found, cuts = again_and_again(
             lambda: dynsr.discover(run, **asked, out=tmp_path / "cut"), len(usual)

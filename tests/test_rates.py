@@ -11,12 +11,12 @@ from dynsr.expression import parse
 from dynsr.fit import skeleton, with_floats
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings, compare_systems, explore
-from dynsr.selection.alone import Alone, Leader
+from dynsr.selection.alone import Leader
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.costs import rounded
 from dynsr.selection.rates import shared_bits
-from dynsr.selection.replacements import Along, Replaceable, replacements, try_replacements
+from dynsr.selection.renewal import renew, renewals
 from dynsr.selection.subsets import taken_whole, without
 from dynsr.selection.systems import _compose_related as compose_related
 
@@ -107,7 +107,7 @@ def test_an_equation_is_found_anew_along_the_system():
     """From a straight line in the place of Hill's function the loop is found in one step."""
     comparison = SystemComparison(looped().mesh(("m", "p")), SETTINGS)
     wrong = comparison.fit(floats({"m": "0.4*p - 0.3*m + 0.1", "p": LOOP["p"]}))
-    best = try_replacements(comparison, wrong, lambda fit: fit)
+    best = renew(comparison, wrong, lambda fit: fit)
     assert skeleton(best.exprs["m"]) == skeleton(floats(LOOP)["m"])
     assert best.bits < wrong.bits - 50
 
@@ -118,7 +118,7 @@ def test_what_the_user_forbids_is_not_found_anew():
     forbidding = replace(SETTINGS, demands=demands)
     comparison = SystemComparison(looped().mesh(("m", "p")), forbidding)
     fit = comparison.fit(floats({"m": "0.4 - 0.3*m", "p": LOOP["p"]}))
-    found = replacements(comparison, fit, "m")
+    found = renewals(comparison, fit, "m")
     assert found
     assert not any(e.has(sympy.Function) for e in found)
     assert all(e.as_coefficients_dict().get(sympy.Symbol("p")) is None for e in found)
@@ -126,17 +126,13 @@ def test_what_the_user_forbids_is_not_found_anew():
 
 @pytest.mark.slow
 def test_a_forcing_is_cited_too():
-    """What moves one equation with the time is offered to another, alone and along the system."""
+    """What moves one equation with the time is offered to another along the system."""
     forced = {"x": "0.9*cos(t) - x", "v": "0.4*cos(t) - 0.5*v + x"}
     data = measured(tuple(forced.items()), (1.0, 0.0), 20.0, 150, 0.01)
     exprs = floats(forced)
-    alone = Alone.of("v", data, SETTINGS)
-    begun = alone.lead(floats({"v": "x - 0.5*v"}).values())
-    found = alone.lead_citing(begun, [Leader(exprs["x"], 0.0)])
-    assert skeleton(found[0].expr) == skeleton(exprs["v"])
     comparison = SystemComparison(data.mesh(("x", "v")), SETTINGS)
-    along = Along(comparison, comparison.fit({**exprs, "v": begun[0].expr}))
-    assert skeleton(exprs["v"]) in map(skeleton, Replaceable.of(along, "v").cited())
+    fit = comparison.fit({**exprs, "v": parse("1.0*x - 0.5*v")})
+    assert skeleton(exprs["v"]) in map(skeleton, renewals(comparison, fit, "v"))
 
 
 def test_columns_set_free_are_those_of_least_squares():

@@ -33,6 +33,7 @@ SELDOM = {
     "selection.comparison.noisy",
     "selection.comparison.pieces",
     "selection.comparison.proposals.library.alone",
+    "selection.comparison.softness",
     "selection.fit.explained",
     "selection.fit.match_follows",
     "selection.fit.solver",

@@ -24,9 +24,7 @@ from dynsr.selection import (
     SystemChoice,
     compare_systems,
     explore,
-    other_in_halves,
 )
-from dynsr.selection.alone import Alone, Leader
 from dynsr.selection.changes import (
     drop_least,
     promising_changes,
@@ -36,6 +34,7 @@ from dynsr.selection.changes import (
 )
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.costs import bodies_of, cited_bits, citing_bits
+from dynsr.selection.renewal import renewals
 from dynsr.selection.systems import _bits_above, distinct_shapes, integrate
 from dynsr.selection.systems import _prefer_reproducing as prefer_reproducing
 
@@ -332,11 +331,11 @@ def test_a_flow_that_carries_one_carries_the_other():
     """Two boxes exchange water at |h - s|, which costs once, and is offered to each of them."""
     boxes = {"h": "1.2 - h - h*abs(h - s)", "s": "0.5 - 0.4*s - s*abs(h - s)"}
     data = noisy(tuple(boxes.items()), (0.1, 0.9), 8.0, 100, 0.01)
-    alone = Alone.of("s", data, SETTINGS)
-    own = alone.lead([parse("2.5*h - 1.5*h^2 - 0.8")])
+    comparison = SystemComparison(data.mesh(("h", "s")), SETTINGS)
     flow = with_floats(parse(boxes["h"]))
-    led = alone.lead_citing(own, [Leader(flow, 0.0)])
-    assert parse("s*abs(h - s)") in {body for one in led for body in bodies_of(one.expr)}
+    fit = comparison.fit({"h": flow, "s": parse("2.5*h - 1.5*h^2 - 0.8")})
+    led = renewals(comparison, fit, "s")
+    assert parse("s*abs(h - s)") in {body for expr in led for body in bodies_of(expr)}
     both = [flow, with_floats(parse(boxes["s"]))]
     assert cited_bits(both) >= citing_bits(parse("abs(h - s)"))
 
@@ -432,17 +431,6 @@ def test_one_edit_away():
         parse("(x + 2*y)/(y + 1)"),
         parse("(x*y + 2)/(y + 1)"),
     ]
-
-
-@pytest.mark.slow
-def test_a_law_is_found_again_in_either_half_of_the_rows():
-    """Every second row asks for the law's own terms; of a wrong equation another is named."""
-    data = measured("Lotka-Volterra")
-    for state, text in TRUTHS["Lotka-Volterra"].items():
-        assert other_in_halves(state, parse(text), data, SETTINGS) is None
-    other = other_in_halves("y", parse("0.05*x*y - 1.3"), data, SETTINGS)
-    assert other is not None
-    assert {str(t) for t in coefficients(other)} == {"y", "x*y"}
 
 
 def test_half_of_the_rows_are_measured_in_a_half():

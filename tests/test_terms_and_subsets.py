@@ -26,7 +26,7 @@ from dynsr.selection.costs import (
 )
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.systems import explore
-from dynsr.selection.terms import Terms, TermSettings, find_turning, slopes_inside
+from dynsr.selection.terms import Terms, TermSettings, find_turning
 
 X, Y = sympy.symbols("x y")
 RNG = np.random.default_rng(0)
@@ -341,16 +341,6 @@ def test_what_all_terms_share_is_written_once():
     growth = 1.5 * X - 0.5 * X**2 - 2.5 * X * Y
     assert shape_bits(growth) < structure_bits(growth)
     assert shape_bits(growth + 0.5) == structure_bits(growth + 0.5)
-
-
-def test_the_slope_by_a_constant_inside_is_its_derivative():
-    """The slope of a term by the logarithm of its constant is c times the derivative by c."""
-    columns = {"x": POSITIVE[0], "y": POSITIVE[1]}
-    c = sympy.Symbol("c")
-    for shape in (X / (X + c), sympy.exp(-c * X), Y * X**c, X * Y / (X + c * Y)):
-        slope = evaluate((c * shape.diff(c)).subs(c, 1.4), columns)
-        found = slopes_inside([shape.subs(c, 1.4)], ("x", "y"), POSITIVE)[0]
-        np.testing.assert_allclose(found, slope, rtol=1e-6)
 
 
 def test_a_constant_inside_is_found_between_those_that_are_tried():

@@ -17,7 +17,7 @@ from dynsr.selection import ComparisonSettings, compare_systems
 from dynsr.selection.alone import Alone, Leader
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
-from dynsr.selection.replacements import try_replacements
+from dynsr.selection.renewal import renew
 from dynsr.selection.twins import exchanged, families, first_of_each, with_twins
 
 SETTINGS = ComparisonSettings()
@@ -170,7 +170,7 @@ def test_a_twin_is_tried_though_the_states_are_bent_beside_it():
     comparison = SystemComparison(data.mesh(tuple(PLANET)), SETTINGS)
     wrong = "0.229*u^2 - 0.957*u*v + 0.094*v - 2.066*y"
     begun = comparison.fit({**floats(PLANET), "x": parse("u"), "y": parse("v"), "v": parse(wrong)})
-    found = try_replacements(comparison, begun, lambda fit: fit)
+    found = renew(comparison, begun, lambda fit: fit)
     for state in ("u", "v"):
         assert skeleton(found.exprs[state]) == skeleton(floats(PLANET)[state])
 

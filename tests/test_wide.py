@@ -14,7 +14,7 @@ from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.likeness import Likeness
-from dynsr.selection.replacements import Along, Replaceable, try_replacements
+from dynsr.selection.renewal import renew, renewals
 from dynsr.selection.terms import Terms, TermSettings
 from dynsr.selection.wide import WideTerms
 
@@ -141,8 +141,6 @@ def test_values_beyond_numbers_are_let_be(size):
     target = size * evaluate(parse("exp(1.2*x)*y"), COLUMNS)
     found = like().wide_sums(VALUES, target, np.inf)
     assert bool(found) == (size < 1e100)
-    cited = like().cited_sums(target, np.inf, [parse("exp(1.2*x)*y")])
-    assert bool(cited) == (size < 1e100)
 
 
 def test_what_holds_no_constant_is_fitted_already():
@@ -170,18 +168,6 @@ def test_no_sum_is_like_a_constant():
     """What is the same everywhere has no likeness, and neither has what is no number."""
     for value in (0.0, 2.5, np.nan):
         assert like().wide_sums(VALUES, np.full(200, value), np.inf) == []
-        assert like().cited_sums(np.full(200, value), np.inf, [parse("y/(0.5 + x)")]) == []
-
-
-@pytest.mark.slow
-def test_lines_of_other_equations_are_cited():
-    """What is used up at the same catalyst stands over the line of the other equation."""
-    target = evaluate(parse("-1.2*x/(0.5 + x + 0.8*y)"), COLUMNS)
-    written = [parse("y/(0.5 + x + 0.8*y)")]
-    expr, bits = like().cited_sums(target, np.inf, written)[0]
-    assert skeleton(expr) == skeleton(parse("-1.2*x/(0.5 + x + 0.8*y)"))
-    wide = {skeleton(e): b for e, b in like().wide_sums(VALUES, target, np.inf)}
-    assert bits < wide[skeleton(expr)] - 10
 
 
 def test_what_is_not_allowed_is_in_no_sum():
@@ -204,7 +190,7 @@ def test_a_product_of_waves_is_found_from_a_line(state):
     """Beside the other equation one is found anew as a product of a sine and a cosine."""
     comparison = drifting()
     wrong = comparison.fit(floats({**CELL, state: BEGUN[state]}))
-    best = try_replacements(comparison, wrong, lambda fit: fit)
+    best = renew(comparison, wrong, lambda fit: fit)
     assert skeleton(best.exprs[state]) == skeleton(floats(CELL)[state])
     assert best.bits < wrong.bits - 50
 
@@ -214,7 +200,7 @@ def test_what_the_user_forbids_is_no_wide_term():
     """Where no function is allowed, none is found anew."""
     demands = read_demands(("x", "y"), ("x", "y"), functions=[], constraints=[])
     comparison = SystemComparison(drifting().mesh, replace(SETTINGS, demands=demands))
-    found = Replaceable.of(Along(comparison, comparison.fit(floats(BEGUN))), "x").wide()
+    found = renewals(comparison, comparison.fit(floats(BEGUN)), "x")
     assert found
     assert not any(e.has(sympy.Function) for e in found)
 

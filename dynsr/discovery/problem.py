@@ -80,7 +80,6 @@ from dynsr.selection import (
     lead_with,
     may_be_exact,
     noise_shown,
-    other_in_halves,
 )
 
 T = TypeVar("T")
@@ -643,8 +642,6 @@ class Problem:
         if self.form.discrete:
             front = {s: own for s, own in found.front.items() if s not in self.known}
             return judge_map(found.equations, self.runs, front, self.settings.verdict)
-        if rivals is not None:
-            rivals = self._with_halves(found, rivals)
         verdict = judge(
             found.equations,
             self.runs,
@@ -672,21 +669,6 @@ class Problem:
                 size = max(slope_size(own), 1e-300)
                 found[state] = missed / size, float(own.noise or 0.0) / size
         return found
-
-    def _with_halves(self, found: Discovery, rivals: Rivals) -> Rivals:
-        """Put what half of the rows ask for beside the formulas that come close."""
-        data, most = self.measurements, self.settings.verdict.rival_bits
-        if data is None or not self.settings.selection.parts.has("halves"):
-            return rivals
-        wider = dict(rivals)
-        for state, expr in found.equations.items():
-            clear = all(bits >= most for _, bits in rivals.get(state, ()))
-            if not clear or expr.is_Symbol or not expr.free_symbols:
-                continue
-            other = other_in_halves(state, expr, data, self.settings.selection.comparison)
-            if other is not None:
-                wider[state] = [(other, 0.0), *rivals.get(state, ())]
-        return wider
 
     def settle(self, explored: Sequence[Found]) -> SystemChoice | None:
         """Give the best system of these alone where other methods could not do better; else None.

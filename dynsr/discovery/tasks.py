@@ -216,7 +216,7 @@ def explore_one(
 ) -> Found:
     """Look for the sums of terms that follow one state best, along the smoothed states."""
     began = time.monotonic()
-    exprs = explore(state, data, settings.comparison, settings.look, settings.fit)
+    exprs = explore(state, data, settings.comparison)
     samples = data.samples(state)
     named = "sums of terms along the states"
     candidates = tuple(score_candidate(e, samples, named) for e in exprs)

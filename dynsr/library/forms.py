@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import combinations, combinations_with_replacement, product
+from itertools import combinations, combinations_with_replacement, permutations, product
 
 import numpy as np
 import sympy
@@ -18,8 +18,13 @@ import sympy
 from dynsr.expression import compile_columns
 from dynsr.library.atoms import ATOMS, Atom, Domain
 
+# Constants inside a form at most.
+MOST_INSIDE = 2
 # Atoms of which two may stand in one term, of different columns.
 _TOGETHER = ("saturates1", "saturates2", "inhibits1", "inhibits2")
+# Atoms that are another one, or none, beside a column of their own.
+_INVERSES = ("inverse", "inverse square", "inverse cube", "power")
+_CANCELLED = (*_INVERSES, "inhibits1", "inhibits2", "inhibits3", "inhibits4")
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,7 @@ class LibrarySettings:
     low, beyond : sizes at which a function may bend: from half of that quantile of its column's own
         sizes, up to that multiple of the largest,
     widest, apart : so far from each other at most, and so many times each the one before.
+    functions : whether there are others than products of the columns.
     most : rows of values at most; of more, those of the forms with fewest factors are kept.
     """
 
@@ -46,6 +52,7 @@ class LibrarySettings:
     beyond: float = 3.0
     widest: float = 100.0
     apart: float = 1.9
+    functions: bool = True
     most: int = 12_000
 
 
@@ -59,13 +66,13 @@ class Factor:
 
 @dataclass(frozen=True)
 class Form:
-    """A product of powers of columns and of atoms, or a term of the user's own.
+    """A product of powers of columns and of atoms, or a term that is given.
 
     Parameters
     ----------
     powers : (place of a column, exponent) of each.
     factors : the atoms.
-    own : a term of the user's own, without constants to be moved.
+    own : a term that is taken as it is.
     """
 
     powers: tuple[tuple[int, int], ...] = ()
@@ -75,7 +82,7 @@ class Form:
     @cached_property
     def constants(self) -> int:
         """How many constants are inside."""
-        return sum(f.atom.has_constant for f in self.factors)
+        return sum(len(f.atom.inside) for f in self.factors)
 
     def write(self, names: Sequence[str], constants: Iterable[float] = ()) -> sympy.Expr:
         """Write it in its columns.
@@ -90,8 +97,8 @@ class Form:
         symbols, left = [sympy.Symbol(name) for name in names], iter(constants)
         parts = [symbols[place] ** power for place, power in self.powers]
         for factor in self.factors:
-            number = sympy.Float(float(next(left))) if factor.atom.has_constant else None
-            parts.append(factor.atom.write(tuple(symbols[i] for i in factor.columns), number))
+            numbers = tuple(float(next(left)) for _ in factor.atom.inside)
+            parts.append(factor.atom.write(tuple(symbols[i] for i in factor.columns), numbers))
         return sympy.Mul(*parts)
 
     def both(
@@ -114,21 +121,18 @@ class Form:
         values, used = np.broadcast_to(plain, (count, len(plain))), 0
         slopes: list[np.ndarray] = []
         for factor in self.factors:
-            own: np.ndarray | float = 1.0
-            if factor.atom.has_constant:
-                own, used = constants[:, used, None], used + 1
-            value, slope = factor.atom.both(points[list(factor.columns)], own)
-            slopes = [s * value for s in slopes]
-            if factor.atom.has_constant:
-                slopes.append(values * slope)
+            own = constants[:, used : used + len(factor.atom.inside)]
+            used += len(factor.atom.inside)
+            value, turned = factor.atom.both(points[list(factor.columns)], own)
+            slopes = [s * value for s in slopes] + [values * s for s in turned.swapaxes(0, 1)]
             values = values * value
         return values, np.stack(slopes, axis=1) if slopes else np.zeros((count, 0, len(plain)))
 
     def moved(self, constants: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Give the constants inside (c,) after steps (c,) along their slopes."""
-        atoms = [f.atom for f in self.factors if f.atom.has_constant]
-        pairs = zip(atoms, constants.tolist(), steps.tolist(), strict=True)
-        return np.array([atom.moved(value, step) for atom, value, step in pairs])
+        inside = [one for f in self.factors for one in f.atom.inside]
+        pairs = zip(inside, constants.tolist(), steps.tolist(), strict=True)
+        return np.array([one.moved(value, step) for one, value, step in pairs])
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,22 +158,24 @@ class Library:
         turning: Sequence[str] = (),
         own: Sequence[sympy.Expr] = (),
         settings: LibrarySettings = LibrarySettings(),
+        beside: Sequence[str] = (),
     ) -> Library:
         """Give the forms that the values of the columns allow.
 
         Parameters
         ----------
-        names, points : the columns and their values (names, n).
+        names, points : the columns and their values (names, n), then those of ``beside``.
         turning : columns that may be angles.
-        own : terms of the user's own.
+        own : terms that are taken as they are.
         settings : which forms.
+        beside : columns that only these may hold, such as the time.
 
         >>> x = np.linspace(0.5, 2.0, 20)[None]
         >>> library = Library.of(["x"], x)
         >>> any(str(f.write(["x"], [0.5])) == "x/(x + 0.5)" for f in library.forms)
         True
         """
-        maker = _Maker(points, np.isin(names, list(turning)), settings)
+        maker = _Maker(points[: len(names)], np.isin(names, list(turning)), settings)
         found = dict.fromkeys(Form(own=e) for e in own)
         found |= dict.fromkeys(maker.forms())
         forms: list[Form] = []
@@ -180,7 +186,7 @@ class Library:
                 break
             forms.append(form)
             starts.append(begun)
-        return cls(tuple(names), tuple(forms), tuple(starts))
+        return cls((*names, *beside), tuple(forms), tuple(starts))
 
     @cached_property
     def owners(self) -> np.ndarray:
@@ -195,15 +201,14 @@ class Library:
     def both(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Give values (P, n) of all forms with all constants that they begin with, and slopes.
 
-        The slopes (P, n) are those by the one constant inside, and 0 without one, or with two.
+        The slopes (P, 2, n) are those by the constants inside, and 0 where there are fewer.
         """
         pairs = zip(self.forms, self.starts, strict=True)
         parts = [form.both(self.names, points, own) for form, own in pairs]
         values = np.concatenate([value for value, _ in parts])
-        slopes = np.zeros_like(values)
+        slopes = np.zeros((len(values), MOST_INSIDE, values.shape[1]))
         for at, (value, slope) in zip(self.first, parts, strict=True):
-            if slope.shape[1] == 1:
-                slopes[at : at + len(value)] = slope[:, 0]
+            slopes[at : at + len(value), : slope.shape[1]] = slope
         return values, slopes
 
     def moved(self, place: int, constants: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -241,7 +246,7 @@ class _Maker:
         for count in range(degree + 1):
             for chosen in combinations_with_replacement(range(len(self.points)), count):
                 yield Form(_powers(chosen))
-        factors = list(self.factors())
+        factors = list(self.factors()) if self.settings.functions else []
         for count in range(max((f.atom.most for f in factors), default=0) + 1):
             for factor in (f for f in factors if count <= f.atom.most):
                 for chosen in combinations_with_replacement(range(len(self.points)), count):
@@ -256,41 +261,54 @@ class _Maker:
 
     def factors(self) -> Iterator[Factor]:
         """Give the atoms that the values of the columns allow."""
+        places = range(len(self.points))
         for atom in ATOMS.values():
             # Columns that change places are another constant, or sign, of the same.
-            for columns in combinations(range(len(self.points)), atom.columns):
-                if all(self._allows(atom, place) for place in columns):
-                    yield Factor(atom, columns)
+            ordered = atom.domain is Domain.APART_POSITIVE
+            chosen = (permutations if ordered else combinations)(places, atom.columns)
+            yield from (Factor(atom, columns) for columns in chosen if self._allow(atom, columns))
 
-    def _allows(self, atom: Atom, place: int) -> bool:
+    def _allow(self, atom: Atom, columns: tuple[int, ...]) -> bool:
+        domain, rows = atom.domain, self.points[list(columns)]
+        if domain is Domain.FAR_FROM_0:
+            sizes = np.linalg.norm(rows, axis=0)
+            return bool(np.min(sizes) > self.settings.away * np.median(sizes))
+        if domain is Domain.APART_POSITIVE:
+            return bool(np.min(rows[0] - rows[1]) > 0)
+        if domain is Domain.APART_BOTH_SIGNS:
+            apart = rows[0] - rows[1]
+            return bool(np.min(apart) < 0 < np.max(apart))
+        return all(self._allows(domain, place) for place in columns)
+
+    def _allows(self, domain: Domain, place: int) -> bool:
         row = self.points[place]
         low, high = float(np.min(row)), float(np.max(row))
         size = float(np.median(np.abs(row)))
         if not (low < high and size > 0):
             return False
-        if atom.domain is Domain.NEVER_NEGATIVE:
+        if domain is Domain.NEVER_NEGATIVE:
             return low > -self.settings.below * high
-        if atom.domain is Domain.POSITIVE:
+        if domain is Domain.POSITIVE:
             return low > 0
-        if atom.domain is Domain.AWAY_FROM_0:
+        if domain is Domain.AWAY_FROM_0:
             return low > self.settings.away * size
-        if atom.domain is Domain.BOTH_SIGNS:
+        if domain is Domain.BOTH_SIGNS:
             return low < 0 < high
-        if atom.domain is Domain.TURNING:
+        if domain is Domain.TURNING:
             return bool(self.turning[place])
         return True
 
     def starts(self, form: Form) -> np.ndarray:
         """(g, c) constants that a form is begun with."""
-        factors = [f for f in form.factors if f.atom.has_constant]
-        if not factors:
-            return np.zeros((1, 0))
         each = []
-        for factor in factors:
-            sizes, second = self._sizes(factor.columns[0]), self._usual(factor.columns[-1])
-            own = factor.atom.begin(sizes, second if len(factor.columns) > 1 else 1.0)
-            each.append(own if len(factors) == 1 else own[1::2])
-        return np.array([*product(*each)])
+        for factor in (f for f in form.factors if f.atom.inside):
+            rows = self.points[list(factor.columns)]
+            each.append(factor.atom.begin(rows, self._sizes(factor.columns[0])))
+        if not each:
+            return np.zeros((1, 0))
+        if len(each) > 1:
+            each = [own[1::2] for own in each]
+        return np.array([np.concatenate(rows) for rows in product(*each)])
 
     def _sizes(self, place: int) -> np.ndarray:
         """(g,) sizes of a column at which a function of it may bend."""
@@ -301,9 +319,6 @@ class _Maker:
         steps = math.ceil(math.log(high / low) / math.log(settings.apart))
         return np.geomspace(low, high, 1 + steps)
 
-    def _usual(self, place: int) -> float:
-        return float(np.median(np.abs(self.points[place])))
-
 
 def _powers(chosen: Sequence[int]) -> tuple[tuple[int, int], ...]:
     return tuple((place, list(chosen).count(place)) for place in sorted(set(chosen)))
@@ -311,7 +326,4 @@ def _powers(chosen: Sequence[int]) -> tuple[tuple[int, int], ...]:
 
 def _is_said(factor: Factor, chosen: Sequence[int]) -> bool:
     """Whether a product is another form: v/(v + k) is a saturation, and v/v is nothing."""
-    name, own = factor.atom.name, set(factor.columns) & set(chosen)
-    return bool(own) and (
-        name in ("inverse", "inverse square", "power") or name.startswith("inhibits")
-    )
+    return factor.atom.name in _CANCELLED and not set(factor.columns).isdisjoint(chosen)

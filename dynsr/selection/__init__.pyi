@@ -22,7 +22,6 @@ from .systems import (
     compare_systems,
     explore,
     follow_anything,
-    other_in_halves,
 )
 from .terms import move_inside, products, weighted_sum
 from .twins import families
@@ -58,7 +57,6 @@ __all__ = [
     "may_be_exact",
     "move_inside",
     "noise_shown",
-    "other_in_halves",
     "pick_equation",
     "products",
     "rank_by_length",

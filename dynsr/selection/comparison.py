@@ -45,7 +45,6 @@ from dynsr.selection.propose import ProposalSettings
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.terms import Terms, TermSettings, find_turning
 from dynsr.selection.twins import first_of_each, with_twins
-from dynsr.selection.wide import WideTerms
 
 Equations = dict[str, sympy.Expr]
 # Starts of one shape at most, and the share by which a constant inside a function sets two apart.
@@ -84,27 +83,19 @@ class ComparisonSettings:
     loose : noise, as a share of the spread, below which a system is held to its own solution no
         more strictly in units of the spread.
     alone : formulas of each state that are fitted with the other states read off their curves.
-    sums : sums of the terms of each kind that are fitted alone, those expected to take the fewest
-        bits; twice as many of all kinds together.
-    halved : the same where half of the rows are asked for another formula.
-    softness : weight of the defects where sums of terms are looked for: the smoothed states are
-        not quite those of the system.
+    sums : sums of terms of other equations, and of what hangs from a joint, that are fitted alone.
+    softness : weight of the defects where whole polynomials and what hangs from a joint are begun.
     pruned : of these, how many lose the terms that do not pay.
     again : how often terms are looked for along the best system found.
-    ends : where the search ended, the best first, from which other functions are tried until
-        nothing but noise is left.
     gain : bits that this must save for it to go on.
     together : the best of them that enter whole systems.
     behind : bits that they may take more than the best of them.
-    clear : bits by which a polynomial of few terms that leaves nothing but noise must lead all
-        other functions for no other terms to be tried beside it.
     near : the same, once a system leaves nothing but noise.
     unseen : bits of a saturation of which the columns see less than a fifth.
     leaving : bits of an equation by which a state that is positive throughout would fall below 0.
     doubtful : noise, as a share of the spread, above which slopes tell other methods nothing more.
-    different : rms difference of two equations, as a share of the slopes' spread, from which on
-        they are different functions.
-    apart : the same for one that the law must be told apart from: as few as 1 % off is another law.
+    apart : rms difference of two equations, as a share of the slopes' spread, from which on one
+        must be told apart from the other: as few as 1 % off is another law.
     pieces : pieces of a run that are integrated where the whole cannot be.
     reproduces : least mean R2 of an integration from the fitted start over the whole run.
     evaluations : of the right-hand sides for each row that this integration takes at most.
@@ -132,20 +123,16 @@ class ComparisonSettings:
     alone: int = 40
     proposals: ProposalSettings = ProposalSettings()
     sums: int = 15
-    halved: int = 5
     softness: float = 100.0
     pruned: int = 12
     again: int = 2
-    ends: int = 3
     gain: float = 1.0
     together: int = 20
     behind: float = 40.0
-    clear: float = 100.0
     near: float = 12.0
     unseen: float = 4.0
     leaving: float = 6.0
     doubtful: float = 0.02
-    different: float = 0.02
     apart: float = 0.01
     pieces: int = 10
     reproduces: float = 0.9
@@ -488,11 +475,6 @@ class SystemComparison:
         """What sums may be made of, where the smoothed states are."""
         own = self.settings.demands.offered
         return Terms.grow(self.names, self._begun, self.settings.terms, self.angles, own)
-
-    @cached_property
-    def wide(self) -> WideTerms:
-        """What else they may be made of, where a system tells what is like its equations."""
-        return WideTerms.of(self.names, self._begun, self.angles)
 
     @cached_property
     def angles(self) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ cosine.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -133,9 +134,10 @@ def count_free_powers(expr: sympy.Expr) -> int:
 
 
 def count_inverses(expr: sympy.Expr, state: str) -> int:
-    """Count the terms that are a number over powers of other columns than a state's own.
+    """Add up the powers of other columns than a state's own below numbers that are terms.
 
-    They are without limit where those columns come to 0, which what one does to another seldom is.
+    They are without limit where those columns come to 0, which what one does to another seldom is,
+    and the more so the higher the power.
 
     Parameters
     ----------
@@ -143,15 +145,17 @@ def count_inverses(expr: sympy.Expr, state: str) -> int:
     state : its name.
 
     >>> x, y = sympy.symbols("x y")
-    >>> count_inverses(2.5 / y - 0.3 * x / y + 1 / x**2 + 1 / (y + 0.5), "x")
-    1
+    >>> count_inverses(2.5 / y**2 - 0.3 * x / y + 1 / x**2 + 1 / (y + 0.5), "x")
+    2
     """
     over = (sympy.Mul.make_args(term) for term in sympy.Add.make_args(expr) if term.free_symbols)
-    return sum(
-        all(f.is_number or (f.is_Pow and f.base.is_Symbol and f.exp.is_negative) for f in factors)
-        and all(str(f.base) != state for f in factors if f.is_Pow)
-        for factors in over
-    )
+    found = 0
+    for factors in over:
+        below = [f for f in factors if not f.is_number]
+        bare = all(f.is_Pow and f.base.is_Symbol and f.exp.is_negative for f in below)
+        if bare and all(str(f.base) != state for f in below):
+            found += sum(math.ceil(-f.exp) for f in below)
+    return found
 
 
 class saturation(sympy.Function):  # noqa: N801

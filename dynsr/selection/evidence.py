@@ -13,7 +13,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError
 
-from dynsr.fit import Collocation, Mesh, Probes
+from dynsr.expression import evaluate
+from dynsr.fit import Collocation, CollocationFit, Mesh, Probes, free_constants
+from dynsr.selection.subsets import without
 
 # Share of the largest direction below which one says nothing.
 _SAID = 1e-9
@@ -25,7 +27,7 @@ class Evidence:
 
     Parameters
     ----------
-    names : the columns.
+    names : the columns, the time the last.
     points : (names, n) their values where a right-hand side is asked for.
     y : (r,) what its mapped values are to be.
     maps : (r, n) how values at the points are mapped.
@@ -49,7 +51,7 @@ class Evidence:
         Parameters
         ----------
         still : the system, with 0 for that equation.
-        names : columns that it may hold.
+        names : the columns, the time the last.
         rows : measured rows.
         softness : weight of the defects.
         nodes : points at most, between which values are interpolated.
@@ -62,13 +64,67 @@ class Evidence:
             normal = still.normal(mesh.start, np.zeros(0), probes, softness)
         except LinAlgError:
             return None
-        values, directions = np.linalg.eigh(normal.information)
+        points = still.points(mesh.start, np.zeros(0))[:, places]
+        return cls._of_gram(names, points, normal.gram, rows)
+
+    @classmethod
+    def in_place(
+        cls,
+        fit: CollocationFit,
+        problem: Collocation,
+        state: str,
+        names: tuple[str, ...],
+        nodes: int,
+        softness: float | None,
+    ) -> Evidence | None:
+        """Take what is to stand in the place of one equation of a system, all others set free.
+
+        The states of a system that follows the data are better curves than smoothed ones, and
+        nothing has to make up for errors of the other equations.
+
+        Parameters
+        ----------
+        fit, problem : the system.
+        state : whose equation it is.
+        names : the columns, the time the last.
+        nodes : points at most, between which values are interpolated.
+        softness : weight of the defects; None for that of the fit.
+
+        None where the data do not tell, or jump more often than there are points.
+        """
+        mesh = problem.mesh
+        if np.count_nonzero(mesh.h == 0) > nodes:
+            return None
+        places, spread = spread_over(mesh, nodes)
+        probes = Probes(np.full(len(spread), mesh.states.index(state)), spread)
+        try:
+            gram = problem.normal(fit.states, fit.constants, probes, softness).gram
+        except (LinAlgError, ValueError):
+            return None
+        if not np.all(np.isfinite(gram)):
+            return None
+        points = problem.points(fit.states, fit.constants)[:, places]
+        own = evaluate(fit.exprs[state], dict(zip(names, points, strict=True)))
+        # The equation as it was is taken out, and the misses are left to what takes its place.
+        count = len(fit.constants)
+        step = np.eye(len(gram))
+        step[-1, count:-1] = -own
+        owners = [s for s, e in fit.exprs.items() for _ in free_constants(e, "c")[1]]
+        others = [place for place, owner in enumerate(owners) if owner != state]
+        left = without(step @ gram @ step.T, others, count)
+        return cls._of_gram(names, points, left, float(mesh.rows.sum()))
+
+    @classmethod
+    def _of_gram(
+        cls, names: tuple[str, ...], points: np.ndarray, gram: np.ndarray, rows: float
+    ) -> Evidence:
+        """Give the view whose products of values at the points, and of the misses, these are."""
+        values, directions = np.linalg.eigh(gram[:-1, :-1])
         told = values > _SAID * values[-1]
         roots = np.sqrt(values[told])
         maps = roots[:, None] * directions[:, told].T
-        y = -(directions[:, told].T @ normal.pull) / roots
-        beside = max(normal.squares - float(y @ y), 0.0)
-        points = still.points(mesh.start, np.zeros(0))[: len(names), places]
+        y = -(directions[:, told].T @ gram[:-1, -1]) / roots
+        beside = max(float(gram[-1, -1]) - float(y @ y), 0.0)
         return cls(names, points, y, maps, beside, rows)
 
     def mapped(self, values: np.ndarray) -> np.ndarray:

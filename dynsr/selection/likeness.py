@@ -12,7 +12,7 @@ import sympy
 from scipy import optimize
 
 from dynsr.expression import compile_columns, lines_below
-from dynsr.fit import free_constants, one_of_each_shape
+from dynsr.fit import free_constants
 from dynsr.selection.costs import citing_bits, shape_bits
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import Terms, degree_of, weighted_sum
@@ -92,29 +92,6 @@ class Likeness:
             for one in likest
         ]
         offered.append(_Offered(sympy.S.One, np.ones((1, len(target))), self.each))
-        return self._around(offered, target, most)
-
-    def cited_sums(
-        self, target: np.ndarray, most: float, written: Sequence[sympy.Expr]
-    ) -> list[tuple[sympy.Expr, float]]:
-        """Give sums with a term that another equation has, or with its line below the fraction.
-
-        Parameters
-        ----------
-        target : (n,) values of the function.
-        most : bits of a sum at most.
-        written : the terms of the other equations.
-        """
-        above = map(sympy.Symbol, sorted(self.terms.names))
-        every = cited_terms(written, self.names, list(above))
-        # The constants inside are free: of terms that differ in these alone the first is enough.
-        cited = {expr: every[expr] for expr in one_of_each_shape(every)}
-        rows = compile_columns(list(cited), self.names)(*self.points)
-        offered = [
-            _Offered(expr, row[None], bits + self.each)
-            for (expr, bits), row in zip(cited.items(), rows, strict=True)
-            if np.all(np.isfinite(row))
-        ]
         return self._around(offered, target, most)
 
     def fitted(self, expr: sympy.Expr, target: np.ndarray) -> sympy.Expr:

@@ -28,22 +28,14 @@ PARTS: Mapping[str, str] = {
     "end-look": "an equation that exact slopes leave no doubt of ends the search",
     "end-simple": "one whose constants are all simple numbers is such an equation",
     "end-alone": "one that every other choice of terms misses by far more is such an equation",
-    "library": "sums of the terms of the library, proposed by a beam, in noise",
-    "powers-first": "sums of powers alone before all other sums, in noise",
-    "end-clear": "a short polynomial that leads by far ends the look at one state, in noise",
-    "inside": "sums with functions of several constants, in noise",
     "joints": "what hangs from a joint, in noise",
-    "look-in-noise": "the first look at the smoothed slopes, in noise",
     "citing": "sums with terms of other equations",
     "twins": "equations of other states with names exchanged, in noise",
     "changed-twins": "twins change as the equation that they repeat",
     "related": "systems of equations that have rates in common",
-    "shared-rates": "systems of rates that leave one state and enter another",
-    "polynomials": "whole polynomials, thinned, where nothing leaves only noise",
     "couplings": "systems tied by a mass matrix",
-    "replacements": "functions in the place of several terms",
+    "renewal": "one equation of a system proposed anew, along its states",
     "along": "the search again along the states of the best system",
-    "other-ends": "other ends of the search are refined where the best leaves more than noise",
     "pruning": "terms taken out one by one",
     "move-terms": "one more term",
     "move-saturations": "a term that saturates",
@@ -58,7 +50,6 @@ PARTS: Mapping[str, str] = {
     "end-confirmed": "formulas of rough slopes that exact states confirm end the search",
     "whole-polynomials": "polynomials of exact rows far apart",
     "followers": "sums that keep closer to the data where no law is found",
-    "halves": "what half of the rows ask for speaks against a law",
     "belief": "noise is believed to be as little as a system leaves",
     "methods": "the other methods where the search along the states leaves more than noise",
     "bits-simple": "bits saved by simple numbers",
@@ -70,9 +61,6 @@ PARTS: Mapping[str, str] = {
     "bits-powers": "bits of exponents that are no whole numbers, and of inverses",
     "bits-unusual": "bits of unusual terms",
 }
-
-# Off until it loses nothing: with it several others bring nothing.
-OFF = ("library",)
 
 
 @dataclass(frozen=True)
@@ -89,7 +77,7 @@ class Parts:
     (False, True)
     """
 
-    off: tuple[str, ...] = OFF
+    off: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the names."""

@@ -33,7 +33,7 @@ class ProposalSettings:
     nodes : points of a view of the data at most.
     softness : weight of the defects in it: smoothed states are not quite those of a system.
     beam : sums of each length that are grown further.
-    singles : single terms that are grown further.
+    singles : single terms that are grown further; half as many pairs, and so on to the beam.
     parents : shorter sums from which the same one is reached at most.
     terms : terms of a sum at most.
     steps : steps of the constants inside a new sum.
@@ -151,16 +151,25 @@ class Proposer:
         found: dict[tuple[int, ...], Sum] = {}
         with np.errstate(all="ignore"):
             for tier in self._tiers():
-                layer = [self._nothing]
-                for _ in range(self.settings.terms):
-                    layer = self._grow(layer, tier)
-                    found |= {one.places: one for one in layer if _is_better(one, found)}
+                self._grow_from_nothing(tier, found)
             for _ in range(self.settings.rounds):
                 if not self._exchange(found):
                     break
             for one in self._ranked(found):
                 self._thin(one, found)
-        return self._ranked(found)
+        return self._front_first(found)
+
+    def _grow_from_nothing(self, tier: np.ndarray, found: dict[tuple[int, ...], Sum]) -> None:
+        """Grow sums by one form at a time until two more gain less than a bit."""
+        layer, least, idle = [self._nothing], math.inf, 0
+        for _ in range(self.settings.terms):
+            layer = self._grow(layer, tier)
+            found |= {one.places: one for one in layer if _is_better(one, found)}
+            best = min((one.bits for one in layer), default=math.inf)
+            idle = 0 if best < least - 1 else idle + 1
+            if idle == 2:
+                return
+            least = min(least, best)
 
     def _tiers(self) -> Iterator[np.ndarray]:
         """Give the forms that sums are grown of, the cheapest few first, and all at last.
@@ -178,6 +187,18 @@ class Proposer:
     def _ranked(self, found: Mapping[tuple[int, ...], Sum]) -> list[Sum]:
         ranked = sorted(found.values(), key=lambda one: (one.bits, one.places))
         return self._apart(ranked)[: self.settings.kept]
+
+    def _front_first(self, found: Mapping[tuple[int, ...], Sum]) -> list[Sum]:
+        """Put the best sum of each length before the others.
+
+        Longer ones follow the errors of the curves too, which the evidence takes for no noise.
+        """
+        ranked = self._apart(sorted(found.values(), key=lambda one: (one.bits, one.places)))
+        front: dict[int, Sum] = {}
+        for one in ranked:
+            front.setdefault(len(one.places), one)
+        best = sorted(front.values(), key=lambda one: (one.bits, one.places))
+        return list(dict.fromkeys([*best, *ranked]))[: self.settings.kept]
 
     def _exchange(self, found: dict[tuple[int, ...], Sum]) -> bool:
         """Put other forms in the place of one, in the best sums; says whether any is better."""
@@ -205,11 +226,11 @@ class Proposer:
         return list(told.values())
 
     @cached_property
-    def _rows(self) -> tuple[_Units, _Units]:
+    def _rows(self) -> tuple[_Units, tuple[_Units, ...]]:
         """Mapped values of all forms with the constants they begin with, and slopes by these."""
-        pair = self.library.both(self.evidence.points)
-        units, bent = (_unit(self.evidence.mapped(own)) for own in pair)
-        return units, bent
+        values, slopes = self.library.both(self.evidence.points)
+        turned = (_unit(self.evidence.mapped(own)) for own in slopes.swapaxes(0, 1))
+        return _unit(self.evidence.mapped(values)), tuple(turned)
 
     def _grow(self, layer: Sequence[Sum], tier: np.ndarray) -> list[Sum]:
         """Give the best sums with one form more, each form with the best of its constants."""
@@ -217,14 +238,15 @@ class Proposer:
             return []
         places = np.flatnonzero(np.isin(self.library.owners, tier))
         first = np.searchsorted(self.library.owners[places], tier)
-        gains = self._gains(layer, *(own.some(places) for own in self._rows))
+        units, turned = self._rows
+        gains = self._gains(layer, units.some(places), [own.some(places) for own in turned])
         most = np.maximum.reduceat(gains, first, axis=0)
         left = np.array([one.left for one in layer]) - most
         bits = self.evidence.misses(np.maximum(left, 1e-9 * layer[0].left))
         bits = bits + np.array([one.cost for one in layer]) + self.costs[tier, None]
         bits[~(np.isfinite(bits) & (most > 0))] = np.inf
-        # Two that tell nothing alone may tell all together.
-        width = self.settings.beam if layer[0].places else self.settings.singles
+        # What tells nothing alone may tell all together, and the fewer forms, the more so.
+        width = max(self.settings.beam, self.settings.singles // 2 ** len(layer[0].places))
         chosen: dict[tuple[int, ...], list[tuple[int, int]]] = {}
         for flat in np.argsort(bits, axis=None, kind="stable"):
             row, parent = divmod(int(flat), len(layer))
@@ -249,27 +271,45 @@ class Proposer:
             grown += [min(fine, key=lambda end: end.bits)] if fine else []
         return grown
 
-    def _gains(self, layer: Sequence[Sum], units: _Units, bent: _Units) -> np.ndarray:
-        """(P, layer) squares that each row takes off, its constant inside set free."""
+    def _gains(self, layer: Sequence[Sum], units: _Units, turned: Sequence[_Units]) -> np.ndarray:
+        """(P, layer) squares that each row takes off, its constants inside set free."""
+        first, second = turned
         rest = np.array([one.rest for one in layer])
-        pull, turn = units.rows @ rest.T, bent.rows @ rest.T
-        own, other = np.ones_like(pull), np.ones_like(turn)
-        both = np.tile(np.sum(units.rows * bent.rows, axis=1)[:, None], len(layer))
+        rows = [units.rows, first.rows, second.rows]
+        pulls = [own @ rest.T for own in rows]
+        pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+        products = {
+            (i, j): np.tile(np.sum(rows[i] * rows[j], axis=1)[:, None], len(layer))
+            for i, j in pairs
+        }
         for place in range(max(len(one.basis) for one in layer)):
             basis = np.array(
                 [one.basis[place] if place < len(one.basis) else 0 * one.rest for one in layer]
             )
-            said, turned = units.rows @ basis.T, bent.rows @ basis.T
-            own -= said**2
-            other -= turned**2
-            both -= said * turned
-        alone = np.where(own > _NOTHING, pull**2 / np.maximum(own, _NOTHING), 0.0)
-        whole = own * other - both**2
-        weight = (pull * other - turn * both) / whole
-        move = (turn * own - pull * both) / whole
-        step = move / weight * (units.sizes / bent.sizes)[:, None]
-        free = (own > _NOTHING) & (whole > _NOTHING * own) & (np.abs(step) <= self.settings.reach)
-        return np.where(free, weight * pull + move * turn, alone)
+            said = [own @ basis.T for own in rows]
+            for i, j in pairs:
+                products[i, j] -= said[i] * said[j]
+        pull, turn, last = pulls
+        whole = products[0, 0]
+        alone = np.where(whole > _NOTHING, pull**2 / np.maximum(whole, _NOTHING), 0.0)
+        # The second slope is taken out of the others first, where there is one.
+        size = products[2, 2]
+        inverse = np.where(size > _NOTHING, 1 / np.maximum(size, _NOTHING), 0.0)
+        by, beside = products[0, 2] * inverse, products[1, 2] * inverse
+        own = whole - by * products[0, 2]
+        other = products[1, 1] - beside * products[1, 2]
+        both = products[0, 1] - by * products[1, 2]
+        left, turned_left = pull - by * last, turn - beside * last
+        area = own * other - both**2
+        weight = (left * other - turned_left * both) / area
+        move = (turned_left * own - left * both) / area
+        more = last * inverse - weight * by - move * beside
+        reach = np.maximum(
+            np.abs(move / weight * (units.sizes / first.sizes)[:, None]),
+            np.abs(more / weight * (units.sizes / second.sizes)[:, None]),
+        )
+        free = (own > _NOTHING) & (area > _NOTHING * own) & (reach <= self.settings.reach)
+        return np.where(free, weight * pull + move * turn + more * last, alone)
 
     def _extend(self, one: Sum, form: int, best: np.ndarray) -> Sum | None:
         order = int(np.searchsorted(one.places, form))

@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import ByText, compile_columns
+from dynsr.expression import compile_columns
 from dynsr.fit import solve_each
 from dynsr.selection.profiles import write_sum
 from dynsr.selection.terms import never_negative, products
@@ -40,15 +40,13 @@ _TURNS = np.deg2rad(np.arange(0.0, 180.0, 22.5) + 11.25)
 _LITTLE = 0.05
 # Columns that a line is drawn through at most.
 _LINED = 3
-# Steps that all starts make, that the likeliest make in noise and then, and how many these are.
-_FIRST, _NEXT, _THEN, _LIKELIEST = 4, 6, 25, 12
+# Steps that all starts make, that the likeliest make then, and how many these are.
+_FIRST, _THEN, _LIKELIEST = 4, 25, 12
 # How far a constant may go in one step, in its own units; the step by which slopes are measured;
 # what damps a step, from first to last.
 _FARTHEST, _NUDGE, _DAMPED = 2.0, 1e-6, (1e-2, 1e-12)
 # Plain terms at most, and rows for each constant at least.
 _MOST, _ROWS_EACH = 15, 3
-# What keeps products of alike columns from being singular.
-_RIDGE = 1e-9
 # Share by which a step must be better to be followed by another.
 _BETTER = 1e-4
 # Constants of a sum up to which it may be a law, and no curve that follows another; waves follow
@@ -56,11 +54,8 @@ _BETTER = 1e-4
 _LONGEST, _LONGEST_WAVES = 9, 6
 # Constants of an exact sum up to which no longer ones are looked for.
 _SURELY = 4
-# Sums that are given; in noise, plain terms up to which products are there, terms of a sum at most,
-# sums of each number of these, those of all functions whose constants are rounded, those given.
-_GIVEN, _FEW, _TOGETHER, _KEPT, _ROUNDED, _GIVEN_IN_NOISE = 6, 6, 4, 4, 9, 15
-# Sums of each number of terms that hold a function twice.
-_KEPT_OF_TWO = 2
+# Sums that are given.
+_GIVEN = 6
 
 
 @dataclass(frozen=True)
@@ -317,30 +312,19 @@ def _lined(make: Written, places: tuple[int, ...], rows: np.ndarray, ways: np.nd
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What sums of terms are to be like: slopes, or what linear maps make of them.
+    """What sums of terms are to be like.
 
     Parameters
     ----------
     names, points : the columns and their values (names, n).
     target : the state whose equation is sought.
-    y : (r,) the slopes at the points, or what they are mapped to.
-    maps : (r, n) how values at the points are mapped; None where they are taken as they are.
+    y : (n,) the slopes at the points.
     """
 
     names: tuple[str, ...]
     points: np.ndarray
     target: str
     y: np.ndarray
-    maps: np.ndarray | None = None
-
-    def mapped(self, values: np.ndarray) -> np.ndarray:
-        """(..., r) what values (..., n) at the points are mapped to.
-
-        Parameters
-        ----------
-        values : these.
-        """
-        return values if self.maps is None else np.asarray(values @ self.maps.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,66 +387,6 @@ class SeveralInside:
             written = dict.fromkeys(end.write() for end in thin)
             return [expr for expr in written if expr is not None][:_GIVEN]
 
-    def likely_sums(
-        self, beside: float, rows: float, bits: Callable[[sympy.Expr], float], each: float
-    ) -> list[sympy.Expr]:
-        """Give the sums that are expected to take the fewest bits in noise.
-
-        Parameters
-        ----------
-        beside : sum of squares that is left of the states whatever the slopes are.
-        rows : measured rows, m of the bits m / 2 log2(squares / m).
-        bits : gives those of a sum and its constants.
-        each : bits of a constant.
-        """
-
-        def misses(left: float) -> float:
-            squares = len(self.goal.y) * left**2 + beside
-            return rows / 2 * float(np.log2(max(squares, 1e-300) / rows))
-
-        def may_leave(left: float) -> float:
-            """What a sum may leave with a constant less, which would cost as much."""
-            squares = (len(self.goal.y) * left**2 + beside) * 2 ** (2 * each / rows)
-            return float(np.sqrt(max(squares - beside, 0.0) / len(self.goal.y)))
-
-        names = self.goal.names
-        short = [sympy.S.One, *products(names, 1)]
-        plain = [sympy.S.One, *products(names, 2)]
-        plain = plain if len(plain) <= _FEW else short
-        families = [f for own in find_families(self.goal.points) for f in own.sides()]
-        ranked: dict[sympy.Expr, float] = {}
-        with np.errstate(all="ignore"):
-            found = [
-                (misses(end.left) + each * end.count, i, end)
-                for i, family in enumerate(families)
-                for end in self._few_of(family, short, plain)
-            ]
-            found.sort(key=lambda one: one[:2])
-            # Begun far away, short sums are still behind long ones.
-            sizes = {len(end.chosen) for _, _, end in found}
-            alike = ([end for *_, end in found if len(end.chosen) == size] for size in sizes)
-            for end in (end for own in alike for end in own[:_ROUNDED]):
-                settled = end.settled()
-                for one in (settled, settled.round(may_leave)):
-                    expr = one.write()
-                    if expr is not None:
-                        ranked[expr] = misses(one.left) + bits(expr)
-        return sorted(ranked, key=lambda expr: (ranked[expr], ByText(expr)))[:_GIVEN_IN_NOISE]
-
-    def _few_of(
-        self, family: Family, before: Sequence[sympy.Expr], plain: Sequence[sympy.Expr]
-    ) -> list[_End]:
-        """Give the likeliest few terms of each number, one of them with the function."""
-        kept, functions = self._usable(family, before, plain)
-        if not np.any(kept < functions):
-            return []
-        search = _Projection.of(self.goal, family, before, plain)
-        found = []
-        for begun, chosen in search.likeliest(kept, functions):
-            inside, left = search.move(family.starts[begun], chosen, _NEXT)
-            found += [_End(search, *one) for one in zip(chosen, inside, left.tolist(), strict=True)]
-        return found
-
     def _usable(
         self, family: Family, before: Sequence[sympy.Expr], plain: Sequence[sympy.Expr]
     ) -> tuple[np.ndarray, int]:
@@ -511,14 +435,6 @@ def _nudged(inside: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield moved, moved[:, i] - inside[:, i]
 
 
-def _gains(gram: np.ndarray, pull: np.ndarray, sets: np.ndarray, fine: np.ndarray) -> np.ndarray:
-    """(B, s) squares that sets (s, q) of unit columns explain, by their products; -inf for none."""
-    own = gram[:, sets[:, :, None], sets[:, None]] + _RIDGE * np.eye(sets.shape[1])
-    told = pull[:, sets]
-    gains = np.einsum("bsi,bsi->bs", told, np.linalg.solve(own, told[..., None])[..., 0])
-    return np.where(np.all(fine[:, sets], axis=2), gains, -np.inf)
-
-
 @dataclass(frozen=True, eq=False)
 class _Projection:
     """The slopes without a sum whose coefficients are always the best.
@@ -527,7 +443,7 @@ class _Projection:
     ----------
     goal, family : the slopes, and the functions.
     before, plain : what may stand before these, and plain terms.
-    factors, beside : (g, n) values of the first, and (p, r) what those of the others are mapped to.
+    factors, beside : (g, n) values of the first, and (p, n) those of the others.
     """
 
     goal: Goal
@@ -546,14 +462,13 @@ class _Projection:
         plain: Sequence[sympy.Expr],
     ) -> _Projection:
         values = compile_columns([*before, *plain], goal.names)(*goal.points)
-        beside = goal.mapped(values[len(before) :])
+        beside = values[len(before) :]
         return cls(goal, family, before, plain, values[: len(before)], beside)
 
     def columns(self, inside: np.ndarray) -> np.ndarray:
-        """(B, q, r) all terms with constants (B, c) inside as they are mapped, functions first."""
+        """(B, q, r) all terms with constants (B, c) inside, functions first."""
         rows = self.family.rows(self.goal.points, inside)
         before = (rows[:, :, None] * self.factors).reshape(len(inside), -1, rows.shape[2])
-        before = self.goal.mapped(before)
         plain = np.broadcast_to(self.beside, (len(inside), *self.beside.shape))
         return np.concatenate([before, plain], axis=1)
 
@@ -571,43 +486,6 @@ class _Projection:
         inside, left = self.move(inside[likely], chosen[likely], _THEN)
         best = int(np.argmin(left))
         return inside[best], float(left[best])
-
-    def likeliest(
-        self, kept: np.ndarray, functions: int
-    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Give the starts and the places of the terms that leave least, of each number of terms.
-
-        Parameters
-        ----------
-        kept : places of the terms, the functions first.
-        functions : how many places are of functions.
-        """
-        starts = self.family.starts
-        columns = self.columns(starts)[:, kept]
-        own = int(np.count_nonzero(kept < functions))
-        turned = [
-            (self.columns(moved)[:, kept[:own]] - columns[:, :own]) / gap[:, None, None]
-            for moved, gap in _nudged(starts)
-        ]
-        # One function's slopes by its constants say what others of them would do.
-        block = np.concatenate([columns, *turned], axis=1)
-        fine = np.all(np.isfinite(block), axis=2)
-        block = np.where(fine[:, :, None], block, 0.0)
-        unit = block / np.maximum(np.linalg.norm(block, axis=2), 1e-300)[:, :, None]
-        gram, pull = unit @ unit.swapaxes(1, 2), unit @ self.goal.y
-        slopes = len(kept) + own * np.arange(len(turned))
-        for size in range(1, _TOGETHER + 1):
-            sets = np.array([*combinations(range(len(kept)), size)], dtype=int).reshape(-1, size)
-            held = np.count_nonzero(sets < own, axis=1)
-            for alone, count in ((True, _KEPT), (False, _KEPT_OF_TWO)):
-                few = sets[(held == 1) if alone else (held > 1)]
-                if not len(few):
-                    continue
-                bent = few[:, :1] + slopes if alone else few[:, :0]
-                gains = _gains(gram, pull, np.concatenate([few, bent], axis=1), fine)
-                begun = np.argmax(gains, axis=0)
-                best = np.argsort(-gains[begun, np.arange(len(few))], kind="stable")[:count]
-                yield begun[best], kept[few[best]]
 
     def move(
         self,

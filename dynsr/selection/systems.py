@@ -22,8 +22,6 @@ from scipy.linalg import block_diag
 
 from dynsr.expression import ByText, evaluate
 from dynsr.fit import (
-    FIT,
-    FitSettings,
     Measurements,
     constant_bits,
     one_of_each_shape,
@@ -45,11 +43,9 @@ from dynsr.selection.comparison import (
 )
 from dynsr.selection.costs import bare_terms, is_plain, rounded
 from dynsr.selection.couplings import try_couplings
-from dynsr.selection.first_look import LOOK, LookSettings, look
-from dynsr.selection.polynomials import fit_polynomials, whole_polynomials
+from dynsr.selection.polynomials import whole_polynomials
 from dynsr.selection.rates import shared_bits
-from dynsr.selection.replacements import try_replacements
-from dynsr.selection.shared import share_rates
+from dynsr.selection.renewal import renew
 
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0
@@ -161,12 +157,12 @@ class Compared:
     """What one comparison of some data learnt for the next: its fits, and where they led.
 
     ``alone`` holds the comparison of each state by itself, ``together`` that of all, and
-    ``refined`` the system that the ends of a search came to.
+    ``refined`` the system that the end of a search came to.
     """
 
     alone: dict[str, Alone] = field(default_factory=dict)
     together: dict[tuple[str, ...], SystemComparison] = field(default_factory=dict)
-    refined: dict[tuple[SystemFit, ...], SystemFit] = field(default_factory=dict)
+    refined: dict[SystemFit, SystemFit] = field(default_factory=dict)
 
 
 def compare_systems(
@@ -207,12 +203,8 @@ def compare_systems(
     found = _search(pools, data, comparison, known.alone)
     if not found:
         return SystemChoice(dict(exprs))
-    if settings.parts.has("polynomials") and not leaves_noise(found[0], settings):
-        begun = fit_polynomials(comparison, known.alone, {s: pool[0] for s, pool in pools.items()})
-        found = sorted(dict.fromkeys([*found, *begun]), key=lambda fit: fit.bits)
-    found = found[: settings.ends]
-    best = known.refined.get(tuple(found)) or _refine(found, data, comparison, ends)
-    known.refined[tuple(found)] = best
+    best = known.refined.get(found[0]) or _refine(found[0], data, comparison, ends)
+    known.refined[found[0]] = best
     same = {s: skeleton(best.exprs[s]) == skeleton(with_floats(exprs[s])) for s in states}
     chosen = {s: exprs[s] if same[s] else best.exprs[s] for s in states}
     return SystemChoice(chosen, best, _closest(comparison, best))
@@ -257,17 +249,16 @@ def follow_anything(
 
 
 def _refine(
-    begun: Sequence[SystemFit],
+    best: SystemFit,
     data: Measurements,
     comparison: SystemComparison,
     ends: Callable[[SystemFit], bool],
 ) -> SystemFit:
-    """Look for terms along the ends of a search, and for other functions in their equations."""
-    settings, states = comparison.settings, tuple(begun[0].exprs)
+    """Look for terms along the end of a search, and for other functions in its equations."""
+    settings, states = comparison.settings, tuple(best.exprs)
     has = settings.parts.has
 
     refine = cache(partial(_refine_one, comparison))
-    best = begun[0]
     # A system that follows the data is the best smoother: terms are looked for along it again.
     for number in range(settings.again * has("along")):
         if has("end-exact") and ends(best):
@@ -284,14 +275,7 @@ def _refine(
             break
         best = follower
 
-    refined = best
     best = refine(best)
-    # Where that leaves more than noise, another end of the search may lead further.
-    for end in begun if has("other-ends") else ():
-        if leaves_noise(best, settings):
-            break
-        if end is not refined and end.bits < best.bits + settings.behind:
-            best = min(best, refine(end), key=lambda f: f.bits)
     for state in states:
         best = prune(comparison, best, state)
     return _prefer_reproducing(comparison, best) if has("reproducing") else best
@@ -308,8 +292,8 @@ def _refine_one(comparison: SystemComparison, fit: SystemFit) -> SystemFit:
     # What belongs together is passed by where one equation at a time is changed.
     if has("couplings"):
         fit = try_couplings(comparison, fit, climb)
-    if has("replacements"):
-        fit = try_replacements(comparison, fit, climb)
+    if has("renewal"):
+        fit = renew(comparison, fit, climb)
     again = has("couplings") and fit is not first
     return try_couplings(comparison, fit, climb) if again else fit
 
@@ -332,17 +316,8 @@ def _search_along(
     alone = {s: Alone.of(s, follower, settings) for s, e in exprs.items() if not e.is_Symbol}
     found = {s: [e, *(alone[s].rank_sums() if s in alone else ())] for s, e in exprs.items()}
 
-    def searched() -> SystemFit | None:
-        others = _search(found, follower, comparison, alone)
-        return others[0] if others and others[0].bits < fit.bits - settings.gain else None
-
-    # Along exact states sums alone may lead to the law, and are quickly found.
-    better = searched() if may_be_exact(fit, data) else None
-    if better is None:
-        for s, one in alone.items():
-            found[s] = [exprs[s], *one.rank(() if one.is_clear() else one.sums_inside())]
-        better = searched()
-    return better
+    others = _search(found, follower, comparison, alone)
+    return others[0] if others and others[0].bits < fit.bits - settings.gain else None
 
 
 def _search(
@@ -383,11 +358,7 @@ def _search(
 
     ends = [finish(fit) for fit in dict.fromkeys(fits)]
     least = min((fit.bits for fit in ends), default=math.inf)
-    others: list[SystemFit] = []
-    if settings.parts.has("related"):
-        others += _compose_related(together, related)
-    if settings.parts.has("shared-rates"):
-        others += share_rates(alone, together, first)
+    others = _compose_related(together, related) if settings.parts.has("related") else []
     close = [fit for fit in others if fit not in ends]
     ends += [finish(fit) for fit in close if fit.bits < least + settings.near]
     return sorted(dict.fromkeys(ends), key=lambda fit: fit.bits)
@@ -399,41 +370,28 @@ def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
 
 
 def explore(
-    state: str,
-    data: Measurements,
-    settings: ComparisonSettings,
-    looking: LookSettings = LOOK,
-    fit: FitSettings = FIT,
+    state: str, data: Measurements, settings: ComparisonSettings = COMPARISON
 ) -> list[sympy.Expr]:
     """Give sums of terms that follow one state best, the others read off their curves.
 
     The terms are evaluated along the smoothed states, and their integrals are fitted to the
-    measured ones (the weak form of Schaeffer and McCalla 2017, with windows of all lengths); the
-    best subsets take the fewest bits. Beside them stand functions of several constants. Exact fits
-    put all in order.
+    measured ones (the weak form of Schaeffer and McCalla 2017, with windows of all lengths). Exact
+    fits put all in order.
 
     Parameters
     ----------
     state : whose equation is sought.
     data : the measured states, their noise and smoothed curves.
     settings : the numbers that decide.
-    looking, fit : those of the look at the slopes of the smoothed states.
     """
     alone = Alone.of(state, data, settings)
-    found, has = alone.rank_sums(), settings.parts.has
-    if alone.is_clear():
-        return found
-    if has("inside"):
-        found = alone.rank(alone.sums_inside())
+    found = alone.rank_sums()
     best = alone.best()
     if best and is_plain(best.exprs[state]) and leaves_noise(best, settings):
         return found
-    angles = [a for a in alone.comparison.angles if has("joints") and _turns(a, data)]
-    joints = [one for angle in angles for one in alone.sums_around(angle)]
-    if not has("look-in-noise"):
-        return alone.rank(joints)
-    seen = look(data.samples(state), settings.demands.limits(state), looking, fit)
-    return alone.rank([*joints, *(c.expr for c in seen.candidates)])
+    angles = [a for a in alone.comparison.angles if settings.parts.has("joints")]
+    joints = [one for a in angles if _turns(a, data) for one in alone.sums_around(a)]
+    return alone.rank(joints) if joints else found
 
 
 def _turns(name: str, data: Measurements) -> bool:
@@ -444,39 +402,6 @@ def _turns(name: str, data: Measurements) -> bool:
     with np.errstate(all="ignore"):
         alike = np.abs(np.corrcoef(samples.X.T, samples.y)[-1, :-1])
     return bool(np.nanmax(alike) > _SPEED)
-
-
-def other_in_halves(
-    state: str, expr: sympy.Expr, data: Measurements, settings: ComparisonSettings = COMPARISON
-) -> sympy.Expr | None:
-    """Give the formula that half of the rows ask for instead of one; None where both keep it.
-
-    A form that the data determine is found in either half again (stability selection;
-    Meinshausen and Buehlmann 2010).
-
-    Parameters
-    ----------
-    state : whose equation it is.
-    expr : the equation.
-    data : the measured states.
-    settings : the numbers that decide.
-    """
-    own = with_floats(expr)
-    # The likeliest few show whether there is another.
-    few = replace(settings, sums=settings.halved)
-    for which in (0, 1):
-        alone = Alone.of(state, data.half(which), few)
-        mine = alone.comparison.fit({**alone.beside, state: own})
-        alone.rank_sums()
-        best = alone.best()
-        if mine is None or best is None:
-            continue
-        other = best.exprs[state]
-        columns = alone.comparison.mesh.columns
-        apart = apart_by(evaluate(mine.exprs[state], columns), other, columns)
-        if other.free_symbols and best.bits < mine.bits and apart > settings.different:
-            return other
-    return None
 
 
 def _compose(

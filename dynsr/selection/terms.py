@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import Program, bits_in_force, compile_columns
-from dynsr.selection.costs import divisors, shape_bits, unusual_bits
+from dynsr.selection.costs import shape_bits, unusual_bits
 
 # Share of its largest value by which a column may fall below 0 that is never negative.
 _BELOW = 0.03
@@ -140,91 +140,12 @@ class Terms:
         )
 
     @cached_property
-    def tiers(self) -> tuple[np.ndarray, ...]:
-        """Places of the quadratic, polynomial, rational and all terms, each once.
-
-        And of the polynomial ones and those of one column that hold no constant, as forces on what
-        swings are: beside all others a beam passes their longer sums by.
-        """
-        degrees, rational = _degrees(self.exprs, self.names), _are_rational(self.exprs, self.names)
-        polynomial = degrees < _NO_POLYNOMIAL
-        forces = polynomial | _are_bare(self.exprs)
-        kinds = (degrees <= 2, polynomial, forces, rational, np.ones_like(rational))
-        found = {int(kind.sum()): np.flatnonzero(kind) for kind in kinds if kind.any()}
-        return tuple(found.values())
-
-    @property
-    def powers(self) -> tuple[np.ndarray, ...]:
-        """Places of the quadratic and of all polynomial terms."""
-        degrees = _degrees(self.exprs, self.names)
-        own = (degrees <= 2, degrees < _NO_POLYNOMIAL)
-        return tuple(np.flatnonzero(kind) for kind in own)
-
-    def divisible_by(self, name: str) -> np.ndarray:
-        """Places of the terms that hold a variable as a factor: rates of each one of a kind."""
-        symbol = sympy.Symbol(name)
-        return np.array([i for i, e in enumerate(self.exprs) if symbol in divisors(e)], dtype=int)
-
-    @cached_property
     def _program(self) -> Callable[..., np.ndarray]:
         return compile_columns(self.exprs, self.names)
 
     def values(self, points: np.ndarray) -> np.ndarray:
         """(p, n) values at points (len(names), n)."""
         return self._program(*points)
-
-    @cached_property
-    def slopes(self) -> np.ndarray:
-        """(p,) row of :meth:`shifts` that belongs to each term, counted from p on; -1 for none."""
-        places = np.full(len(self.exprs), -1)
-        curved = np.flatnonzero(self.inside == 1)
-        places[curved] = len(self.exprs) + np.arange(len(curved))
-        return places
-
-    def shifts(self, points: np.ndarray) -> np.ndarray:
-        """Slopes of the terms by the logarithm of the one constant inside them, (rows, n)."""
-        curved = [e for e, inside in zip(self.exprs, self.inside, strict=True) if inside == 1]
-        return slopes_inside(curved, self.names, points)
-
-
-def slopes_inside(
-    exprs: Sequence[sympy.Expr], names: Sequence[str], points: np.ndarray
-) -> np.ndarray:
-    """Slopes (p, n) of terms by the logarithm of the one constant inside each.
-
-    Parameters
-    ----------
-    exprs : the p terms.
-    names, points : the variables and their values (len(names), n).
-    """
-    if not exprs:
-        return np.zeros((0, points.shape[1]))
-    both = _moved_both_ways(tuple(exprs), tuple(names))(*points)
-    return np.asarray((both[: len(exprs)] - both[len(exprs) :]) / (2 * _NUDGE))
-
-
-# Every comparison of the same data has the same terms.
-@lru_cache(maxsize=64)
-def _moved_both_ways(exprs: tuple[sympy.Expr, ...], names: tuple[str, ...]) -> Program:
-    up, down = ([move_inside(e, way) for e in exprs] for way in (_NUDGE, -_NUDGE))
-    return compile_columns([*up, *down], names)
-
-
-@lru_cache(maxsize=64)
-def _degrees(exprs: tuple[sympy.Expr, ...], names: tuple[str, ...]) -> np.ndarray:
-    return np.array([degree_of(e, names) for e in exprs])
-
-
-@lru_cache(maxsize=64)
-def _are_rational(exprs: tuple[sympy.Expr, ...], names: tuple[str, ...]) -> np.ndarray:
-    symbols = [sympy.Symbol(name) for name in names]
-    return np.array([e.is_rational_function(*symbols) for e in exprs], dtype=bool)
-
-
-@lru_cache(maxsize=64)
-def _are_bare(exprs: tuple[sympy.Expr, ...]) -> np.ndarray:
-    """Whether each term holds one column and no constant to be fitted."""
-    return np.array([len(e.free_symbols) == 1 and not e.atoms(sympy.Float) for e in exprs])
 
 
 def move_inside(term: sympy.Expr, shift: float) -> sympy.Expr:
