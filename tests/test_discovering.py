@@ -226,13 +226,18 @@ def test_options_reach_the_search(tmp_path, seen):
 
 
 def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
-    """Without --json: equations first, then the reason, explained scores, the guess, the files."""
+    """With --details: equations first, then the reason, explained scores, the guess, the files.
+    Without it neither scores nor the guess, which was shown at the start, come on stdout.
+    """
     monkeypatch.chdir(tmp_path)
-    result = run("discover", decay(tmp_path / "data.csv"))
+    short = run("discover", decay(tmp_path / "data.csv"))
+    assert short.stdout.startswith("Not judged.\nx' = -0.5*x\nx: the only one")
+    assert "slope error" not in short.stdout and "guessed" not in short.stdout
+    result = run("discover", tmp_path / "data.csv", "--details", "--out", "more")
     guess = "data.csv: time 't', 151 rows from 0 to 3 every 0.02; states x"
     places = [
         result.stdout.index(words)
-        for words in ("x' = -0.5*x", "x: the only one", "slopes off by", "diverges", "forecast off")
+        for words in ("x' = -0.5*x", "x: the only one", "slope error", "diverges", "forecast error")
     ]
     assert result.stdout.startswith("Not judged.\nx' = -0.5*x\n") and places[:-1] == sorted(
         places[:-1]
@@ -242,12 +247,12 @@ def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
         str(tmp_path) + os.sep, ""
     )
     assert "x' by fake: -0.5*x  (error 0.1)" in result.stderr
-    assert f"open: {os.path.join('data-dynsr', 'report.html')}" in result.stderr
+    assert f"open: {os.path.join('data-dynsr', 'report.html')}" in short.stderr
     assert (tmp_path / "data-dynsr" / "report.html").exists()
 
 
 def test_a_terminal_gets_the_equations_in_a_frame(monkeypatch, capsys):
-    """On a terminal the equations stand in a frame; a warning is repeated at the end."""
+    """On a terminal the equations are in a frame; a warning is repeated at the end."""
     from rich.console import Console
 
     from dynsr.cli import output
@@ -257,10 +262,10 @@ def test_a_terminal_gets_the_equations_in_a_frame(monkeypatch, capsys):
     monkeypatch.setattr(output, "console", lambda stderr=False: wide)
     told = {"guessed": ["time 't'"], "warned": ["columns are identical"]}
     show_equations(Found({}))
-    show_reasons(Found({}), {"data": Found({}).score(None)}, told)
+    show_reasons(Found({}), {}, told)
     shown = capsys.readouterr().out
     assert "─ Equations ─" in shown and "│ x' = -0.5*x" in shown
-    assert "warned: columns are identical" in shown and "guessed: time 't'" in shown
+    assert "warned: columns are identical" in shown and "guessed: time 't'" not in shown
 
 
 def test_equations_are_shown_before_files_are_made(tmp_path, monkeypatch, seen):
@@ -325,7 +330,7 @@ def test_the_papers_loss_is_its_own_systems_alone(tmp_path, monkeypatch, seen):
     for scores in found["scores"]["truth"].values():
         assert set(scores) == {"equation_rmse", "trajectory_loss"}
     shown = run("discover", "--system", "lorenz").stdout
-    assert "test run off by" in shown and "paper's loss" not in shown
+    assert "test error" in shown and "paper's loss" not in shown
     assert "paper's loss" in run("discover", "--system", "cart-pole").stdout
 
 
@@ -492,3 +497,36 @@ def test_another_discovery_gets_a_folder_of_its_own(tmp_path, monkeypatch):
         assert (said in result.stderr) == (seed == 1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["line-dynsr", "line-dynsr-2", "line.csv"]
     assert "give another folder" in refuse(*words, "--seed", 2, "-o", "line-dynsr")
+
+
+def test_a_reason_is_printed_once(monkeypatch, capsys):
+    """The line of an equation that is no law gives its reason only where the verdict does not; a
+    law has no line, but with details.
+    """
+    from types import SimpleNamespace
+
+    from dynsr.cli.discovery import show_reasons
+    from dynsr.discovery.verdict import StateVerdict, summarise
+
+    states = {
+        "x": StateVerdict("law", "reproduces the data.", 1.0),
+        "y": StateVerdict("not found", "it diverges.", -1.0),
+        "z": StateVerdict("approximation", "a forecast is off.", 0.9),
+    }
+    found = SimpleNamespace(
+        verdict=summarise(states, 1.0),
+        heading="Not found: y: it diverges.",
+        explanation={
+            state: f"{state}' = 1: {own.level}; {own.reason} Found by sums. A note."
+            for state, own in states.items()
+        },
+        constants={},
+        ensemble={},
+        details={},
+        settings={},
+    )
+    show_reasons(found, {}, {})
+    short = capsys.readouterr().out
+    assert short == "y: A note.\nz: approximation; a forecast is off. A note.\n"
+    show_reasons(found, {}, {}, details=True)
+    assert "x' = 1: law; reproduces the data." in capsys.readouterr().out

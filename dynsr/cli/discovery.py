@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
 # Name in the scores -> heading, what it means.
 _SCORES = {
-    "slope_rmse": ("slopes off by", "error of the equation against the slopes of the data"),
-    "step_rmse": ("step off by", "error of the map over one row"),
-    "forecast": ("forecast off by", "median miss of short forecasts, 1 = the state's spread"),
-    "trajectory_rmse": ("run off by", "error of one integration over the whole data"),
-    "equation_rmse": ("true slopes off by", "error against the true equation on the test span"),
+    "slope_rmse": ("slope error", "rms error of the equation against the slopes of the data"),
+    "step_rmse": ("step error", "rms error of the map over one row"),
+    "forecast": ("forecast error", "median error of short forecasts, 1 = the state's spread"),
+    "trajectory_rmse": ("trajectory error", "rms error of one integration over the whole data"),
+    "equation_rmse": ("true slope error", "error against the true equation on the test span"),
     "printed_loss": ("paper's loss", "the loss as the paper's tables were made"),
-    "trajectory_loss": ("test run off by", "error of an integration over the test span"),
+    "trajectory_loss": ("test error", "error of an integration over the test span"),
 }
 
 
@@ -63,22 +63,36 @@ def show_reasons(
     told: Mapping[str, Sequence[str]],
     details: bool = False,
 ) -> None:
-    """Print reasons, constants, scores and what was assumed.
+    """Print what the heading does not: doubts, constants, an ensemble, scores, warnings.
 
-    With details, how formulas compared in bits comes too.
+    With details, the reason of every verdict, the fitted constants, how formulas compared in bits,
+    and how the columns were understood.
     """
     for state, words in found.explanation.items():
-        _say(words.strip() if words.startswith((f"{state}' =", " ")) else f"{state}: {words}")
-    _print_constants(found)
+        said = words.strip() if details or not found.verdict.judged else _doubt(found, state)
+        if said:
+            _say(said if said.startswith(f"{state}' =") else f"{state}: {said}")
+    _print_constants(found, details)
     for state, own in found.ensemble.items():
         _say(f"{state}', ensemble: " + "; ".join(one.text for one in own))
     for words in found.details.values() if details else ():
         _say(words)
     if scores:
         _print_scores(scores)
-    for kind, items in told.items():
-        for item in items:
+    for kind in ("guessed", "warned") if details else ("warned",):
+        for item in told.get(kind, ()):
             _say(f"{kind}: {item}", "dim")
+
+
+def _doubt(found: Discovery, state: str) -> str:
+    """Give why an equation is no law, unless the heading says so, and what is to be known of it."""
+    own = found.verdict.states.get(state)
+    if own is None or own.level == "law":
+        return ""
+    reason = "" if own.reason in found.heading else f"{own.level}; {own.reason}"
+    # Notes follow the name of the method.
+    notes = found.explanation[state].partition("Found by ")[2].partition(".")[2]
+    return f"{reason} {notes.strip()}".strip()
 
 
 def _say(words: str, style: str = "") -> None:
@@ -101,19 +115,25 @@ def _print_equations(found: Discovery, lines: Sequence[str]) -> None:
         output.print_lines(*lines)
 
 
-def _print_constants(found: Discovery) -> None:
-    """Print the constants in the order of the formulas, each with its interval."""
+def _print_constants(found: Discovery, details: bool = False) -> None:
+    """Print the constants in the order of the formulas, each with its interval and its unit.
+
+    With details, also as they were fitted, before any of them became a simple number.
+    """
     rows = [(state, one) for state, own in found.constants.items() for one in own]
     if not rows:
         return
     units = found.coefficient_units() if "column_units" in found.settings else {}
     table = Table(box=None, pad_edge=False, header_style="bold")
     left = ("", "constant of", "unit")
-    for heading in (*left[:2], "value", "fitted", "95 % interval", *(left[2:] if units else ())):
+    fitted = ("fitted",) if details else ()
+    for heading in (*left[:2], "value", *fitted, "95 % interval", *(left[2:] if units else ())):
         table.add_column(heading, justify="left" if heading in left else "right")
     for state, one in rows:
-        cells = (f"{state}'", one.of, f"{one.value:.6g}", one.fitted_text, one.interval_text)
-        table.add_row(*map(Text, (*cells, *([units[state].get(one.of, "")] if units else []))))
+        cells = [f"{state}'", one.of, f"{one.value:.6g}"]
+        cells += [one.fitted_text] if details else []
+        cells += [one.interval_text, *([units[state].get(one.of, "")] if units else [])]
+        table.add_row(*map(Text, cells))
     screen = output.console()
     screen.print()
     screen.print(table)
@@ -293,7 +313,8 @@ def discover(
         bool,
         typer.Option(
             "--details",
-            help="Report also how the formulas compare in bits.",
+            help="Report also the reasons, errors, fitted constants and the bits of other "
+            "formulas.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
@@ -381,7 +402,9 @@ def discover(
             if not json:
                 show_equations(found, quiet)
         saved += keep_report(found, folder)
-        scores = score_discovery(found, data, system, engine) if found.complete else {}
+        # A known system has a truth to compare with.
+        scored = found.complete and (json or (not quiet and (details or system is not None)))
+        scores = score_discovery(found, data, system, engine) if scored else {}
     if json:
         output.print_json({**summarise(found), "scores": scores, "files": saved, **notes.told})
     elif not quiet:
