@@ -145,7 +145,7 @@ def test_chaos_is_followed_for_as_long_as_errors_allow():
     data = measure(lorenz, [-8.0, 7.0, 27.0], 15, 1500, 0.01)
     found = judge(lorenz, [data])
     assert found.level == "law" and 0.5 < found.span < 8
-    assert "at a time" in found.states["x"].reason
+    assert "over windows of" in found.states["x"].reason
 
 
 def test_noise_of_every_row_is_what_misses_are_weighed_by():

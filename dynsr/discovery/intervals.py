@@ -247,7 +247,7 @@ def _home(
             inside = next((f for f in factors if mine in f.free_symbols), None)
             rest = inside if inside is not None else sympy.Mul(*factors)
             words = shown(tidy(rest.xreplace(numbers)))
-            return words if above else f"{words} below the line"
+            return words if above else f"{words} in the denominator"
     return "1"
 
 

@@ -714,7 +714,7 @@ class _Bench:
         return ""
 
     def _while(self, followed: Followed) -> str:
-        return f" for {self.span(followed):.3g} at a time" if self.cut(followed) else ""
+        return f" over windows of {self.span(followed):.3g}" if self.cut(followed) else ""
 
     def _doubts(
         self,
