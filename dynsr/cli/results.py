@@ -388,12 +388,13 @@ def export(
         return
     find_format(to)
     found = load_discovery(model)
-    source = Source.of(found)
     if files:
         asked = found.columns_asked
         states, inputs = asked.get("states"), asked.get("inputs")
         how = (None, None, None, None, _say_to(json))
-        source = replace(source, runs=tuple(load_table(files, None, states, inputs, *how)))
+        runs = load_table(files, None, states, inputs, *how)
+        found = replace(found, trajectories=tuple(runs))
+    source = Source.of(found)
     if out is not None:
         written = save_format(source, to, out, force)
         if json:

@@ -61,6 +61,7 @@ from dynsr.discovery.profile import Ends, Profile, Profiles, read_constant
 from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
 from dynsr.discovery.rivals import MORE_CONSTANTS, count_constants
 from dynsr.discovery.suggesting import SUGGESTION, Suggestion, SuggestionSettings, suggest
+from dynsr.discovery.summary import DataSummary, summarise
 from dynsr.discovery.verdict import NOBODY, NOT_FOUND, Verdict, VerdictSettings, explain, judge
 from dynsr.engines import (
     DEFAULT_ENGINE,
@@ -74,7 +75,7 @@ from dynsr.engines import (
     linearise,
     refuse_idle,
 )
-from dynsr.errors import EngineError, EngineUnavailable, InputError, need
+from dynsr.errors import DynsrError, EngineError, EngineUnavailable, InputError, need
 from dynsr.expression import (
     Units,
     arguments_of,
@@ -170,6 +171,7 @@ class Discovery:
     profiled : state -> the 95 % interval of each constant, in the order of ``constants[state]``, by
         the profile likelihood where the one by the standard error is wrong, None elsewhere; inf is
         for a side that the data leave open.
+    summary : what is known of the data where they are not there, as after :meth:`load`.
 
     >>> x = sympy.Symbol("x")
     >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
@@ -193,6 +195,7 @@ class Discovery:
     ensemble: Mapping[str, tuple[Inclusion, ...]] = field(default_factory=dict)
     parameter_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     profiled: Mapping[str, tuple[Ends | None, ...]] = field(default_factory=dict)
+    summary: DataSummary | None = None
 
     def __post_init__(self) -> None:
         """Have a name that is no state's told which there are."""
@@ -242,6 +245,7 @@ class Discovery:
         settings = {"engine": DEFAULT_ENGINE, "seed": 0, "system": system.name}
         settings |= {"kind": "map"} if system.discrete else {}
         settings |= {"time_unit": system.time_unit} if system.time_unit else {}
+        settings |= {"column_units": dict(system.units)} if system.units else {}
         return cls(
             equations,
             dict.fromkeys(equations, ()),
@@ -290,12 +294,20 @@ class Discovery:
             units={str(k): str(v) for k, v in given.items()} if isinstance(given, Mapping) else {},
             discrete=self.is_map,
         )
-        if not self.trajectories:
+        data = self.data_summary
+        if data is None:
             return bare
-        run = self.carried[0]
-        start = {s: float(run.x[0, run.index(s)]) for s in self.equations if s in run.states}
-        times = float(run.t[0]), float(run.t[-1])
-        return replace(bare, x0=start, span=times, step=float(np.median(np.diff(run.t))))
+        return replace(bare, x0=data.start, span=data.span, step=data.step)
+
+    @property
+    def data_summary(self) -> DataSummary | None:
+        """Where the data begin, how far they go, and how widely they spread; None if unknown."""
+        if not self.trajectories:
+            return self.summary
+        try:
+            return summarise(self.carried, tuple(self.equations))
+        except InputError:  # a state of which nothing is known at the first time
+            return None
 
     @property
     def _names(self) -> Mapping[str, tuple[str, ...]]:
@@ -353,6 +365,7 @@ class Discovery:
             errors={},
             fitted={},
             profiled={},
+            summary=self._changed(),
             verdict=NOBODY,
             explanation={},
             parameter_names=left,
@@ -362,7 +375,8 @@ class Discovery:
         """Give the covariance of the parameters as a frame of pandas, by their names.
 
         Its diagonal are the squares of the standard errors of :attr:`parameters`; inf where the
-        data do not tell. Raises InputError when the data are not there.
+        data do not tell. A saved discovery has it too. Raises InputError when neither the data nor
+        it are there.
 
         >>> t = np.linspace(0.0, 1.0, 51)
         >>> run = Trajectory(t, np.exp(-2 * t)[:, None] + 1e-3 * np.cos(40 * t)[:, None], ("x",))
@@ -373,8 +387,16 @@ class Discovery:
         """
         import pandas as pd
 
-        if not self.trajectories:
+        names = list(self.parameters)
+        found = self._covariance()
+        if len(found) != len(names):
             raise InputError("the data are not here; discover again before asking for covariances")
+        return pd.DataFrame(found, index=names, columns=names)
+
+    def _covariance(self) -> np.ndarray:
+        """Give the (p, p) covariance of the parameters; nothing where it is not known."""
+        if not self.trajectories:
+            return np.array(self.summary.covariance if self.summary else ())
         named, _ = put_names(self.equations, self._names)
         parameters = self.parameters
         symbols = tuple(map(sympy.Symbol, parameters))
@@ -395,7 +417,21 @@ class Discovery:
             errors[known] / own[known], errors[known] / own[known]
         )
         found[np.diag_indices(len(errors))] = errors**2
-        return pd.DataFrame(found, index=list(parameters), columns=list(parameters))
+        return found
+
+    def _summarise(self) -> DataSummary | None:
+        """Give what a file keeps of the data, with the covariance of what was judged."""
+        data = self.data_summary
+        if data is None or not self.trajectories or not self.verdict.judged:
+            return data
+        # What cannot be computed is not kept; the equations are.
+        with suppress(DynsrError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return replace(data, covariance=tuple(map(tuple, self._covariance().tolist())))
+        return data
+
+    def _changed(self) -> DataSummary | None:
+        """Give what stays known of the data when the constants are others."""
+        return self.summary and replace(self.summary, covariance=())
 
     def profile(self, which: str | tuple[str, int], data: Any = None) -> Profile:
         """Give the profile likelihood of one constant: what the data say of it.
@@ -636,6 +672,7 @@ class Discovery:
             fitted=match.fitted,
             reach=match.reach,
             profiled={},
+            summary=self._changed(),
             verdict=verdict,
             explanation={
                 s: explain(s, e, verdict.states[s], self.is_map, judging) + origin[s]
@@ -685,6 +722,7 @@ class Discovery:
             errors={},
             fitted={},
             profiled={},
+            summary=self._changed(),
             verdict=NOBODY,
             explanation={},
             parameter_names={},
@@ -1275,6 +1313,7 @@ class Discovery:
             **({"ensemble": to_plain(self.ensemble)} if self.ensemble else {}),
             **({"parameter_names": to_plain(self.parameter_names)} if self.parameter_names else {}),
             **({"profiled": to_plain(self.profiled)} if self.profiled else {}),
+            **({"summary": to_plain(kept)} if (kept := self._summarise()) else {}),
         }
 
     @classmethod
@@ -1290,6 +1329,7 @@ class Discovery:
             "ensemble": dict[str, tuple[Inclusion, ...]],
             "parameter_names": dict[str, tuple[str, ...]],
             "profiled": dict[str, tuple[Ends | None, ...]],
+            "summary": DataSummary,
         }
         fields = read_discovery(Path(path), **further, verdict=Verdict | None)
         return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY})

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ import sympy
 
 from dynsr.arguments import checked
 from dynsr.discovery import Parameter, Parameters, ParametricSystem
-from dynsr.errors import InputError, need, one_line
+from dynsr.errors import InputError, MissingExtra, need, one_line
+from dynsr.export.sbml_units import named_unit, read_names, read_unit
 from dynsr.expression import check_name, parse
 
 _TIME = sympy.Symbol("t")
@@ -163,6 +165,7 @@ class _Model:
     assigned: dict[str, sympy.Expr] = field(default_factory=dict)
     slopes: dict[str, sympy.Expr] = field(default_factory=dict)
     starts: dict[str, sympy.Expr] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: Any) -> _Model:
@@ -178,9 +181,26 @@ class _Model:
             found.starts[start.getSymbol()] = _formula(start.getMath(), {})
         found._take_rules(model)
         found._take_species(model)
+        # Without pint, units are not read.
+        with suppress(MissingExtra):
+            found._take_units(model)
         first = [s.getId() for s in model.getListOfSpecies() if s.getId() in found.slopes]
         found.slopes = {name: found.slopes[name] for name in dict.fromkeys([*first, *found.slopes])}
         return found
+
+    def _take_units(self, model: Any) -> None:
+        names = read_names(model)
+        for part in model.getListOfParameters():
+            self.units[part.getId()] = read_unit(part.getDerivedUnitDefinition(), names)
+        for part in model.getListOfSpecies():
+            text = read_unit(part.getDerivedUnitDefinition(), names)
+            home = model.getCompartment(part.getCompartment()).getDerivedUnitDefinition()
+            amount = read_unit(named_unit(model, part.getSubstanceUnits()), names)
+            volume = read_unit(home, names)
+            if not part.getHasOnlySubstanceUnits() and amount and volume:
+                text = f"{amount}/{volume}"
+            self.units[part.getId()] = text
+        self.units["t"] = read_unit(named_unit(model, model.getTimeUnits()), names)
 
     def _take_rules(self, model: Any) -> None:
         for rule in model.getListOfRules():
@@ -206,7 +226,8 @@ class _Model:
             fixed = species.getConstant() or species.getBoundaryCondition()
             if name in self.slopes or name in self.assigned or fixed:
                 continue
-            self.slopes[name] = moved.get(name, sympy.S.Zero) / (1 if amounts else size)
+            terms = sympy.Add.make_args(moved.get(name, sympy.S.Zero))
+            self.slopes[name] = sympy.Add(*(term / (1 if amounts else size) for term in terms))
 
     @staticmethod
     def _first(species: Any, amounts: bool, size: float) -> float:
@@ -256,9 +277,14 @@ class _Model:
             for n in used
         }
         order = sorted(used, key=list(known).index)
-        parameters = [Parameter(new[n], known[n], states=holders[n]) for n in order]
+        units = self.units
+        parameters = [
+            Parameter(new[n], known[n], unit=units.get(n, ""), states=holders[n]) for n in order
+        ]
         start = {new[s]: known[s] for s in slopes}
-        return ParametricSystem(equations, Parameters(parameters), x0=start, name=name)
+        given = {new.get(n, n): units[n] for n in (*slopes, "t") if units.get(n)}
+        system = ParametricSystem(equations, Parameters(parameters), x0=start, name=name)
+        return replace(system, units=given, time_unit=given.get("t", ""))
 
     def _closed(self, expr: sympy.Expr) -> sympy.Expr:
         """Put what is assigned in the place of its name."""

@@ -13,6 +13,7 @@ from dynsr import __version__
 from dynsr.data import Trajectory
 from dynsr.errors import InputError
 from dynsr.export.reactions import Reaction, find_reactions
+from dynsr.export.sbml_units import ModelUnits
 from dynsr.export.source import Source, Words, number
 from dynsr.expression import AllDigits
 
@@ -54,11 +55,10 @@ def write_sbml(source: Source) -> str:
     Equations of mass action are reactions, all others rate rules. An input that is known as a
     formula is an assignment rule; one whose values were measured is a parameter.
     """
-    firsts = {s: number(v) for s, v in zip(source.states, source.start, strict=True)}
-    return _write(source, firsts, {})
+    return _write(source, dict(zip(source.states, source.start, strict=True)), {})
 
 
-def _write(source: Source, firsts: Mapping[str, str], extra: Mapping[str, float]) -> str:
+def _write(source: Source, firsts: Mapping[str, float | str], extra: Mapping[str, float]) -> str:
     """Write a model whose states begin with numbers, or with parameters of these names."""
     import libsbml
 
@@ -76,27 +76,26 @@ def _write(source: Source, firsts: Mapping[str, str], extra: Mapping[str, float]
         assert tree is not None, libsbml.getLastParseL3Error()
         return tree
 
+    units = ModelUnits(model, source)
+    begins = {str(first): state for state, first in firsts.items()}
     for name, value in [*source.parameters.items(), *extra.items()]:
-        _parameter(model, name, value, constant=True)
+        _parameter(model, name, value, units.of(begins.get(name, name)))
     for name in source.measured:
-        _parameter(model, name, 0.0, constant=True)
+        _parameter(model, name, 0.0, units.of(name))
     for name in source.known:
-        _parameter(model, name, None, constant=False)
-    reactions = _reactions(source)
+        _parameter(model, name, None, units.of(name))
+    reactions = _reactions(source) if units.species else None
     if reactions is not None:
-        cell = model.createCompartment()
-        cell.setId("cell")
-        cell.setSize(1.0)
-        cell.setSpatialDimensions(3)
-        cell.setConstant(True)
+        _add_compartment(model, units)
     for state, first in firsts.items():
         if reactions is None:
-            _parameter(model, state, None, constant=False)
+            _add_variable(model, state, first, units)
         else:
-            _species(model, state)
-        start = model.createInitialAssignment()
-        start.setSymbol(state)
-        start.setMath(libsbml.parseL3FormulaWithSettings(first, settings))
+            _add_species(model, state, first, units)
+        if isinstance(first, str):
+            start = model.createInitialAssignment()
+            start.setSymbol(state)
+            start.setMath(libsbml.parseL3FormulaWithSettings(first, settings))
     for name, expr in source.known.items():
         rule = model.createAssignmentRule()
         rule.setVariable(name)
@@ -107,7 +106,8 @@ def _write(source: Source, firsts: Mapping[str, str], extra: Mapping[str, float]
             rate.setVariable(state)
             rate.setMath(formula(expr))
     for place, one in enumerate(reactions or [], 1):
-        _add_reaction(model, f"reaction_{place}", one, formula(one.rate))
+        size = sympy.Symbol("cell") if units.concentrations else sympy.S.One
+        _add_reaction(model, f"reaction_{place}", one, formula(size * one.rate))
     about = "".join(f"<p>{line}</p>" for line in map(_escape, source.about()))
     model.setNotes(f'<body xmlns="http://www.w3.org/1999/xhtml">{about}</body>')
     return str(libsbml.writeSBMLToString(document))
@@ -124,21 +124,51 @@ def _reactions(source: Source) -> list[Reaction] | None:
         return None
 
 
-def _parameter(model: Any, name: str, value: float | None, constant: bool) -> None:
+def _parameter(model: Any, name: str, value: float | None, unit: str) -> None:
+    """Add a parameter, which is none that moves where it has a value."""
     parameter = model.createParameter()
     parameter.setId(name)
-    parameter.setConstant(constant)
+    parameter.setConstant(value is not None)
     if value is not None:
         parameter.setValue(value)
+    if unit:
+        parameter.setUnits(unit)
 
 
-def _species(model: Any, state: str) -> None:
+def _add_compartment(model: Any, units: ModelUnits) -> None:
+    cell = model.createCompartment()
+    cell.setId("cell")
+    cell.setSize(1.0)
+    cell.setSpatialDimensions(3)
+    cell.setConstant(True)
+    if units.volume:
+        cell.setUnits(units.volume)
+
+
+def _add_variable(model: Any, state: str, first: float | str, units: ModelUnits) -> None:
+    parameter = model.createParameter()
+    parameter.setId(state)
+    parameter.setConstant(False)
+    if not isinstance(first, str):
+        parameter.setValue(first)
+    if unit := units.of(state):
+        parameter.setUnits(unit)
+
+
+def _add_species(model: Any, state: str, first: float | str, units: ModelUnits) -> None:
     species = model.createSpecies()
     species.setId(state)
     species.setCompartment("cell")
-    species.setHasOnlySubstanceUnits(True)
+    species.setHasOnlySubstanceUnits(not units.concentrations)
     species.setBoundaryCondition(False)
     species.setConstant(False)
+    if units.substance:
+        species.setSubstanceUnits(units.substance)
+    if not isinstance(first, str):
+        set_first = species.setInitialAmount
+        if units.concentrations:
+            set_first = species.setInitialConcentration
+        set_first(first)
 
 
 def _add_reaction(model: Any, name: str, one: Reaction, rate: Any) -> None:
@@ -157,17 +187,18 @@ def _add_reaction(model: Any, name: str, one: Reaction, rate: Any) -> None:
     reaction.createKineticLaw().setMath(rate)
 
 
-def find_faults(text: str) -> list[str]:
-    """Give what libsbml finds inconsistent in a model; units are left out.
+def find_faults(text: str, units: bool = False) -> list[str]:
+    """Give what libsbml finds inconsistent in a model.
 
     Parameters
     ----------
     text : the model.
+    units : whether its units are looked at too.
     """
     import libsbml
 
     document = libsbml.readSBMLFromString(text)
-    document.setConsistencyChecks(libsbml.LIBSBML_CAT_UNITS_CONSISTENCY, False)
+    document.setConsistencyChecks(libsbml.LIBSBML_CAT_UNITS_CONSISTENCY, units)
     document.setConsistencyChecks(libsbml.LIBSBML_CAT_MODELING_PRACTICE, False)
     document.checkConsistency()
     errors = [document.getError(i) for i in range(document.getNumErrors())]
@@ -184,7 +215,7 @@ def write_petab(source: Source) -> dict[str, str]:
     Raises InputError when the data are not there, lack a state or have an input that changes.
     """
     if not source.runs:
-        raise InputError("the data are not here; discover again before writing a PEtab problem")
+        raise InputError("the data are not here; discover again, or give them with --data FILE")
     taken = {*source.states, *source.parameters, *source.system.inputs}
     begins = {s: _unused(f"start_{s}", taken) for s in source.states}
     spreads = {s: _unused(f"noise_{s}", taken) for s in source.states}

@@ -9,7 +9,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
 import sympy
 
 from dynsr import __version__
@@ -58,17 +57,16 @@ class Source:
             return cls(ParametricSystem.of(found))
         if isinstance(found, ParametricSystem):
             return cls(found)
-        runs = found.trajectories
         # A verdict has the noise as a share of the spread.
+        data = found.data_summary
         noise = {
-            state: own.noise
-            * float(np.nanstd(np.concatenate([r.x[:, r.index(state)] for r in runs])))
+            state: own.noise * data.spread[state]
             for state, own in found.verdict.states.items()
-            if runs
+            if data and state in data.spread
         }
         return cls(
             found.system,
-            runs,
+            found.trajectories,
             noise,
             tuple(map(str, found.settings.get("methods", ()))),
             str(found.settings.get("engine", "")),
@@ -99,6 +97,11 @@ class Source:
     def states(self) -> list[str]:
         """Names of the states."""
         return list(self.system.equations)
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the states and inputs."""
+        return [*self.system.equations, *self.system.inputs]
 
     @property
     def parameters(self) -> dict[str, float]:

@@ -1,5 +1,5 @@
 from .bits import LARGEST_IN_FRACTION, REAL_RESOLUTION, complexity, number_bits
-from .dimensions import Units, bare_term, read_units
+from .dimensions import Unit, Units, bare_term, read_units
 from .evaluation import (
     Rows,
     compile_numpy,
@@ -45,6 +45,7 @@ __all__ = [
     "Prior",
     "Program",
     "Rows",
+    "Unit",
     "Units",
     "Vocabulary",
     "added_bits",
