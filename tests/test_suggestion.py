@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from test_profile_likelihood import enzyme, found_in, noisy_rabbits, solved
 
 import dynsr
-from dynsr.discovery import Discovery, SuggestionSettings
+from dynsr.discovery import Discovery, SuggestionSettings, Verdict
 from dynsr.errors import InputError
 
 GROWTH, RELAXED = "x - 0.1*x**2", "9 - 0.9*x"
@@ -180,7 +180,7 @@ def test_what_has_no_suggestion_says_why():
 
 @pytest.mark.slow
 def test_the_shell_and_the_report_suggest(tmp_path):
-    """The command prints the table; the page has it too."""
+    """The command prints the table; the page has it too, of what is no law: a law has no other."""
     found = near_the_top(0.05)
     model, table = found.save(tmp_path / "discovery.json"), tmp_path / "data.csv"
     run_ = found.trajectories[0]
@@ -190,7 +190,10 @@ def test_the_shell_and_the_report_suggest(tmp_path):
     told = json.loads(run("suggest", model, table, "--json").stdout)
     assert told["experiments"][0]["bits"] > told["again"]["bits"]
     assert "is no time" in run("suggest", model, table, "--span", "-1", code=2).stderr
-    assert "The next experiment" in found.report(tmp_path / "report.html").read_text("utf-8")
+    heading = "The next experiment"
+    doubted = replace(found, verdict=Verdict("approximation", "it may be another."))
+    assert heading in doubted.report(tmp_path / "doubted.html").read_text("utf-8")
+    assert heading not in found.report(tmp_path / "law.html").read_text("utf-8")
 
 
 @pytest.mark.slow

@@ -309,8 +309,12 @@ def _is_doubtful(found: Discovery) -> bool:
 
 
 def _suggestion(found: Discovery) -> Table | None:
-    """Give the experiments that would tell most."""
-    if not _is_doubtful(found):
+    """Give the experiments that distinguish the answer best from its alternatives.
+
+    A law has none; to find the experiment that bounds its constants best would take longer than
+    many a search.
+    """
+    if not _is_doubtful(found) or found.verdict.level == "law":
         return None
     try:
         made = found.suggest()
