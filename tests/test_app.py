@@ -717,7 +717,10 @@ def test_live_reports_name_each_states_best_equation():
     assert said[-1]["best"]["x"]["text"] == "x' = -x"
     assert "<math" in said[-1]["best"]["x"]["mathml"]
     live(Step("", 2, 0))
-    assert (said[-1]["share"], said[-1]["left"]) == (None, "fitting constants and judging")
+    assert (said[-1]["share"], said[-1]["left"]) == (
+        None,
+        "fitting constants and making the verdict",
+    )
     live(Step("", 1, 4, seconds=65.0, seconds_left=30.0))
     assert (said[-1]["share"], said[-1]["tasks"]) == (0.25, "1 of 4 tasks")
     assert (said[-1]["time"], said[-1]["left"]) == ("1:05", "about 0:30 left")

@@ -337,14 +337,14 @@ def _names_x0(data, seed):
 @pytest.mark.parametrize(
     ("entries", "words"),
     [
-        ({}, "holds no systems"),
+        ({}, "has no systems"),
         ([3], "entry 1 of the suite has no id"),
         ([{"id": 1}], "has no right-hand sides in 'substituted'"),
         ([{**SUITE[0], "substituted": [[]]}], "has no right-hand sides in 'substituted'"),
         ([{**SUITE[0], "dim": 2}], "has dim 2 but 1 equations"),
         ([{**SUITE[0], "init": [[1.0, 2.0]]}], "must be lists of 1 finite numbers"),
         ([{**SUITE[0], "init": [["a"]]}], "must be lists of 1 finite numbers"),
-        ([SUITE[0], SUITE[0]], "holds an id twice"),
+        ([SUITE[0], SUITE[0]], "has an id twice"),
         ([{**SUITE[0], "substituted": [["__import__('os')"]]}], "system '1' of the suite: "),
         ([{**SUITE[0], "substituted": [["y*2"]]}], "unknown name 'y'"),
         ([{**SUITE[0], "substituted": [["9**9**9**9"]]}], "beyond what float64 holds"),

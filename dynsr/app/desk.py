@@ -33,7 +33,7 @@ _DIED = "the process that did this died, perhaps for want of memory; give fewer 
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """What the worker is asked for; ``ended`` holds the line that says what went wrong, or ""."""
+    """What the worker is asked for; ``ended`` has the line that says what went wrong, or ""."""
 
     verb: str
     arguments: Mapping[str, Any]
@@ -302,7 +302,7 @@ class Desk:
         self.show("busy", doing.get(self._doing, ""))
 
     def _keep(self) -> None:
-        """Have the formulas taken that a search had told before it ended without a result."""
+        """Have the formulas taken that a search had reported before it ended without a result."""
         formulas, self._best = self._best, {}
         self._put(_KEEP, formulas=formulas, options=self._options)
         self._put(REDRAW, values={}, run=0)

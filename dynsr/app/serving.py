@@ -1,8 +1,8 @@
 """Serving: the page, to the browser of this machine that knows its address, and to nobody else.
 
-The address holds a random token, without which every request is refused, and so is one that names
-another host: a page of the network that a browser has open can neither guess the one nor be the
-other. What is sent here is bounded; what the page loads comes from here alone.
+The address contains a random token. Requests without it are refused, and so are requests that name
+another host: a page of the network that a browser has open can neither guess the token nor be this
+host. What is sent here is bounded; what the page loads comes from here alone.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ class Work:
         units : column -> its unit; by default that in its name.
 
         Columns are shown also where they cannot be used, with the reason. Raises InputError where
-        not even columns can be told apart.
+        not even columns can be distinguished.
         """
         self._runs, self._found = [], None
         if self._source is None or self._source[0] != path:
@@ -196,7 +196,7 @@ class Work:
         self.redraw({}, 0)
 
     def keep(self, formulas: Mapping[str, str], options: Mapping[str, Any]) -> None:
-        """Take the formulas that a search had told when it was ended by force, judged by nobody.
+        """Take the formulas, without a verdict, that a search reported before its forced end.
 
         Parameters
         ----------
@@ -443,7 +443,7 @@ class Live:
                 "share": None if over else min(1.0, (step.done + 0.9 * share) / step.total),
                 "tasks": "" if over else f"{step.done} of {step.total} tasks",
                 "time": clock(step.seconds),
-                "left": "fitting constants and judging" if over else say_left(step),
+                "left": "fitting constants and making the verdict" if over else say_left(step),
                 "running": [{"title": one.title, "stage": one.stage} for one in step.running],
                 "best": best,
             },
@@ -462,7 +462,7 @@ class Live:
         if self._shown.get(state, (None,))[0] != knee.expr:
             expr = tidy(knee.expr)
             words = {"mathml": to_mathml(expr, state), "text": f"{state}' = {shown(expr, 4)}"}
-            stage = "chosen, not judged yet" if state in self._chosen else "best so far"
+            stage = "chosen, no verdict yet" if state in self._chosen else "best so far"
             words |= {"error": f"misses the slopes by {knee.loss:.2g}", "stage": stage}
             words |= {"formula": to_text(expr)}
             self._shown[state] = knee.expr, words

@@ -61,7 +61,7 @@ def run(connection: Connection, folder: Path, jobs: int) -> None:
 
 
 class _Worker:
-    """The job that is done, and the threads that hear of others and tell of it.
+    """The job that is done, and the threads that receive other jobs and report on it.
 
     A thread of its own tells, since what an interrupt cuts short could not be read.
     """

@@ -1,4 +1,4 @@
-"""Doctor: what is installed, what works, what is missing and the line that mends it."""
+"""Doctor: what is installed, what works, what is missing and how to fix it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Check:
     """One thing looked at.
 
     ``state`` is "ok", "missing" or "fails"; ``detail`` a version, a measurement or what went
-    wrong; ``remedy`` the one line that mends it. What is not ``required`` may be missing.
+    wrong; ``remedy`` the one line that says how to fix it. What is not ``required`` may be missing.
     """
 
     name: str

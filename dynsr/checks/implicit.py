@@ -2,7 +2,7 @@
 
 The law is ``(2 - cos(w)^2) z' = -(y^2 sin(w) + 9.81 sin(w) cos(w) + F)``. Everyone gets the same
 rows ``[z' f; f]`` of sixteen functions f that hold it, with exact slopes and with the forward
-differences of the paper, and is judged by the slopes that its relation gives over the test span.
+differences of the paper, and is tested by the slopes that its relation gives over the test span.
 """
 
 from __future__ import annotations
@@ -87,14 +87,14 @@ def pose(span: tuple[float, float], exact: bool) -> ImplicitProblem:
 
 
 def implicit_rows(system: str, engine: AbstractEngine) -> Iterator[CrosscheckRow]:
-    """Judge an engine's implicit search, and beside the embedded one pysindy's, on the cart-pole.
+    """Test an engine's implicit search, and with the embedded one pysindy's, on the cart-pole.
 
     Each row is right or wrong; neither is a disagreement of engines. No other system has rows.
 
     Parameters
     ----------
     system : one of the paper's systems.
-    engine : the engine to judge.
+    engine : the engine to test.
     """
     if system != SYSTEM:
         return

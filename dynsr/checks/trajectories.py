@@ -38,9 +38,9 @@ class CrosscheckRow:
         trajectories; None where one side is absent.
     limit : up to which difference the two agree.
     worst : where the largest difference occurred, or why a side is absent.
-    judged : whether a program is held to the truth, which is no matter of agreement.
+    judged : whether a program is compared with the truth instead of another program.
 
-    ``verdict`` is one of agrees, differs, absent, and right or wrong for one that is judged.
+    ``verdict`` is agrees, differs or absent; for a comparison with the truth, right or wrong.
 
     >>> CrosscheckRow("records", "pendulum", "states", "embedded", "scipy", 9, 1e-9, 1e-8).verdict
     'agrees'

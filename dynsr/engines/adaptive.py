@@ -164,7 +164,7 @@ def solve_driven(problem: InitialValueProblem) -> Integration:
     ----------
     problem : the problem.
 
-    At a jump of an input it starts anew.
+    At a jump of an input it starts again.
     """
     return integrate_in_parts(problem, _solve_part)
 
@@ -206,8 +206,8 @@ def follow(
     x0 : (k,) start state.
     t : (n,) increasing times in seconds.
     reltol, abstol : tolerances of a step.
-    explicit_steps : how many steps the explicit method has, beside twenty a row; with 0 there is
-        none.
+    explicit_steps : how many steps the explicit method has, in addition to twenty for each
+        row; with 0 there is none.
 
     Raises EngineError, with time and state, where the solution ends: it diverges, leaves the real
     numbers, or needs too many steps of both methods.

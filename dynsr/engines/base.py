@@ -129,7 +129,7 @@ class SparseProblem:
                 "and dx (samples,)"
             )
         if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(dx))):
-            raise InputError("theta or dx holds a value that is not finite; drop such samples")
+            raise InputError("theta or dx has a value that is not finite; drop such samples")
         if self.optimizer not in ("SR3", "ADMM", "STLSQ"):
             raise InputError(
                 f"unknown optimizer {self.optimizer!r}; the optimizers are: SR3, ADMM, STLSQ"

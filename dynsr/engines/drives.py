@@ -62,7 +62,7 @@ class Drive:
 
     @classmethod
     def through(cls, name: str, t: np.ndarray, values: np.ndarray, hold: Hold) -> Drive:
-        """Give the input that has (n,) values at (n,) times and is held in a way between them.
+        """Give the input that has (n,) values at (n,) times and follows ``hold`` between them.
 
         Parameters
         ----------

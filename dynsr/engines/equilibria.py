@@ -1,4 +1,4 @@
-"""Equilibria: where equations stand still, how they go near there, and along one constant.
+"""Equilibria: the fixed points of equations, how they go near there, and along one constant.
 
 Fixed points are sought by Newton's method (MINPACK's hybrid) from points that fill a box evenly
 (Halton 1960), so that all within are found as far as one start comes to each; what lies on a
@@ -25,18 +25,18 @@ Box = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class EquilibriumSettings:
-    """The numbers by which fixed points are sought and told apart.
+    """The numbers by which fixed points are searched and distinguished.
 
     Parameters
     ----------
     starts : points from which a search begins, for each state.
     wide : share of the box by which the search goes beyond it on either side.
-    still : slopes below this share of their size in the box are none.
+    still : slopes below this share of their size in the box count as 0.
     apart : distance, as a share of the box, from which on two points are two: where three meet, a
         point is known to the cube root of ``still`` only.
     singular : smallest singular value of the Jacobian, as a share of the largest, below which a
         point is one of a line of fixed points.
-    zero : share of the largest eigenvalue below which a real part is none.
+    zero : share of the largest eigenvalue below which a real part counts as 0.
     """
 
     starts: int = 60
@@ -79,7 +79,7 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """A point at which the equations stand still.
+    """A point at which the equations do not change the states.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def find_fixed_points(
     Parameters
     ----------
     equations : state -> right-hand side in the states alone, in numbers.
-    box : state -> (low, high) of what is looked through; half as much is on either side.
+    box : state -> (low, high) of the search; half as much is on either side.
     discrete : whether they are a map.
     near : points where a search begins as well.
     settings : the numbers by which they are sought.
@@ -180,7 +180,9 @@ def find_fixed_points(
     states = list(equations)
     others = sorted({str(s) for e in equations.values() for s in e.free_symbols} - {*states})
     if others:
-        raise InputError(f"the equations hold {others[0]!r}; give its value, for it stands nowhere")
+        raise InputError(
+            f"the equations hold {others[0]!r}; give its value, for it is given nowhere"
+        )
     shift = [sympy.Symbol(s) if discrete else sympy.S.Zero for s in states]
     still = [e - s for e, s in zip(equations.values(), shift, strict=True)]
     rhs = compile_numpy(still, states)
@@ -321,7 +323,7 @@ def follow_parameter(
     equations : state -> right-hand side in the states and the parameter.
     parameter : its name.
     values : (n,) its values.
-    box : state -> (low, high) of what is looked through.
+    box : state -> (low, high) of the search.
     discrete : whether they are a map.
     settings : the numbers by which they are sought.
 

@@ -47,7 +47,7 @@ def simulate(
     system : the system, its inputs as expressions in ``t``.
     x0 : (k,) start state; the system's own by default.
     t : (n,) increasing times in seconds; the system's training span by default.
-    reltol, abstol : tolerances of Tsit5; data for a discovery should hold no error of a solver.
+    reltol, abstol : tolerances of Tsit5; data for a discovery should have no error of a solver.
         The paper's data have DifferentialEquations.jl's 1e-3 and 1e-6, see
         :func:`training_trajectory`.
     engine : "embedded", "julia" or an engine.
@@ -96,7 +96,7 @@ def simulate_driven(
     ----------
     problem : the problem with its drives; its limit of steps holds for another engine than the
         embedded one, where Radau goes on after it.
-    engine : "embedded", "julia" or an engine; the embedded one stands in for one that takes no
+    engine : "embedded", "julia" or an engine; the embedded one replaces one that takes no
         measured inputs, and is named.
 
     Raises as :func:`simulate` does.

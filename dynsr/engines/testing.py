@@ -20,7 +20,7 @@ class RecordingEngine(AbstractEngine):
     name : what records are to call it.
     base : the engine that answers; the embedded one by default.
 
-    ``integrated`` and ``regressed`` hold the problems in their order. A copy in a worker process
+    ``integrated`` and ``regressed`` have the problems in their order. A copy in a worker process
     keeps its own.
 
     >>> import numpy as np

@@ -89,7 +89,7 @@ def check_jobs(jobs: int | None) -> int:
 
 
 def check_seed(seed: Any) -> int:
-    """Give a seed as a whole number from 0 up; raises InputError when it is none.
+    """Give a seed as a whole number from 0 up; raises InputError when it is no seed.
 
     >>> check_seed(7)
     7
@@ -184,7 +184,7 @@ class _Array:
     content: str
 
     def __post_init__(self) -> None:
-        """Raise ValueError where it is none."""
+        """Raise ValueError where it is no number of them."""
         self.read()
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Progress: what running tasks tell of themselves, the time left, and how they are asked to stop.
+"""Progress: what running tasks report, the time left, and how they are asked to stop.
 
 Tasks of this process tell it directly, those of other processes over a local connection. Where
 there is none (a far machine), tasks run all the same and only their end is heard of.
@@ -121,7 +121,7 @@ def tell_each(
 
 
 def best_equation(front: ParetoFront) -> str:
-    """Give the front's knee in a few characters, its error beside it; "" for an empty front.
+    """Give the front's knee in a few characters, with its error; "" for an empty front.
 
     >>> import sympy
     >>> from dynsr.fit import Candidate, ParetoFront
@@ -393,7 +393,7 @@ def estimate_left(
     """Guess the seconds until all tasks have ended; None when they have.
 
     Every task has its usual seconds in ``plan``, scaled by how long the ended ones took, which is
-    in ``taken``; ``spent`` holds the seconds that running tasks have had.
+    in ``taken``; ``spent`` has the seconds that running tasks have had.
 
     >>> estimate_left({"a": 6.0, "b": 6.0}, {}, {"a": 2.0}, 1)
     10.0

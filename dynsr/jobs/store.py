@@ -45,7 +45,7 @@ class RecordWarning(DynsrWarning):
 
 
 class FolderTaken(InputError):
-    """The folder holds the results of another run, or what dynsr did not write."""
+    """The folder has the results of another run, or what dynsr did not write."""
 
 
 def read_json(path: Path) -> Any:
@@ -86,7 +86,7 @@ def _refuse_constant(name: str) -> Any:
 
 
 def whole_text(text: str) -> str:
-    """Give a text that a file can hold: bytes of a name that are none of text become numbers."""
+    """Give a text that a file can contain: bytes of a name that are no text become numbers."""
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 
@@ -305,7 +305,7 @@ class RunFolder:
     ) -> None:
         """Make the folder that of one run, or go on with the run that it is of.
 
-        ``work`` names the kind of run; ``settings`` are what a reader tells runs apart by, and
+        ``work`` names the kind of run; ``settings`` are what distinguishes runs for a reader, and
         ``key`` digests all that its results depend on. ``alone`` are the empty folders that
         one without a manifest may hold; none by default. Raises FolderTaken, which names the first
         difference, when it is another run's, and InputError when it cannot be used.

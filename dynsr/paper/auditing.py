@@ -24,7 +24,7 @@ Models = Callable[[AbstractEngine], Mapping[str, sympy.Expr]]
 
 @dataclass(frozen=True)
 class AuditRow:
-    """One printed expression and its loss, beside ours.
+    """One printed expression and its loss, with ours.
 
     ``printed`` is the loss as printed (``printed_digits`` with every digit), ``ours`` the loss
     as printed for that expression (see :mod:`dynsr.paper.protocol`), ``agrees`` whether ours
@@ -63,7 +63,7 @@ def audit(
     ----------
     engine : what integrates and regresses.
     unrounded : gives the models of SINDy with all their digits, by system, for an engine; by
-        default :func:`paper_models`, which finds them anew.
+        default :func:`paper_models`, which finds them again.
     progress : called with a :class:`dynsr.jobs.Step` as each method on each system is scored.
 
     Raises InputError for an unknown engine, EngineUnavailable for one that is absent.
@@ -94,7 +94,7 @@ def agrees_cut(printed: str, ours: float) -> bool:
 
 
 def paper_models(engine: AbstractEngine, systems: Iterable[str]) -> dict[str, sympy.Expr]:
-    """Find the paper's SINDy models anew from its own data, with all their digits.
+    """Find the paper's SINDy models again from its own data, with all their digits.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def _row(printed: PrintedExpression, score: Score) -> AuditRow:
 
 
 def _beside(row: AuditRow, models: Mapping[str, sympy.Expr], engine: AbstractEngine) -> AuditRow:
-    """Put our model with all its digits beside a row of SINDy that misses."""
+    """Add our model with all its digits to a row of SINDy that does not agree."""
     if row.agrees or row.method != "SINDy" or row.system not in models:
         return row
     model = models[row.system]

@@ -57,9 +57,9 @@ class Protocol:
     optimizer, settings, iterations : SINDy's sparse regression (section A.3): optimizer, its
         settings, cap on its iterations.
     genetic : settings of the GA (table 2), and as its terminals those of the printed words, which
-        hold the true coefficients ("an optimistic estimate", section 4). Twenty bits hold those
-        words only with eight symbols and four functions (see the grammar's own text); sixty hold
-        the whole grammar.
+        contain the true coefficients ("an optimistic estimate", section 4). Twenty bits are enough
+        for those words only with eight symbols and four functions (see the grammar's own text);
+        sixty are enough for the whole grammar.
     state_step : seconds between the saved states that SINDy's row was made from.
     printed_start : (k,) where the altered system started when the printed losses were made; the
         system's x0 by default.
@@ -175,7 +175,7 @@ def paper_method(name: str, system: System, quick: bool = False) -> AbstractMeth
     Parameters
     ----------
     name : one of PAPER_METHODS.
-    system : the system; on one that is not the paper's, its general choices stand.
+    system : the system; on one that is not the paper's, its general choices apply.
     quick : a tenth of the genetic algorithm's iterations and a short DynAIFeynman, for a first
         look; SINDy is done in a second as it is.
 

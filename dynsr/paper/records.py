@@ -38,7 +38,7 @@ class Record:
         and the RMSE of its best formula, on the front or not (None where it gave none).
     embedded : what the embedded engine makes of the cell, where another one computed it: how far
         its ``samples`` are from these, its three losses, its ``versions``, and for SINDy, which it
-        regresses anew, the ``expression`` that they belong to.
+        regresses again, the ``expression`` that they belong to.
     """
 
     system: str

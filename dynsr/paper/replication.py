@@ -118,7 +118,7 @@ def cell_samples(cell: Cell, engine: str, recorded_steps: bool = False) -> Sampl
     They are forward differences of the training trajectory (the paper's section 3 says backward,
     its printed numbers forward); SINDy's on the paper's systems are those that its rows were made
     from. On those systems the other methods see the states alone: no formula that the paper
-    prints for the cart-pole holds the force, and its polynomial has the terms of four variables.
+    prints for the cart-pole contains the force, and its polynomial has the terms of four variables.
     """
     system = cell.system
     if cell.method == "sindy" and is_of_paper(system):
@@ -245,7 +245,7 @@ class Replication:
 
     @property
     def tables(self) -> list[Table]:
-        """Table 1 beside the paper's, then the tables of the appendix."""
+        """Table 1 compared with the paper's, then the tables of the appendix."""
         return all_tables(self.records, self.settings["recorded_steps"])
 
     def write(self) -> list[Path]:
@@ -279,7 +279,7 @@ def replicate(
     out : folder of the results; made when it is not there, continued when it is.
     quick : small search budgets, for a first look; every record says so.
     engine : "embedded" or "julia": what makes the samples, solves SINDy's regressions and
-        integrates what was found. What the embedded one makes of a cell is computed beside it.
+        integrates what was found. What the embedded one makes of a cell is computed too.
     progress : called with a :class:`Step` as cells end, and every half second while they run.
     report : write the tables, Figure 1 and report.html into ``out`` at the end.
     recorded_steps : make the samples of SINDy's rows with the steps that the release of 2021 took,

@@ -40,10 +40,10 @@ _FIGURE_POINTS = 1001
 STAGES = "stages_"
 _NOTE_1 = (
     "Mean ± standard deviation (n - 1) over the runs. As printed: the loss that the numbers of the "
-    "paper really hold, with its mixed states and its wrong start of the pendulum. Corrected: "
+    "paper really are, with its mixed states and its wrong start of the pendulum. Corrected: "
     "all states, right start; the paper's side is computed from the expressions that it prints, "
     "whose digits are cut. Equation RMSE: the formula of the paper's text. Deterministic: the "
-    "stage that found the formula holds no chance, so that runs from other seeds had to coincide."
+    "stage that found the formula is not random, so that runs from other seeds had to coincide."
 )
 _NOTE_STAGES = (
     "Formulas on the front: how many members of each run's Pareto front the stage found. Best fit: "
@@ -74,7 +74,7 @@ class Group:
 
     @property
     def done(self) -> list[Record]:
-        """The records that hold a formula, the best one first."""
+        """The records that have a formula, the best one first."""
         return sorted((r for r in self.records if r.done), key=lambda r: r.trajectory_loss)
 
 
@@ -116,7 +116,7 @@ def prepare() -> None:
 
 
 def table_1(records: Sequence[Record]) -> Table:
-    """Give Table 1, our losses beside the paper's: as printed, corrected, and equation RMSE."""
+    """Give Table 1, our losses and the paper's: as printed, corrected, and equation RMSE."""
     columns = (
         "System",
         "Method",
@@ -130,7 +130,7 @@ def table_1(records: Sequence[Record]) -> Table:
         "Seconds a run",
     )
     rows = tuple(_row_1(group) for group in groups(records))
-    return Table("table1", "Losses beside the paper's Table 1", columns, rows, _NOTE_1)
+    return Table("table1", "Losses compared with the paper's Table 1", columns, rows, _NOTE_1)
 
 
 def _row_1(group: Group) -> tuple[Any, ...]:
@@ -209,7 +209,7 @@ def all_tables(records: Sequence[Record], recorded_steps: bool = False) -> list[
     """Give Table 1, every table of the appendix, and the stages of what has more than one.
 
     Last come what made each number and, where another engine than the embedded one did, the two
-    beside each other.
+    next to each other.
     """
     found = groups(records)
     staged = [group for group in found if any(len(r.stages) > 1 for r in group.records)]

@@ -172,9 +172,7 @@ def _ticks(largest: float) -> list[float]:
 
 _MOST_RUNS = 3
 _MOST_PROFILES = 12
-_PROFILED = (
-    "Where the standard error gives a wrong interval, that of the profile likelihood stands here."
-)
+_PROFILED = "Where the standard error is wrong, the interval is that of the profile likelihood."
 _MOST_ROWS = 2000
 _MOST_STEPS = 200
 # Is it a map? -> what was done with the equations.
@@ -197,7 +195,7 @@ def write_report(found: Discovery, path: Path) -> Path:
     found : the discovery; one that was loaded has no data, and its page no pictures.
     path : the file to write; folders above it are made.
 
-    Raises InputError when it cannot be written, or a file that is no page of dynsr stands there.
+    Raises InputError when it cannot be written, or a file that is no page of dynsr is there.
     """
     check_replaceable(path, is_own_page)
     write_page(path, render_discovery(found))
@@ -341,9 +339,9 @@ def _profiles(found: Discovery) -> Iterator[Picture]:
     if some:
         yield Picture.of(
             draw_profiles(some),
-            "The profile likelihood of each constant: it is held, and all others are fitted again. "
-            "The shaded interval ends where the data are followed clearly worse; the dashed "
-            f"parabola is what the standard error says.{left_out}",
+            "The profile likelihood of each constant: the constant is fixed, and all others are "
+            "fitted again. The shaded interval ends where the fit is clearly worse. The dashed "
+            f"parabola is that of the standard error.{left_out}",
         )
 
 
@@ -417,8 +415,8 @@ def _verdicts(found: Discovery) -> Table | None:
         ("State", "Verdict", "R2", "Chi-square", "Forecast", "Noise", "Terms"),
         rows,
         "R2: share of the variance that the equations explain, integrated from fitted starts. "
-        "Chi-square: mean squared miss in units of the noise; 1 is noise alone. Forecast: miss of "
-        "the held-back end, as a share of the spread, by constants fitted to what comes before. "
+        "Chi-square: mean squared residual in units of the noise; 1 is noise alone. Forecast: "
+        "error at the held-back end, as a share of the spread, by constants fitted to the rest. "
         "Terms: the probability that each belongs.",
     )
 
@@ -482,7 +480,7 @@ def _fixed_points(found: Discovery) -> Table | None:
         "Fixed points",
         (*found.equations, "Kind", "Eigenvalues"),
         rows,
-        "Where the equations stand still, in the range of the data and half as much around it. "
+        "The fixed points of the equations, in the range of the data and half as much around it. "
         "Eigenvalues: of the equations linearised there"
         + (
             "; beyond size 1 deviations grow."
@@ -508,8 +506,8 @@ def _flow(found: Discovery) -> Iterator[Picture]:
         return
     yield Picture.of(
         found.phase_portrait(),
-        "The flow of the equations: arrows where states go, lines where one of them stands still, "
-        "fixed points where both do, and the data.",
+        "The flow of the equations: arrows show where states go, lines where one of them does not "
+        "change. Fixed points are where both do not. The data are drawn too.",
     )
 
 

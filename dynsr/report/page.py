@@ -1,6 +1,6 @@
 """Reports: results as one HTML page that needs nothing else, and every table and picture as a file.
 
-Pages are made from the templates beside this file; pictures are drawn inside them, so that a page
+Pages are made from the templates next to this file; pictures are drawn inside them, so that a page
 can be mailed, printed and read on a phone without a network, and the page itself forbids the
 browser to ask for anything.
 """

@@ -77,7 +77,7 @@ class Panel:
     t : (n,) times in seconds.
     truth : (n,) true values, in the state's unit.
     found : label -> (r, n) values of r runs; NaN from where a run diverged.
-    unit : the state's unit, which stands behind its name.
+    unit : the state's unit, which follows its name.
     """
 
     title: str
@@ -89,7 +89,7 @@ class Panel:
 
 
 def draw_panels(panels: Sequence[Panel], labels: Sequence[str] = ()) -> Figure:
-    """Draw true and inferred curves, one panel beside the other (the paper's Figure 1).
+    """Draw true and inferred curves, one panel next to the other (the paper's Figure 1).
 
     Every run is a thin line and the first run of each label a thick one. The axis follows the
     truth, so that a run that leaves it does not flatten the others. A label has the same colour
@@ -208,7 +208,7 @@ def draw_slopes(samples: Samples, predicted: np.ndarray, time_unit: str = "") ->
 
 
 def draw_profiles(profiles: Sequence[Profile]) -> Figure:
-    """Draw profile likelihoods of constants, two beside each other.
+    """Draw profile likelihoods of constants, two in a row.
 
     The dots are fits; the dashed parabola is what the standard error says; the horizontal line is
     where the 95 % interval, which is shaded, ends.
@@ -255,7 +255,7 @@ def _draw_profile(axis: Axes, own: Profile) -> None:
 
 
 def draw_suggestion(suggestion: Suggestion) -> Figure:
-    """Draw the experiment that tells most, and by how much alternatives differ from the answer.
+    """Draw the best experiment, and by how much alternatives differ from the answer there.
 
     On the left is what the answer and its alternatives do there, on the right what each alternative
     differs by from the answer, with twice the noise as a band.
@@ -547,7 +547,7 @@ def _time_label(unit: str) -> str:
 
 
 def _limits(truth: np.ndarray, found: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Limits that hold the truth, and as much of the curves found as is near it."""
+    """Limits that contain the truth, and as much of the curves found as is near it."""
     low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
     room = _ROOM * ((high - low) or 1.0)
     for values in found:

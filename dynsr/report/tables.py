@@ -149,7 +149,7 @@ class Table:
         return [dict(_raw(self.columns, split, row)) for row in self.rows]
 
     def to_csv(self) -> str:
-        """Write every digit, one line a row, the headings first."""
+        """Write every digit, one line for each row, the headings first."""
         records = self.to_records()
         out = io.StringIO()
         writer = csv.DictWriter(out, records[0] if records else self.columns, lineterminator="\n")

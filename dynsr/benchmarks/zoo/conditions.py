@@ -82,7 +82,7 @@ def draw_conditions(
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What a search is given of a system, and what its answer is held against.
+    """What a search is given of a system, and what its answer is compared with.
 
     Parameters
     ----------

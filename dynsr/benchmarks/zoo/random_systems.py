@@ -227,7 +227,7 @@ def _mechanics(draw: _Draw, states: int) -> dict[str, str]:
 
 
 def _polynomials(draw: _Draw, states: int) -> dict[str, str]:
-    """Each decays, beside one or two products of any states."""
+    """Each decays, with one or two products of any states."""
     names = "xyz"[:states]
     found = {}
     for own in names:
@@ -252,7 +252,7 @@ class _Field:
     Parameters
     ----------
     write : gives the equations of so many states.
-    sizes : numbers of states, each as often as it stands here.
+    sizes : numbers of states, each as often as it is listed here.
     starts : between what a state starts, by its name or for all; below 0 it never falls where it
         starts above.
     """
@@ -285,8 +285,8 @@ def draw_systems(number: int, seed: int = 0, *, beyond: bool = False) -> list[Zo
     ----------
     number : how many; those of a smaller number are the first of a larger one.
     seed : all chance comes from it.
-    beyond : whether one equation of each holds a mechanism that no sum of library terms is, so that
-        a law cannot be found.
+    beyond : whether one equation of each contains a mechanism that is no sum of library terms,
+        so that a law cannot be found.
 
     Raises InputError for a number below 1.
 

@@ -1,4 +1,4 @@
-"""Rivals: pysindy's STLSQ and weak SINDy, each tuned on the trajectory that it is given.
+"""Peers: pysindy's STLSQ and weak SINDy, each tuned on the trajectory that it is given.
 
 Of many settings (libraries, thresholds, smoothers or widths of test functions) the one is chosen
 whose equations, integrated, explain the measured trajectory best; of those that come within 0.005
@@ -69,7 +69,7 @@ def answer_stlsq(data: Trajectory, seed: int = 0) -> Answer:
 
     Raises MissingExtra when pysindy is not installed.
     """
-    need("pysindy", "pysindy", "a rival of the zoo")
+    need("pysindy", "pysindy", "a peer of the zoo")
     import pysindy
 
     library, function = _make_library(pysindy, len(data.states))
@@ -93,7 +93,7 @@ def answer_weak(data: Trajectory, seed: int = 0) -> Answer:
 
     Raises MissingExtra when pysindy is not installed.
     """
-    need("pysindy", "pysindy", "a rival of the zoo")
+    need("pysindy", "pysindy", "a peer of the zoo")
     import pysindy
 
     library, function = _make_library(pysindy, len(data.states))

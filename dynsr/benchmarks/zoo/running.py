@@ -104,7 +104,7 @@ def answer_dynsr(
     method: Any = "auto",
     without: Sequence[str] = (),
 ) -> Answer:
-    """Discover as a user would: the states' names are all that is told.
+    """Discover as a user would: only the states' names are given.
 
     Parameters
     ----------

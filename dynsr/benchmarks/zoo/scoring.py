@@ -58,7 +58,7 @@ class Scores:
     constants_off : the largest relative error of a constant where all terms are right, else inf.
     slopes_off : rms error of the right-hand sides along both true trajectories, as a share of the
         rms slope; that of the worst state.
-    covered, constants : intervals that hold the true constant, of how many; of exact answers.
+    covered, constants : intervals that contain the true constant, of how many; of exact answers.
     """
 
     reproduced: float
@@ -76,7 +76,7 @@ class Scores:
 
 
 def score_answer(answer: Answer, animal: ZooSystem, measured: Measurement) -> Scores:
-    """Hold an answer against the truth of a system of the zoo.
+    """Compare an answer with the truth of a system of the zoo.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def plain_form(expr: sympy.Expr) -> sympy.Expr:
 def _covers(
     answer: Answer, animal: ZooSystem, state: str, runs: Sequence[Trajectory]
 ) -> tuple[int, int]:
-    """Count the intervals of a state that hold the true constant, and all of its intervals.
+    """Count the intervals of a state that contain the true constant, and all of its intervals.
 
     The true constants of a formula are those with which it is the true function.
     """

@@ -38,10 +38,10 @@ def read_suite(path: str | Path, names: Sequence[str] = (), span: float = 10.0) 
     except (ValueError, RecursionError):
         raise InputError(f"{str(path)!r} is no whole JSON file; give {_SHAPE}") from None
     if not isinstance(entries, list) or not entries:
-        raise InputError(f"{str(path)!r} holds no systems; give {_SHAPE}")
+        raise InputError(f"{str(path)!r} has no systems; give {_SHAPE}")
     named = {_name(entry, place): entry for place, entry in enumerate(entries)}
     if len(named) < len(entries):
-        raise InputError(f"{str(path)!r} holds an id twice; give each system its own")
+        raise InputError(f"{str(path)!r} has an id twice; give each system its own")
     for name in names:
         if name not in named:
             raise InputError(f"unknown system {name!r}; they are: {', '.join(named)}")

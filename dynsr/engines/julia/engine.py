@@ -208,7 +208,7 @@ class JuliaEngine(AbstractEngine):
                 raise EngineUnavailable(explain_start(str(problem))) from None
 
     def _reach(self) -> WorkerProcess | Guest:
-        """Give what answers, started anew where it is not there."""
+        """Give what answers, started again where it is not there."""
         if self._process is None or not self._process.alive:
             if self._process is not None:
                 self._process.close()

@@ -198,7 +198,7 @@ def _start_code(module: str) -> str:
 class _Reports:
     """What a worker reports: the stage of its start, the last lines it wrote, and what went wrong.
 
-    A cause is a line that says so, with the few that belong to it; the stack below it is none.
+    A cause is a line that says so, with the few that belong to it; the stack below it is no cause.
     """
 
     def __init__(self) -> None:
@@ -207,7 +207,7 @@ class _Reports:
         self.begin("starting")
 
     def forget_causes(self) -> None:
-        """Begin anew: what went wrong before is no cause of what comes."""
+        """Begin again: what went wrong before is no cause of what comes."""
         self._causes: list[list[str]] = []
         self._open = False
 

@@ -58,8 +58,8 @@ finally:
 def find_sources() -> Path:
     """Give the folder of dynsr's Julia package: ``julia`` of a checkout, or ``dynsr_julia``.
 
-    The second is what it is called where dynsr is installed, beside ``dynsr``. juliapkg looks for
-    ``juliapkg.json`` in the folders beside a package too, so that it finds either.
+    The second is what it is called where dynsr is installed, next to ``dynsr``. juliapkg looks for
+    ``juliapkg.json`` in the folders next to a package too, so that it finds either.
     """
     beside = Path(__file__).resolve().parents[3]
     for folder in (beside / "dynsr_julia", beside / "julia"):
@@ -72,8 +72,8 @@ def keep_one_list() -> None:
     """Let juliapkg read the list of packages of :func:`find_sources` alone, of all copies of it.
 
     A checkout on the path and an installed dynsr have one each, whose paths contradict each other;
-    which one is taken is told on standard error. Nothing happens where juliapkg is not installed
-    or not asked.
+    standard error reports which one is taken. Nothing happens where juliapkg is not installed or
+    not asked.
     """
     if OWN_PROJECT in os.environ:
         return
@@ -104,7 +104,7 @@ def require_julia() -> None:
 
 
 def find_missing() -> str:
-    """Say in one line what keeps Julia from starting and what mends it; empty when nothing does.
+    """Say in one line what keeps Julia from starting and how to fix it; empty when nothing does.
 
     Starts nothing and installs nothing.
     """
@@ -144,7 +144,7 @@ def _is_resolved() -> bool:
 
 
 def explain_start(problem: str) -> str:
-    """Say in one line why Julia does not start and what mends it.
+    """Say in one line why Julia does not start and how to fix it.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def _takes_files(folder: str) -> bool:
 
 
 def is_configured() -> bool:
-    """Whether somebody has set Julia up or told where it is, so that it ought to start."""
+    """Whether somebody has set Julia up or said where it is, so that it ought to start."""
     if importlib.util.find_spec("juliacall") is None:
         return False
     if any(name in os.environ for name in _OWN):

@@ -229,7 +229,7 @@ def solve_implicit(
 ) -> SparseSolution:
     """Search q with ``[dx theta; theta]' q = 0``: of all left-hand sides the lowest AICc.
 
-    Only relations with two terms or more beside the left-hand side, one of them of the
+    Only relations with two terms or more in addition to the left-hand side, one of them of the
     denominator, are candidates. The left-hand side has coefficient -1.
     """
     stack = Stack.leave_one_out(np.vstack([dx * theta, theta]), 1.0)

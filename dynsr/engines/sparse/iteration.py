@@ -129,7 +129,7 @@ class Resolvent:
     """(G + shift I)^-1 for each problem of a stack, applied to (k, n) vectors in one product.
 
     With P the inverse of the whole matrix, v P has no component j when v_j is set to
-    -sum_i v_i P_ij / P_jj over the others; what is left is then the solution of the system without
+    -sum_i v_i P_ij / P_jj over the others; the rest is then the solution of the system without
     row and column j (block inversion). So the inverses of the problems are never formed.
     """
 

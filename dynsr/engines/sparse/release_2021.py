@@ -190,7 +190,7 @@ def _choose_2021(candidates: Sequence[_Candidate], rows: np.ndarray) -> SparseSo
 
     The incumbent starts as the zero vector, which nothing beats except that the first candidate
     is taken without asking. A candidate is compared at its own scale, the incumbent at largest
-    magnitude one. The iterations told are the fewest of all that were ever accepted.
+    magnitude one. The iterations reported are the fewest of all that were ever accepted.
     """
     best, bound, accepted = None, 0.0, []
     for position, candidate in enumerate(candidates):
