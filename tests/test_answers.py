@@ -91,7 +91,7 @@ def test_what_only_seems_better_is_tried_and_not_called_so():
     found = answer(problem, SPRING, {"x": ["v"], "v": [SPRING["v"]]})
     rivals = {"x": [], "v": [(parse("-2.9*x"), -50.0)]}
     verdict = problem.judge(found, rivals)
-    assert "follows them better" in verdict.states["v"].reason
+    assert "fits them better" in verdict.states["v"].reason
     same, judged = adopt_better(problem, found, verdict, rivals)
     assert same.equations == found.equations and "better" not in judged.reason
     assert "-2.9*x" not in [one.equation for one in judged.rivals["v"]]
@@ -173,7 +173,7 @@ def test_no_cause_is_named_of_what_leaves_nothing_but_noise():
     unsure = {"x": "v", "v": "-0.4*v - 0.5*x**3 - 2*x + 0.003*x**2"}
     found = answer(problem, unsure, {"x": ["v"], "v": [SPRING["v"]]})
     reason = problem.judge(found, {"x": [], "v": []}).states["v"].reason
-    assert "not sure of x**2" in reason and "missing" not in reason
+    assert "leave it open whether it needs x**2" in reason and "missing" not in reason
 
 
 @pytest.mark.parametrize(

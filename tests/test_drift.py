@@ -122,7 +122,7 @@ def test_along_one_run_of_one_way_a_shorter_law_in_the_time_is_told(solution, sl
     assert found is not None
     assert str(found.expr) == other
     assert found.said == (
-        f"it cannot be told apart from x' = {other}; a run from another start decides"
+        f"the data cannot distinguish it from x' = {other}; a run from another start decides"
     )
 
 
@@ -267,7 +267,7 @@ def test_true_laws_in_noise_do_not_drift(slope, start, end, law, noise, seed):
     judged = judge(equations(**law), [integrate(slope, start, end, 150, noise, seed)])
     for own in judged.states.values():
         assert "record" not in own.reason and "time" not in own.reason
-        assert "no chance" not in own.reason and "another start" not in own.reason
+        assert "not random" not in own.reason and "another start" not in own.reason
 
 
 @pytest.mark.slow

@@ -351,4 +351,4 @@ def test_a_spring_that_swings_round_keeps_its_momentum_and_is_no_other_law():
     assert found.equations["u"] == r * w**2 - 3.1 * r + 4.34
     assert found.equations["w"] == -2 * u * w / r
     assert found.verdict.states["u"].level == "approximation"
-    assert "keep a relation" in found.verdict.states["u"].reason
+    assert "satisfy a relation" in found.verdict.states["u"].reason

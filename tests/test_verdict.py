@@ -94,7 +94,7 @@ def test_a_term_that_the_data_do_not_ask_for_keeps_an_equation_from_being_a_law(
     data = measure(OSCILLATOR, [1.0, 0.0], 10, 150, 0.03)
     found = judge({"x": parse("y"), "y": parse("-2*x - 0.3*y + 0.001*y**3")}, [data]).states["y"]
     cubic = next(term for term in found.terms if term.term == "y**3")
-    assert found.level == "approximation" and "sure of y**3" in found.reason
+    assert found.level == "approximation" and "whether it needs y**3" in found.reason
     assert cubic.ratio < 3 and cubic.probability < 0.9
     assert min(t.probability for t in found.terms if t.term != "y**3") > 0.999
 
@@ -108,7 +108,7 @@ def test_a_different_formula_that_does_as_well_keeps_an_equation_from_being_a_la
     }
     found = judge(true, [data], front=front).states["p"]
     assert found.level == "approximation" and found.rivals[0].bits < 8
-    assert "cannot be told apart from" in found.reason and "*q" in found.rivals[0].equation
+    assert "cannot distinguish it from" in found.reason and "*q" in found.rivals[0].equation
     assert explain("p", true["p"], found).count(found.rivals[0].equation) == 1
 
 
@@ -127,7 +127,7 @@ def test_an_answer_that_the_last_fit_loosened_is_no_rival_of_itself():
     lines = [sympy.fraction(sympy.together(parse(one.equation)))[1] for one in own.rivals]
     x = sympy.Symbol("x")
     assert not any(line.is_polynomial(x) and sympy.degree(line, x) == 1 for line in lines)
-    assert "cannot be told apart" not in own.reason
+    assert "cannot distinguish" not in own.reason
 
 
 def test_a_formula_that_can_be_the_same_function_is_no_rival():
@@ -288,7 +288,7 @@ def test_a_root_in_noise_is_a_law_only_far_ahead_of_others():
         assert found.level == level
     assert judge(tank, [noisy], rivals={"h": []}).level == "approximation"
     near = judge(tank, [noisy], rivals={"h": [(other, 20.0)]}).states["h"].reason
-    assert "may stand for others, such as 0.3 - 0.1*h" in near
+    assert "may replace its own, as in 0.3 - 0.1*h" in near
     assert judge(tank, [exact], rivals={"h": [(other, 20.0)]}).level == "law"
 
 

@@ -112,7 +112,7 @@ def test_saturation_is_no_other_law_without_a_word():
         assert slope(value) == pytest.approx(-1.2 * value / (0.8 + value), rel=0.05)
     own = found.verdict.states["S"]
     if sympy.simplify(sympy.numer(sympy.together(found.equations["S"])) / s).free_symbols:
-        assert own.level == "approximation" and "cannot be told apart" in own.reason
+        assert own.level == "approximation" and "cannot distinguish it" in own.reason
     check_what_is_said(found)
 
 

@@ -475,12 +475,12 @@ def say(
     >>> say("v", -0.03 * q * t - q - 0.1 * v, -q - 0.1 * v, np.array([0.0, 40.0]), 90.0)
     "its constants change along the record: q's coefficient from -1 to -2.2, as in v' = ..."
     >>> say("x", t + 1, sympy.sqrt(q), np.array([0.0, 40.0]), 0.0)
-    "it cannot be told apart from x' = t + 1; a run from another start decides"
+    "the data cannot distinguish it from x' = t + 1; a run from another start decides"
     """
     written = f"{state}{'[n+1]' if discrete else chr(39)} = {shown(tidy(expr), 4)}"
     if not is_timed(expr, own):
         more = [shown(body, 4) for body in bodies_of(expr) if body not in bodies_of(own)]
-        return f"what is left over is no chance: it follows {' and '.join(more) or written}"
+        return f"the residuals are not random: they depend on {' and '.join(more) or written}"
     factors = {body: sympy.Add(*parts) for body, parts in _coefficients(expr).items()}
     changing = {body for body, factor in factors.items() if TIME in factor.free_symbols}
     ends = {"t": np.array([float(t.min()), float(t.max())])}
@@ -493,8 +493,8 @@ def say(
             parts.append(f"{name} from {first:.3g} to {last:.3g}")
         return f"its constants change along the record: {' and '.join(parts)}, as in {written}"
     if gain > _CLEARLY:
-        return f"{written}, which holds the time, follows them better"
-    return f"it cannot be told apart from {written}; a run from another start decides"
+        return f"{written}, which contains the time, fits them better"
+    return f"the data cannot distinguish it from {written}; a run from another start decides"
 
 
 def _coefficients(expr: sympy.Expr) -> dict[sympy.Expr, list[sympy.Expr]]:

@@ -350,7 +350,7 @@ def _doubts(
     if step.size > step.moves_by() / 2:
         doubts.append("that is hardly better than to say that nothing changes")
     if step.has_pattern():
-        doubts.append("what one step leaves over is no chance: it follows the columns")
+        doubts.append("the residuals of one step are not random: they depend on the columns")
     if step.size > step.finest and step.is_odd():
         doubts.append("functions stand in it that such columns seldom follow")
     if free > settings.free**2:
@@ -359,7 +359,7 @@ def _doubts(
         doubts.append(f"the last {settings.held_back:.0%} of the data are missed by more")
     unsure = dict.fromkeys(t.term for t in found.terms if t.ratio < settings.sure)
     if unsure:
-        doubts.append(f"the data are not sure of {', '.join(unsure)}")
+        doubts.append(f"the data leave it open whether it needs {', '.join(unsure)}")
     near = [r for r in found.rivals if r.bits < settings.rival_bits]
     if near:
         how = "gives it better" if near[0].bits < -settings.rival_bits else "gives it as well"

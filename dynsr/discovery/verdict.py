@@ -214,7 +214,7 @@ class Verdict:
 
 
 # The verdict of nobody.
-NOBODY = Verdict(NOT_JUDGED, "nobody has judged these equations")
+NOBODY = Verdict(NOT_JUDGED, "these equations have no verdict")
 
 
 def unjudged(equations: Iterable[str]) -> Verdict:
@@ -224,7 +224,7 @@ def unjudged(equations: Iterable[str]) -> Verdict:
     ----------
     equations : the states that have one.
     """
-    reason = "the time budget ended before the equations were judged; give more time."
+    reason = "the time budget ended before the equations were tested; give more time."
     own = StateVerdict(NOT_FOUND, reason, -math.inf)
     return Verdict(NOT_FOUND, reason, dict.fromkeys(equations, own))
 
@@ -307,7 +307,7 @@ def _doubt_beside(
         beside = sorted(weak & {str(symbol) for symbol in expr.free_symbols})
         if own.level == LAW and beside and not expr.is_Symbol:
             found[state] = _doubt(
-                own, f"only beside {_join(beside)}, whose own equation is no law."
+                own, f"only together with {_join(beside)}, whose own equation is no law."
             )
     return found
 
@@ -730,32 +730,32 @@ class _Bench:
             doubts.append("it divides by 0 between the data")
         if self.clean[place] and self._is_open(state):
             doubts.append(
-                "its columns keep a relation along the data, so that other forms are the same "
-                "there: a run from another start tells them apart"
+                "its columns satisfy a relation along the data, so that other forms are equal "
+                "there; a run from another start decides"
             )
         rows = self._rows(followed, place)
         if not self._leaves_noise(place, evidence, found, rows):
-            doubts.append(f"what is left over is not noise{_where(followed, place)}")
+            doubts.append(f"the residuals are not noise{_where(followed, place)}")
         share = found.forecast
         # The errors of a solver add up over the forecast; they are no chance.
         settled = self.clean[place] and share is not None and share < 6 * settings.solver
         if not (settled or evidence.surprise[place] <= evidence.allowed[place]):
-            by = "diverges" if share is None else f"is off by {_percent(share)} of the spread"
+            by = "diverges" if share is None else f"has an error of {_percent(share)} of the spread"
             doubts.append(f"a forecast of the last {settings.held_back:.0%} of the data {by}")
         unsure = [t.term for t in found.terms if t.ratio < settings.sure]
         if unsure:
             some = unsure if len(unsure) <= _NAMED else [*unsure[: _NAMED - 1], "others"]
-            doubts.append(f"the data are not sure of {_join(some)}")
+            doubts.append(f"the data leave it open whether it needs {_join(some)}")
         near = [r for r in found.rivals if r.bits < settings.rival_bits]
         if near and near[0].bits < -settings.rival_bits:
-            doubts.append(f"{near[0].equation} follows them better")
+            doubts.append(f"{near[0].equation} fits them better")
         elif near:
-            doubts.append(f"it cannot be told apart from {near[0].equation}")
+            doubts.append(f"the data cannot distinguish it from {near[0].equation}")
         elif not self.clean[place] and has_stand_in(self.equations[state]):
             other = min(found.rivals, key=lambda r: r.bits, default=None)
             if other is None or other.bits < settings.stand_in_bits:
-                beside = "" if other is None else f", such as {other.equation}"
-                doubts.append(f"in this noise its functions may stand for others{beside}")
+                beside = "" if other is None else f", as in {other.equation}"
+                doubts.append(f"in this noise other functions may replace its own{beside}")
         if rows < settings.fewest * max(1, len(found.terms)):
             doubts.append(f"{rows:.0f} rows are too few to be sure")
         return doubts
@@ -825,7 +825,7 @@ class _Bench:
                 much = f"follows the data to {_percent(float(found.missed[place]))} of the spread"
                 why = "its terms are too many to be tried one by one"
                 if not exact:
-                    why = "what is left over is not noise"
+                    why = "the residuals are not noise"
                 elif idle:
                     why = f"the data do not need {_join([shown(t) for t in idle])}"
                 reason = f"{much} {said}, but {why}."
@@ -1077,7 +1077,7 @@ def _where(followed: Followed, place: int) -> str:
     begin, end = float(t[rows[0], lane]), float(t[rows[-1], lane])
     # Years need more digits than seconds from 0.
     digits = 3 + max(0, math.ceil(math.log10(max(abs(end), 1e-300) / np.ptp(t[:, lane]))))
-    return f", most of it from t = {begin:.{digits}g} to {end:.{digits}g}"
+    return f", mostly from t = {begin:.{digits}g} to {end:.{digits}g}"
 
 
 def _percent(share: float) -> str:
