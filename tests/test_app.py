@@ -411,6 +411,18 @@ def test_what_is_downloaded_is_what_was_found(page, tmp_path):
     assert code["rhs"](0.0, [2.0, 5.0]) == pytest.approx(slope)
     report = page.ask("report.html")[2].decode()
     assert report.startswith("<!doctype html>") and "Equations found" in report
+    # Every format that can hold the equations is a file, that of several files an archive.
+    named = loaded.system.parameters
+    offered = {one["file"] for one in found["exports"]}
+    assert {"found_c.c", "found_do_mpc.py", "found_catalyst.jl"} <= offered
+    for file in offered:
+        status, headers, held = page.ask(file)
+        assert status == 200 and headers["Content-Disposition"].endswith(f'my_rabbits-{file}"')
+        assert held and (file.endswith((".zip", ".bib", ".html", ".tex")) or "k1" in held.decode())
+    code = {"__name__": "found"}
+    exec(page.ask("found_python.py")[2].decode(), code)
+    assert code["rhs"](0.0, [2.0, 5.0], **named.numbers) == pytest.approx(slope)
+    assert page.ask("found_nothing.c")[0] == 400 and page.ask("found_../x.c")[0] == 404
     # Other constants move the curve, and no more than the curve.
     before = page.wait(lambda parts: parts.get("picture"))["picture"]["svg"]
     page.post("redraw", values={"x": [-1.0, 2.0]})

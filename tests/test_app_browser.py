@@ -119,7 +119,8 @@ def test_the_whole_way_from_a_file_to_its_equations(browser, page, tmp_path):
 
     # Files come as a browser downloads them.
     browser.ask("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
-    for name in ("report.html", "model.py", "discovery.json"):
+    browser.run("document.querySelector('#exports').closest('details').open = true")
+    for name in ("report.html", "model.py", "discovery.json", "found_matlab.m"):
         click(browser, f"a[href='{name}']")
         end = time.monotonic() + 30
         while not (tmp_path / f"rabbits-{name}").exists():

@@ -3,6 +3,7 @@ import re
 import shlex
 from dataclasses import replace
 from html.parser import HTMLParser
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -195,3 +196,14 @@ def test_trajectories_that_are_not_drawn_are_counted(found):
     page = render_discovery(replace(found, trajectories=found.trajectories * 5))
     assert "2 more are in the data" in page and "Trajectory 3" in page
     assert "Trajectory 4" not in page
+
+
+def test_every_format_is_offered_as_a_file(found):
+    """Each link holds the text that the export writes, under a name that hides no package."""
+    page = render_discovery(found)
+    links = re.findall(r'<a href="data:text/plain;charset=utf-8,([^"]*)" download="([^"]*)"', page)
+    files = {file: unquote(html.unescape(text)) for text, file in links}
+    assert {"found_python.py", "found_control.py", "found_c.c", "found_latex.tex"} <= {*files}
+    assert files["found_control.py"] == found.export("control")
+    assert files["found_julia.jl"] == found.export("julia")
+    assert "found_petab.zip" not in files

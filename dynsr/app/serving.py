@@ -53,6 +53,7 @@ _DOWNLOADS = {
     "model.py": "text/x-python",
     "discovery.json": "application/json",
 }
+_EXPORTED = r"found_[a-z_]+\.[A-Za-z0-9]+"
 # Pictures and formulas have styles of their own; nothing else may come from elsewhere or inline.
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; connect-src 'self'; "
@@ -183,7 +184,7 @@ def _make_site(
     hosts = (f"{HOST}:{port}", f"localhost:{port}")
     common = {"token": token, "hosts": hosts, "desk": desk}
     wishes = "columns|search|stop|redraw|forget|quit"
-    downloads = "|".join(map(re.escape, _DOWNLOADS))
+    downloads = "|".join((*map(re.escape, _DOWNLOADS), _EXPORTED))
     return Application(
         [
             (r"/[^/]*/(|page\.css|page\.js)", _Page, common),
@@ -434,6 +435,7 @@ class _Download(_Guarded):
         if error := await self.desk.ask(WRITE, name=name):
             raise InputError(error)
         stem = re.sub(r"[^\w.-]", "_", self.desk.stem, flags=re.ASCII) or "dynsr"
-        self.set_header("Content-Type", f"{_DOWNLOADS[name]}; charset=utf-8")
+        kind = "application/zip" if name.endswith(".zip") else "text/plain"
+        self.set_header("Content-Type", f"{_DOWNLOADS.get(name, kind)}; charset=utf-8")
         self.set_header("Content-Disposition", f'attachment; filename="{stem}-{name}"')
         self.finish((self.desk.folder / name).read_bytes())

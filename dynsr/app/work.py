@@ -23,6 +23,7 @@ from dynsr.data import (
     in_unit,
     load_columns,
     read_trajectories,
+    write_bytes,
     write_text,
 )
 from dynsr.discovery import (
@@ -35,6 +36,7 @@ from dynsr.discovery import (
     write_map_mathml,
 )
 from dynsr.errors import DynsrError, DynsrWarning, InputError, one_line
+from dynsr.export import Source, list_formats, name_file, pack_format
 from dynsr.expression import NAMED_FUNCTIONS, parse, shown, to_mathml, to_text
 from dynsr.fit import ParetoFront, tidy
 from dynsr.jobs import clock, say_left
@@ -228,7 +230,7 @@ class Work:
         self._say("found", {**show_found(found), "notes": list(dict.fromkeys(notes))})
 
     def write(self, name: str) -> None:
-        """Write one of FILES of what was found, for downloading.
+        """Write one of FILES of what was found, or a file of an export, for downloading.
 
         Parameters
         ----------
@@ -241,8 +243,14 @@ class Work:
             found.report(target)
         elif name == RECORD:
             found.save(target)
-        else:
+        elif name == CODE:
             write_text(target, found.to_python())
+        else:
+            source = Source.of(found)
+            own = next((f for f in list_formats(source) if name_file(f) == name), None)
+            if own is None:
+                raise InputError(f"no file {name!r} can be made of these equations")
+            write_bytes(target, pack_format(source, own)[1])
         self._say("written", name)
 
     def redraw(self, values: Mapping[str, Sequence[float]], run: int) -> None:
@@ -520,6 +528,10 @@ def show_found(found: Discovery) -> dict[str, Any]:
         "runs": len(found.trajectories),
         "latex": found.latex(),
         "python": found.to_python(),
+        "exports": [
+            {"title": one.title, "file": name_file(name)}
+            for name, one in list_formats(Source.of(found)).items()
+        ],
     }
 
 

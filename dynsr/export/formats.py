@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
+from io import BytesIO
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from dynsr.data import check_new, write_new
 from dynsr.errors import InputError, need
@@ -63,6 +66,7 @@ FORMATS: dict[str, Format] = {
         sbml.write_sbml,
         sbml.SBML,
         needs=("libsbml", "sbml"),
+        check=sbml.check_petab,
         folder=sbml.write_petab,
     ),
     "casadi": Format("CasADi", ".py", models.write_casadi, models.CONTROL, True),
@@ -102,6 +106,65 @@ def find_format(name: str) -> Format:
     return FORMATS[asked]
 
 
+def list_formats(source: Source) -> dict[str, Format]:
+    """Give the formats that can hold equations with what is installed here, by their names.
+
+    Parameters
+    ----------
+    source : the equations, and what goes with them.
+
+    >>> from dynsr.data import find_system
+    >>> "catalyst" in list_formats(Source.of(find_system("lorenz")))
+    False
+    """
+    found = {}
+    for name, one in FORMATS.items():
+        with suppress(InputError):
+            _choose(source, name)
+            found[name] = one
+    return found
+
+
+def name_file(name: str) -> str:
+    """Give the name of the one file of a format.
+
+    Parameters
+    ----------
+    name : of the format.
+
+    >>> name_file("petab")
+    'found_petab.zip'
+    """
+    # A file of Python that had the name of what it imports would import itself.
+    return f"found_{name.replace('-', '_')}{find_format(name).suffix or '.zip'}"
+
+
+def pack_format(source: Source, name: str) -> tuple[str, bytes]:
+    """Write equations in a format as one file, a folder as a ZIP archive; gives its name too.
+
+    Parameters
+    ----------
+    source : the equations, and what goes with them.
+    name : of the format.
+
+    Raises InputError as :func:`write_files` does.
+
+    >>> from dynsr.data import find_system
+    >>> pack_format(Source.of(find_system("sir")), "do-mpc")[0]
+    'found_do_mpc.py'
+    """
+    texts = write_files(source, name)
+    if find_format(name).folder is None:
+        (text,) = texts.values()
+        return name_file(name), text.encode()
+    packed = BytesIO()
+    with ZipFile(packed, "w", ZIP_DEFLATED) as archive:
+        for file, text in texts.items():
+            # The same equations give the same bytes.
+            archive.writestr(ZipInfo(file), text)
+    return name_file(name), packed.getvalue()
+
+
 def write_files(source: Source, name: str) -> dict[str, str]:
     """Write equations in a format: name of each file -> its text.
 
@@ -119,10 +182,6 @@ def write_files(source: Source, name: str) -> dict[str, str]:
     ['found.md']
     """
     chosen = _choose(source, name)
-    if chosen.needs is not None:
-        need(*chosen.needs, f"the format {name!r}")
-    if chosen.check is not None:
-        chosen.check(source)
     named = source if chosen.words is None else name_in(source, chosen.words, chosen.write)
     if chosen.folder is not None:
         return chosen.folder(named)
@@ -134,6 +193,10 @@ def _choose(source: Source, name: str) -> Format:
     if source.system.discrete and not chosen.maps:
         able = ", ".join(key for key, one in FORMATS.items() if one.maps)
         raise InputError(f"{chosen.title} takes no map; formats that do: {able}")
+    if chosen.needs is not None:
+        need(*chosen.needs, f"the format {name!r}")
+    if chosen.check is not None:
+        chosen.check(source)
     return chosen
 
 

@@ -205,17 +205,35 @@ def find_faults(text: str, units: bool = False) -> list[str]:
     return [error.getMessage().strip() for error in errors]
 
 
+def check_petab(source: Source) -> None:
+    """Check that the data are those of a PEtab problem.
+
+    Parameters
+    ----------
+    source : what is to be written.
+
+    Raises InputError when they are not there, lack a state or have an input that changes.
+    """
+    if not source.runs:
+        raise InputError("the data are not here; discover again, or give them with --data FILE")
+    for run in source.runs:
+        if source.timed and run.t[0]:
+            raise InputError(
+                f"the equations hold t and the data begin at t = {run.t[0]:g}; PEtab begins at 0"
+            )
+        for state in source.states:
+            _column(source, run, state)
+        for name in source.measured:
+            _constant(source, run, name)
+
+
 def write_petab(source: Source) -> dict[str, str]:
     """Write a PEtab problem (version 1): the model, its data, and what is to be estimated.
 
     Parameters
     ----------
-    source : what is written.
-
-    Raises InputError when the data are not there, lack a state or have an input that changes.
+    source : what is written, as :func:`check_petab` lets it pass.
     """
-    if not source.runs:
-        raise InputError("the data are not here; discover again, or give them with --data FILE")
     taken = {*source.states, *source.parameters, *source.system.inputs}
     begins = {s: _unused(f"start_{s}", taken) for s in source.states}
     spreads = {s: _unused(f"noise_{s}", taken) for s in source.states}
@@ -224,10 +242,6 @@ def write_petab(source: Source) -> dict[str, str]:
     conditions, measurements = [header], [_MEASURED]
     for place, run in enumerate(source.runs, 1):
         condition = f"run_{place}"
-        if source.timed and run.t[0]:
-            raise InputError(
-                f"the equations hold t and the data begin at t = {run.t[0]:g}; PEtab begins at 0"
-            )
         columns = {s: _column(source, run, s) for s in source.states}
         conditions.append(
             [

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import Any
+from urllib.parse import quote as quote_url
 
 import numpy as np
 import sympy
@@ -34,7 +34,7 @@ from dynsr.discovery import (
 )
 from dynsr.engines import FixedPoint
 from dynsr.errors import DynsrError, InputError
-from dynsr.export import FORMATS, Source, write_format
+from dynsr.export import Source, list_formats, pack_format
 from dynsr.expression import arguments_of, complexity, counting, evaluate, shown, to_mathml
 from dynsr.fit import Candidate, ParetoFront, free_constants, is_noisy, loosen, rmse
 from dynsr.report.page import Picture, render_page
@@ -607,14 +607,14 @@ def _scores(found: Discovery) -> Table | None:
     )
 
 
-def _formats(found: Discovery) -> Iterator[tuple[str, str]]:
-    """Give (title, text) of what the equations with named parameters are written as."""
+def _formats(found: Discovery) -> Iterator[tuple[str, str, str, str]]:
+    """Give (title, file, text, address) of the equations with named parameters for other tools."""
     source = Source.of(found)
-    for name, one in FORMATS.items():
-        # What needs a package of its own, or cannot hold these equations, is left out.
-        if one.needs is None:
-            with suppress(InputError):
-                yield one.title, write_format(source, name)
+    for name, one in list_formats(source).items():
+        if one.folder is None:
+            file, packed = pack_format(source, name)
+            address = f"data:text/plain;charset=utf-8,{quote_url(packed)}"
+            yield one.title, file, packed.decode(), address
 
 
 def _facts(found: Discovery) -> list[tuple[str, str]]:

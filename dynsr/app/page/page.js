@@ -180,6 +180,7 @@ const showFound = (found, fresh) => {
   list("said-found", found.notes);
   $("equations").replaceChildren(...found.equations.map(one => card(one, one.level, one.why)));
   $("python").textContent = found.python;
+  $("exports").replaceChildren(...found.exports.map(one => make("a", { className: "button", href: one.file, download: "" }, one.title)));
   sliders = found.constants.map(one => slider(one, found.left, found.units));
   $("rows-of-constants").replaceChildren(...sliders.flatMap(one => one.rows));
   show("constants", sliders.length);
