@@ -270,6 +270,6 @@ def test_an_array_without_times_is_told_to_bring_them():
 
 
 def test_a_name_that_can_stand_in_a_formula_is_kept():
-    """Only what cannot stand in a formula is renamed."""
+    """Only what cannot be used in a formula is renamed."""
     columns = {"t": T, "inf_": np.exp(-T), "_a": T**2, "a__b": T**3}
     assert read_trajectories(columns).trajectories[0].states == ("inf_", "_a", "a__b")

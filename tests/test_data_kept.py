@@ -90,9 +90,9 @@ def test_imaginary_parts_are_never_dropped(source):
         ({"t": T, "x": None}, "'x' of the mapping is a NoneType, not a column"),
         ({"t": T, "x": "abc"}, "'x' of the mapping is a str, not a column"),
         ({"t": T, "x": [[1], [2, 3]]}, "'x' of the mapping has rows of different lengths"),
-        ({"t": [], "x": []}, "holds no rows"),
+        ({"t": [], "x": []}, "has no rows"),
         (pd.DataFrame({"t": T, "x": X}, index=pd.Index(T, name="t")), "is the index and a column"),
-        (pl.DataFrame({"t": [], "x": []}).lazy(), "holds no rows"),
+        (pl.DataFrame({"t": [], "x": []}).lazy(), "has no rows"),
         ({"t": T, "x": [10**400] * 101}, "give numbers"),
         ({"t": np.arange(101) + 2**62, "x": X}, "more than 16 digits"),
         ({"t": T, "x": MILLISECONDS.astype("timedelta64[Y]")}, "no numbers"),
@@ -112,7 +112,7 @@ def test_files_without_rows_are_one_line(suffix, tmp_path):
         np.savez(path, t=np.array([]), x=np.array([]))
     else:
         pd.DataFrame({"t": [], "x": []}).to_parquet(path)
-    with pytest.raises(InputError, match=f"empty.{suffix} holds no rows"):
+    with pytest.raises(InputError, match=f"empty.{suffix} has no rows"):
         read_trajectories(path)
 
 

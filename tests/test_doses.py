@@ -79,7 +79,7 @@ def test_short_parts_are_left_out_and_said() -> None:
     ("doses", "says"),
     [
         ({"c": "pill"}, "there is no column 'pill'; the columns are: c, dose"),
-        ({"b": "dose"}, "doses are given to a state, and 'b' is none; the states are: c"),
+        ({"b": "dose"}, "doses are given to a state, and 'b' is no state; the states are: c"),
         ("dose", "must say state -> column of amounts"),
     ],
 )

@@ -117,5 +117,5 @@ def test_unknown_presets_and_columns_are_named():
         GeneticAlgorithm.preset("papre")
     with pytest.raises(InputError, match="no column 'w'; their columns are: x, y"):
         paper_method("ga", find_system("cart-pole")).search(planted(np.add), rng())
-    with pytest.raises(InputError, match="3 bits hold no symbol"):
+    with pytest.raises(InputError, match="3 bits are too few for a symbol"):
         GeneticAlgorithm(bits=3).search(planted(np.add), rng())

@@ -76,7 +76,7 @@ def test_settings_that_juliapkg_refuses_are_told(fake_julia, monkeypatch):
     monkeypatch.setattr(julia_setup, "_is_resolved", refuse)
     assert find_missing() == (
         "juliapkg refuses its settings: PYTHON_JULIAPKG_PROJECT must be an absolute path; "
-        "mend PYTHON_JULIAPKG_*"
+        "correct PYTHON_JULIAPKG_*"
     )
 
 

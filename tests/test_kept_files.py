@@ -330,8 +330,8 @@ def edited(saved, change, whole=True):
         (lambda r: r["equations"].update(x="10**10**8"), "beyond what float64 holds"),
         (lambda r: r["equations"].update(x=5), "'equations' is damaged"),
         (lambda r: r.update(equations={}), "there is no equation"),
-        (lambda r: r["equations"].update({"print(1) or x": "-x"}), "cannot stand in a formula"),
-        (lambda r: r["equations"].update({"x\n": "-x"}), "cannot stand in a formula"),
+        (lambda r: r["equations"].update({"print(1) or x": "-x"}), "cannot be used in a formula"),
+        (lambda r: r["equations"].update({"x\n": "-x"}), "cannot be used in a formula"),
         (lambda r: r["equations"].update({"t": "-x"}), "named 't'"),
         (lambda r: r["inputs"].update(x="1"), "input 'x' is also a state"),
         (lambda r: r["inputs"].update(F="__import__('os')"), "unknown function|cannot read"),
@@ -340,7 +340,7 @@ def edited(saved, change, whole=True):
         (lambda r: r.update(seconds=float("nan")), "no whole JSON"),
         (lambda r: r.update(seconds=10**400), "'seconds' is damaged"),
         (lambda r: r.update(complete="yes"), "'complete' is damaged"),
-        (lambda r: r.update(format="dynsr discovery 9"), "not 'dynsr discovery 1'; discover anew"),
+        (lambda r: r.update(format="dynsr discovery 9"), "not 'dynsr discovery 1'; discover again"),
     ],
 )
 def test_a_record_edited_by_hand_is_one_line(change, said, saved):
@@ -431,5 +431,5 @@ def test_code_is_never_written_from_a_name_that_is_none():
     """A state that is no name, made by hand, is refused where it would become code."""
     bad = "x = __import__('os').system('true')\n    x"
     for write in (Discovery.to_python, Discovery.to_julia):
-        with pytest.raises(InputError, match="cannot stand in a formula"):
+        with pytest.raises(InputError, match="cannot be used in a formula"):
             write(made({bad: -x}))

@@ -87,7 +87,7 @@ def test_names_of_other_equations_are_not_believed(tmp_path):
         ({"k1": "x"}, "named as a state"),
         ({"k1": "t"}, "named as a state, an input or the time"),
         ({"k1": "k2"}, "two parameters are named 'k2'"),
-        ({"k1": "2a"}, "cannot stand in a formula"),
+        ({"k1": "2a"}, "cannot be used in a formula"),
         ("roles", "must be"),
     ],
 )

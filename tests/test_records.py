@@ -170,7 +170,7 @@ def test_no_record_is_written_through_a_link(tmp_path):
     elsewhere = tmp_path / "elsewhere"
     (tmp_path / "run" / "cells").rename(elsewhere)
     (tmp_path / "run" / "cells").symlink_to(elsewhere)
-    with pytest.raises(InputError, match="holds a link 'cells' to another folder"):
+    with pytest.raises(InputError, match="contains a link 'cells' to another folder"):
         claim(tmp_path / "run", {})
 
 

@@ -210,7 +210,7 @@ def test_dates_of_a_dataset_are_times(tmp_path):
 
 def test_a_dataset_without_rows_is_one_line():
     """A dimension of no length holds nothing."""
-    with pytest.raises(InputError, match="holds no rows"):
+    with pytest.raises(InputError, match="has no rows"):
         load_columns(dataset().isel(t=slice(0, 0)))
 
 

@@ -63,7 +63,7 @@ def test_lines_above_the_names_are_skipped_and_told(tmp_path, form, write):
     assert read_names_only(tmp_path / "pump.csv") == columns.names
     silent = form.startswith("sep=") or form == "comments"
     assert len(columns.notes) == (not silent)
-    assert silent or "pump.csv above its table hold no data; skipped" in columns.notes[0]
+    assert silent or "pump.csv above its table have no data; skipped" in columns.notes[0]
 
 
 UNITS = {
@@ -287,7 +287,7 @@ def test_a_cell_that_cannot_be_read_is_named_once_it_is_needed(tmp_path, row):
     """Nothing behind # is dropped in a row; who does not need the column is not stopped."""
     path = put(tmp_path, HEAD + "\n".join([*ROWS[:6], row, *ROWS[7:]]))
     wrong = next(cell for cell in row.split(",") if "#" in cell or "x" in cell)
-    with pytest.raises(InputError, match=f"holds the text '{wrong}' in row 7"):
+    with pytest.raises(InputError, match=f"has the text '{wrong}' in row 7"):
         read_trajectories(path)
     if not row.startswith("#"):
         assert len(read_trajectories(path, states=["flow"]).trajectories[0]) == 14

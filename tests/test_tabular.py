@@ -185,7 +185,7 @@ def bent(row, column, value):
 
 REFUSED = {
     "empty file": ("", "is empty"),
-    "blank lines": ("\n\n\n", "holds no rows"),
+    "blank lines": ("\n\n\n", "has no rows"),
     "header alone": ("t,x,y\n", "header but no rows"),
     "three rows": ("t,x\n0,1\n1,2\n2,4\n", "3 rows"),
     "one row": ("t,x\n0,1\n", "1 row,"),
@@ -198,8 +198,8 @@ REFUSED = {
         "'x' has 7 values in the 21 rows of data.csv; at least 8 are needed: give more of them",
     ),
     "infinite value": (bent(7, 2, "inf"), "'y' of data.csv holds inf in row 8"),
-    "text cell": (bent(7, 1, "broken"), "'x' of data.csv holds the text 'broken' in row 8"),
-    "dangerous cell": (bent(7, 1, "__import__('os')"), "holds the text"),
+    "text cell": (bent(7, 1, "broken"), "'x' of data.csv has the text 'broken' in row 8"),
+    "dangerous cell": (bent(7, 1, "__import__('os')"), "has the text"),
     "constant columns": (
         table_text(rows=np.column_stack([T, 0 * T + 2, 0 * T + 3])),
         "'x' of data.csv is 2 in every row",
@@ -372,5 +372,5 @@ def test_a_table_says_the_role_of_each_column():
     assert few.names == ("t", "u")
     assert read_trajectories(few).trajectories[0].states == ("u",)
     assert load_columns(few) is few
-    with pytest.raises(InputError, match="holds no columns"):
+    with pytest.raises(InputError, match="has no columns"):
         columns.only(["z"])

@@ -93,12 +93,12 @@ def test_a_coefficient_has_the_unit_that_its_term_lacks(units, state, term, unit
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"x": "xx yy"}, "'xx yy' of 'x' is none that pint knows"),
-        ({"x": "m//"}, "is none that pint knows"),
+        ({"x": "xx yy"}, "'xx yy' of 'x' is unknown to pint"),
+        ({"x": "m//"}, "is unknown to pint"),
         ({"x": "10**10**10**10"}, "is too long"),
         ({"x": "m*" * 40 + "m"}, "is too long"),
         ({"x": "degC"}, "counts from an offset"),
-        ({"y": "m"}, "units name 'y', which is none of: x, t"),
+        ({"y": "m"}, "units name 'y', which is not one of: x, t"),
     ],
 )
 def test_units_that_cannot_be_read_are_one_line(given, said):

@@ -234,7 +234,7 @@ def test_a_formula_that_breaks_a_sign_loses_the_term_and_is_fitted_again() -> No
         ({"max_complexity": "many"}, "max_complexity 'many' must be"),
         ({"terms": ["x*z"]}, "unknown name 'z'"),
         ({"terms": ["3"]}, "is a number"),
-        ({"terms": ["sin(x)"], "functions": []}, "holds what functions do not allow"),
+        ({"terms": ["sin(x)"], "functions": []}, "contains what functions do not allow"),
         ({"constraints": {"z": {"x": "+"}}}, "constraint names 'z', which is no state"),
         ({"constraints": {"x": "+"}}, "must map terms"),
         ({"constraints": {"x": {"x": "up"}}}, "is 'up'; it is '+', '-' or 0"),

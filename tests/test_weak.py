@@ -41,7 +41,7 @@ def test_few_rows_have_windows(rows):
 
 def test_windows_that_do_not_fit_are_refused():
     """One line says how many rows there are and what would do."""
-    with pytest.raises(InputError, match="10 rows hold no window of 12 steps"):
+    with pytest.raises(InputError, match="10 rows have no window of 12 steps"):
         weak_form(circle(np.arange(10.0)), "x", [12])
 
 

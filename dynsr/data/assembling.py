@@ -65,9 +65,9 @@ class Columns:
         # The name of a file may be any bytes; the label goes into records, pages and tables.
         object.__setattr__(self, "label", printable(self.label))
         if not self.names:
-            raise InputError(f"{self.label} holds no columns; it needs times and states")
+            raise InputError(f"{self.label} has no columns; it needs times and states")
         if not len(self.values[0]):
-            raise InputError(f"{self.label} holds no rows; it needs rows of times and states")
+            raise InputError(f"{self.label} has no rows; it needs rows of times and states")
         often = Counter(self.names)
         for name, value in zip(self.names, self.values, strict=True):
             if name and often[name] > 1:
@@ -141,7 +141,7 @@ def assemble(
     readings = read_columns(columns, decimal, delimiter)
     there = np.any([_has_value(reading.values) for reading in readings], axis=0)
     if not there.any():
-        raise InputError(f"{label} holds no rows with a value; it needs rows of times and states")
+        raise InputError(f"{label} has no rows with a value; it needs rows of times and states")
     new, repeats, renamed = _tell_apart(called, [reading.values for reading in readings])
     left_out: dict[str, str] = {}
     found: list[tuple[str, np.ndarray]] = []
@@ -201,9 +201,9 @@ def _apart(
 
 def _check_lengths(names: Sequence[str], columns: Sequence[np.ndarray], label: str) -> None:
     if not len(columns):
-        raise InputError(f"{label} holds no columns; it needs times and states")
+        raise InputError(f"{label} has no columns; it needs times and states")
     if not len(columns[0]):
-        raise InputError(f"{label} holds no rows; it needs rows of times and states")
+        raise InputError(f"{label} has no rows; it needs rows of times and states")
     for name, column in zip(names, columns, strict=False):
         if len(column) != len(columns[0]):
             raise InputError(
@@ -341,7 +341,7 @@ def load_mapping(arrays: Mapping[str, Any], label: str, decimal: str | None = No
         elif array.ndim == 0:
             raise InputError(
                 f"{key!r} of {label} is a {type(value).__name__}, not a column; "
-                "give one value a row"
+                "give a value for each row"
             )
         else:
             raise InputError(

@@ -159,7 +159,7 @@ def _few_rows(
         yield Cause(
             "too few rows",
             f"{rows} rows are few for {states} state{'s' * (states > 1)}: several equations for "
-            f"{target} may fit them equally well; {wanted} or more tell them apart better.",
+            f"{target} may fit them equally well; {wanted} or more distinguish them better.",
             {"rows": rows, "wanted": wanted},
         )
 

@@ -49,7 +49,7 @@ def cut_at_doses(
             raise InputError(f"there is no column {column!r}; the columns are: {', '.join(names)}")
         if state not in states:
             raise InputError(
-                f"doses are given to a state, and {state!r} is none; the states are: "
+                f"doses are given to a state, and {state!r} is no state; the states are: "
                 f"{', '.join(states)}"
             )
     parts = [part for run in runs for part in _cut(run, doses, states)]

@@ -88,7 +88,7 @@ def load_excel(path: Path, decimal: str | None = None) -> Columns:
         raise unreadable(path, "spreadsheet", error) from None
     tables = {name: found for name, rows in sheets.items() if (found := _sheet(rows)) is not None}
     if not tables:
-        raise InputError(f"no sheet of {path.name!r} holds a table; it needs times and states")
+        raise InputError(f"no sheet of {path.name!r} contains a table; it needs times and states")
     large = [name for name, (_, rows) in tables.items() if len(rows) >= _FEWEST]
     chosen = large[0] if large else max(tables, key=lambda name: len(tables[name][1]))
     layout, rows = tables[chosen]
@@ -99,7 +99,7 @@ def load_excel(path: Path, decimal: str | None = None) -> Columns:
     if layout.skipped:
         first, last = layout.skipped[0] + 1, layout.skipped[-1] + 1
         count = f"row {first}" if first == last else f"rows {first} to {last}"
-        notes.append(f"{count} of {path.name} above its table hold no data; skipped")
+        notes.append(f"{count} of {path.name} above its table have no data; skipped")
     width = max(len(layout.names), *map(len, rows))
     columns = [
         np.array([_cell(row[j]) if j < len(row) else None for row in rows] + [None], dtype=object)

@@ -349,6 +349,6 @@ def rows_that_are_none(columns: Sequence[np.ndarray], label: str) -> tuple[np.nd
         found = np.flatnonzero(none)
         first = cell_text(columns[int(np.argmax(filled[:, found[0]]))][found[0]])[:40]
         what = "1 row" if len(found) == 1 else f"{len(found)} rows"
-        were = "holds no data" if len(found) == 1 else "hold no data"
+        were = "has no data" if len(found) == 1 else "have no data"
         notes.append(f"{what} of {label} {were} ({first!r}); skipped")
     return none, notes

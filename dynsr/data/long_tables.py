@@ -132,7 +132,7 @@ def describe_long(
     numbers = look.numbers([n for n in candidates if n not in (quantity, *others)], others)
     if not numbers:
         raise InputError(
-            f"{columns.label} has no column of numbers beside the quantity {quantity!r}; "
+            f"{columns.label} has no column of numbers in addition to the quantity {quantity!r}; "
             "name another column"
         )
     return Long(quantity, tuple(numbers), tuple(others), unit)

@@ -12,7 +12,7 @@ from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name
 
 # How a warning of new names begins.
-RENAMED = "columns were renamed so that they can stand in formulas"
+RENAMED = "columns were renamed so that formulas can use them"
 
 
 def list_names(names: Sequence[str]) -> str:

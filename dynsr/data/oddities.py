@@ -261,7 +261,8 @@ def _repeated(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
             "repeated",
             f"changes in {len(lengths) - 1} of {len(column.x) - 1} rows only",
             "it is written more often than it is measured, or more coarsely than it moves: keep "
-            f"one of about {usual} rows; where it is set and held, make it an input (--inputs)",
+            f"one of about {usual} rows; where it is set and keeps its value, make it an input "
+            "(--inputs)",
             column.rows(0, -1),
         )
         return

@@ -385,7 +385,7 @@ def say_noise(
 
 def _with_noise(run: Trajectory, state: str, value: Any) -> Trajectory:
     noise = read_noise(state, value, len(run))
-    words = value if isinstance(value, (str, int, float)) else "one value a row"
+    words = value if isinstance(value, (str, int, float)) else "a value for each row"
     told = {**run.origin.get("said_noise", {}), state: words}
     if isinstance(noise, str):
         if state in run.noise and noise not in run.names:
@@ -434,7 +434,7 @@ def _with_names(columns: Columns, states: Sequence[str] | str | None) -> Columns
     if len(wanted) != len(columns.names) - 1:
         raise InputError(
             f"{len(wanted)} state names ({', '.join(wanted)}) do not fit {columns.label} with "
-            f"{len(columns.names) - 1} columns beside the time; give one name a column"
+            f"{len(columns.names) - 1} columns and the time; give one name for each column"
         )
     return replace(columns, names=("t", *wanted))
 

@@ -132,7 +132,7 @@ def _check_together(
     raise InputError(
         f"{what} runs backwards at row {rows[back + 1] + 1} of {label} ({own[back]:g} then "
         f"{own[back + 1]:g}) and nothing says which rows belong together; name the columns that "
-        "tell trajectories apart (--trajectory), or correct that time"
+        "distinguish trajectories (--trajectory), or correct that time"
     )
 
 
@@ -174,7 +174,7 @@ def _tell_repeats(
     if ordered and any(noise.values()):
         notes.append(
             f"Of rows of one time the first is nearly always higher, or lower, in {ordered[0]!r}: "
-            "where they are of several trajectories, name the column that tells them apart "
+            "where they are of several trajectories, name the column that distinguishes them "
             "(--trajectory); where the clock is only coarse, give finer times."
         )
     return notes

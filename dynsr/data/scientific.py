@@ -119,7 +119,7 @@ def _from_groups(
     """Give the columns of groups of arrays: those of the same names are runs, others are joined."""
     tables = {n: dict(g) for n, g in groups.items() if any(v.ndim for v in g.values())}
     if not tables:
-        raise InputError(f"{label} holds no columns of numbers; it needs times and states")
+        raise InputError(f"{label} has no columns of numbers; it needs times and states")
     names = {frozenset(table) for table in tables.values()}
     # Beside runs there may be values that belong to none.
     alike = [n for n in tables if n]
@@ -253,7 +253,7 @@ def from_xarray(source: Any, label: str) -> Columns:
         raise InputError(f"{label} has no dimensions; it needs times and states")
     rows = _row_dimension(source)
     if not source.sizes[rows]:
-        raise InputError(f"{label} holds no rows; it needs rows of times and states")
+        raise InputError(f"{label} has no rows; it needs rows of times and states")
     along = {d for value in source.variables.values() if rows in value.dims for d in value.dims}
     over = [d for d in source.sizes if d in along - {rows} and _RUNS.fullmatch(str(d))]
     left_out = {
@@ -273,7 +273,7 @@ def from_xarray(source: Any, label: str) -> Columns:
         blocks.append({**{k: np.full(count, v) for k, v in named.items()}, **columns})
     names = list(blocks[0])
     if len(names) <= len(over):
-        raise InputError(f"{label} holds no variables along {rows!r}; it needs times and states")
+        raise InputError(f"{label} has no variables along {rows!r}; it needs times and states")
     units = [str(source[n].attrs.get("units", "")) if n in source else "" for n in names]
     found = assemble(
         names, [np.concatenate([b[n] for b in blocks]) for n in names], label, units=units

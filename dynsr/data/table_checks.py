@@ -36,9 +36,9 @@ def to_numbers(values: np.ndarray, name: str, label: str) -> np.ndarray:
     if None in numbers:
         row = numbers.index(None)
         many = len(set(map(str, values))) < len(values) and all(n is None for n in numbers)
-        remedy = f", or say --trajectory {name} if it tells trajectories apart" if many else ""
+        remedy = f", or say --trajectory {name} if it distinguishes trajectories" if many else ""
         raise InputError(
-            f"column {name!r} of {label} holds the text {str(values[row])[:40]!r} in row "
+            f"column {name!r} of {label} has the text {str(values[row])[:40]!r} in row "
             f"{row + 1}; give numbers, or leave the column out{remedy}"
         )
     return np.array(numbers, dtype=float)
@@ -118,7 +118,7 @@ def _warn_identical(columns: Mapping[str, np.ndarray], label: str) -> None:
         if first != name:
             warnings.warn(
                 f"columns {first!r} and {name!r} of {label} are identical, so formulas in one or "
-                f"the other cannot be told apart; leave one out",
+                f"the other cannot be distinguished; leave one out",
                 DynsrWarning,
                 stacklevel=4,
             )

@@ -159,7 +159,7 @@ class _Head:
         places = [j for j in places if self.lines[j].strip(" #")]
         plain = [j for j in places if not is_comment(self.lines[j])]
         if not plain:
-            raise InputError(f"{label!r} holds no rows; it needs rows of times and states")
+            raise InputError(f"{label!r} has no rows; it needs rows of times and states")
         self.delimiter = told[1] if told else _find_delimiter([self.lines[j] for j in plain])
         self.first_line = self.lines[plain[0]]
         found = search_layout(self._row, places)
@@ -261,7 +261,7 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
     if layout.skipped:
         first, last = layout.skipped[0] + 1, layout.skipped[-1] + 1
         count = f"line {first}" if first == last else f"lines {first} to {last}"
-        notes = (f"{count} of {path.name} above its table hold no data; skipped", *notes)
+        notes = (f"{count} of {path.name} above its table have no data; skipped", *notes)
     columns = [frame[j].to_numpy(None if frame[j].dtype.kind in "fiub" else object) for j in frame]
     none, said = rows_that_are_none(columns, path.name)
     notes = (*notes, *said)
@@ -368,7 +368,7 @@ def _parse_file(path: Path, head: _Head, **options: Any) -> tuple[Any, tuple[str
                     notes = (f"{what} skipped between the rows of {path.name}",)
                 if not kept:
                     raise InputError(
-                        f"{path.name!r} holds no rows; it needs rows of times and states"
+                        f"{path.name!r} has no rows; it needs rows of times and states"
                     )
                 count, file = len(kept), io.StringIO("".join(kept))
             frame = _parse_rows(file, head.delimiter, width, repr(path.name), **options)
@@ -379,7 +379,7 @@ def _parse_file(path: Path, head: _Head, **options: Any) -> tuple[Any, tuple[str
         raise unreadable(path, "table", error) from None
     if len(frame) < count and not _spans_lines(path, head, len(frame)):
         raise InputError(
-            f"only {len(frame)} of {count} rows of {path.name!r} could be told apart; "
+            f"only {len(frame)} of {count} rows of {path.name!r} could be separated; "
             "remove quotation marks and odd characters from them"
         )
     return frame, notes
@@ -471,7 +471,7 @@ def _parse_rows(file: Any, delimiter: str, width: int, label: str, **options: An
                 **options,
             )
     except pandas.errors.EmptyDataError:
-        raise InputError(f"{label} holds no rows; it needs rows of times and states") from None
+        raise InputError(f"{label} has no rows; it needs rows of times and states") from None
     except (pandas.errors.ParserError, ValueError) as error:
         if isinstance(error, UnicodeDecodeError):
             raise

@@ -213,7 +213,7 @@ class _Look:
             (i for i, cell in enumerate(values) if _as_numbers(values[i : i + 1]) is None), 0
         )
         raise InputError(
-            f"time {name!r} of {self._columns.label} holds the text "
+            f"time {name!r} of {self._columns.label} has the text "
             f"{str(values[row])[:40]!r} in row "
             f"{row + 1}; give numbers, or dates such as 2024-12-31"
         )
@@ -365,7 +365,7 @@ class _Look:
             left_out[name] = (
                 "is the same time in every row"
                 if still
-                else f"is a second time beside {time.name!r}"
+                else f"is a second time in addition to {time.name!r}"
             )
         return replace(time, left_out=left_out)
 

@@ -104,7 +104,7 @@ def as_floats(values: Any, what: str) -> np.ndarray:
     except InputError:
         raise
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{what} holds what are no numbers; give numbers") from None
+        raise InputError(f"{what} has values that are no numbers; give numbers") from None
     if array.dtype.kind in "iu" and np.any(np.abs(found) > 2**53):
         if any(int(a) != int(b) for a, b in zip(array.flat, found.flat, strict=True)):
             raise InputError(

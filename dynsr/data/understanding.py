@@ -259,8 +259,8 @@ def _interleaved(times: Times, grouping: Grouping) -> list[str]:
         return []
     return [
         f"Rows of one time of {times.name!r} go on as {len(grouping.names)} trajectories in the "
-        "order in which they stand, and were taken for these; name the column that tells them "
-        "apart where there is one (--trajectory)."
+        "same order, and were taken for these; name the column that distinguishes them, if there "
+        "is one (--trajectory)."
     ]
 
 

@@ -121,7 +121,7 @@ def weak_form(
     ]
     if not windows or min(lengths) < 4:
         raise InputError(
-            f"{rows} rows hold no window of {', '.join(map(str, lengths))} steps; "
+            f"{rows} rows have no window of {', '.join(map(str, lengths))} steps; "
             "give windows of 4 steps or more, and more rows than that"
         )
     matrix, slope = np.zeros((len(windows), rows)), np.zeros((len(windows), rows))

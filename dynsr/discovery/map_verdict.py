@@ -352,7 +352,7 @@ def _doubts(
     if step.has_pattern():
         doubts.append("the residuals of one step are not random: they depend on the columns")
     if step.size > step.finest and step.is_odd():
-        doubts.append("functions stand in it that such columns seldom follow")
+        doubts.append("it has functions that such columns seldom follow")
     if free > settings.free**2:
         doubts.append(f"free runs of {settings.steps} steps miss by more than that adds up to")
     if surprise > 2.0 + 4.0 * math.sqrt(2 / max(int(np.count_nonzero(step.later)), 1)):

@@ -130,7 +130,7 @@ def predict_with_doses(
     for state, amounts in doses.items():
         if state not in equations:
             raise InputError(
-                f"doses are given to a state, and {state!r} is none; the states are: "
+                f"doses are given to a state, and {state!r} is no state; the states are: "
                 f"{', '.join(equations)}"
             )
         given[:, list(equations).index(state)] = sample_input(f"doses of {state}", amounts, times)

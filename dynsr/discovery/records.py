@@ -89,7 +89,9 @@ def read_discovery(path: Path, **further: Any) -> dict[str, Any]:
     if not isinstance(record, dict) or not str(record.get("format")).startswith(_FORMAT):
         raise InputError(f"{label!r} is no saved discovery; give one that save() wrote")
     if record["format"] != FORMAT:
-        raise InputError(f"{label!r} is a {record['format'][:40]!r}, not {FORMAT!r}; discover anew")
+        raise InputError(
+            f"{label!r} is a {record['format'][:40]!r}, not {FORMAT!r}; discover again"
+        )
     missing = [name for name in _FIELDS if name not in record]
     if missing:
         raise InputError(f"{label!r} lacks parts of a discovery ({missing[0]!r}); save it again")

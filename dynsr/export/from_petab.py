@@ -49,7 +49,7 @@ def read_petab(path: str | Path) -> tuple[ParametricSystem, list[Trajectory]]:
         raise InputError(f"{str(file)!r} is no PEtab problem of version 1; give one")
     problems = asked.get("problems")
     if not isinstance(problems, list) or len(problems) != 1 or not isinstance(problems[0], Mapping):
-        raise InputError(f"{str(file)!r} must hold one problem; give each a file of its own")
+        raise InputError(f"{str(file)!r} must contain one problem; give each a file of its own")
     parts = {key: _files(file, problems[0], key) for key in _TABLES}
     system = read_sbml(parts["sbml_files"][0])
     if "parameter_file" in asked:

@@ -293,7 +293,7 @@ class _Model:
             if not expr.free_symbols & swaps.keys():
                 return expr
             expr = expr.xreplace(swaps)
-        raise InputError("assignment rules stand in one another in a circle")
+        raise InputError("assignment rules refer to one another in a circle")
 
     def _number(self, name: str, formula: sympy.Expr) -> float:
         """Give what a formula is at the start."""

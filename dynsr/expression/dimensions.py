@@ -308,7 +308,7 @@ def _read(registry: Any, name: str, text: str) -> Unit:
         one, two = (registry.Quantity(n, unit).to_base_units().magnitude for n in (1.0, 2.0))
     except Exception:  # pint's own, and those of the tokenizer that it reads with
         raise InputError(
-            f"unit {str(text)[:40]!r} of {name!r} is none that pint knows; write it like m/s, or "
+            f"unit {str(text)[:40]!r} of {name!r} is unknown to pint; write it like m/s, or "
             "count for what is counted"
         ) from None
     if not math.isclose(two, 2 * one, rel_tol=1e-9):

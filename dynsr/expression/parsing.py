@@ -55,7 +55,7 @@ def check_name(name: str, role: str = "variable") -> str:
     """
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise InputError(
-            f"{role} name {str(name)[:60]!r} cannot stand in a formula; "
+            f"{role} name {str(name)[:60]!r} cannot be used in a formula; "
             "use letters, digits and underscores, starting with a letter"
         )
     normal = unicodedata.normalize("NFKC", name)
@@ -162,7 +162,7 @@ class _Reader:
     @property
     def not_real(self) -> InputError:
         return InputError(
-            f"a part of {self.shown!r} has no real value, as log(-1) has none; mend it"
+            f"a part of {self.shown!r} has no real value, as log(-1) has none; correct it"
         )
 
     @property

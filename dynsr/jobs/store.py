@@ -327,7 +327,7 @@ class RunFolder:
             for name in (self.records, PARTS):
                 if (folder / name).is_symlink():
                     raise FolderTaken(
-                        f"{folder} holds a link {name!r} to another folder; "
+                        f"{folder} contains a link {name!r} to another folder; "
                         "give a new or an empty folder"
                     )
             # Written anew each time, so that a folder that cannot be written is known at once; and

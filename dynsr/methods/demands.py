@@ -423,7 +423,7 @@ def _read_units(units: Mapping[str, str], names: Sequence[str]) -> Units:
     for name in units:
         if name not in (*names, "t"):
             columns = ", ".join((*names, "t"))
-            raise InputError(f"units name {str(name)[:40]!r}, which is none of: {columns}")
+            raise InputError(f"units name {str(name)[:40]!r}, which is not one of: {columns}")
     return read_units(units)
 
 
@@ -443,7 +443,7 @@ def _read_term(term: str | sympy.Expr, names: Sequence[str]) -> sympy.Expr:
     expr = parse(term, names)
     coefficient, rest = expr.as_coeff_Mul()
     if not expr.free_symbols:
-        raise InputError(f"term {str(term)!r} is a number; a term holds a column")
+        raise InputError(f"term {str(term)!r} is a number; a term contains a column")
     return rest if coefficient.is_finite else expr
 
 
@@ -545,7 +545,7 @@ def _check(demands: Demands, states: Sequence[str]) -> None:
     for term in demands.terms:
         if demands.vocabulary is not None and not demands.vocabulary.allows(term):
             raise InputError(
-                f"term {to_text(term)!r} holds what functions do not allow; allow it or drop it"
+                f"term {to_text(term)!r} contains what functions do not allow; allow it or drop it"
             )
     for state, term in demands.must:
         text = f"must of {state!r} has {to_text(term)!r}"

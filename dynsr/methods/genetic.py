@@ -163,7 +163,8 @@ class GeneticAlgorithm(AbstractMethod):
         rows = np.arange(len(parents))
         if self.bits < grammar.symbol_bits:
             raise InputError(
-                f"{self.bits} bits hold no symbol; this grammar needs {grammar.symbol_bits} each"
+                f"{self.bits} bits are too few for a symbol; this grammar needs "
+                f"{grammar.symbol_bits} each"
             )
         while rows.size:
             drawn = parents[rows] ^ (rng.random((rows.size, self.bits)) < rate)

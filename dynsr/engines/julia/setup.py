@@ -116,7 +116,7 @@ def find_missing() -> str:
         resolved = _is_resolved()
     # juliapkg raises plain exceptions about its settings.
     except Exception as problem:
-        return f"juliapkg refuses its settings: {problem}; mend PYTHON_JULIAPKG_*"
+        return f"juliapkg refuses its settings: {problem}; correct PYTHON_JULIAPKG_*"
     if not resolved:
         return "Julia and its packages are not set up yet; run dynsr doctor --install"
     return ""

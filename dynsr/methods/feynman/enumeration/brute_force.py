@@ -386,7 +386,7 @@ class BruteForce(AbstractMethod):
             if not value > 0:
                 raise InputError(f"{field_name} {value!r} must be greater than 0")
         if self.probes < 8:
-            raise InputError(f"probes {self.probes!r} are too few to tell functions apart; give 8")
+            raise InputError(f"probes {self.probes!r} are too few to distinguish functions; give 8")
 
     def within(self, limits: Limits) -> BruteForce:
         """Give the enumeration of what is allowed; see AbstractMethod.
@@ -455,5 +455,5 @@ def search_values(
             "give (n, p), (n,) and p names with n at least 2"
         )
     if not (np.isfinite(X).all() and np.isfinite(y).all()):
-        raise InputError("X or y holds a value that is not finite; drop those rows")
+        raise InputError("X or y has a value that is not finite; drop those rows")
     return RunningSearch(X, y, tuple(names), settings or BruteForce(), watch).run()
