@@ -1,7 +1,7 @@
 """Dimensions: which formulas make sense in the units of their columns, and those of coefficients.
 
 A number of a formula may carry any unit, as a fitted constant does. What has no number to carry one
-must fit: terms that are added, and what stands in a function or an exponent.
+must fit: terms that are added, and the arguments of functions and exponents.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ class Units:
 
         Parameters
         ----------
-        equations : state -> right-hand side; the numbers that stand in it are plain ones.
+        equations : state -> right-hand side; its numbers are plain ones.
         names : of the parameters.
 
         >>> one = Fraction(1)

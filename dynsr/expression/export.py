@@ -112,7 +112,7 @@ def to_latex(
     r"""Write the equations as a LaTeX ``aligned`` block, constants to six digits.
 
     A comment above it says what the time is counted in where a ``time_unit`` is given. Names that
-    come ``first``, such as those of parameters, stand before the others in a product.
+    come ``first``, such as those of parameters, precede the others in a product.
 
     >>> print(to_latex({"x": -2 * sympy.Symbol("x")}))
     \begin{aligned}
@@ -200,7 +200,7 @@ def _dotted(name: str) -> str:
 
 
 class AllDigits:
-    """Writes floats with all their digits, as Python does; stands before a printer of SymPy."""
+    """Writes floats with all their digits, as Python does; a base before a SymPy printer."""
 
     def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
         return repr(float(expr))
@@ -280,7 +280,7 @@ def to_text_block(equations: Mapping[str, sympy.Expr], digits: int = 6) -> str:
 def shown(expr: sympy.Expr, digits: int = 6, first: Collection[str] = ()) -> str:
     """Write one expression for reading: floats to so many digits, no trailing zeros.
 
-    Names that come ``first``, such as those of parameters, stand before the others in a product.
+    Names that come ``first``, such as those of parameters, precede the others in a product.
 
     >>> shown(sympy.Float(9.81) * sympy.Symbol("x") - sympy.Float(0.1))
     '9.81*x - 0.1'

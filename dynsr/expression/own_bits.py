@@ -29,8 +29,8 @@ def read_own_bits(given: Mapping[str, Any] | None) -> dict[str, float]:
 
     Parameters
     ----------
-    given : name of a function, or ``+ * / **``, -> bits that each occurrence costs beside those
-        of :func:`dynsr.expression.complexity`.
+    given : name of a function, or ``+ * / **``, -> bits that each occurrence costs in addition to
+        those of :func:`dynsr.expression.complexity`.
 
     Raises InputError, one line that names the value, for an unknown name or what is no number of
     bits.
@@ -99,8 +99,9 @@ def bits_in_force() -> tuple[tuple[str, float], ...]:
 def added_bits(expr: sympy.Expr) -> float:
     """Give the own bits in force of all operations of an expression.
 
-    A sum of j terms has j - 1 "+"; a product one "*" fewer than factors above its line, of which
-    -1 is none, and a "/" for each below; a square root is "sqrt", every other power "**".
+    A sum of j terms has j - 1 "+". A product has one "*" fewer than factors in its numerator, where
+    -1 does not count, and a "/" for each in its denominator. A square root is "sqrt", every other
+    power "**".
 
     Parameters
     ----------

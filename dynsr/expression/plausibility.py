@@ -31,7 +31,7 @@ class Prior:
     frequency : a periodic function of a column times a number that is not whole: an angle needs
         no unit. Time, named in ``times``, may have one.
     phase : an offset in the argument of a periodic function of a column.
-    no_angle : a periodic function of a column that is none of the ``angles``, where these are
+    no_angle : a periodic function of a column that is not one of the ``angles``, where these are
         given.
     power : an exponent that is no small whole number or half; of a column it costs twice as much.
     rare : tan, asin, acos, sinh or cosh.
@@ -127,7 +127,7 @@ def _roots(argument: sympy.Expr) -> bool:
 
 
 def _linear(argument: sympy.Expr) -> tuple[sympy.Expr, dict[sympy.Symbol, sympy.Expr]] | None:
-    """Give offset and slopes of a linear form of columns; None where it is none."""
+    """Give offset and slopes of a linear form of columns; None where it is not one."""
     offset = sympy.S.Zero
     slopes: dict[sympy.Symbol, sympy.Expr] = {}
     for term in sympy.Add.make_args(sympy.expand(argument)):

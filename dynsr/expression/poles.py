@@ -16,7 +16,7 @@ _EITHER = 0.05
 
 
 def lines_below(expr: sympy.Expr) -> Iterator[sympy.Expr]:
-    """Give what stands below the fraction lines of a formula, beside bare columns.
+    """Give the denominators of a formula, except bare columns.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ def lines_below(expr: sympy.Expr) -> Iterator[sympy.Expr]:
 
 
 def has_pole(expr: sympy.Expr, columns: Mapping[str, np.ndarray], beside: float = 0.0) -> bool:
-    """Whether a fraction line passes through 0 where the columns of one run are, or between.
+    """Whether a denominator passes through 0 where the columns of one run are, or between.
 
-    Lines that hold anything but columns tell nothing. A bare column passes through 0 where it
+    Denominators of anything but columns are left out. A bare column passes through 0 where it
     reaches to both sides of it.
 
     Parameters

@@ -35,7 +35,7 @@ class Program:
     """Operations on a growing list of values: the arguments, then every result.
 
     ``steps`` are (function, places of its arguments); ``results`` the places of the expressions.
-    ``constants`` stand behind the arguments.
+    ``constants`` follow the arguments.
     """
 
     count: int

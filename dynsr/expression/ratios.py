@@ -32,8 +32,8 @@ def expand_terms(expr: sympy.Expr) -> sympy.Expr:
 def ratio_forms(expr: sympy.Expr) -> Iterator[sympy.Expr]:
     """Give a formula, and where it is a ratio its other forms, which are the same function.
 
-    Each number below the line may be 1; and where a variable stands below it, what it goes into
-    evenly stands beside a ratio: (v^2 + 3 v)/(v + 1) = v + 2 v/(v + 1) = v + 2 - 2/(v + 1).
+    Each number of the denominator may be 1. If the denominator has a variable, polynomial division
+    gives a sum and a ratio: (v^2 + 3 v)/(v + 1) = v + 2 v/(v + 1) = v + 2 - 2/(v + 1).
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def _scaled(term: sympy.Expr, scale: sympy.Expr) -> sympy.Expr:
 
 
 def _divided(top: sympy.Expr, bottom: sympy.Expr) -> Iterator[tuple[sympy.Expr, sympy.Expr]]:
-    """Give what a ratio is beside a rest over the same line: the rest of least degree, and of most.
+    """Give quotient and remainder of a ratio: with the remainder of least degree, and of most.
 
     By the usual division, and by that which begins with the lowest powers.
     """

@@ -19,7 +19,7 @@ NAMED_OPERATORS = ("+", "-", "*", "/", "**")
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """What a formula may be made of beside +, -, *, numbers, columns and whole powers.
+    """What a formula may be made of in addition to +, -, *, numbers, columns and whole powers.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Vocabulary:
         Parameters
         ----------
         names : of :data:`NAMED_FUNCTIONS` and ``+ - * / **``. Sums, products and whole powers are
-            always allowed. "/" is too, unless the list names operators and "/" is not among them;
+            always allowed. "/" is too, unless the list names operators and "/" is not one of them;
             "**" stands for powers that are not whole. An empty list leaves sums and ratios of
             whole powers.
 

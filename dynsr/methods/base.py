@@ -58,11 +58,11 @@ class AbstractMethod(ABC):
 
         Parameters
         ----------
-        name : one of ``presets``; what each means stands in the registry of methods.
+        name : one of ``presets``; the registry of methods says what each means.
         changes : single settings that replace those of the preset.
 
         Raises InputError that lists the presets when there is none of that name, or the settings
-        when a change is none of them.
+        when a change is not one of them.
 
         >>> from dynsr.methods import RationalSearch
         >>> RationalSearch.preset("quick", width=50).costs

@@ -392,7 +392,7 @@ def read_demands(
     functions : names of functions and operators, see :meth:`dynsr.expression.Vocabulary.read`;
         None allows what the methods use.
     max_complexity : most bits of an equation, each fitted constant counted as one symbol.
-    terms : terms in the columns, to be searched beside the methods' own.
+    terms : terms in the columns, to be searched in addition to the methods' own.
     constraints : state -> term -> "+", "-" or 0; or lines such as "x: x*y < 0".
     conserved : linear combinations of states whose slope is 0.
     nonnegative : states that never fall below 0.

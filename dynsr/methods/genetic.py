@@ -41,7 +41,7 @@ class GeneticAlgorithm(AbstractMethod):
     Each bit of the first population is 1 with probability 1/2. In every iteration the fitness of
     each word is its RMSE on the samples, the best half survives, and one mutant of each survivor,
     every bit flipped with probability ``mutation``, fills the rest. A string that is no word is
-    drawn (or mutated) again until it is one. The front holds everything seen.
+    drawn (or mutated) again until it is one. The front has everything seen.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class GeneticAlgorithm(AbstractMethod):
     constants, operators, functions : terminals and operations of the grammar.
     variables : names of the samples' columns that may occur; all of them when None.
     scaled : score each word f as a f + b with a, b fitted by least squares; the paper does not.
-    terms : formulas in the samples' columns that stand beside the variables.
+    terms : formulas in the samples' columns, in addition to the variables.
 
     >>> x = np.linspace(0.0, 6.0, 50)
     >>> samples = Samples(x[:, None], np.sin(x) + 2.0, ("x",), "x", "given", x)
@@ -102,7 +102,7 @@ class GeneticAlgorithm(AbstractMethod):
         ----------
         names : the columns.
 
-        Raises InputError when ``variables`` holds one that is not there.
+        Raises InputError when ``variables`` has one that is not there.
         """
         chosen = tuple(names) if self.variables is None else self.variables
         unknown = [name for name in chosen if name not in names]
@@ -268,7 +268,7 @@ class _Seen:
         self.words, self.loss, self.bits = words[kept], loss[kept], bits[kept]
 
     def front(self) -> ParetoFront:
-        """Give the front as SymPy candidates; made anew only when it has changed."""
+        """Give the front as SymPy candidates; made again only when it has changed."""
         key = self.words.tobytes()
         if key != self.made[0]:
             found = [e for e in map(self._expression, self.words) if e is not None]

@@ -254,7 +254,7 @@ _CHUNK_BYTES = 1 << 25
 def to_postfix(infix: np.ndarray, grammar: Grammar) -> np.ndarray:
     """Bring infix words (N, T) to postfix (N, T), padded with PAD, by precedence.
 
-    Dijkstra's shunting yard, one step for all words at once. A function stands on the operator
+    Dijkstra's shunting yard, one step for all words at once. A function is on the operator
     stack as the bracket that it opens.
 
     Parameters
@@ -362,7 +362,7 @@ def _arity(token: int, grammar: Grammar) -> int:
 
 
 def to_sympy(postfix: np.ndarray, grammar: Grammar) -> sympy.Expr | None:
-    """Give the SymPy tree of one postfix word (T,); None where it holds a number out of range.
+    """Give the SymPy tree of one postfix word (T,); None where it has a number out of range.
 
     Subtrees without variables are computed in float64, as :func:`evaluate_words` does.
     """

@@ -249,7 +249,7 @@ class MonomialLibrary(AbstractLibrary):
     degree : most factors of a product.
     cost : most that a product costs: a variable 1, a sine or cosine 2, other functions 3.
     limit : most products; where there are more, the highest costs are left out, each as a whole.
-    own : terms of the user's own beside them.
+    own : additional terms of the user.
 
     >>> [str(f) for f in MonomialLibrary(cost=2).for_names(["x"]).functions]
     ['1', 'x', 'sin(x)', 'cos(x)', 'x**2']

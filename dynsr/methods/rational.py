@@ -212,7 +212,7 @@ class SubsetSearch:
 
 
 def _solve(systems: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve a stack of normal equations; a singular one among them as if barely regular."""
+    """Solve a stack of normal equations; a singular one as if barely regular."""
     if not systems.shape[1]:
         return np.zeros(right.shape)
     try:
@@ -244,12 +244,12 @@ class RationalSearch(AbstractMethod):
     changes : domain changes of the target, names of ``domain.CHANGES``, that are searched after it.
     seconds : time after which nothing further is begun.
     collinear, cancellation, idle : bounds of the subset search, see :class:`SubsetSearch`.
-    layered : how many times wider the first two are where the states pass fast layers: beside these
+    layered : how many times wider the first two are where the states pass fast layers: elsewhere
         the law's terms cancel each other almost entirely.
     exact : largest residual, as a share of the target's range, at which a formula is exact.
     functions : functions whose products are features; None for sin, cos, exp, log and sqrt.
     terms : features of the user's own, in the columns of the samples.
-    left_out : features that no formula may have above the fraction line.
+    left_out : features that no numerator may have.
     close : bits a row within which a formula of fewer terms is as good as the best; more terms
         always explain slopes a little better, because their errors are not independent.
 

@@ -159,7 +159,7 @@ def make_method(name: str, preset: str = DEFAULT_PRESET, **changes: Any) -> Abst
 
 
 def check_preset(name: str) -> str:
-    """Give the name of a preset back; raises InputError that lists them when it is none.
+    """Give the name of a preset back; raises InputError that lists them when it is unknown.
 
     >>> check_preset("best")
     'best'

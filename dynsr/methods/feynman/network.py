@@ -271,7 +271,7 @@ class _Training:
             self.check()
 
     def polish(self, epochs: int, block: int = 10, patience: int = 5) -> None:
-        """L-BFGS in blocks; ends after ``patience`` blocks that did not help the held rows."""
+        """L-BFGS in blocks; ends after ``patience`` blocks that did not help the held-back rows."""
         solver: torch.optim.LBFGS = _LBFGS(
             [self.layers.weights],
             max_iter=block,

@@ -136,7 +136,7 @@ class Problem:
     """One linear problem.
 
     ``target`` holds T(y) at all rows; ``powers`` are the numbers of the variables whose logarithms
-    are in the background beside the constant, and ``logs`` (n, k) those logarithms; ``by_log``
+    are in the background with the constant, and ``logs`` (n, k) those logarithms; ``by_log``
     says that log |f| is fitted instead of f.
     """
 

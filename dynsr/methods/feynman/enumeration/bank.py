@@ -1,6 +1,6 @@
 """The bank: every distinct function met so far, by complexity, as one value row on probe points.
 
-Functions are told apart by their values: sketches, hashes and a table of those seen.
+Functions are distinguished by their values: sketches, hashes and a table of those seen.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def sketch_directions(rows: int, seed: int) -> np.ndarray:
 
 
 def hash_integers(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Mix k <= 4 arrays of whole numbers, held as floats, into one array of uint64, never 0."""
+    """Mix k <= 4 arrays of whole numbers, kept as floats, into one array of uint64, never 0."""
     mixed = np.zeros(len(parts[0]), dtype=np.uint64)
     for part, odd in zip(parts, _ODD, strict=False):
         mixed = (mixed ^ (mixed >> np.uint64(29))) * _ODD[3] + part.astype(np.int64).view(

@@ -42,7 +42,7 @@ class BruteForceResult:
     Parameters
     ----------
     candidates : formulas for y, simplest first: the Pareto fronts in RMSE and in error bits, and
-        the best in error bits beside them.
+        the best in error bits in addition.
     formed : functions evaluated, repetitions included.
     distinct : functions tested, each once up to an affine map.
     covered : strings in reverse Polish notation over the same letters of up to ``complete``
@@ -310,7 +310,7 @@ class BruteForce(AbstractMethod):
     Parameters
     ----------
     operators : tokens of the functions' letters.
-    constants : numbers that stand beside the variables as leaves.
+    constants : numbers that are leaves, as the variables are.
     nested : allow a function inside one of its own family, such as sin(x + cos(y)).
     changes : domain changes of the target, names of ``domain.CHANGES``.
     monomials : fit power laws and exponentials times a power law too.
@@ -319,13 +319,13 @@ class BruteForce(AbstractMethod):
     max_memory : megabytes for stored functions and tables of hashes; when they would take more,
         nothing further is stored and only what is stored goes on being combined.
     seconds : time after which no further part is begun.
-    probes : rows on which functions are told apart and screened.
+    probes : rows on which functions are distinguished and screened.
     keep : functions of each level and problem that are fitted on all rows.
     sums : numbers of simplest functions of which all pairs are tried as sums, in turn; () for none.
     beam : numbers of simplest functions and of best ones to which every stored function is added at
         the end, and to the best of those once more; 0 for none.
     patience : parts (a level, or sums of its functions) through which the formula of least
-        description length stays the same, sums among them or before, until the search ends as
+        description length stays the same, sums included or before, until the search ends as
         "stable"; 0 goes on to the other bounds.
     ratios : search for y / v and v / y too, for each variable v that is nowhere 0.
     combinations : search for laws of one product of powers of the variables first.
@@ -338,7 +338,7 @@ class BruteForce(AbstractMethod):
     powers_up_to : functions formed up to this many are tried in the power law too, whose logarithms
         cost more than all other tests.
     device : where the arrays live, see ``backend.choose_backend``.
-    terms : formulas in the columns that are leaves beside them.
+    terms : formulas in the columns that are leaves too.
 
     >>> x = np.linspace(0.5, 2.0, 200)
     >>> samples = Samples(x[:, None], 2 * np.sin(x**2) - 1, ("x",), "x", "given", x)

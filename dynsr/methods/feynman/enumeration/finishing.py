@@ -28,7 +28,7 @@ class Finishing:
 
     Parameters
     ----------
-    kept : formulas of fewest error bits that are kept beside the Pareto fronts.
+    kept : formulas of fewest error bits that are kept in addition to the Pareto fronts.
     each : formulas of one fit that are looked at: so many of fewest error bits, and of least RMSE.
     letter_bits : bits of a letter in a formula's code of k log2(n) bits
         (:func:`dynsr.expression.complexity`), for n = 64 kinds: an upper bound that needs

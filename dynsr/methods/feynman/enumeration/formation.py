@@ -233,7 +233,7 @@ class Enumerator:
 
     @property
     def nbytes(self) -> int:
-        """Bytes held by stored functions and tables of hashes."""
+        """Bytes of stored functions and tables of hashes."""
         return self._each * len(self.bank) + self._exact.nbytes + self._affine.nbytes
 
     def form(

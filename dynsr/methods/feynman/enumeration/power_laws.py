@@ -51,7 +51,7 @@ class Combinations:
     max_size : most letters of f.
     max_candidates : functions formed at most for f.
     max_memory : megabytes for them.
-    probes : rows on which they are told apart and screened.
+    probes : rows on which they are distinguished and screened.
     keep : functions of each level that are fitted on all rows.
     paired : simplest functions of which all pairs are tried as sums.
     paired_rows : rows on which the pairs are compared.
@@ -190,7 +190,7 @@ def _legendre(along: np.ndarray, degree: int) -> np.ndarray:
 
 
 class CombinationSearch:
-    """Searches f once z is known; ``found`` holds the formulas."""
+    """Searches f once z is known; ``found`` has the formulas."""
 
     def __init__(
         self,
@@ -264,5 +264,5 @@ class CombinationSearch:
 
 
 def _more(operators: Sequence[str]) -> list[str]:
-    """Letters that one variable can afford beside the others."""
+    """Letters that one variable can afford with the others."""
     return [token for token in ("tanh",) if token not in operators and "exp" in operators]

@@ -97,7 +97,7 @@ class Screen:
 class Shortlist:
     """The ``keep`` functions of greatest share for each of ``problems`` problems.
 
-    ``bound`` holds the least share that still gets in; ties go to the one that came first.
+    ``bound`` is the least share that still gets in; ties go to the one that came first.
     """
 
     problems: int

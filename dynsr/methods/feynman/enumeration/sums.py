@@ -63,7 +63,7 @@ def best_pairs(gram: Gram, keep: int) -> np.ndarray:
 
 
 def best_triples(gram: Gram, pairs: Sequence[np.ndarray], keep: int) -> np.ndarray:
-    """Give the (<= keep, 3) best triples that hold one of the given pairs, best first."""
+    """Give the (<= keep, 3) best triples that contain one of the given pairs, best first."""
     if not len(pairs):
         return np.empty((0, 3), dtype=int)
     chosen = np.array(pairs)
@@ -179,7 +179,7 @@ class Beam:
     def _bases(
         self, problem: Problem, groups: Sequence[Group]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[Group]]:
-        """(R, q) background basis, (K, R, m) bases beside it, (K, R) residues, and the groups."""
+        """(R, q) background basis, (K, R, m) bases next to it, (K, R) residues, and the groups."""
         background = problem.background[self.rows]
         target = problem.target.values[self.rows]
         base = np.linalg.qr(background)[0]

@@ -178,7 +178,7 @@ class Reduce(AbstractStage):
     """Train the surrogate, ask every reducer, and solve what the surest reductions leave.
 
     Nothing is taken apart when a short formula already follows the samples more closely than the
-    surrogate does: what the surrogate shows can then not be told from its own errors.
+    surrogate does: what the surrogate shows can then not be distinguished from its own errors.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ def partitions(count: int) -> Iterator[tuple[list[int], list[int]]]:
 class Split(AbstractReduction):
     """f is the sum (or the product) of a function of the columns S and one of the columns R.
 
-    The first factor is solved on ``values``, the surrogate along x_S with x_R held. The second is
+    The first factor is solved on ``values``, the surrogate along x_S with x_R fixed. The second is
     solved on what the samples themselves leave once the first is taken off, so that the
     surrogate's own error does not enter it. Rows at which the first factor of a product is below
     ``small`` times its largest are left out of the second.
