@@ -1,5 +1,6 @@
 """Models of SBML and problems of PEtab are read as equations, parameters and data."""
 
+import importlib.util
 import json
 
 import numpy as np
@@ -174,6 +175,8 @@ def test_a_problem_is_read_with_its_data(problem):
     for own, theirs in zip(runs, found.trajectories, strict=True):
         assert np.allclose(own.x, theirs.x, rtol=1e-12) and np.allclose(own.t, theirs.t)
     assert system.parameters.numbers == {"bite": 1.0, "k2": 1.5, "k3": 3.0}
+    # It begins where the first run does, as the model does by itself.
+    assert system.x0 == {"x": 1.0, "y": 2.0} == read_sbml(path.parent / "model.xml").x0
     again = Discovery.from_system(system, runs)
     assert list(again.parameters) == ["bite", "k2", "k3"]
     scores = again.score()
@@ -195,6 +198,8 @@ def test_a_parameter_that_conditions_set_is_an_input(problem):
     assert "k2" not in system.parameters and system.inputs == {"k2": None}
     assert [run.inputs[0, 0] for run in runs] == [1.5, 1.7]
     assert runs[0].x[0, 0] == pytest.approx(1.1)
+    # A start that a condition gives is the condition's, not the mean of what was measured there.
+    assert system.x0 == {"x": 1.0, "y": 2.0}
 
 
 @pytest.mark.parametrize(
@@ -236,7 +241,11 @@ def test_the_command_reads_models(tmp_path, problem):
     """Equations and parameters are shown; a folder takes them, and the data of a problem."""
     model = written(tmp_path, MODEL)
     said = command("import", model).stdout
-    assert "S' = " in said and "Vmax" in said
+    assert "S' = " in said and "Vmax" in said and "unit" not in said
+    shown = written(tmp_path, MODEL.replace('id="Vmax"', 'id="Vmax" units="mole"'), "units.xml")
+    if importlib.util.find_spec("pint"):
+        assert "mol" in command("import", shown).stdout
+        assert json.loads(command("import", shown, "--json").stdout)["units"]["Vmax"] == "mol"
     out = tmp_path / "read"
     told = json.loads(command("import", problem[0], "-o", out, "--json").stdout)
     assert told["parameters"] == {"bite": 1.0, "k2": 1.5, "k3": 3.0} and told["runs"] == 2

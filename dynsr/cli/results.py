@@ -321,12 +321,17 @@ def import_(
             files.append(out / "data.csv")
         files.append(found.save(out / "discovery.json"))
     if json:
-        about = {"equations": found.equations, "parameters": system.parameters.numbers}
-        output.print_json({**about, "start": system.x0, "runs": len(runs), "files": files})
+        about: dict[str, Any] = {"equations": found.equations}
+        about |= {"parameters": system.parameters.numbers}
+        units = {**system.units, **{p.name: p.unit for p in system.parameters.values() if p.unit}}
+        about |= {"start": system.x0, "units": units, "runs": len(runs), "files": files}
+        output.print_json(about)
         return
     output.print_lines(*write_lines(system.equations, found.settings))
-    rows = [(p.name, p.value) for p in system.parameters.values()]
-    output.print_table("Parameters", ("parameter", "value"), rows)
+    rows = [(p.name, p.value, p.unit) for p in system.parameters.values()]
+    head = ("parameter", "value", "unit")
+    united = 3 if any(unit for *_, unit in rows) else 2
+    output.print_table("Parameters", head[:united], [row[:united] for row in rows])
     if files:
         output.note(f"written: {', '.join(map(str, files))}")
 

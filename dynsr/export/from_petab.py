@@ -18,7 +18,7 @@ from dynsr.arguments import checked
 from dynsr.data import Trajectory
 from dynsr.discovery import Parameters, ParametricSystem
 from dynsr.errors import InputError, need
-from dynsr.export.from_sbml import read_sbml
+from dynsr.export.from_sbml import read_model, read_sbml
 
 _VERSIONS = (1, "1")
 
@@ -51,12 +51,31 @@ def read_petab(path: str | Path) -> tuple[ParametricSystem, list[Trajectory]]:
     if not isinstance(problems, list) or len(problems) != 1 or not isinstance(problems[0], Mapping):
         raise InputError(f"{str(file)!r} must contain one problem; give each a file of its own")
     parts = {key: _files(file, problems[0], key) for key in _TABLES}
-    system = read_sbml(parts["sbml_files"][0])
+    model = parts["sbml_files"][0]
+    nominal = {}
     if "parameter_file" in asked:
         nominal = _numbers(_read(_inside(file, asked["parameter_file"])), "nominalValue")
-        system = _with_values(system, nominal)
     tables = {key: _read_all(parts[key]) for key in _TABLES if key != "sbml_files"}
-    return _with_runs(system, tables)
+    system, runs = _with_runs(_with_values(read_sbml(model), nominal), tables)
+    if not runs:
+        return system, runs
+    listed = tables["condition_files"].to_dict("records")
+    first = next(one for one in listed if one["conditionId"] == runs[0].origin["condition"])
+    # Columns beside the numbers are names; a start may be a parameter that a condition sets.
+    set_there = {
+        name: float(text)
+        for name, text in first.items()
+        if name != "conditionId" and _is_number(text)
+    }
+    begins = read_model(model, {**nominal, **set_there})
+    return replace(system, x0=begins.x0), runs
+
+
+def _is_number(text: object) -> bool:
+    try:
+        return math.isfinite(float(str(text)))
+    except ValueError:
+        return False
 
 
 _TABLES = ("sbml_files", "condition_files", "observable_files", "measurement_files")

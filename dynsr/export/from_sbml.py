@@ -41,6 +41,19 @@ def read_sbml(path: str | Path) -> ParametricSystem:
     Raises InputError when it is no model, or no differential equations of dynsr's formulas;
     MissingExtra without python-libsbml.
     """
+    return read_model(path, {})
+
+
+def read_model(path: str | Path, values: Mapping[str, float]) -> ParametricSystem:
+    """Read a model of SBML with other values for some of its parts.
+
+    Parameters
+    ----------
+    path : the file.
+    values : part of the model -> its value in the place of the model's own.
+
+    Raises as :func:`read_sbml` does.
+    """
     need("libsbml", "sbml", "reading SBML")
     import libsbml
 
@@ -63,7 +76,7 @@ def read_sbml(path: str | Path) -> ParametricSystem:
         first = next((e.getMessage() for e in errors if e.getSeverity() >= _ERROR), "unknown")
         raise InputError(f"{str(file)!r} is inconsistent: {one_line(first)[:200]}")
     try:
-        return _Model.of(document.getModel()).system(file.stem)
+        return _Model.of(document.getModel()).system(file.stem, values)
     except InputError as error:
         raise InputError(f"in {str(file)!r}: {error}") from None
 
@@ -256,8 +269,10 @@ class _Model:
                 species = part.getSpecies()
                 moved[species] = moved.get(species, sympy.S.Zero) + sign * whole * rate
 
-    def system(self, name: str) -> ParametricSystem:
-        """Give the equations with the parameters that they hold."""
+    def system(self, name: str, values: Mapping[str, float]) -> ParametricSystem:
+        """Give the equations with the parameters that they hold; some values are given."""
+        self.values.update(values)
+        self.starts = {part: formula for part, formula in self.starts.items() if part not in values}
         slopes = {s: self._closed(e) for s, e in self.slopes.items()}
         if not slopes:
             raise InputError("the model has no variable that moves; give one with rates")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -264,8 +265,9 @@ def write_petab(source: Source) -> dict[str, str]:
     for state, name in spreads.items():
         known = (source.noise or {}).get(state) or _spread(source, state)
         parameters.append([name, *_bounds(known)])
-    extra = dict.fromkeys(begins.values(), 0.0) | dict.fromkeys(spreads.values(), 1.0)
-    starts = {name: value for name, value in extra.items() if name in begins.values()}
+    # Alone, the model begins where the first trajectory does.
+    first = {s: float(_column(source, source.runs[0], s)[0]) for s in source.states}
+    starts = {begins[s]: value if math.isfinite(value) else 0.0 for s, value in first.items()}
     return {
         "model.xml": _write(source, begins, starts),
         "parameters.tsv": _table(parameters),
