@@ -211,7 +211,7 @@ def test_a_parameter_that_conditions_set_is_an_input(problem):
             "no PEtab problem of version 1",
         ),
         ("problem.yaml", ("[model.xml]", "[../../model.xml]"), "lies outside the folder"),
-        ("problem.yaml", ("problems:", "problem:"), "must hold one problem"),
+        ("problem.yaml", ("problems:", "problem:"), "must contain one problem"),
         ("parameters.tsv", ("nominalValue", "value"), "no column 'nominalValue'"),
         ("measurements.tsv", ("observed_x", "observed_z"), "is of 'observed_z'"),
         ("measurements.tsv", ("\t0.0\n", "\tsoon\n"), "time 1 is 'soon'"),
