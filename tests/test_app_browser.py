@@ -181,7 +181,7 @@ def test_a_search_is_cancelled(browser, page):
     click(browser, "#stop")
     browser.wait(f"({IDLE}) && (!!parts.found || !!parts.said)")
     said = text(browser, "#verdict") + text(browser, "#said")
-    assert "Cancelled; the best so far." in said or "stopped" in said
+    assert "Cancelled. These are the best" in said or "stopped" in said
 
 
 def test_a_page_that_is_loaded_again_shows_the_same(browser, page):

@@ -333,7 +333,7 @@ def test_the_equations_on_the_screen_are_kept(fresh, monkeypatch, end):
                 child.kill()
     parts = fresh.wait(lambda parts: not parts["busy"] and parts["picture"])
     found = parts["found"]
-    assert found["complete"] is False and found["heading"].endswith("Not judged.")
+    assert found["complete"] is False and found["heading"].endswith("No verdict.")
     assert {e["state"] for e in found["equations"]} == {"a", "b"}
     assert [e["level"] for e in found["equations"]] == ["", ""]
     assert ("died" in parts["said"]) == (end == "kill")
@@ -391,7 +391,7 @@ def test_formulas_are_kept_in_their_form(options, text, tmp_path):
     state = "x_dot" if "second_order" in options else "x"
     work.keep({state: "-0.5*x", "a task": "x"}, {"preset": "quick", **options})
     assert text in [e["text"] for e in parts["found"]["equations"]]
-    assert "Not judged." in parts["found"]["heading"] and not parts["found"]["complete"]
+    assert "No verdict." in parts["found"]["heading"] and not parts["found"]["complete"]
     again = Work(tmp_path, parts.__setitem__, 1)
     again.read(str(tmp_path / "a.csv"))
     kept = parts.pop("found")

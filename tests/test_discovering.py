@@ -122,7 +122,7 @@ class Found:
     seconds = 0.25
     complete = True
     verdict = Discovery({}, {}, {}, {}).verdict
-    heading = "Not judged."
+    heading = "No verdict."
     constants = {}
     details = {}
     ensemble = {}
@@ -231,7 +231,7 @@ def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
     """
     monkeypatch.chdir(tmp_path)
     short = run("discover", decay(tmp_path / "data.csv"))
-    assert short.stdout.startswith("Not judged.\nx' = -0.5*x\nx: the only one")
+    assert short.stdout.startswith("No verdict.\nx' = -0.5*x\nx: the only one")
     assert "slope error" not in short.stdout and "guessed" not in short.stdout
     result = run("discover", tmp_path / "data.csv", "--details", "--out", "more")
     guess = "data.csv: time 't', 151 rows from 0 to 3 every 0.02; states x"
@@ -239,7 +239,7 @@ def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
         result.stdout.index(words)
         for words in ("x' = -0.5*x", "x: the only one", "slope error", "diverges", "forecast error")
     ]
-    assert result.stdout.startswith("Not judged.\nx' = -0.5*x\n") and places[:-1] == sorted(
+    assert result.stdout.startswith("No verdict.\nx' = -0.5*x\n") and places[:-1] == sorted(
         places[:-1]
     )
     assert "1 = the state's spread" in result.stdout
@@ -284,7 +284,7 @@ def test_quiet_leaves_the_verdict_and_the_equations(tmp_path, monkeypatch, seen)
     """With --quiet stdout is the verdict and the equations, one a line, and stderr is empty."""
     monkeypatch.chdir(tmp_path)
     result = run("discover", decay(tmp_path / "data.csv"), "--quiet")
-    assert (result.stdout, result.stderr) == ("Not judged.\nx' = -0.5*x\n", "")
+    assert (result.stdout, result.stderr) == ("No verdict.\nx' = -0.5*x\n", "")
 
 
 def test_quiet_keeps_what_changes_the_meaning_of_an_answer(tmp_path, monkeypatch, seen):

@@ -100,7 +100,7 @@ def test_ctrl_c_while_equations_are_judged_gives_them_unjudged(decay, monkeypatc
     monkeypatch.setattr(Problem, "judge_in_time", interrupt)
     found = discover(decay, method=QUICK, jobs=1)
     assert set(found.equations) == {"x", "y"} and not found.complete
-    assert not found.verdict.judged and found.heading.endswith("Not judged.")
+    assert not found.verdict.judged and found.heading.endswith("No verdict.")
 
 
 def test_a_search_that_was_cut_short_is_not_judged(decay, monkeypatch):

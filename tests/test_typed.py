@@ -102,7 +102,7 @@ def test_there_is_always_a_verdict(tmp_path):
     """Equations that nobody judged say so; in a file it is nothing, as in those of before."""
     found = Discovery({"x": parse("-x")}, {}, {"x": ParetoFront()}, {}, settings={"engine": "x"})
     assert found.verdict == Verdict("not judged", found.verdict.reason)
-    assert not found.verdict.judged and found.heading == "Not judged."
+    assert not found.verdict.judged and found.heading == "No verdict."
     again = Discovery.load(found.save(tmp_path / "found.json"))
     assert again.verdict == found.verdict and found.as_record()["verdict"] is None
 

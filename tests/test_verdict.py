@@ -202,8 +202,8 @@ def test_a_verdict_is_saved_and_old_files_have_none(found, tmp_path):
         del record[key]
     (tmp_path / "old.json").write_text(json.dumps(record))
     old = Discovery.load(tmp_path / "old.json")
-    assert old.verdict.level == "not judged" and old.heading == "Not judged."
-    assert "Not judged." in old._repr_html_()
+    assert old.verdict.level == "not judged" and old.heading == "No verdict."
+    assert "No verdict." in old._repr_html_()
 
 
 @pytest.fixture(scope="module")

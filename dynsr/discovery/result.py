@@ -708,7 +708,7 @@ class Discovery:
 
         >>> x = sympy.Symbol("x")
         >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).with_constants({"x": [-3.0]})
-        Not judged.
+        No verdict.
         x' = -3*x
         """
         if unknown := [state for state in values if state not in self.equations]:
@@ -1373,7 +1373,7 @@ class Discovery:
         """The verdict on the system in one sentence."""
         so_far = "" if self.complete else "The search was interrupted; the best so far. "
         if not self.verdict.judged:
-            return f"{so_far}Not judged."
+            return f"{so_far}No verdict."
         return f"{so_far}{self.verdict.level.capitalize()}: {self.verdict.reason}"
 
     def _said_of(self, state: str) -> str:

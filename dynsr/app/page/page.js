@@ -175,7 +175,7 @@ const showFound = (found, fresh) => {
   waiting = 0;
   asked = null;
   if (!found) { sliders = []; show("constants", false); return; }
-  $("verdict").textContent = found.complete ? found.heading : "Cancelled; the best so far. Not judged.";
+  $("verdict").textContent = found.complete ? found.heading : "Cancelled. These are the best equations so far, without a verdict.";
   $("verdict").className = `banner ${level(found.level)}`;
   list("said-found", found.notes);
   $("equations").replaceChildren(...found.equations.map(one => card(one, one.level, one.why)));
