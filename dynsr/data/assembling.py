@@ -29,7 +29,7 @@ LABELS = {"states": "x", "input_names": "inputs", "columns": "data"}
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Named columns as they stood in the source.
+    """Named columns as they were in the source.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Columns:
     time_unit : what the first column is counted in where that is known to be the time.
     units : column -> its unit, where a row below the header or the cells themselves name it.
     left_out : column that was left out on reading -> the reason.
-    faults : column that cannot be used as it stands -> what is said when it is needed.
+    faults : column that cannot be used as it is -> what is said when it is needed.
     twice : names that several columns of the source have, the first of which keeps its name.
     words : column -> number in it -> the word of the source that was read as it.
     """
@@ -98,7 +98,7 @@ class Columns:
         )
 
     def check_usable(self, names: Sequence[str]) -> None:
-        """Raise InputError when one of these columns cannot be used as it stands."""
+        """Raise InputError when one of these columns cannot be used as it is."""
         for name in names:
             if name in self.faults:
                 raise InputError(f"column {name!r} of {self.label} {self.faults[name]}")
@@ -115,7 +115,7 @@ def assemble(
     decimal: str | None = None,
     delimiter: str = "",
 ) -> Columns:
-    """Put columns together: cells are read, empty columns and rows are left out, names are told.
+    """Put columns together: cells are read, empty columns and rows are left out, names are given.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def unreadable(path: Path, kind: str, error: Exception) -> InputError:
 
 
 def load_frame(source: Any, label: str, decimal: str | None = None) -> Columns:
-    """Load the columns of a frame, its index among them where that has a name or is a time."""
+    """Load the columns of a frame, its index too where that has a name or is a time."""
     index = getattr(source, "index", None)
     named = [name for name in getattr(index, "names", ()) if name is not None]
     if clash := [name for name in named if name in source.columns]:
@@ -397,7 +397,7 @@ def bracketed_unit(name: str) -> str:
 
 
 def beside(t: Any, x: Any) -> tuple[np.ndarray, str]:
-    """Put times (n,) and states (n,) or (n, k) beside each other as one array (n, 1 + k).
+    """Put times (n,) and states (n,) or (n, k) next to each other as one array (n, 1 + k).
 
     Gives it with the unit of the times, "" where they are plain numbers. Raises InputError when
     they are no numbers or their shapes do not fit.
@@ -413,7 +413,7 @@ def beside(t: Any, x: Any) -> tuple[np.ndarray, str]:
 
 
 def with_times(columns: Columns, t: Any) -> Columns:
-    """Give columns with times that stand apart from them as their first one, ``t``.
+    """Give columns with times that are separate as their first one, ``t``.
 
     Parameters
     ----------

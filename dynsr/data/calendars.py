@@ -33,12 +33,12 @@ _WHOLE = ("year", "month", "day")
 
 
 def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
-    """Put the parts of a date that stand in columns of their own together as one column of dates.
+    """Put the parts of a date in separate columns together as one column of dates.
 
     Parameters
     ----------
     columns : the columns of the source.
-    said : names that the caller gave a role; a part among them is left as it is.
+    said : names that the caller gave a role; such a part is left as it is.
 
     There must be a year, and a month or the day of the year; days, hours, minutes and seconds are
     added where they are there. Gives the columns as they are where no dates come of it.

@@ -1,4 +1,4 @@
-"""Causes: what may keep the equation of a column from being found, told from the data alone."""
+"""Causes: what may keep the equation of a column from being found, according to the data alone."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ class DiagnosisSettings:
     stiff : share of the rows that holds ``stiff_part`` of all squared change, at most, where a
         motion is called stiff.
     stiff_part : see ``stiff``.
-    unexplained : share of the slopes' variance that is left open at least, beside what noise and
-        the distance of the neighbours explain, where a state is missing.
-    unexplained_runs : the same beside noise alone, where the time is tried as a column of many
-        runs.
+    unexplained : share of the slopes' variance that is left open at least, in addition to what
+        noise and the distance of the neighbours explain, where a state is missing.
+    unexplained_runs : the same in addition to noise alone, where the time is tried as a column of
+        many runs.
     noise_factor : how far noise may be underestimated, in variance.
-    second : the share that is left open at most, beside noise and distance, where a column and
+    second : the share that is left open at most, apart from noise and distance, where a column and
         its slope determine the second derivative.
     trend : degree of the polynomial of the columns that is taken off the slopes of near rows, which
         are not at the same place.
     rows_a_term : rows to each of its terms, at least.
-    neighbours_within : neighbours further than this (in spreads) tell nothing.
+    neighbours_within : neighbours further than this (in spreads) are left out.
     forced : share of the differences that a sinusoid in time explains at least, where time is
         named as the cause.
     nearest_part : share of the pairs, the nearest ones, that such a wave is sought in.
@@ -108,7 +108,7 @@ def diagnose(
 ) -> list[Cause]:
     """Say what may keep the equation of a column from being found; the likeliest cause first.
 
-    Whether the columns determine the slope of the target is told by rows that are near to each
+    Whether the columns determine the slope of the target is shown by rows that are near to each
     other in state and not in time (:func:`dynsr.data.determinism.nearest_pairs`), against noise.
     An empty list says that nothing speaks against an equation ``x' = f(columns)``; it does not
     prove one.
@@ -245,7 +245,7 @@ def _share_of_rows(change: np.ndarray, part: float) -> float:
 
 
 def _following(runs: Sequence[Trajectory], target: str, lags: int, rows: int) -> float:
-    """Give what near rows leave open of the next value; 1 where that cannot be told."""
+    """Give what near rows leave open of the next value; 1 where that is unknown."""
     counts = [len(run) - lags for run in runs]
     points = [
         np.column_stack([run.columns[i : n + i] for i in range(lags)])

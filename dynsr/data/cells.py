@@ -56,8 +56,8 @@ class Reading:
 
     Parameters
     ----------
-    values : (n,) float64, dates or durations; objects where a cell is none of these.
-    unit : the unit that stands in its cells; "" for none.
+    values : (n,) float64, dates or durations; objects where a cell is not one of these.
+    unit : the unit in its cells; "" for none.
     notes : what was decided on reading, a clause each that begins with the column.
     left_out : why it is of no use as a column; "" where it is.
     fault : what a message says once the column is needed; "" for nothing.
@@ -81,7 +81,7 @@ def read_columns(
     ----------
     columns : one array (n,) each; arrays of numbers and dates stay as they are.
     decimal : "." or ",", as the user says; found by default.
-    delimiter : what stands between the cells of a text.
+    delimiter : what is between the cells of a text.
 
     >>> column = np.array(["1.633,0", "867", "n.d."], dtype=object)
     >>> read_columns([column])[0].values
@@ -212,7 +212,7 @@ class _Look:
         return None
 
     def _drop_odd_units(self) -> None:
-        """Take an unknown word behind numbers for a unit only where it stands behind all."""
+        """Take an unknown word after numbers for a unit only where it follows all of them."""
         units = {n.unit for n in self.parsed if n is not None}
         alone = len(units) == 1 and None not in self.parsed
         whole = all(n is None or (n.text.isdigit() and not n.apart) for n in self.parsed)
@@ -230,7 +230,7 @@ class _Look:
         ----------
         decimal : the decimal mark, as the user says.
         other : the mark that other columns show, "" for none.
-        delimiter : what stands between cells.
+        delimiter : what is between cells.
         """
         if not self.there.any():
             return Reading(np.full(len(self.column), np.nan), left_out=_EMPTY)

@@ -42,7 +42,7 @@ __all__ = [
 def load_columns(source: Any, decimal: str | None = None) -> Columns:
     """Load the columns of a file, a frame, a mapping of arrays, a Trajectory or a 2-D array.
 
-    Files are told by their suffix: Excel and its kin (``.xlsx``, ``.xls``, ``.ods``), MATLAB
+    Files are recognised by their suffix: Excel and its kin (``.xlsx``, ``.xls``, ``.ods``), MATLAB
     (``.mat``), HDF5 (``.h5``, ``.hdf5``), NetCDF (``.nc``), Parquet, ``.npz``, ``.npy``; anything
     else is delimited text. Frames are those that narwhals knows, such as pandas, polars and
     pyarrow, and those of xarray. An array has the time as its first column; a pair ``(t, x)`` is
@@ -54,7 +54,7 @@ def load_columns(source: Any, decimal: str | None = None) -> Columns:
     source : any of these.
     decimal : the decimal mark of text in it, "." or ","; found by default.
 
-    Raises InputError when the source is none of these or cannot be read.
+    Raises InputError when the source is not one of these or cannot be read.
 
     >>> load_columns({"t": [0, 1], "x": [2.0, 3.0]}).names
     ('t', 'x')

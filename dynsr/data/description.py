@@ -47,7 +47,7 @@ class TimeColumn:
 
     @property
     def counted(self) -> str:
-        """How the times are counted, in words that stand behind the column; "" if unknown."""
+        """How the times are counted, in words that follow the column; "" if unknown."""
         return f" in {_UNITS.get(self.unit, self.unit)}" if self.unit else ""
 
     @property
@@ -81,7 +81,7 @@ class RunRows:
 class Description:
     """How a table is understood.
 
-    Columns are called as they stand in formulas, but for what is not used, which keeps its name in
+    Columns are called as in formulas, but for what is not used, which keeps its name in
     the source. ``print`` shows it, :meth:`to_dict` gives it as JSON has it.
 
     Parameters
@@ -90,7 +90,7 @@ class Description:
     time : the column of the times, with its unit and its steps.
     trajectories : the runs, each with its rows.
     states : what equations are searched for.
-    inputs : what equations may hold beside the states.
+    inputs : what equations may contain in addition to the states.
     parameters : numbers that are constant within each trajectory and differ between them.
     named_by : the columns whose values together name a trajectory; () where only the time tells.
     formulas : input that is an expression in ``t`` -> that expression.
@@ -98,7 +98,7 @@ class Description:
     units : column -> its unit, where the source says one.
     renamed : column of the source -> its name in formulas, where the two differ.
     noise : state -> the column of its measurement errors.
-    labels : columns that only tell trajectories apart.
+    labels : columns that only distinguish trajectories.
     left_out : column that is not used -> why.
     notes : sentences on what was noticed, assumed, or looks odd.
     options : what would change this: an option of the shell -> what comes of it.

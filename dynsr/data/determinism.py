@@ -1,4 +1,4 @@
-"""Determinism: how far one column's value follows from others, told by near neighbours."""
+"""Determinism: how far one column's value follows from others, by near neighbours."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Pairs:
     share: float
 
     def nearer(self, part: float) -> Pairs:
-        """Give the nearest of the pairs, this share of them; they stand from near to far."""
+        """Give the nearest of the pairs, this share of them; from near to far."""
         kept = slice(None, int(np.ceil(part * len(self.first))))
         return replace(
             self,

@@ -2,13 +2,13 @@
 
 A state whose equation reads a held input has a kink at every step of it, and states that read that
 one have a kink in their slopes. No smooth curve and no difference of high order follows that. So a
-part with the same kinks is taken from the states, what is left is smooth, and is smoothed or
+part with the same kinks is taken from the states, the rest is smooth, and is smoothed or
 differentiated like any other; then the part is added again, with its slopes in closed form.
 
 The part is a sum of responses of chains of first-order lags to steps of the input, of products of
-it, and of the states beside it: where x' = f(x) + g(x) u, a step changes the slope by g(x) times
+it, and of the other states: where x' = f(x) + g(x) u, a step changes the slope by g(x) times
 the step (a Chen-Fliess expansion; Isidori, Nonlinear Control Systems, 3.1). Its coefficients are
-those that leave least beside the polynomial through the neighbours of each row.
+those that leave least with the polynomial through the neighbours of each row.
 """
 
 from __future__ import annotations

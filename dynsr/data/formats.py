@@ -73,7 +73,7 @@ def _array_size(file: Any, size: int) -> int:
 
 
 def load_excel(path: Path, decimal: str | None = None) -> Columns:
-    """Load the first sheet of a spreadsheet that holds a table."""
+    """Load the first sheet of a spreadsheet that has a table."""
     need("python_calamine", "tables", f"reading {path.name!r}")
     import python_calamine
 

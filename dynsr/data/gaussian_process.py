@@ -3,7 +3,7 @@
 The process is written in cosines of the (warped) time, whose coefficients are independent normal
 variables with variances that fall like the spectral density of a Matern kernel (Solin and Sarkka
 2020, "Hilbert space methods for reduced-rank Gaussian process regression"). One small matrix then
-holds all that the rows say, so that thousands of rows cost as little as hundreds, and the marginal
+has all that the rows say, so that thousands of rows cost as little as hundreds, and the marginal
 likelihood has a gradient in closed form. Amplitude, length scale and smoothness of the kernel, and
 a factor on the noise that was estimated before, are those of greatest marginal likelihood.
 """

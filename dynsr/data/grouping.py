@@ -1,4 +1,4 @@
-"""Grouping: which rows belong to one trajectory, and which columns only tell trajectories apart."""
+"""Grouping: the rows of each trajectory, and the columns that only distinguish trajectories."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _OWN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Grouping:
-    """What tells trajectories apart, and what it says of them.
+    """What distinguishes trajectories, and what it says of them.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Grouping:
 
 
 def is_run_name(name: str) -> bool:
-    """Whether a column of that name is one that tells trajectories apart."""
+    """Whether a column of that name is one that distinguishes trajectories."""
     return _NAMED.fullmatch(bare_name(name)) is not None
 
 
@@ -123,7 +123,7 @@ def guess_grouping(
     candidates: Sequence[str],
     trajectory: Sequence[str] | None,
 ) -> Grouping:
-    """Find what tells trajectories apart.
+    """Find what distinguishes trajectories.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def guess_grouping(
     candidates : the columns that nobody gave a role.
     trajectory : the columns that the caller named; None to guess them.
 
-    All columns that are called names of trajectories and have few values tell them apart; and as
+    All columns that are called names of trajectories and have few values distinguish them; and as
     few as it needs of those of text, or else of few numbers, so that within each trajectory times
     increase, or no time repeats. A text that changes within what these give is one more such
     column where the other columns go on more smoothly within its values than across them.
@@ -187,7 +187,7 @@ def _is_missing(cell: object) -> bool:
 
 
 class _Look:
-    """Looks at the columns of a source beside its times."""
+    """Looks at the columns of a source other than its times."""
 
     def __init__(self, columns: Columns, time: Times) -> None:
         """Remember the columns."""
@@ -197,7 +197,7 @@ class _Look:
         self.restarts = find_restarts(time.within(self._one))
 
     def values(self, name: str) -> np.ndarray:
-        """Give the cells of a column; a name that stands once above its rows is that of all."""
+        """Give the cells of a column; a name that is once above its rows is that of all."""
         values = self.columns.values[self.columns.names.index(name)]
         if values.dtype.kind != "O":
             return values
@@ -243,7 +243,7 @@ class _Look:
         """Number rows of one time by their order, where these go on as runs of their own do.
 
         Rows of replicates of one moment differ as much as those of two; rows of different runs,
-        which stand in the same order at every moment, change by less from one to the next.
+        which have the same order at every moment, change by less from one to the next.
         """
         t = self.time.within(codes)
         order = np.lexsort([np.arange(len(t)), t, codes])
@@ -275,7 +275,7 @@ class _Look:
         )
 
     def choose(self, free: Sequence[str]) -> list[str]:
-        """Choose the columns that tell trajectories apart."""
+        """Choose the columns that distinguish trajectories."""
         named = [n for n in free if is_run_name(n) and self.has_few(n)]
         texts = [n for n in free if n not in named and self.is_text(n) and self.has_few(n)]
         texts = [n for n in texts if self.differs(n)]
@@ -310,7 +310,7 @@ class _Look:
         fits: Callable[[np.ndarray], bool],
         only: bool = False,
     ) -> list[str]:
-        """Give the fewest columns, beside those named, that tell the rows of a time apart.
+        """Give the fewest columns, in addition to those named, that distinguish the rows of a time.
 
         ``only`` refuses to choose where several do as well.
         """
@@ -391,7 +391,7 @@ class _Look:
         return bool(np.all(steps[same] > 0))
 
     def is_apart(self, codes: np.ndarray) -> bool:
-        """Whether no time repeats within a trajectory, in whatever order its rows stand."""
+        """Whether no time repeats within a trajectory, in whatever order its rows are."""
         t = self.time.within(codes)
         order = np.lexsort([t, codes])
         steps, same = np.diff(t[order]), np.diff(codes[order]) == 0
@@ -426,7 +426,7 @@ class _Look:
         return bool(is_label_name(name) or (alone and counts))
 
     def is_parameter(self, name: str) -> bool:
-        """Whether numbers that help to tell trajectories apart may act in their equations too."""
+        """Whether numbers that help to distinguish trajectories may act in their equations too."""
         if self.is_text(name) or not self.is_whole(name) or is_label_name(name):
             return False
         own = np.unique(self.values(name))

@@ -22,14 +22,14 @@ class HoldSettings:
 
     Parameters
     ----------
-    repeats : share of the rows that must repeat the value before for a column to be held.
-    abrupt : share of its changes that must be abrupt: alone, or beside one of the other sign.
+    repeats : share of the rows that must repeat the value before for a held input.
+    abrupt : share of its changes that must be abrupt: alone, or next to one of the other sign.
     coarse : smallest distance of two values, as a share of their range, from which on steps of that
         size are no mere rounding of a quantity that moves.
     rounded : share of the changes that are of that size where a moving quantity was rounded.
     same : misses below this share of the range are rounding.
     white : half the mean squared step over the variance (von Neumann 1941) from which on a row
-        tells little of the next. It is 1 for independent values, 0 for slow ones.
+        says little of the next. It is 1 for independent values, 0 for slow ones.
     """
 
     repeats: float = 0.1
@@ -105,7 +105,7 @@ def holds_its_value(
 
     A quantity that moves and was rounded repeats its value too, but it steps by one digit. A pause
     in a motion repeats it, but the motion goes on over several rows in one direction. A column that
-    is constant in every run is held.
+    is constant in every run is a held input.
 
     >>> t = np.linspace(0.0, 10.0, 101)
     >>> holds_its_value(np.floor(t / 1.5) % 2), holds_its_value(np.round(np.sin(t), 1))
@@ -139,7 +139,7 @@ def _count_abrupt(steps: np.ndarray) -> int:
 
 
 def _misses(t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(2, n - 4) misses of inner rows from the line through two, the cubic through four others."""
+    """(2, n - 4) residuals of inner rows: the line through two, the cubic through four others."""
     found = []
     for others in ((1, 3), (0, 1, 3, 4)):
         guess = np.zeros(len(t) - 4)

@@ -22,7 +22,7 @@ class KnownNoise:
     ----------
     sd : (n,) standard deviation at every row that does not grow with the state, in its units.
     share : standard deviation as a share of the state's size, which is added in squares.
-    sure : whether it is right as it stands; otherwise it says how rows differ, and its size is
+    sure : whether its size is right; otherwise it says how rows differ, and its size is
         estimated.
 
     >>> KnownNoise(np.array([3.0, 3.0]), 0.1).at(np.array([0.0, 40.0]))
@@ -57,7 +57,7 @@ def read_noise(state: str, value: Any, rows: int) -> KnownNoise | str:
         at the rows, or the name of a column.
     rows : how many there are.
 
-    Raises InputError when it is none of these, or no error is above 0.
+    Raises InputError when it is not one of these, or no error is above 0.
 
     >>> read_noise("x", "5 %", 2).share, read_noise("x", 0.1, 2).sd, read_noise("x", "x_sd", 2)
     (0.05, array([0.1, 0.1]), 'x_sd')
@@ -83,7 +83,7 @@ def read_noise(state: str, value: Any, rows: int) -> KnownNoise | str:
 
 
 def check_noise(state: str, noise: KnownNoise, said: str) -> KnownNoise:
-    """Give errors that can be used: where a row has none above 0, the usual one stands.
+    """Give errors that can be used: where a row has none above 0, the usual one is taken.
 
     Parameters
     ----------

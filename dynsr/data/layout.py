@@ -1,4 +1,4 @@
-"""Layout: where in a sheet of cells the table stands, what is above it, and what below."""
+"""Layout: where in a sheet of cells the table is, what is above it, and what below."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def is_blank(cell: Any) -> bool:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where a table stands.
+    """Where a table is.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Layout:
     names : names of the columns; empty where there are none.
     units : units of the columns as a row below the names gives them; empty where there is none.
     skipped : places of the rows above the data that are neither.
-    above : whether the names stand in a comment.
+    above : whether the names are in a comment.
     """
 
     first: int
@@ -102,12 +102,12 @@ def find_layout(rows: Sequence[Row], whole: bool = True) -> Layout | None:
 
     Parameters
     ----------
-    rows : rows that are not blank, comments among them.
+    rows : rows that are not blank, comments included.
     whole : whether there are no more; else a table of text alone is not looked for.
 
     A row of data agrees with what most rows have in the columns that are mostly numbers. The names
     are the nearest row above the data that has text in most of these; rows of units, of longer
-    names and remarks may stand between.
+    names and remarks may be between.
 
     >>> rows = ["Logger 7", "Time,Temp", "(s),(C)", "0,20.5", "1,20.7"]
     >>> found = find_layout([Row(row.split(","), j) for j, row in enumerate(rows)])
@@ -194,7 +194,7 @@ def _all_text(rows: Sequence[Row]) -> Layout | None:
 
 
 def _find_head(rows: Sequence[Row], numeric: Sequence[int], width: int) -> list[Row]:
-    """Give the rows of names, units and longer names that stand above the data."""
+    """Give the rows of names, units and longer names above the data."""
     head: list[Row] = []
     other = 0
     plain = False
@@ -315,7 +315,7 @@ def rows_that_are_none(columns: Sequence[np.ndarray], label: str) -> tuple[np.nd
     columns : one array (n,) each, as they were read.
     label : what a note calls the source.
 
-    Gives (n,) whether a row is none, and a sentence on those that are.
+    Gives (n,) whether a row is no data, and a sentence on those that are.
     """
     none = np.zeros(len(columns[0]), dtype=bool)
     texts = [j for j, column in enumerate(columns) if column.dtype.kind == "O"]

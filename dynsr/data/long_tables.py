@@ -73,8 +73,8 @@ def find_quantity(
     labels : the columns that the caller named for runs; None where guessed.
     states : the states that the caller named.
 
-    There must be one column of numbers beside it. Every value must be there at the same times
-    within each run, or the column must be called a quantity, have a unit beside it, or hold the
+    There must be one more column of numbers. Every value must be there at the same times
+    within each run, or the column must be called a quantity, have a unit next to it, or have the
     states asked for: each quantity is then measured at times of its own. Gives it, or None; and a
     sentence where it may be one but is not taken so.
     """
@@ -123,7 +123,7 @@ def describe_long(
     columns, time, candidates, labels : as for :func:`find_quantity`.
     quantity : the column.
 
-    Raises InputError when there is no column of numbers beside it.
+    Raises InputError when there is no other column of numbers.
     """
     look = _Look(columns, time)
     texts = [n for n in candidates if n != quantity and is_text(look.values(n))]
@@ -230,7 +230,7 @@ class _Look:
     def labels(
         self, quantity: str, unit: str | None, texts: Sequence[str], candidates: Sequence[str]
     ) -> list[str]:
-        """Give the columns that may name runs beside a quantity."""
+        """Give the columns that may name runs in addition to a quantity."""
         found = [n for n in texts if n not in (quantity, unit) and len(set(self.keys(n))) > 1]
         named = [n for n in candidates if n not in texts and is_label_name(n)]
         return [*found, *(n for n in named if len(set(self.keys(n))) * 5 <= len(self.keys(n)))]

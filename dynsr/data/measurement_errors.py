@@ -1,4 +1,4 @@
-"""Errors of measurement that stand in a column beside what was measured: by their names."""
+"""Errors of measurement in a column next to what was measured: by their names."""
 
 from __future__ import annotations
 

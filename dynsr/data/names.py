@@ -59,7 +59,7 @@ def find_column(name: str, columns: Columns, role: str) -> str:
 
 
 def clean_name(name: str) -> str:
-    """Give the name that a column has in formulas: its own where that can stand in one.
+    """Give the name that a column has in formulas: its own where formulas can use it.
 
     Units in brackets go, other signs become underscores, and names of functions get a number.
 

@@ -53,8 +53,8 @@ def measurement_noise(trajectory: Trajectory) -> np.ndarray:
     Each point is compared with the polynomial through its neighbours (a high-order difference);
     the median absolute miss, scaled for the normal law, is noise plus what the polynomial cannot
     follow, so the smallest over orders 2 to 8 is taken. Times may be uneven, and rows at which a
-    state was not measured say nothing of it; NaN where that leaves fewer than 5. Kinks that held
-    inputs make are no noise. Errors that are known are taken as they are, by their mean square.
+    state was not measured say nothing of it; NaN where that leaves fewer than 5. Kinks of
+    inputs are no noise. Errors that are known are taken as they are, by their mean square.
 
     >>> t = np.linspace(0, 10, 500)
     >>> noisy = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, 500)
@@ -103,7 +103,7 @@ class NoiseSettings:
     ----------
     orders : orders of the interpolating polynomials tried; the least miss is taken.
     outlier : a row further than this many standard deviations off is an outlier.
-    share : more outliers than this share of the rows are none, but motion.
+    share : more outliers than this share of the rows are motion, not outliers.
     rounds : how often outliers are looked for again without those found before.
     steps : steps of the weighted fit of additive and multiplicative noise.
     """
@@ -139,7 +139,7 @@ class StateNoise:
 
 
 def neighbour_noise(columns: Sequence[Column], settings: NoiseSettings) -> StateNoise:
-    """Estimate the noise of one state from the misses of each row from its neighbours.
+    """Estimate the noise of one state from the residuals of each row from its neighbours.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def neighbour_noise(columns: Sequence[Column], settings: NoiseSettings) -> State
 
 
 def _noise_of_misses(columns: Sequence[Column], settings: NoiseSettings) -> StateNoise:
-    """Fit additive and multiplicative noise to the misses of the best order of interpolation."""
+    """Fit additive and multiplicative noise to the residuals of the best order of interpolation."""
     best: tuple[float, list[tuple[np.ndarray, np.ndarray]]] | None = None
     for order in settings.orders:
         pieces = [_misses(*column, order) for column in columns if len(column[0]) > order + 2]
@@ -188,7 +188,7 @@ def _noise_of_misses(columns: Sequence[Column], settings: NoiseSettings) -> Stat
 def _misses(
     t: np.ndarray, x: np.ndarray, taken: np.ndarray | float, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Misses of the inner rows per unit noise, and the mean squared level that they saw."""
+    """Residuals of the inner rows per unit noise, and the mean squared level that they saw."""
     weights = interpolation_weights(t, order)
     windows = np.lib.stride_tricks.sliding_window_view(x, order + 1)
     # A measured level holds noise itself; that of a few rows holds less.
@@ -204,7 +204,7 @@ def fit_law(
 
     Parameters
     ----------
-    squares : (n,) squared misses.
+    squares : (n,) squared residuals.
     level : (n,) squared values of the state there.
     weights : (n,) share of each that is independent of the others.
     settings : cap and steps of the fit.
@@ -232,7 +232,7 @@ def _ascend(
 ) -> tuple[np.ndarray, float]:
     """Maximise the normal likelihood of squares ~ law @ columns, from ``law``; what is 0 stays 0.
 
-    The updates keep the law positive. A squared miss counts at most as an outlier's would.
+    The updates keep the law positive. A squared residual counts at most as an outlier's would.
     """
     cap, floor = settings.outlier**2, 1e-12 * float(np.mean(squares)) + 1e-300
     for _ in range(settings.steps):

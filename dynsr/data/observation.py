@@ -1,7 +1,7 @@
 """Observation: each state counts where it was measured, and is read off its curve elsewhere.
 
-A search evaluates formulas in all states at once. Where one of them was not measured, it stands for
-a moment on the smooth curve through its own rows; that this is no measurement is kept beside it
+A search evaluates formulas in all states at once. Where one of them was not measured, it is for
+a moment on the smooth curve through its own rows; that this is no measurement is kept with it
 (:attr:`dynsr.data.Trajectory.unmeasured`), so that nothing is fitted to it and nothing counts it.
 """
 
@@ -18,7 +18,7 @@ from dynsr.errors import InputError
 
 
 def carry(runs: Sequence[Trajectory]) -> list[Trajectory]:
-    """Give runs in which a state stands on its curve where it was not measured.
+    """Give runs in which a state is on its curve where it was not measured.
 
     The cells stay marked as unmeasured. Runs that were measured everywhere stay as they are.
 
@@ -70,7 +70,7 @@ def told_rows(runs: Sequence[Trajectory], state: str) -> list[np.ndarray]:
 
 
 def at_own_rows(runs: Sequence[Trajectory], state: str, fewest: int = 1) -> list[Trajectory]:
-    """Give runs at the rows of :func:`told_rows`, where all states stand as if measured.
+    """Give runs at the rows of :func:`told_rows`, where all states count as measured.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Oddities: what looks odd in the times and the values of one run, told from these numbers alone.
+"""Oddities: what looks odd in the times and the values of one run, from these numbers alone.
 
-Each look is a pure function of times and values. It gives what it saw in words that stand behind
+Each look is a pure function of times and values. It gives what it saw in words that follow
 the name of a column, and what that means for equations.
 """
 
@@ -25,7 +25,7 @@ class OddSettings:
     even : steps that differ by a smaller share of the longest are even.
     chance : what comes about by chance in at most this share of sound tables looks odd.
     spike : a row that lies this many times further off than the rows around it lie apart is one.
-    edge : steps of the resolution by which a column enters or leaves the rows that all hold one
+    edge : steps of the resolution by which a column enters or leaves the rows that all have one
         value. A rounded parabola that keeps its top for three rows enters it by three at most.
     rows : fewer rows an oscillation are too few for slopes.
     rounding : error of rounding, as a share of the spread, that is called coarse.
@@ -59,7 +59,7 @@ class Oddity:
     ----------
     kind : "gap", "uneven", "mark", "stuck", "saturated", "repeated", "rounded", "spike" or
         "coarse".
-    words : what is seen, to stand behind the name of the column.
+    words : what is seen, to follow the name of the column.
     meaning : what it means, and what to do.
     rows : the first and the last row of it, from 0; of several places, those of the first.
     """
@@ -163,7 +163,7 @@ def _marked(x: np.ndarray, rows: np.ndarray, others: np.ndarray) -> Iterator[Odd
 
 
 def _marks(x: np.ndarray, settings: OddSettings) -> np.ndarray:
-    """Say which rows hold one number, several times, that is far from all others."""
+    """Say which rows have one number, several times, that is far from all others."""
     levels, counts = np.unique(x, return_counts=True)
     marks = np.zeros(len(x), dtype=bool)
     if len(levels) < settings.rows:
@@ -222,7 +222,7 @@ def _of_converter(steps: np.ndarray, step: float, last: float) -> float:
 class _Column:
     """A column of one run: ``step`` is its resolution, ``stretches`` (m, 2) where it is constant.
 
-    The first and the last row of each stretch stand in it, of those of a single row too. ``place``
+    The first and the last row of each stretch are in it, of those of a single row too. ``place``
     (n,) are its rows in the run.
     """
 
@@ -253,7 +253,7 @@ def _stretches(x: np.ndarray) -> np.ndarray:
 
 
 def _repeated(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
-    """See a column whose values usually stand in several rows, and else one that sticks."""
+    """See a column whose values are usually repeated in several rows, and else one that sticks."""
     lengths = column.lengths
     usual = int(np.median(lengths))
     if usual > 1:
@@ -361,7 +361,7 @@ def _spikes(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
 def _coarse(column: _Column, settings: OddSettings) -> Iterator[Oddity]:
     """See an oscillation of few rows, by the share of the variance that one frequency explains.
 
-    The chance of a peak as high in noise is that of Baluev (2008) beside a straight line.
+    The chance of a peak as high in noise is that of Baluev (2008) with a straight line.
     """
     # Beyond a gap nobody knows how often it went round.
     steps = np.diff(column.t)
@@ -427,7 +427,7 @@ def odd_states(
 
 
 def _line_through(x: np.ndarray, others: Mapping[str, np.ndarray]) -> str:
-    """Give x as a sum of other columns and a number; "" where it is none to its rounding."""
+    """Give x as a sum of other columns and a number; "" where it is not, to its rounding."""
     scales = {name: float(np.std(own)) for name, own in others.items()}
     table = np.column_stack([(own - np.mean(own)) / scales[name] for name, own in others.items()])
     centred = x - np.mean(x)

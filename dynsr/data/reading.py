@@ -44,7 +44,7 @@ class Table:
     ``description`` says the same as a value; ``roles`` column by column, None where several sources
     were read. ``left_out`` gives each column that is not used with the reason; ``notes`` are
     sentences on what was noticed or assumed; ``names`` are those of the trajectories: the values of
-    the columns that tell them apart, joined by ", ", or else numbers from 1.
+    the columns that distinguish them, joined by ", ", or else numbers from 1.
     """
 
     trajectories: list[Trajectory]
@@ -96,9 +96,9 @@ def read_trajectories(
         is called so, such as x_sd, then say how rows differ.
     max_rows : more rows than this are thinned evenly, with a DynsrWarning.
 
-    Times may be uneven, and rows may stand in any order where it is known which belong together.
+    Times may be uneven, and rows may be in any order where it is known which belong together.
     Rows of one time are averaged, a state without a value in a row was not measured there, and what
-    else was assumed stands in the table's notes. Names that cannot stand in a formula are changed,
+    else was assumed is in the table's notes. Names that formulas cannot use are changed,
     with a DynsrWarning. Raises InputError, one line that names the value and the remedy, when the
     table cannot be used.
 
@@ -169,7 +169,7 @@ def _chosen(quantity: str | None) -> str | None:
 
 
 def _load_beside(source: Any, t: Any, decimal: str | None) -> Columns:
-    """Load the columns of a source without times, and the times beside them."""
+    """Load the columns of a source without times, and their times."""
     if isinstance(source, (str, os.PathLike, Mapping)) or hasattr(source, "columns"):
         return with_times(load_columns(source, decimal), t)
     return load_columns((t, source))
@@ -564,7 +564,7 @@ def take_trajectories(
 def _sort_inputs(
     inputs: Mapping[str, Any] | Sequence[str] | str | None,
 ) -> tuple[list[str] | None, dict[str, Any]]:
-    """Tell inputs that are columns from those that are given beside the data."""
+    """Tell inputs that are columns from those that are given separately."""
     return (None, dict(inputs)) if isinstance(inputs, Mapping) else _split_inputs(inputs)
 
 
@@ -688,7 +688,7 @@ def column_units(run: Trajectory, units: Mapping[str, str] | str | None) -> dict
 
 
 def _with_values(run: Trajectory, given: Mapping[str, Any], number: int, count: int) -> Trajectory:
-    """Put inputs that are functions of the time or values beside the columns of one of the runs."""
+    """Put inputs that are functions of the time or values to the columns of one of the runs."""
     for name, value in given.items():
         if check_name(name, "input") in run.names:
             raise InputError(f"input {name!r} is a column already; give it another name")
@@ -745,7 +745,7 @@ def sample_input(name: str, value: Any, t: np.ndarray) -> np.ndarray:
 
 
 def _with_drives(run: Trajectory, drives: Mapping[str, sympy.Expr]) -> Trajectory:
-    """Put the values of inputs that are expressions beside the columns."""
+    """Add the values of inputs that are expressions to the columns."""
     new = {name: expr for name, expr in drives.items() if name not in run.input_names}
     clash = [name for name in new if name in run.states]
     if clash:

@@ -1,4 +1,4 @@
-"""Replicates: runs that stand side by side as columns are put below each other."""
+"""Replicates: runs in columns side by side are put below each other."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _WHITE = 0.5
 
 @dataclass(frozen=True)
 class SideBySide:
-    """Columns that hold the same quantities once for each run.
+    """Columns of the same quantities, once for each run.
 
     Parameters
     ----------
-    word : what the runs are called; "" where only numbers tell them apart.
+    word : what the runs are called; "" where only numbers distinguish them.
     members : name of a run -> quantity -> its column.
     """
 
@@ -123,12 +123,12 @@ def _are_copies(columns: Columns, found: SideBySide) -> bool:
 
 
 def stack_replicates(columns: Columns, found: SideBySide) -> tuple[Columns, np.ndarray, str]:
-    """Put runs that stand side by side below each other.
+    """Put runs in columns side by side below each other.
 
     Parameters
     ----------
     columns : the columns of the source.
-    found : what stands side by side.
+    found : the columns of the runs.
 
     Gives the columns, the row of the source that each of their rows has, and the name of the new
     column that names the run.

@@ -30,13 +30,13 @@ class Roles:
 
     ``renamed`` gives every state and input the name that it has in formulas; ``chosen`` says that
     the caller named the states; ``parameters`` are those inputs that were taken for such since they
-    are constant within each trajectory, and ``labels`` what only tells trajectories apart beside
-    ``trajectory``, the columns whose values together name one; ``noise`` maps a state to the column
-    of its measurement errors; ``clock`` is the column of the time of the day where ``time`` holds
-    only the date, and ``quantity`` the column whose values became states or inputs; ``held`` are
-    inputs that were taken for such since they keep their value and step; ``left_out`` gives each
-    column that is not used with the reason; ``reshaped`` are columns of the source whose cells went
-    into others: the values of quantities, or runs side by side.
+    are constant within each trajectory, and ``labels`` what only distinguishes trajectories in
+    addition to ``trajectory``, the columns whose values together name one; ``noise`` maps a state
+    to the column of its measurement errors; ``clock`` is the column of the time of the day where
+    ``time`` has only the date, and ``quantity`` the column whose values became states or inputs;
+    ``held`` are inputs that were taken for such since they keep their value and step;
+    ``left_out`` gives each column that is not used with the reason; ``reshaped`` are columns of the
+    source whose cells went into others: the values of quantities, or runs side by side.
     """
 
     time: str
@@ -177,7 +177,7 @@ def _check_roles(
 
 
 class _Look:
-    """Looks at the columns beside the times and the trajectories."""
+    """Looks at the columns other than the times and the trajectories."""
 
     def __init__(self, columns: Columns, time: Times, grouping: Grouping) -> None:
         """Put the rows of each trajectory in order."""

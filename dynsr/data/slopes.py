@@ -49,7 +49,7 @@ _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
 class Smooth:
     """One column made smooth: the rows that have a slope, and the values and slopes there.
 
-    ``slope_sd`` holds the standard deviations of the slopes where the scheme knows them.
+    ``slope_sd`` has the standard deviations of the slopes where the scheme knows them.
     """
 
     rows: slice
@@ -206,16 +206,16 @@ class SlopeSettings:
     finest : a central difference that errs by less than this share is not made wider, since a
         wider one reaches further across kinks.
     quantile : which quantile of the rows' errors a central difference is chosen by. The bias is
-        large where the motion is fast, which a median would not see; the few rows beside the
+        large where the motion is fast, which a median would not see; the few rows next to the
         kinks of an adaptive solver, which higher orders spread, must not decide.
     windows : odd numbers of rows of the local polynomials tried.
     degrees : even degrees of the local polynomials tried; an odd one has the slopes of the even
         one above it.
     processed : up to so many rows a Gaussian process competes with the local polynomials; it
         weighs less and costs more the more rows there are.
-    prefer : a local polynomial is preferred when its mean squared miss of left-out rows is less
+    prefer : a local polynomial is preferred when its mean squared residual of left-out rows is less
         than this share of the process's; values are foretold as well by curves whose slopes differ.
-    capped : most standard deviations that a miss counts there.
+    capped : most standard deviations that a residual counts there.
     reference : a window of little bias is at most this share of the one best for the values.
     biased : a share of bias in given slopes from which on they are warned about.
     steep : data have layers where the slopes (RMS) are this many times larger than those that
@@ -336,7 +336,7 @@ def find_layers(
 
     A relaxation oscillator rests, and then jumps about as fast as it is sampled. A difference
     across a jump is wrong, and larger than all others. Where the slopes of the other rows are
-    exact, they hold the law. The error of a row is estimated by the difference of sixth order.
+    exact, they contain the law. The error of a row is estimated by the difference of sixth order.
 
     Parameters
     ----------
@@ -467,7 +467,7 @@ def choose_samples(
 
     ``Samples.scheme`` names the choice and ``Samples.noise`` the slope error to expect. When a
     column is noisy its smoothed values replace it in ``X``. The rows are those at which the target
-    was measured; another state that was not stands on its curve there. Warns with BiasWarning when
+    was measured; another state that was not is on its curve there. Warns with BiasWarning when
     own slopes do not fit the states. Raises InputError when there are too few rows.
 
     >>> t = np.linspace(0, 10, 1001)
@@ -509,7 +509,7 @@ def choose_samples(
 
 
 def _add_forced(samples: Samples, run: Trajectory, forced: Forced) -> Samples:
-    """Add what held inputs bend to samples of what is left without it."""
+    """Add what held inputs bend to samples of the rest without it."""
     rows = np.searchsorted(run.t, samples.t)
     X = samples.X.copy()
     X[:, : len(run.states)] += forced.x[rows]
@@ -528,7 +528,7 @@ def _choose(trajectory: Trajectory, state: str, scheme: str, settings: SlopeSett
 def _fitting(
     trajectory: Trajectory, choices: Mapping[str, Choice], settings: SlopeSettings
 ) -> dict[str, Choice]:
-    """Choose anew for a trajectory that is too short for the windows of the longest."""
+    """Choose again for a trajectory that is too short for the windows of the longest."""
     fitting = {}
     for state, choice in choices.items():
         x = trajectory.x[:, trajectory.index(state)]
@@ -587,7 +587,7 @@ def _gaps(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a higher order changes in slopes (n - higher,), and their error by noise (n - order,).
 
-    Noise that two orders do not differ by is none: rows far apart look noisy.
+    Noise that two orders do not differ by is no noise: rows far apart look noisy.
     """
     low, high = (smooth_column(t, x, f"central{which}").slope for which in (order, higher))
     lower, upper = central_weights(t, order), central_weights(t, higher)

@@ -1,6 +1,6 @@
 """Smoothing whole trajectories: states and slopes with uncertainty at every row, ends included.
 
-Every state is a Gaussian process in a time that may be warped. A transient that settles in a tenth
+Every state is a Gaussian process in a time that may be warped. A transient that ends in a tenth
 of the record, or a jump between slow phases, has no one length scale in plain time; it has one in
 the logarithm of the time since the start, or along the arc of the motion. The warp of greatest
 marginal likelihood is taken, and so is the logarithm of the values where their noise is a share of
@@ -95,7 +95,7 @@ class SmoothedTrajectory:
     slope : (n, k) their slopes in state units per second.
     x_sd, slope_sd : (n, k) standard deviations of both.
     noise : (n, k) standard deviation of the measurement noise found at every row; an outlier's is
-        as large as its miss.
+        as large as its residual.
     before : (n, k) slopes before a held input steps at the row; ``slope`` is that after it.
     method : for each state, what was smoothed: "time", "log start 0.01", "arc 0.5", ..., with
         "of log" where the logarithm of the values was.
@@ -235,7 +235,7 @@ def _smooth_known(
     taken: np.ndarray,
     known: KnownNoise | None,
 ) -> SmoothColumn:
-    """Smooth one column; where its errors are known they stand, or their size alone is found."""
+    """Smooth one column; where its errors are known they are used, or their size alone is found."""
     if known is None:
         return smooth_values(t, x, noise, settings, taken)
     certain = settings.certain if known.sure else settings.unknown
@@ -253,7 +253,7 @@ def _smooth_known(
 def _sure_slopes(t: np.ndarray, found: SmoothColumn) -> np.ndarray:
     """Give the slopes of a smoothed column; where they are unsure, those of a spline through it.
 
-    How unsure the spline's are is told by those of another one, which never overshoots.
+    The uncertainty of the spline's is that of another one, which never overshoots.
     """
     spline = CubicSpline(t, found.x)(t, 1)
     apart = spline - PchipInterpolator(t, found.x)(t, 1)
@@ -538,11 +538,11 @@ def estimate_noise(
     """Estimate the noise of every state: additive, multiplicative, or both; and its outliers.
 
     Each row is compared with the polynomial through its neighbours. For noise of variance
-    a^2 + m^2 x^2 the squared miss has the expectation sum_j c_j^2 (a^2 + m^2 x_j^2) with the
+    a^2 + m^2 x^2 the squared residual has the expectation sum_j c_j^2 (a^2 + m^2 x_j^2) with the
     weights c of the interpolation; a and m are those of greatest likelihood, and a two-parameter
-    law stands only where it lowers the Bayesian information criterion. Where rows are few or far
-    apart such a polynomial misses by more than the noise; the misses from the smoothed trajectory,
-    divided by the share that no row itself takes of its own fit, then replace those.
+    law is used only where it lowers the Bayesian information criterion. Where rows are few or far
+    apart such a polynomial is wrong by more than the noise. The residuals of the smoothed
+    trajectory, divided by the share that no row itself takes of its own fit, then replace those.
 
     Parameters
     ----------

@@ -133,8 +133,8 @@ def hold_on(values: np.ndarray) -> np.ndarray:
 def between_rows(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Give the values of an input at all rows, where some of its cells are empty.
 
-    An input is known between its rows by how it is held (:func:`dynsr.data.holding.choose_hold`):
-    it keeps its value, or goes on to the next one.
+    Between its rows an input keeps its value, or goes on to the next one
+    (:func:`dynsr.data.holding.choose_hold`).
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def between_rows(t: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _single_steps(steps: np.ndarray) -> np.ndarray:
-    """Give the sizes of the steps that stand between rows that repeat."""
+    """Give the sizes of the steps between rows that repeat."""
     moves = np.pad(steps != 0, 1)
     return np.asarray(np.abs(steps)[moves[1:-1] & ~moves[:-2] & ~moves[2:]])
 

@@ -20,7 +20,7 @@ _STALE_SECONDS = 3600.0
 
 
 def open_part(folder: Path) -> tuple[Path, BinaryIO]:
-    """Make a new file beside those that it will replace; gives its path and the open file.
+    """Make a new file next to those that it will replace; gives its path and the open file.
 
     The name is drawn by chance. A file or a link of that name is never opened. A signal that falls
     in between leaves no file.
@@ -61,7 +61,7 @@ def own_folder(prefix: str) -> Iterator[Path]:
     Parameters
     ----------
     prefix : the beginning of its name, such as "dynsr-app-". Folders of that name go when they are
-        this user's and nobody holds the lock in them any more.
+        this user's and nobody has the lock in them any more.
     """
     _remove_left_over(prefix)
     folder = Path(tempfile.mkdtemp(prefix=prefix))

@@ -61,7 +61,7 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
     path : the file, packed with gzip where its name ends in .gz.
     decimal : the decimal mark, "." or ","; found by default.
 
-    Raises InputError when no table can be told in it.
+    Raises InputError when no table can be recognised in it.
     """
     head, cut = _read_head(path)
     plain = _load_plain(path) if decimal in (None, ".") else None
@@ -143,7 +143,7 @@ def _read_head(path: Path) -> tuple[bytes, bool]:
 
 
 class _Head:
-    """What the first lines of a text tell: the delimiter, and where the table stands."""
+    """What the first lines of a text tell: the delimiter, and where the table is."""
 
     def __init__(self, label: str, head: bytes, cut: bool, encoding: str) -> None:
         # Not splitlines(), for which a form feed or U+0085 ends a line too.
@@ -180,7 +180,7 @@ class _Head:
 
 
 def _join_quoted(lines: list[str]) -> None:
-    """Put what stands within a pair of quotation marks in its first line; the others are blank."""
+    """Put what is within a pair of quotation marks in its first line; the others are blank."""
     for j, line in enumerate(lines):
         if line.count('"') % 2 == 0 or is_comment(line):
             continue
@@ -325,7 +325,7 @@ def _are_row_names(column: Any) -> bool:
 
 
 def _shows_commas(frame: Any) -> bool:
-    """Whether a comma stands in a cell beside columns that were read with a point as the mark."""
+    """Whether a comma is in a cell although other columns were read with a point as the mark."""
     texts = [j for j in frame if frame[j].dtype.kind not in "fiub"]
     points = any(frame[j].dtype.kind == "f" and frame[j].notna().any() for j in frame)
     return points and any(frame[j].str.contains(",", regex=False).any() for j in texts)
@@ -386,7 +386,7 @@ def _parse_file(path: Path, head: _Head, **options: Any) -> tuple[Any, tuple[str
 
 
 def _spans_lines(path: Path, head: _Head, rows: int) -> bool:
-    """Whether rows are fewer than lines only since cells hold line ends, and none holds a row."""
+    """Whether rows are fewer than lines only since cells have line ends, and none has a row."""
     if head.delimiter == _SPACE:
         return False
     with _opener(path)(path, "rt", encoding=head.encoding, newline="") as file:

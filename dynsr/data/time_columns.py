@@ -41,7 +41,7 @@ class Times:
     from_first : whether they are counted from the first one.
     first : what their 0 is where they are: "date" and seconds since 1970, or "clock" and those
         since the day began; None otherwise.
-    clock : the column of the time of the day beside one of dates.
+    clock : the column of the time of the day next to one of dates.
     daily : whether they are times of the day alone, which begin again at midnight.
     left_out : other columns of dates or times -> the reason why they are not used.
     notes : what was assumed, a sentence each.
@@ -223,14 +223,14 @@ class _Look:
         return moments is not None and moments.days_only
 
     def _with_clock(self, day: str) -> Times | None:
-        """Join a column of dates with the clock that stands beside it, if one does."""
+        """Join a column of dates with the clock next to it, if there is one."""
         for name in self._columns.names:
             if name != day and (found := self._join(day, name)) is not None:
                 return found
         return None
 
     def _join(self, day: str, clock: str) -> Times | None:
-        """Join dates and times of the day; None where they are none."""
+        """Join dates and times of the day; None where they are not."""
         if not self._is_day(day):
             return None
         seconds = self._time_of_day(clock, self._values(day))

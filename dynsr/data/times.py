@@ -187,7 +187,7 @@ class Moments:
 
 
 def read_numbers_as_dates(numbers: np.ndarray, name: str) -> Moments | None:
-    """Read numbers as dates where their name and their size say so; None where they are none.
+    """Read numbers as dates where their name and their size say so; None where they are not.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def read_times(cells: np.ndarray) -> Moments | None:
     """Read cells that are dates or durations, as text or objects; None where they are not.
 
     ISO 8601 is read; dates of numbers between points, slashes or hyphens, whose day and month are
-    told apart by all of them together; names of months; clocks of 12 or 24 hours, alone or behind
+    distinguished by all of them together; names of months; clocks of 12 or 24 hours, alone or after
     a date; and durations as pandas writes them, such as "1 days 02:00:00". Empty cells are NaT.
 
     >>> read_times(np.array(["3/12/24 1:59 PM", "3/13/24 2:00 AM"], dtype=object)).seconds

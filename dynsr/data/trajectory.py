@@ -31,7 +31,7 @@ _LONGEST_SHOWN = 60
 
 
 def without_mask(values: Any) -> Any:
-    """Give NaN, or NaT, where values of an array are masked: what stands below a mask is no data.
+    """Give NaN, or NaT, where values of an array are masked: what is below a mask is no data.
 
     >>> without_mask(np.ma.masked_array([1.0, -99.0], mask=[False, True]))
     array([ 1., nan])
@@ -224,7 +224,7 @@ class Trajectory:
         return np.where(self.unmeasured, np.nan, self.x) if self.unmeasured.size else self.x
 
     def as_measured(self) -> Trajectory:
-        """Give the same run with NaN where a state was not measured, whatever stood there."""
+        """Give the same run with NaN where a state was not measured, whatever was there."""
         return replace(self, x=self.observed) if self.unmeasured.size else self
 
     def of_states(self, states: Sequence[str]) -> Trajectory:
@@ -253,7 +253,7 @@ class Trajectory:
     def told_rows(self, state: str) -> np.ndarray:
         """Give the rows at which a state was measured and all others are known from their curves.
 
-        Before its first and after its last row nothing tells of a state.
+        Before its first and after its last row nothing is known of a state.
 
         Parameters
         ----------

@@ -80,8 +80,8 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     time : what the caller said of the time; None to guess.
     asked : what the caller said of the other columns.
 
-    In this order: the time; runs that stand side by side; quantities below each other; what tells
-    trajectories apart; the role of each column; rows in order of time, repeated ones averaged.
+    In this order: the time; runs side by side; quantities below each other; what distinguishes
+    trajectories; the role of each column; rows in order of time, repeated ones averaged.
     Cells of states that are empty stay so: the state was not measured there.
     """
     notes = list(columns.notes)
@@ -183,7 +183,7 @@ def _named(names: Sequence[str] | None, columns: Columns) -> set[str]:
 def _below_each_other(
     columns: Columns, times: Times, asked: Asked
 ) -> tuple[Columns, Times, list[str]]:
-    """Put runs that stand side by side below each other."""
+    """Put runs in columns side by side below each other."""
     if not columns.named:
         return columns, times, []
     taken = {*times.columns, *times.left_out}
@@ -440,9 +440,9 @@ def _make(
 
 
 def _read_errors(run: Run, roles: Roles, asked: Asked) -> dict[str, KnownNoise]:
-    """Give the measurement errors that stand in columns of their own.
+    """Give the measurement errors in separate columns.
 
-    Those that the caller named stand as they are; others say how rows differ.
+    Those that the caller named are used as they are; others say how rows differ.
     """
     found = {}
     for state, column in roles.noise.items():

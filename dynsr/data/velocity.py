@@ -33,7 +33,7 @@ def add_velocities(
     scheme: str = "auto",
     settings: SlopeSettings = _SETTINGS,
 ) -> list[Trajectory]:
-    """Put the slopes of some states beside the columns, as states of their own.
+    """Add the slopes of some states to the columns, as states of their own.
 
     The slopes are those of the scheme that the data choose for them, smoothed where there is noise;
     rows at the ends that have none go. The states themselves stay as they were measured. Where a

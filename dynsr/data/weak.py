@@ -2,7 +2,7 @@
 
 With a bump phi that vanishes at the ends of a window, the integral of phi x' is minus that of
 phi' x (Schaeffer and McCalla 2017; Messenger and Bortz 2021). Both integrals are sums over rows, so
-that a law x' = f holds as ``matrix @ f(rows) = y`` for whatever f.
+that a law x' = f is true as ``matrix @ f(rows) = y`` for whatever f.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class WeakSlopeSettings:
     pieces : cubic pieces of the slope in the length of a window.
     alike : of the lengths whose curves foretell the rows within this factor of the best, the
         longest is taken: its slopes have the least noise.
-    ridge : share of the largest weight of a piece that is added to all; the ends are hardly told.
+    ridge : share of the largest weight of a piece that is added to all; the ends are uncertain.
     """
 
     lengths: tuple[int, ...] = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160)

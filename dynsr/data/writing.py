@@ -72,7 +72,7 @@ def write_text(path: Path, text: str, links: bool = True) -> None:
 
 
 def check_replaceable(path: Path, ours: Callable[[bytes], bool]) -> None:
-    """Check that nothing stands where a file is to be written but what dynsr wrote itself.
+    """Check that where a file is to be written there is nothing but what dynsr wrote itself.
 
     Parameters
     ----------
@@ -95,11 +95,11 @@ def write_own(path: Path, text: str, ours: Callable[[bytes], bool]) -> None:
 
     Parameters
     ----------
-    path : where; what stands there is replaced if it is dynsr's own.
+    path : where; what is there is replaced if it is dynsr's own.
     text : the content.
     ours : how dynsr's own are known, as for :func:`check_replaceable`.
 
-    Raises InputError when a file that dynsr did not write stands there, or it cannot be written.
+    Raises InputError when a file that dynsr did not write is there, or it cannot be written.
     """
     try:
         check_replaceable(path, ours)
@@ -112,7 +112,7 @@ def write_own(path: Path, text: str, ours: Callable[[bytes], bool]) -> None:
 def write_new(path: Path, text: str, force: bool) -> None:
     """Write a text file in one move where none is yet, or with ``force`` in the place of any.
 
-    Raises InputError when a file stands there, or it cannot be written.
+    Raises InputError when a file is there, or it cannot be written.
     """
     try:
         check_new(path, force)
@@ -122,9 +122,9 @@ def write_new(path: Path, text: str, force: bool) -> None:
 
 
 def check_new(path: Path, force: bool) -> None:
-    """Check that no file stands where one is to be written, unless ``force`` replaces it.
+    """Check that no file is where one is to be written, unless ``force`` replaces it.
 
-    An empty file and a device are none. Raises InputError that names the file.
+    An empty file and a device do not count. Raises InputError that names the file.
     """
     if not force and path.is_file() and path.stat().st_size:
         raise InputError(
