@@ -411,6 +411,8 @@ def test_what_is_downloaded_is_what_was_found(page, tmp_path):
     assert code["rhs"](0.0, [2.0, 5.0]) == pytest.approx(slope)
     report = page.ask("report.html")[2].decode()
     assert report.startswith("<!doctype html>") and "Equations found" in report
+    assert found["points"] == ["x = 0, y = 0: saddle", "x = 3, y = 1.5: centre"]
+    assert found["flow"].startswith("<svg")
     # Every format that can hold the equations is a file, that of several files an archive.
     named = loaded.system.parameters
     offered = {one["file"] for one in found["exports"]}
@@ -649,7 +651,8 @@ def test_units_of_the_page_reach_the_search(tmp_path):
     work.read(str(tmp_path / "a.csv"), {"t": "time", "x": "state"}, {"t": "h", "x": "mg"})
     work.search({"preset": "quick", "functions": [], "units": True})
     [constant] = parts["found"]["constants"]
-    assert (constant["of"], constant["unit"]) == ("x", "1/h")
+    assert (constant["of"], constant["unit"], constant["name"]) == ("x", "1/h", "k1")
+    assert parts["found"]["points"] == ["x = 0: stable node"] and parts["found"]["flow"] == ""
     assert constant["value"] == pytest.approx(-0.5, rel=1e-6)
     assert "time t (h)" in parts["picture"]["svg"]
 

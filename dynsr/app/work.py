@@ -41,7 +41,7 @@ from dynsr.expression import NAMED_FUNCTIONS, parse, shown, to_mathml, to_text
 from dynsr.fit import ParetoFront, tidy
 from dynsr.jobs import clock, say_left
 from dynsr.methods import DEFAULT_PRESET, PRESETS
-from dynsr.report import Picture, draw_states
+from dynsr.report import Picture, draw_states, list_fixed_points, show_flow
 
 if TYPE_CHECKING:
     import sympy
@@ -515,19 +515,22 @@ def show_found(found: Discovery) -> dict[str, Any]:
             {
                 "state": state,
                 "of": one.of,
+                "name": name.removeprefix("-"),
                 "value": one.value,
                 "fitted": one.fitted_text,
                 "interval": one.interval_text,
                 "unit": units.get(state, {}).get(one.of, ""),
             }
             for state, own in found.constants.items()
-            for one in own
+            for one, name in zip(own, found.constant_names[state], strict=True)
         ],
         "left": left,
         "units": known,
         "runs": len(found.trajectories),
         "latex": found.latex(),
         "python": found.to_python(),
+        "points": [point.text for point in list_fixed_points(found)],
+        "flow": flow.svg if (flow := show_flow(found)) else "",
         "exports": [
             {"title": one.title, "file": name_file(name)}
             for name, one in list_formats(Source.of(found)).items()

@@ -269,7 +269,7 @@ class Discovery:
         >>> found.parameters.numbers
         {'k1': 2.0, 'k2': 0.25}
         """
-        names = self._names
+        names = self.constant_names
         units = {}
         if isinstance(self.settings.get("column_units"), Mapping) and not self.is_map:
             with suppress(InputError):  # none that pint, which may be absent, can read
@@ -287,7 +287,7 @@ class Discovery:
         """
         given = self.settings.get("column_units")
         bare = ParametricSystem(
-            put_names(self.equations, self._names)[0],
+            put_names(self.equations, self.constant_names)[0],
             self.parameters,
             {name: self.inputs.get(name) for name in arguments_of(self.equations)},
             time_unit=self.time_unit,
@@ -310,8 +310,16 @@ class Discovery:
             return None
 
     @property
-    def _names(self) -> Mapping[str, tuple[str, ...]]:
-        """Names of the constants; those of a damaged record or of other equations are none."""
+    def constant_names(self) -> Mapping[str, tuple[str, ...]]:
+        """State -> the names of its constants in the order of :attr:`constants`.
+
+        A minus before a name says that the constant is minus the parameter.
+
+        >>> x = sympy.Symbol("x")
+        >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).constant_names
+        {'x': ('-k1',)}
+        """
+        # Names of a damaged record or of other equations are none.
         own = self.parameter_names
         return own if own and fits(self.equations, own) else name_constants(self.equations)
 
@@ -332,7 +340,7 @@ class Discovery:
         >>> list(found.rename("role").parameters)
         ['x_by_x_y', 'x_growth']
         """
-        own = self._names
+        own = self.constant_names
         if isinstance(names, str):
             if names != "role":
                 raise InputError(f'names {names!r} must be "role", or old name -> new name')
@@ -356,7 +364,7 @@ class Discovery:
         >>> found.with_parameters(k1=5.0).equations
         {'x': -5.0*x*y, 'y': 5.0*x*y}
         """
-        names = self._names
+        names = self.constant_names
         check_values(values, dict.fromkeys(self.parameters))
         equations, left = put_values(self.equations, names, values)
         return replace(
@@ -397,7 +405,7 @@ class Discovery:
         """Give the (p, p) covariance of the parameters; nothing where it is not known."""
         if not self.trajectories:
             return np.array(self.summary.covariance if self.summary else ())
-        named, _ = put_names(self.equations, self._names)
+        named, _ = put_names(self.equations, self.constant_names)
         parameters = self.parameters
         symbols = tuple(map(sympy.Symbol, parameters))
         values = list(parameters.numbers.values())
@@ -459,7 +467,9 @@ class Discovery:
         True
         """
         own, asked = self._profiles(data), read_constant(which)
-        return own.named(asked, self._names) if isinstance(asked, str) else own.profile(*asked)
+        return (
+            own.named(asked, self.constant_names) if isinstance(asked, str) else own.profile(*asked)
+        )
 
     def profiles(self, data: Any = None) -> tuple[Profile, ...]:
         """Give the profile likelihood of every constant, in the order of ``constants``.
@@ -503,7 +513,7 @@ class Discovery:
         structure = identify(rhs, outputs, names, drives, 0)
         if data is None and not self.trajectories:
             return structure
-        profiling, every, _ = self._profiles(data).tied(self._names)
+        profiling, every, _ = self._profiles(data).tied(self.constant_names)
         return with_data(structure, every, profiling)
 
     def suggest(

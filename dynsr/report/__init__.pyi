@@ -1,4 +1,4 @@
-from .discovery import write_report
+from .discovery import list_fixed_points, show_flow, write_report
 from .page import Picture, render_page, write_table
 from .plots import (
     Panel,
@@ -24,7 +24,9 @@ __all__ = [
     "draw_profiles",
     "draw_states",
     "draw_suggestion",
+    "list_fixed_points",
     "render_page",
+    "show_flow",
     "to_bytes",
     "write_report",
     "write_table",

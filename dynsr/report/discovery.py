@@ -224,7 +224,7 @@ def render_discovery(found: Discovery) -> str:
         fronts={state: _front(found, state, samples.get(state)) for state in found.equations},
         trajectories=list(_trajectories(found)),
         fixed=_fixed_points(found),
-        flow=list(_flow(found)),
+        flow=[picture] if (picture := show_flow(found)) else [],
         left_out=max(0, len(found.trajectories) - _MOST_RUNS),
         slopes=[picture for state in samples for picture in _slopes(found, samples[state])],
         scores=_scores(found),
@@ -458,8 +458,13 @@ def _trajectories(found: Discovery) -> Iterator[Picture]:
             )
 
 
-def _points(found: Discovery) -> tuple[FixedPoint, ...]:
-    """Give the fixed points of equations that say by themselves where these are."""
+def list_fixed_points(found: Discovery) -> tuple[FixedPoint, ...]:
+    """Give the fixed points of equations that say by themselves where these are.
+
+    Parameters
+    ----------
+    found : the discovery; without its data there are none.
+    """
     if not found.trajectories or arguments_of(found.equations):
         return ()
     try:
@@ -471,7 +476,7 @@ def _points(found: Discovery) -> tuple[FixedPoint, ...]:
 def _fixed_points(found: Discovery) -> Table | None:
     rows = tuple(
         (*(f"{v:.6g}" for v in p.at.values()), p.kind, ", ".join(map(_complex, p.eigenvalues)))
-        for p in _points(found)
+        for p in list_fixed_points(found)
     )
     if not rows:
         return None
@@ -496,15 +501,19 @@ def _complex(value: complex) -> str:
     return f"{value.real:.4g}{turning}"
 
 
-def _flow(found: Discovery) -> Iterator[Picture]:
-    """Draw the flow of two states that nothing drives."""
+def show_flow(found: Discovery) -> Picture | None:
+    """Draw the flow of two states that nothing drives; None where there is none to draw.
+
+    Parameters
+    ----------
+    found : the discovery, with its data.
+    """
     if len(found.equations) != 2 or found.is_map or arguments_of(found.equations):
-        return
-    if not found.trajectories or any(
-        "t" in map(str, e.free_symbols) for e in found.equations.values()
-    ):
-        return
-    yield Picture.of(
+        return None
+    timed = any("t" in map(str, e.free_symbols) for e in found.equations.values())
+    if not found.trajectories or timed:
+        return None
+    return Picture.of(
         found.phase_portrait(),
         "The flow of the equations: arrows show where states go, lines where one of them does not "
         "change. Fixed points are where both do not. The data are drawn too.",

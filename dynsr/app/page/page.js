@@ -164,13 +164,14 @@ const slider = (one, left, unit) => {
   put(one.value);
   own.rows = [
     make("tr", {}, make("td", {}, `${one.state}${left}`), make("td", {}, one.of, ...(unit ? [make("small", {}, ` ${one.unit}`)] : [])),
-      make("td", { title: `fitted ${one.fitted}` }, one.interval), make("td", {}, number)),
-    make("tr", {}, make("td", { colSpan: 4 }, range))];
+      make("td", {}, one.name), make("td", { title: `fitted ${one.fitted}` }, one.interval), make("td", {}, number)),
+    make("tr", {}, make("td", { colSpan: 5 }, range))];
   return own;
 };
 const showFound = (found, fresh) => {
   show("found", found);
   show("code", found);
+  show("goes", found && (found.points.length || found.flow));
   clearTimeout(waiting);
   waiting = 0;
   asked = null;
@@ -180,6 +181,8 @@ const showFound = (found, fresh) => {
   list("said-found", found.notes);
   $("equations").replaceChildren(...found.equations.map(one => card(one, one.level, one.why)));
   $("python").textContent = found.python;
+  list("points", found.points);
+  $("flow").innerHTML = found.flow;
   $("exports").replaceChildren(...found.exports.map(one => make("a", { className: "button", href: one.file, download: "" }, one.title)));
   sliders = found.constants.map(one => slider(one, found.left, found.units));
   $("rows-of-constants").replaceChildren(...sliders.flatMap(one => one.rows));
