@@ -375,6 +375,10 @@ def test_a_petab_problem_needs_its_data(noisy, tmp_path):
     run_ = Trajectory(t, np.ones((11, 1)), ("x",), t[:, None], ("u",))
     with pytest.raises(InputError, match="input 'u' changes within a trajectory"):
         made({"x": "u - x"}, run_).export("petab", tmp_path / "p")
+    later = replace(run_, t=run_.t + 1)
+    twice = replace(made({"x": "cos(t) - x"}, run_), trajectories=(run_, later))
+    with pytest.raises(InputError, match="the trajectories begin at different times"):
+        twice.export("petab", tmp_path / "p")
 
 
 def test_measured_inputs_are_given_to_the_code():
@@ -494,3 +498,12 @@ def test_the_command_writes_a_problem_with_data(noisy, tmp_path):
     assert "the data are not here" in command(*asked, code=2).stderr
     command(*asked, "--data", tmp_path / "data.csv")
     assert len(list((tmp_path / "problem").iterdir())) == 6
+
+
+def test_doses_are_named_where_they_are_left_out():
+    """A comment says which states were given doses; a text that is no state is not written."""
+    given = {"x": "dose", "y\nimport os": "z"}
+    found = Discovery({"x": parse("-x/3")}, {}, {}, {}, settings={"doses": given})
+    for form in ("python", "c", "modelica"):
+        text = found.export(form)
+        assert "Doses of x are no part of the equations" in text and "import os" not in text

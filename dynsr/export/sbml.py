@@ -70,8 +70,11 @@ def _write(source: Source, firsts: Mapping[str, float | str], extra: Mapping[str
     settings.setModel(model)
     settings.setComparisonCaseSensitivity(libsbml.L3P_COMPARE_BUILTINS_CASE_SENSITIVE)
 
+    # A model of SBML begins at time 0, whenever its data did.
+    begin = source.system.span[0] if source.timed else 0.0
+
     def formula(expr: sympy.Expr) -> Any:
-        timed = expr.xreplace({sympy.Symbol("t"): sympy.Symbol("time")})
+        timed = expr.xreplace({sympy.Symbol("t"): sympy.Symbol("time") + (begin or sympy.S.Zero)})
         text = _Formula().doprint(timed).replace("**", "^")
         tree = libsbml.parseL3FormulaWithSettings(text, settings)
         assert tree is not None, libsbml.getLastParseL3Error()
@@ -109,7 +112,8 @@ def _write(source: Source, firsts: Mapping[str, float | str], extra: Mapping[str
     for place, one in enumerate(reactions or [], 1):
         size = sympy.Symbol("cell") if units.concentrations else sympy.S.One
         _add_reaction(model, f"reaction_{place}", one, formula(size * one.rate))
-    about = "".join(f"<p>{line}</p>" for line in map(_escape, source.about()))
+    lines = [*source.about(), *([f"The time of this model is t - {begin:g}."] if begin else [])]
+    about = "".join(f"<p>{line}</p>" for line in map(_escape, lines))
     model.setNotes(f'<body xmlns="http://www.w3.org/1999/xhtml">{about}</body>')
     return str(libsbml.writeSBMLToString(document))
 
@@ -218,9 +222,10 @@ def check_petab(source: Source) -> None:
     if not source.runs:
         raise InputError("the data are not here; discover again, or give them with --data FILE")
     for run in source.runs:
-        if source.timed and run.t[0]:
+        if source.timed and run.t[0] != source.runs[0].t[0]:
             raise InputError(
-                f"the equations hold t and the data begin at t = {run.t[0]:g}; PEtab begins at 0"
+                "the equations contain t, and the trajectories begin at different times; a PEtab "
+                "problem has one"
             )
         for state in source.states:
             _column(source, run, state)

@@ -35,6 +35,7 @@ class Source:
     methods, engine : what found the equations, for citations.
     own : name in the code -> name in the equations, where they differ.
     calls : input -> the name by which a call gives it, where that is another than in the code.
+    dosed : states that were given doses, which are no part of the equations.
     """
 
     system: ParametricSystem
@@ -44,6 +45,7 @@ class Source:
     engine: str = ""
     own: Mapping[str, str] | None = None
     calls: Mapping[str, str] | None = None
+    dosed: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, found: Discovery | ParametricSystem | System) -> Source:
@@ -57,6 +59,8 @@ class Source:
             return cls(ParametricSystem.of(found))
         if isinstance(found, ParametricSystem):
             return cls(found)
+        given = found.settings.get("doses")
+        doses = given if isinstance(given, Mapping) else {}
         # A verdict has the noise as a share of the spread.
         data = found.data_summary
         noise = {
@@ -70,6 +74,7 @@ class Source:
             noise,
             tuple(map(str, found.settings.get("methods", ()))),
             str(found.settings.get("engine", "")),
+            dosed=tuple(state for state in found.equations if state in doses),
         )
 
     @property
@@ -163,6 +168,8 @@ class Source:
                 yield f"{new} is {old}."
         if self.system.time_unit:
             yield f"The time t is in {self.system.time_unit}."
+        for state in self.dosed:
+            yield f"Doses of {state} are no part of the equations: add them to the state."
         if self.timed and self.system.span[0]:
             yield f"The states begin at t = {self.system.span[0]:g}."
         for p in self.system.parameters.values():
