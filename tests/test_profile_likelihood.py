@@ -199,7 +199,7 @@ def test_a_driven_system_is_profiled():
 @pytest.mark.parametrize(
     ("which", "words"),
     [
-        (("x", 2), "x has 2 constants, counted from 0; 2 is none of them"),
+        (("x", 2), "x has 2 constants, counted from 0; 2 is not one of them"),
         (("y", 0), "'y' has no equation; those that have: x"),
         ("k3", "'k3' is no parameter; those are k1, k2"),
         (("x",), "names no constant; give a parameter, or state and place from 0"),
@@ -241,7 +241,7 @@ def test_the_shell_shows_profiles(tmp_path):
     (own,) = told["profiles"]
     assert own["high"] is None and own["low"] > 0 and len(own["values"]) == len(own["criterion"])
     refused = run("profile", model, table, "--constant", "x:7", code=2)
-    assert "7 is none of them" in refused.stderr
+    assert "7 is not one of them" in refused.stderr
 
 
 @pytest.mark.slow

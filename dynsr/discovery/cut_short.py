@@ -34,9 +34,9 @@ def keep_formulas(
     formulas : state -> the formula that was sought for it; of second order, that of its velocity.
     runs : the data.
     order, explicit_time, discrete : as :func:`dynsr.discover` had them.
-    record : what else of its settings is to stand in the record.
+    record : what else of its settings the record gets.
 
-    The result is not complete, and nobody judged it.
+    The result is not complete, and has no verdict.
 
     >>> t = [0.0, 1.0, 2.0]
     >>> import sympy

@@ -226,7 +226,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
 
 
 def _names(estimator: DynsrRegressor) -> tuple[str, ...]:
-    """Names of the columns that can stand in a formula."""
+    """Names of the columns that formulas can use."""
     given = getattr(estimator, "feature_names_in_", None)
     generic = tuple(f"x{j}" for j in range(estimator.n_features_in_))
     if given is None:

@@ -153,7 +153,7 @@ class HybridModel:
         """Integrate equations and networks, by default over the first trajectory.
 
         The embedded engine does, adaptively, since a network does not cross the seam. Inputs are
-        those of the first trajectory, held between its rows as that says; no step passes over one.
+        those of the first trajectory, between its rows as that says; no step passes over one.
 
         Parameters
         ----------

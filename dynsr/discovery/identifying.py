@@ -7,7 +7,7 @@ here those of the coefficients of their power series in the time, at random poin
 digits, so that rounding is no question. Directions that change no output are the null space. A
 product of powers, or a sum of multiples, of parameters is known where no such direction changes it.
 
-What data tell of parameters that could be known is less: the information of the joint fit says it.
+What data say of parameters that could be known is less: the information of the joint fit says it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class IdentifiabilitySettings:
         they vanish to a third of them changes nothing.
     points : random points; an exponent of a product is the same at all of them.
     denominator : largest one of an exponent.
-    mixed : parameters, at most, of which some are looked for beside the exponential of others.
+    mixed : parameters, at most, of which some are looked for with the exponential of others.
     powers : exponents in products that data may know though they do not know the factors.
     factors : most factors of such a product.
     """
@@ -88,7 +88,7 @@ class Identifiability:
     unknown : those that they do not, with starts of states that are not measured, as "z(0)".
     combinations : what is known of these: products of powers, sums of multiples, or one times the
         exponential of the other.
-    beyond : known functions of them that are none of these.
+    beyond : known functions of them that are not of these forms.
     errors : parameter -> relative standard error in the data; empty where none were asked.
     weak : parameters that could be known, but whose 95 % interval in these data holds 0.
     weak_combinations : products of these that the data know.
@@ -445,7 +445,7 @@ def with_data(
     profiling: Profiling,
     settings: IdentifiabilitySettings = IDENTIFIABILITY,
 ) -> Identifiability:
-    """Say what data tell of parameters that could be known.
+    """Say what data determine of parameters that could be known.
 
     Parameters
     ----------

@@ -25,8 +25,7 @@ class Constant:
     value : the number that the equation holds.
     fitted : the number before it was made a simple one.
     low, high : the ends of its 95 % interval; None where the data do not tell.
-    of : what it stands at: the term that it multiplies, "1" for one alone, or the function that it
-        stands in.
+    of : the term that it multiplies, "1" for one alone, or the function that it is in.
     error : its standard error; inf where the data do not tell.
     profiled : whether the interval is that of the profile likelihood, since the one by the standard
         error is wrong there. One end alone may then be unknown: the data leave that side open.
@@ -41,7 +40,7 @@ class Constant:
     profiled: bool = False
 
     def __repr__(self) -> str:
-        """Write the constant, its interval and what it stands at."""
+        """Write the constant, its interval and its term."""
         return f"<{self.text} of {self.of}>"
 
     @property
@@ -159,7 +158,7 @@ def printed_places(expr: sympy.Expr) -> list[int]:
 
 
 def home_of(expr: sympy.Expr, index: int) -> str:
-    """Say what a constant stands at.
+    """Say which term a constant belongs to.
 
     Parameters
     ----------
@@ -235,7 +234,7 @@ def _home(
     index: int,
     values: Sequence[float],
 ) -> str:
-    """Say what a constant stands at."""
+    """Say which term a constant belongs to."""
     mine = symbols[index]
     top, bottom = sympy.fraction(template)
     numbers = {s: sympy.Float(v) for s, v in zip(symbols, values, strict=True)}

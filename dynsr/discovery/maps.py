@@ -128,7 +128,7 @@ def measure_step_covariance(
 
     Parameters
     ----------
-    equations : state -> right-hand side with P symbols, which may stand in several places.
+    equations : state -> right-hand side with P symbols, which may be in several places.
     symbols, values : the parameters and their values.
     runs : trajectories of the same columns.
 
@@ -160,7 +160,7 @@ def keep_within(
     expr : the right-hand side.
     samples : pairs of rows.
     reach : standard errors that an interval reaches to either side.
-    finest : share of itself by which a constant is never told from another.
+    finest : share of itself by which a constant is never distinguished from another.
 
     >>> x = np.linspace(0, 1, 50)
     >>> pairs = Samples(x[:, None], 2.9 * x + 0.01 * np.cos(60 * x), ("x",), "x", "given", x)

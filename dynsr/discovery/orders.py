@@ -27,7 +27,7 @@ Order = int | Mapping[str, int]
 
 @dataclass(frozen=True)
 class Form:
-    """What form the equations have, beside what holds for all of them.
+    """What form the equations have, in addition to what all of them have.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Form:
 
     @property
     def record(self) -> dict[str, Any]:
-        """What stands in the record of a discovery; nothing for first order without the time."""
+        """What the record of a discovery says; nothing for first order without the time."""
         return {
             **({"velocities": dict(self.velocities)} if self.velocities else {}),
             **({"explicit_time": True} if self.explicit_time else {}),
@@ -65,7 +65,7 @@ class Form:
         scheme: str = "auto",
         settings: SlopeSettings | None = None,
     ) -> list[Trajectory]:
-        """Give the trajectories with the velocities beside the states; those that have them stay.
+        """Give the trajectories with the velocities as more states; those that have them stay.
 
         Parameters
         ----------
@@ -88,7 +88,7 @@ class Form:
         ----------
         runs : what :meth:`prepare` gave.
         state : whose slopes are wanted.
-        choices : what :func:`dynsr.data.slopes.choose_samples` takes beside.
+        choices : what :func:`dynsr.data.slopes.choose_samples` takes too.
         """
         if state in self.velocities.values() and choices.get("slopes") is None:
             choices.pop("slopes", None)
@@ -100,7 +100,7 @@ class Form:
         return self.with_time(found)
 
     def with_time(self, found: Samples) -> Samples:
-        """Put the time beside the columns where equations may hold it.
+        """Add the time to the columns where equations may contain it.
 
         Parameters
         ----------

@@ -52,7 +52,7 @@ class Parameter:
     error : its standard error; inf where the data do not tell.
     low, high : the ends of its 95 % interval; None where the data do not tell.
     unit : its unit; "" where the columns have none.
-    of : what it stands at, in the first equation that holds it.
+    of : the term that it belongs to, in the first equation that contains it.
     states : the states whose equations hold it.
     """
 
@@ -75,7 +75,7 @@ class Parameters(Mapping[str, Parameter]):
     found : the parameters.
 
     >>> Parameters([Parameter("k1", 0.5, 0.01, 0.48, 0.52, "1/s", "x", ("x",))])
-    name  value  standard error  95 % interval  unit  stands at
+    name  value  standard error  95 % interval  unit  term
     k1    0.5    0.01            0.48 to 0.52   1/s   x of x'
     """
 
@@ -170,7 +170,7 @@ def _escape_latex(text: str) -> str:
     return "".join(f"\\{sign}" if sign in "&%$#_{}^" else sign for sign in text)
 
 
-_HEAD = ("name", "value", "standard error", "95 % interval", "unit", "stands at")
+_HEAD = ("name", "value", "standard error", "95 % interval", "unit", "term")
 
 
 def _say_unknown(name: object, known: Mapping[str, Any]) -> str:
@@ -328,7 +328,7 @@ def name_constants(
     Parameters
     ----------
     equations : state -> right-hand side with numbers.
-    others : names that are taken beside those of the equations.
+    others : names that are taken in addition to those of the equations.
 
     A sign before a name says that the constant is minus the parameter. Constants of one value at
     one place of like terms are one parameter.
@@ -377,11 +377,11 @@ def _read(state: str, expr: sympy.Expr) -> tuple[sympy.Expr, dict[sympy.Symbol, 
 
 
 def find_names(system: ParametricSystem) -> dict[str, tuple[str, ...]]:
-    """Give the names of the constants of a system in numbers; nothing where they cannot be told.
+    """Give the names of the constants of a system in numbers; nothing where they are unknown.
 
     Parameters
     ----------
-    system : the system; a parameter that stands alone in a place is found again by its value.
+    system : the system; a parameter that is alone in a place is found again by its value.
 
     >>> x, rate = sympy.symbols("x rate")
     >>> find_names(ParametricSystem({"x": -rate * x}, Parameters([Parameter("rate", 2.0)])))
@@ -457,7 +457,7 @@ def _signed(text: str) -> tuple[int, str]:
 def put_values(
     equations: Mapping[str, sympy.Expr], names: Names, values: Mapping[str, float]
 ) -> tuple[dict[str, sympy.Expr], dict[str, tuple[str, ...]]]:
-    """Give the equations with other values of parameters, and the names of what is left.
+    """Give the equations with other values of parameters, and the names of the rest.
 
     Parameters
     ----------
@@ -532,7 +532,7 @@ def name_by_role(equations: Mapping[str, sympy.Expr], names: Names) -> dict[str,
     equations : state -> right-hand side with numbers.
     names : state -> the names of its constants.
 
-    A parameter that stands elsewhere is named by the equation and its columns; a name that would be
+    A parameter in another place is named by the equation and its columns; a name that would be
     another's gets a number.
 
     >>> x, y = sympy.symbols("x y")

@@ -57,7 +57,7 @@ def predict(
     t : (n,) increasing times in seconds.
     inputs : name -> expression in ``t``, function of one time, (n,) values at the times, or
         :class:`Measured` values at times of their own. No step passes over a value, and where an
-        input jumps the integration begins anew.
+        input jumps the integration begins again.
         An engine that takes no measured inputs gives way to the embedded one; the origin of the
         trajectory says which integrated.
     engine : "embedded", "julia" or an engine.

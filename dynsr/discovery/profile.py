@@ -33,9 +33,9 @@ class Profile:
     name : of a parameter, "" of a single constant.
     state, index : whose constant it is, and its place in ``found.constants[state]``; of a
         parameter that several constants share, the first of these.
-    of : what it stands at.
+    of : the term that it belongs to.
     value : where the joint fit has it.
-    values : (n,) where it was held, increasing.
+    values : (n,) at which it was fixed, increasing.
     criterion : (n,) half the rise of the chi-square there, which is the loss of log-likelihood,
         all other constants and the states fitted again.
     low, high : ends of the 95 % interval by the likelihood ratio; None where the data leave that
@@ -78,7 +78,7 @@ class Profile:
         return write_interval(low, high)
 
     def __repr__(self) -> str:
-        """Write the constant, its interval and what it stands at."""
+        """Write the constant, its interval and its term."""
         return f"<{self.title}: {self.text}>"
 
     @property
@@ -100,7 +100,7 @@ class Profiles:
     Parameters
     ----------
     equations : state -> right-hand side.
-    profiling : the fit of all constants, as they stand in the loosened equations.
+    profiling : the fit of all constants, as they are in the loosened equations.
     """
 
     equations: Mapping[str, sympy.Expr]
@@ -169,7 +169,7 @@ class Profiles:
         places = {own: place for name, own, place in self.places if name == state}
         if index not in places:
             raise InputError(
-                f"{state} has {len(places)} constants, counted from 0; {index} is none of them"
+                f"{state} has {len(places)} constants, counted from 0; {index} is not one of them"
             )
         return self._make("", state, index, places[index], self.profiling)
 
@@ -251,7 +251,7 @@ def read_constant(which: str | tuple[str, int]) -> tuple[str, int] | str:
     ----------
     which : the state, and the place of the constant in ``found.constants[state]``, from 0.
 
-    Raises InputError when it is none of these.
+    Raises InputError when it is not one of these.
 
     >>> read_constant("x:1"), read_constant("k1")
     (('x', 1), 'k1')

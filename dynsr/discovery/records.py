@@ -28,7 +28,7 @@ _MOST_BITS = 1e9
 def write_discovery(path: Path, record: Mapping[str, Any]) -> Path:
     """Write the record of a discovery with its checksum, whole or not at all; gives the path.
 
-    Raises InputError when it cannot be written, or a file that is no record stands there.
+    Raises InputError when it cannot be written, or a file that is no record is there.
     """
     write_own(path, to_json({**record, "checksum": checksum(record)}), is_own_record)
     return path

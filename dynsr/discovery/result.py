@@ -163,7 +163,7 @@ class Discovery:
     complete : False when Ctrl-C ended the searches and these are the best formulas so far.
     engine : what integrates the equations.
     verdict : whether the equations are a law, an approximation or not found; its level is "not
-        judged" where nobody judged them, as where the search was cut short.
+        judged" where they were not tested, as where the search was cut short.
     details : state -> how its formulas compared in bits, in words.
     ensemble : state -> the terms of an ensemble, where one was asked for.
     parameter_names : state -> the names of its constants in their order, where :meth:`rename` gave
@@ -198,7 +198,7 @@ class Discovery:
     summary: DataSummary | None = None
 
     def __post_init__(self) -> None:
-        """Have a name that is no state's told which there are."""
+        """Have a name that is no state's answered with those there are."""
         for name in ("equations", "front", "explanation"):
             object.__setattr__(self, name, ByState(getattr(self, name)))
 
@@ -228,10 +228,10 @@ class Discovery:
 
         Parameters
         ----------
-        system : the equations; parameters keep their names where each stands alone.
+        system : the equations; parameters keep their names where each is alone.
         data : trajectories of its states, if there are any.
 
-        Nobody has judged the result, and its parameters have no intervals.
+        The result has no verdict, and its parameters have no intervals.
 
         >>> from dynsr.data import find_system
         >>> known = Discovery.from_system(find_system("sir"))
@@ -428,7 +428,7 @@ class Discovery:
         return found
 
     def _summarise(self) -> DataSummary | None:
-        """Give what a file keeps of the data, with the covariance of what was judged."""
+        """Give what a file keeps of the data, with the covariance of what was tested."""
         data = self.data_summary
         if data is None or not self.trajectories or not self.verdict.judged:
             return data
@@ -444,15 +444,15 @@ class Discovery:
     def profile(self, which: str | tuple[str, int], data: Any = None) -> Profile:
         """Give the profile likelihood of one constant: what the data say of it.
 
-        The constant is held on a grid, and the other constants and the states are fitted again at
-        each value (Raue et al. 2009). Where the profile is no parabola, the interval by the
-        standard error is wrong, and that of the profile stands in ``constants`` too.
+        The constant is fixed at the values of a grid, and the other constants and the states are
+        fitted again at each value (Raue et al. 2009). Where the profile is no parabola, the
+        interval of the standard error is wrong, and ``constants`` has that of the profile.
 
         Parameters
         ----------
         which : a name in ``parameters``, such as "k1"; or a state and the place of a constant in
             ``constants[state]``, such as ``("x", 0)`` or "x:0". Constants that are one parameter
-            are held together by its name, and one by one by their place.
+            are fixed together by its name, and one by one by their place.
         data : what :func:`dynsr.discover` takes; the data of the discovery by default.
 
         Raises InputError when there is no such constant or no data, the equations are a map, or
@@ -525,11 +525,11 @@ class Discovery:
         seed: int = 0,
         settings: SuggestionSettings = SUGGESTION,
     ) -> Suggestion:
-        """Give the next experiment: the start, and course of the inputs, that would tell most.
+        """Give the next experiment: the start and the inputs that give most information.
 
-        Where other formulas follow the data nearly as well, it is where they and the answer part
-        most, though each may still move its constants as far as the data allow; else where most is
-        learnt of the constants.
+        Where other formulas explain the data nearly as well, it is where their forecasts differ
+        most from the answer's, within the uncertainty of their constants. Otherwise it is where the
+        constants are determined best.
 
         Parameters
         ----------
@@ -632,7 +632,7 @@ class Discovery:
         return read_units(given)
 
     def with_choice(self, state: str, k: int) -> Discovery:
-        """Adopt another formula of a state's front, fit all constants again and judge again.
+        """Adopt another formula of a state's front, fit all constants again and test it.
 
         Parameters
         ----------
@@ -692,7 +692,7 @@ class Discovery:
         )
 
     def _settings(self, kind: type[T], *path: str) -> T:
-        """Give settings as they stand in the record; the usual ones where it has none of this kind.
+        """Give settings as they are in the record; the usual ones where it has none of this kind.
 
         An older version may have had other fields.
         """
@@ -813,7 +813,7 @@ class Discovery:
 
     @cached_property
     def carried(self) -> tuple[Trajectory, ...]:
-        """The data, in which a state stands on its curve where it was not measured."""
+        """The data, in which a state is on its curve where it was not measured."""
         return tuple(carry(self.trajectories)) if self.trajectories else ()
 
     @property
@@ -889,7 +889,7 @@ class Discovery:
         ----------
         at : state -> value, values in the order of the equations, or a fixed point.
         inputs : input -> value; by default the mean of what was measured, or the formula's value.
-        t : the time, where the equations or an input hold it.
+        t : the time, where the equations or an input contain it.
 
         Raises InputError when a value is missing or the equations have no slope there.
 
@@ -923,16 +923,16 @@ class Discovery:
         t: float | None = None,
         box: Mapping[str, tuple[float, float]] | None = None,
     ) -> tuple[FixedPoint, ...]:
-        """Find where the equations stand still, and whether small deviations die out there.
+        """Find the fixed points of the equations, and whether they are stable.
 
         Parameters
         ----------
         inputs : input -> value, as in :meth:`linearise`.
-        t : the time, where the equations or an input hold it.
-        box : state -> (low, high) of what is looked through, and half as much on either side; by
-            default where the data are.
+        t : the time, where the equations or an input contain it.
+        box : state -> (low, high) of the search, and half as much on either side; by default
+            where the data are.
 
-        Raises InputError when the equations hold a time or an input that nothing says.
+        Raises InputError when the equations contain a time or an input that is not given.
 
         >>> x = sympy.Symbol("x")
         >>> found = Discovery({"x": x - 4 * x**3}, {}, {}, {})
@@ -1059,7 +1059,7 @@ class Discovery:
 
     @property
     def columns_asked(self) -> dict[str, list[str]]:
-        """The states and inputs of the table that was searched; {} where it was none."""
+        """The states and inputs of the table that was searched; {} where there was none."""
         table = self.settings.get("table")
         if not isinstance(table, Mapping):
             return {}
@@ -1103,7 +1103,7 @@ class Discovery:
 
         Parameters
         ----------
-        names : whether parameters stand in the place of numbers, with a table of their values.
+        names : whether there are parameters in the place of numbers, with a table of their values.
 
         >>> x = sympy.Symbol("x")
         >>> print(Discovery({"x": -2 * x}, {"x": ()}, {}, {}).latex(names=True))
@@ -1128,7 +1128,7 @@ class Discovery:
 
         Parameters
         ----------
-        names : whether parameters stand in the place of numbers, with a table of their values.
+        names : whether there are parameters in the place of numbers, with a table of their values.
         """
         return self.latex(names=names)
 
@@ -1152,8 +1152,8 @@ class Discovery:
         path : the file to write as well, a folder for "petab".
         force : whether files that are there are replaced.
 
-        Raises InputError when there is no such format, it cannot hold these equations, or a file is
-        there; MissingExtra when what writes it is not installed.
+        Raises InputError when there is no such format, it cannot express these equations, or a file
+        is there; MissingExtra when what writes it is not installed.
 
         >>> x = sympy.Symbol("x")
         >>> print(Discovery({"x": -2 * x}, {"x": ()}, {}, {}).export("catalyst").splitlines()[-5])
@@ -1297,7 +1297,7 @@ class Discovery:
     def save(self, path: str | Path) -> Path:
         """Write everything but the data as JSON, whole or not at all; gives the path.
 
-        Raises InputError when it cannot be written, or a file that is no discovery stands there.
+        Raises InputError when it cannot be written, or a file that is no discovery is there.
         """
         return write_discovery(Path(path), self.as_record())
 
@@ -1374,7 +1374,7 @@ class Discovery:
         )
 
     def _latex_line(self, state: str) -> str:
-        """Write the equation of one state as LaTeX that stands in a line."""
+        """Write the equation of one state as LaTeX within a line."""
         block = self._write_latex({state: self.equations[state]})
         return r"\displaystyle " + block.splitlines()[1].replace(" &= ", " = ")
 
@@ -1443,7 +1443,7 @@ def load(path: str | Path) -> Discovery:
 
 
 def _agrees(run: Trajectory, name: str, expr: sympy.Expr) -> bool:
-    """Say whether a run holds no column of that name, or the values of the expression."""
+    """Say whether a run has no column of that name, or the values of the expression."""
     if name not in run.names:
         return True
     column = run.columns[:, run.names.index(name)]

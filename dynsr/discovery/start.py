@@ -38,7 +38,7 @@ class Start:
 
     @classmethod
     def read(cls, given: Discovery | Start | str | Path) -> Start:
-        """Take a discovery, the file that it was saved to, or the folder that holds the file.
+        """Take a discovery, the file that it was saved to, or the folder of the file.
 
         Raises InputError, one line, when it is neither.
         """

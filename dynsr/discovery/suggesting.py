@@ -1,10 +1,10 @@
-"""Suggesting: the next experiment, from which the data would tell most.
+"""Suggesting: the next experiment, whose data give most information.
 
 Where other equations follow the data nearly as well, it is the start (and the course of the inputs)
 at which they and the answer part most: the expected rise of the chi-square when one is true and the
 other is fitted, which may still move its constants as far as the data so far allow, and its start
-(Box and Hill 1967, Technometrics 9, 57). Where no other equation is left, it is the one
-that tells most of the constants: the bits by which their uncertainty shrinks (Lindley 1956).
+(Box and Hill 1967, Technometrics 9, 57). Where there is no other equation, it is the one
+that determines the constants best: the bits by which their uncertainty shrinks (Lindley 1956).
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ class SuggestionSettings:
     starts : that are tried, drawn evenly over the range of the states.
     beyond : share of that range by which they lie outside of it at most; no start is below 0 where
         no state was.
-    farthest : an experiment that leaves the range by so many times its width is none.
+    farthest : an experiment that leaves the range by so many times its width is left out.
     shown : experiments that are given, the best first.
     apart : share of the range by which their starts differ, where inputs do the same.
     looked : formulas of each state that are fitted as alternatives, those of least loss.
     refined : of the experiments, those for which systems are fitted to each other and not only
         along a line, the best first.
     steps, damping : of such a fit, and the factor by which it is damped more after a bad step.
-    enough : bits beyond which more tell nothing more; of such experiments the start nearest to the
+    enough : bits beyond which more are of no use; of such experiments the start nearest to the
         range of the data is the best.
     plausible : bits that an alternative may take more than the answer to be one.
     alternatives : of them, at most, those of the fewest bits.
@@ -139,13 +139,13 @@ class Experiment:
 
 @dataclass(frozen=True, repr=False)
 class Suggestion:
-    """Experiments that would tell most, the best first.
+    """Experiments that give most information, the best first.
 
     Parameters
     ----------
     experiments : the best of those that were tried.
     again : the first run of the data made once more, for comparison.
-    alternatives : what they tell from the answer; empty where they tell of its constants.
+    alternatives : what they distinguish from the answer; empty where they determine its constants.
     equations : the answer, fitted to the data.
     times : (n,) rows of each experiment.
     noise : state -> standard deviation of its noise; inf where it is not measured.
@@ -164,7 +164,7 @@ class Suggestion:
 
     @property
     def best(self) -> Experiment:
-        """The experiment that tells most."""
+        """The experiment that gives most information."""
         return self.experiments[0]
 
     @property
@@ -277,7 +277,7 @@ def suggest(
     span: float | None = None,
     settings: SuggestionSettings = SUGGESTION,
 ) -> Suggestion:
-    """Give the experiments that would tell most.
+    """Give the experiments with most information.
 
     Parameters
     ----------
@@ -592,7 +592,7 @@ class _Trial:
     def best_of(
         self, tried: Sequence[_Tried], settings: SuggestionSettings, most: int
     ) -> list[_Tried]:
-        """Give the experiments that tell most, the best first, none like one before it.
+        """Give the best experiments, the best first, none like one before it.
 
         Parameters
         ----------

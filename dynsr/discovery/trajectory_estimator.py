@@ -285,9 +285,9 @@ class TrajectoryRegressor(BaseEstimator):
 
         Parameters
         ----------
-        lhs : what stands on the left of each; ``(x)'`` by default, ``(x)[k+1]`` of a map.
+        lhs : the left-hand side of each; ``(x)'`` by default, ``(x)[k+1]`` of a map.
         precision : digits of the constants.
-        kwargs : what the builtin ``print`` takes beside.
+        kwargs : what the builtin ``print`` takes too.
         """
         mark = "[k+1]" if self.discrete_time else "'"
         left = [f"({state}){mark}" for state in self._states] if lhs is None else lhs

@@ -155,7 +155,7 @@ def _is_ratio(expr: sympy.Expr) -> bool:
 
 
 def term_bits(exprs: Sequence[sympy.Expr], noise: Noise) -> np.ndarray:
-    """(m,) bits that each of m terms adds to the sum of them all, its coefficient among them."""
+    """(m,) bits that each of m terms adds to the sum of them all, its coefficient included."""
     terms = [sympy.Float(0.5) * e for e in exprs]
     whole = structure_bits(sympy.Add(*terms))
     without = [structure_bits(sympy.Add(*terms[:i], *terms[i + 1 :])) for i in range(len(terms))]

@@ -48,7 +48,7 @@ def write_markdown(source: Source) -> str:
     source : what is written.
     """
     lines = [f"    {line}" for line in source.lines()]
-    head = ("parameter", "value", "standard error", "95 % interval", "unit", "stands at")
+    head = ("parameter", "value", "standard error", "95 % interval", "unit", "term")
     rows = [head, ["---"] * len(head), *source.system.parameters.rows()]
     table = [f"| {' | '.join(row)} |" for row in rows]
     return "\n".join([*lines, "", *(table if source.parameters else []), ""])

@@ -374,7 +374,7 @@ def _parameters(found: Discovery) -> Table | None:
         for state, e in system.equations.items()
     )
     kept = [i for i in range(len(rows[0])) if any(row[i] for row in rows)]
-    head = ("Parameter", "Value", "Standard error", "95 % interval", "Unit", "Stands at")
+    head = ("Parameter", "Value", "Standard error", "95 % interval", "Unit", "Term")
     return Table(
         "parameters",
         "Parameters with names",
