@@ -37,6 +37,7 @@ _SEARCHING = {
     "README.md",
     "asked.md",
     "index.md",
+    "measuring.md",
     "tutorial.md",
     "your-data.md",
 }
