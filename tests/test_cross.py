@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import sympy
 from known_systems import KNOWN
 from scipy.integrate import solve_ivp
 
@@ -19,6 +20,7 @@ from dynsr.errors import InputError
 from dynsr.export.formats import FORMATS, write_files, write_format
 from dynsr.export.source import Source
 from dynsr.expression.export import to_numpy
+from dynsr.expression.parsing import parse
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 # Beside the catalogue: what pages of the gallery are about.
@@ -221,6 +223,67 @@ def test_julia_integrates(form, tmp_path):
         last = f"solution(solution.t[end]{order})"
         (tmp_path / "main.jl").write_text(f"{code}\nprint(join({last}, ' '))\n")
         check_all(run(julia, "main.jl", cwd=tmp_path), [name])
+
+
+def sides_of(code, form):
+    """Give values, and state -> formula, that a text of Julia says."""
+    code = re.sub("#.*", "", code)
+    given = dict(re.findall(r"(?:^| )(\w+) = (-?[\d.e-]+)(?=,|\)|$)", code, re.MULTILINE))
+    if form == "catalyst":
+        rows = re.findall(r"^    (.+), (.+?) (-->|=>) (.+)$", code, re.MULTILINE)
+        sides = {}
+        for rate, before, arrow, after in rows:
+            ends = [_counts(before), _counts(after)]
+            law = [rate, *(f"{n}^{k}" for n, k in ends[0].items() if arrow == "-->")]
+            for name in {*ends[0], *ends[1]}:
+                gain = ends[1].get(name, 0) - ends[0].get(name, 0)
+                sides[name] = f"{sides.get(name, '0')} + ({gain})*({')*('.join(law)})"
+        return given, sides
+    if form == "modelingtoolkit":
+        return given, dict(
+            re.findall(r"^    Differential\(t\)\((\w+)\) ~ (.+),$", code, re.MULTILINE)
+        )
+    states = dict(re.findall(r"^    (\w+) = u\[(\d+)\]$", code, re.MULTILINE))
+    slopes = dict(re.findall(r"^    du\[(\d+)\] = (.+)$", code, re.MULTILINE))
+    known = re.findall(r"^    (\w+) = (?!u\[|p\.)(.+)$", code, re.MULTILINE)
+    places = {place: name for name, place in states.items()}
+    sides = {places.get(place, f"unused{place}"): text for place, text in slopes.items()}
+    for name, text in known:
+        sides = {n: re.sub(rf"\b{name}\b", f"({text})", side) for n, side in sides.items()}
+    return given, sides
+
+
+def _counts(side):
+    """Read one side of a reaction: name -> how many."""
+    parts = re.findall(r"(\d*)([^\W\d]\w*)", side.replace("\u2205", ""))
+    return {name: int(count or 1) for count, name in parts}
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("form", JULIA)
+def test_formulas_of_julia_are_the_equations(form, name):
+    """Where Julia is not at hand, its formulas, read by dynsr's parser, give the trajectory."""
+    try:
+        code = written(name, form)
+    except InputError:
+        assert form == "catalyst"
+        return
+    given, sides = sides_of(code, form)
+    own = list(Source.of(SYSTEMS[name]).states)
+    assert len(sides) <= len(own)
+    put = {sympy.Symbol(n): sympy.Float(v) for n, v in given.items() if n not in own}
+    text = {n: sides.get(n, sides.get(f"{n}_", "0")) for n in own}
+    words = [*given, *sides, *own, "t"]
+    called = {n: n if n in sides else f"{n}_" for n in own}
+    swaps = {sympy.Symbol(c): sympy.Symbol(n) for n, c in called.items()}
+    read = {n: parse(side, words).xreplace(put).xreplace(swaps) for n, side in text.items()}
+    if form == "julia":
+        read |= {
+            n: parse(sides[f"unused{i}"], words).xreplace(put).xreplace(swaps)
+            for i, n in enumerate(own, 1)
+            if f"unused{i}" in sides
+        }
+    check(name, integrate(name, to_numpy(read)))
 
 
 def compute(node, known):

@@ -293,6 +293,16 @@ class ParametricSystem:
             step=self.step,
         )
 
+    def _repr_html_(self) -> str:
+        """Show the equations with names, and a table of what these stand for, in a notebook."""
+        left = "{{{}}}_{{n+1}}" if self.discrete else r"\dot{{{}}}"
+        lines = [
+            f"<p>$\\displaystyle {left.format(to_latex_formula(sympy.Symbol(state)))} = "
+            f"{to_latex_formula(expr, first=self.parameters)}$</p>"
+            for state, expr in self.equations.items()
+        ]
+        return "".join(lines) + self.parameters._repr_html_()
+
     def __repr__(self) -> str:
         """Write the equations with names, and what these stand for."""
         left = "[n+1]" if self.discrete else "'"

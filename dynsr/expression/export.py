@@ -122,23 +122,26 @@ def to_latex(
     >>> print(to_latex({"x": k * x * y}, first=["z1"]).splitlines()[1])
     \dot{x} &= z_{1} x y
     """
-    names = {sympy.Symbol(_BEFORE + n): sympy.latex(sympy.Symbol(n)) for n in first}
-    printer = _Latex({"symbol_names": names})
     rows = [
-        f"\\dot{{{sympy.latex(sympy.Symbol(s))}}} &= {printer.doprint(_put_first(e, first))}"
+        f"\\dot{{{sympy.latex(sympy.Symbol(s))}}} &= {to_latex_formula(e, first)}"
         for s, e in equations.items()
     ]
     unit = f"% time in {time_unit}\n" if time_unit else ""
     return unit + "\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}"
 
 
-def to_latex_formula(expr: sympy.Expr) -> str:
-    r"""Write one formula as LaTeX, constants to six digits.
+def to_latex_formula(expr: sympy.Expr, first: Collection[str] = ()) -> str:
+    r"""Write one formula as LaTeX, constants to six digits; names that come ``first`` do.
 
     >>> print(to_latex_formula(sympy.sqrt(sympy.Symbol("x")) / 3))
     \frac{\sqrt{x}}{3}
     """
-    return str(_Latex().doprint(expr))
+    return str(_latex_printer(first).doprint(_put_first(expr, first)))
+
+
+def _latex_printer(first: Collection[str]) -> _Latex:
+    names = {sympy.Symbol(_BEFORE + n): sympy.latex(sympy.Symbol(n)) for n in first}
+    return _Latex({"symbol_names": names})
 
 
 class _MathML(MathMLPresentationPrinter):
