@@ -1,6 +1,6 @@
 """Verdict: whether found equations are a law of the data, an approximation, or not found at all.
 
-The judge is the trajectory. The equations are integrated from fitted starts; what they miss is
+The trajectory decides. The equations are integrated from fitted starts, and the residuals are
 compared with the noise of each measurement; constants refitted to the first part of the data
 forecast the rest; every term must be needed; and no different formula may do as well.
 """
@@ -42,7 +42,7 @@ NOT_JUDGED = "not judged"
 
 @dataclass(frozen=True)
 class VerdictSettings:
-    """The numbers that decide a verdict; they stand in a discovery's record.
+    """The numbers that decide a verdict; a discovery's record contains them.
 
     Parameters
     ----------
@@ -51,12 +51,13 @@ class VerdictSettings:
     follows : share of it that equations explain over windows that they follow.
     finest : share of a state's spread that its noise is never thought below.
     exact : noise, as a share of the spread, below which data are clean, as solvers write them.
-    solver : share of the spread by which solvers of low accuracy are off over a whole run; what
-        is off by less than twice that reproduces clean data, less with more than three constants.
-    slopes, sharp : median miss of slopes, as a share of their size, that is no law's, and the error
-        of slopes below which they tell that.
-    excess : mean squared miss in units of the noise that is still noise, beyond its own spread.
-    correlated : correlation of neighbouring misses above which they are no noise, if significant.
+    solver : error of solvers of low accuracy over a whole run, as a share of the spread; an error
+        of less than twice that reproduces clean data, less with more than three constants.
+    slopes, sharp : median error of slopes, as a share of their size, that is no law's, and the
+        error of the slopes themselves below which this is tested.
+    excess : mean squared residual in units of the noise that is still noise, beyond its own spread.
+    correlated : correlation of neighbouring residuals above which they are no noise, if
+        significant.
     sure : smallest ratio of a term to its standard error in a law.
     rival_bits : bits by which every different formula is worse than a law.
     stand_in_bits : the same for a formula with a root, a logarithm, an exponential, tanh, a sine, a
@@ -66,16 +67,16 @@ class VerdictSettings:
         state.
     different : rms difference, in shares of the slopes' spread, of formulas that are different.
     held_back : share of each trajectory's end that is forecast.
-    rows : rows that are judged, at most; of more, evenly spaced ones are.
+    rows : rows that are tested, at most; of more, evenly spaced ones are.
     fewest : rows a constant below which nothing is a law.
     growth : growth of a start's error over a run above which windows of it are followed.
     hopeless : growth above which a run is not tried as a whole.
     windows : windows that a run is cut into, at most.
     steps : steps of the free runs of a map.
-    free : miss of free runs of a map, in units of what the misses of its single steps add up to,
-        above which it is none of theirs.
+    free : error of free runs of a map, in units of the sum of the residuals of its single steps,
+        above which these do not explain it.
     differs : rms difference of two maps as a share of the spread, from which on they are different.
-    drift : the terms in the time, and in every column, that equations are told apart from.
+    drift : the terms in the time, and in every column, that equations are compared with.
     """
 
     r2: float = 0.9
@@ -154,8 +155,8 @@ class StateVerdict:
     reason : why, in words.
     r2 : share of the state's variance that the integrated equations explain; -inf where they
         diverge.
-    chi_square : mean squared miss in units of the noise, each degree of freedom; 1 is noise alone.
-    forecast : rms miss of the held-back end, forecast by constants fitted to what comes before, as
+    chi_square : mean squared residual in units of the noise, per degree of freedom; 1 is noise.
+    forecast : rms error at the held-back end, forecast by constants fitted to what comes before, as
         a share of the spread; None where it was not tried.
     noise : the noise of the state as a share of its spread.
     terms : how sure each term is.
@@ -182,8 +183,8 @@ class Verdict:
 
     Parameters
     ----------
-    level : that of the weakest state; "not judged" where nobody judged the equations, as where the
-        search was cut short or other numbers were put in.
+    level : that of the weakest state; ``"not judged"`` where the equations were not tested, as
+        where the search was cut short or other numbers were put in.
     reason : why, in words.
     states : state -> its own verdict.
     span : time over which the equations were followed at a stretch.
@@ -204,7 +205,7 @@ class Verdict:
 
     @property
     def judged(self) -> bool:
-        """Whether the equations were judged at all."""
+        """Whether the equations were tested at all."""
         return self.level != NOT_JUDGED
 
     @property
@@ -295,7 +296,7 @@ def _judge(
 def _doubt_beside(
     states: dict[str, StateVerdict], equations: Mapping[str, sympy.Expr]
 ) -> dict[str, StateVerdict]:
-    """Take for an approximation what was a law only beside a state whose own equation is none.
+    """Take for an approximation what was a law only together with a state without one.
 
     Both are fitted and followed together, so that one equation may make up for the other. One that
     is a bare column, such as x' = v, makes up for nothing.
@@ -320,7 +321,7 @@ def _doubt(law: StateVerdict, why: str) -> StateVerdict:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What the linearised fit tells: per state R2, chi-square, correlation of misses, forecasts."""
+    """What the linearised fit gives: R2, chi-square, correlation of residuals, forecasts."""
 
     chi_square: np.ndarray
     correlation: np.ndarray
@@ -380,11 +381,11 @@ class _Bench:
 
     @property
     def values(self) -> np.ndarray:
-        """(P,) constants as they stand in the equations."""
+        """(P,) constants as they are in the equations."""
         return np.array([place.value for place in self.places.values()])
 
     def shoot(self, length: int) -> list[Shooting]:
-        """Give the misses of the equations over windows of a length."""
+        """Give the residuals of the equations over windows of a length."""
         return self.course.shoot(self.flow, length, self.settings.windows)
 
     @cached_property
@@ -493,7 +494,7 @@ class _Bench:
         """Per state: rms miss of the forecast end by spread, its surprise, and what is allowed.
 
         Constants and starts are fitted to the first part of each window. The surprise is the mean
-        squared miss of the rest in units of noise and of what the fitted constants leave open.
+        squared error of the rest in units of noise and of what the fitted constants leave open.
         """
         k = len(self.spread)
         failed = np.full(k, np.inf), np.full(k, np.inf), np.ones(k)
@@ -602,7 +603,7 @@ class _Bench:
     ) -> dict[str, StateVerdict]:
         """Take for no law what the time, or a term that is left out, explains in fewer bits.
 
-        What is no law for other reasons is told so too, where the formula would be one itself.
+        What is no law for other reasons reports it too, where the formula would be one itself.
         """
         drifts = self._find_drifts(states, followed)
         if not drifts:
@@ -798,7 +799,7 @@ class _Bench:
         return shooting.flow.stiffness(shooting.windows, self.values)
 
     def cross_layers(self) -> dict[str, StateVerdict] | None:
-        """Judge stiff equations of clean data by one implicit integration from the first rows.
+        """Test stiff equations of clean data by one implicit integration from the first rows.
 
         None where the data are noisy, lack values or have no layers, and where that does not
         reproduce them.
@@ -896,7 +897,7 @@ def follows_to(r2: float) -> str:
 
 
 def likely_cause(runs: Sequence[Trajectory], state: str, explained: bool = False) -> str:
-    """Say what the data themselves tell of why an equation is not found; "" for nothing.
+    """Say what the data themselves show of why an equation is not found; "" for nothing.
 
     Parameters
     ----------
@@ -972,12 +973,12 @@ def hold_to_slopes(
 ) -> Verdict:
     """Take for an approximation what misses slopes that are exact, however closely it follows.
 
-    Over a run misses of either sign cancel, so that what follows it to a thousandth may be no law.
+    Over a run errors of either sign cancel, so that what follows it to a thousandth may be no law.
 
     Parameters
     ----------
     verdict : what the trajectories tell.
-    missed : state -> what its equation misses of the slopes, and the error of these, as shares of
+    missed : state -> the error of its equation in the slopes, and the error of these, as shares of
         their size.
     settings : the numbers that decide.
 
@@ -1059,7 +1060,7 @@ def _correlate(lanes: Sequence[np.ndarray]) -> tuple[float, bool]:
 
 
 def _where(followed: Followed, place: int) -> str:
-    """Say where along the first run the misses are largest, where that stands out."""
+    """Say where along the first run the residuals are largest, where that is clear."""
     z = followed.misses[0][:, place, :]
     t = followed.shootings[0].windows.t
     parts = np.array_split(np.arange(z.shape[0]), min(8, max(1, len(z) // 3)))
