@@ -40,11 +40,11 @@ class InputError(DynsrError, ValueError):
 
 
 class MissingExtra(InputError):
-    """What was asked for needs an optional package; the message holds the command to install it."""
+    """What was asked for needs an optional package; the message has the command to install it."""
 
 
 class EngineError(DynsrError, RuntimeError):
-    """An engine failed at what it was asked; the message holds the engine's own words."""
+    """An engine failed at what it was asked; the message has the engine's own words."""
 
 
 class EngineUnavailable(EngineError):

@@ -29,7 +29,7 @@ _CANCELLED = (*_INVERSES, "inhibits1", "inhibits2", "inhibits3", "inhibits4")
 
 @dataclass(frozen=True)
 class LibrarySettings:
-    """Settings of the library; they stand in a run's record.
+    """Settings of the library; they are part of a run's record.
 
     Parameters
     ----------
