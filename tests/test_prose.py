@@ -14,9 +14,7 @@ ROOT = Path(__file__).parents[1]
 UNDONE = (
     "CHANGELOG.md",
     "dynsr/discovery/",
-    "dynsr/export/",
     "dynsr/fit/",
-    "dynsr/library/",
     "dynsr/selection/",
 )
 

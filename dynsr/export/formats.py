@@ -27,9 +27,9 @@ class Format:
     suffix : of its file.
     write : writes it from a source.
     words : what its language allows as a name; None where any will do.
-    maps : whether it can hold a map.
+    maps : whether it can express a map.
     needs : (module, extra) that it is written with; None where nothing is needed.
-    check : raises InputError where it cannot hold the equations.
+    check : raises InputError where it cannot express the equations.
     folder : writes it where it is several files: name -> text.
     """
 
@@ -173,8 +173,8 @@ def write_files(source: Source, name: str) -> dict[str, str]:
     source : the equations, and what goes with them.
     name : of the format.
 
-    Raises InputError when there is no such format or it cannot hold these equations, MissingExtra
-    when what writes it is not installed.
+    Raises InputError when there is no such format or it cannot express these equations,
+    MissingExtra when what writes it is not installed.
 
     >>> from dynsr.data import find_system
     >>> sir = Source.of(find_system("sir"))

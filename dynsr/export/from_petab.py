@@ -82,7 +82,7 @@ _TABLES = ("sbml_files", "condition_files", "observable_files", "measurement_fil
 
 
 def _inside(file: Path, name: Any) -> Path:
-    """Give a file that a problem names, which lies beside it or below."""
+    """Give a file that a problem names, which lies next to it or below."""
     found = (file.parent / str(name)).resolve()
     if not found.is_relative_to(file.parent.resolve()):
         raise InputError(f"{str(name)!r} lies outside the folder of {str(file)!r}; move it there")

@@ -1,7 +1,7 @@
 """From SBML: the differential equations of a model, with its parameters by their names.
 
 Reactions become slopes: what each makes of a species times its rate. Functions that a model defines
-are put in where they are used, and assignment rules where their variables stand. What is no
+are put in where they are used, and assignment rules where their variables are. What is no
 differential equation of such formulas (events, delays, algebraic rules) is refused by name.
 """
 

@@ -95,7 +95,7 @@ def make_do_mpc(source: Source) -> Any:
 
     Parameters
     ----------
-    source : the equations; where they hold the time, it is one more state, ``t``.
+    source : the equations; where they contain the time, it is one more state, ``t``.
 
     Raises MissingExtra when do-mpc is not installed.
     """

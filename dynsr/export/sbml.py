@@ -130,7 +130,7 @@ def _reactions(source: Source) -> list[Reaction] | None:
 
 
 def _parameter(model: Any, name: str, value: float | None, unit: str) -> None:
-    """Add a parameter, which is none that moves where it has a value."""
+    """Add a parameter, which is constant where it has a value."""
     parameter = model.createParameter()
     parameter.setId(name)
     parameter.setConstant(value is not None)

@@ -144,7 +144,7 @@ class Source:
 
     @property
     def timed(self) -> bool:
-        """Whether the right-hand sides hold the time, themselves or in an input."""
+        """Whether the right-hand sides contain the time, themselves or in an input."""
         return "t" in self.needed(*self.equations.values())
 
     def needed(self, *exprs: sympy.Expr) -> set[str]:
@@ -246,7 +246,7 @@ def name_in(source: Source, words: Words, write: Callable[[Source], str]) -> Sou
     words : what the language allows.
     write : writes the code.
 
-    Raises InputError where a name could not stand in a formula, and so would not in code.
+    Raises InputError where a name could not be used in a formula, and so would not in code.
     """
     names = [*source.states, *source.parameters, *source.system.inputs]
     for name in names:
