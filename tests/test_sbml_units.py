@@ -1,5 +1,7 @@
 """Units of SBML: those that the user gave are written, are consistent, and are read again."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -106,3 +108,16 @@ def test_units_that_others_wrote_are_read(tmp_path):
     system = read_sbml(tmp_path / "model.xml")
     assert system.time_unit == "s" and system.units["x"] == "dm^3"
     assert {n: p.unit for n, p in system.parameters.items()} == {"k": "cm^3/min", "n": ""}
+
+
+def test_an_older_model_counts_seconds(tmp_path):
+    """Level 2 has a unit of the time where none is named; Level 3 has none."""
+    older = KINDS.replace("level3/version1/core", "level2/version4").replace(
+        'level="3"', 'level="2"'
+    )
+    older = older.replace('version="1">', 'version="4">', 1).replace(' timeUnits="second"', "")
+    older = re.sub(r' (?:constant|exponent|scale|multiplier)="1"', "", older)
+    (tmp_path / "older.xml").write_text(older)
+    assert read_sbml(tmp_path / "older.xml").time_unit == "s"
+    (tmp_path / "later.xml").write_text(KINDS.replace(' timeUnits="second"', ""))
+    assert read_sbml(tmp_path / "later.xml").time_unit == ""

@@ -26,6 +26,8 @@ _TIME = sympy.Symbol("t")
 # Assignments that stand in one another deeper than this go round in a circle.
 _DEEPEST = 50
 _LARGEST = 50_000_000
+# Models of levels before this one have units where they name none.
+_EXPLICIT = 3
 # Of libsbml, from here on no warning.
 _ERROR = 2
 
@@ -213,7 +215,10 @@ class _Model:
             if not part.getHasOnlySubstanceUnits() and amount and volume:
                 text = f"{amount}/{volume}"
             self.units[part.getId()] = text
-        self.units["t"] = read_unit(named_unit(model, model.getTimeUnits()), names)
+        time = model.getTimeUnits()
+        if not time and model.getLevel() < _EXPLICIT:
+            time = "time" if model.getUnitDefinition("time") else "second"
+        self.units["t"] = read_unit(named_unit(model, time), names)
 
     def _take_rules(self, model: Any) -> None:
         for rule in model.getListOfRules():
