@@ -68,9 +68,9 @@ def test_what_are_no_bits_is_one_line(given: object, said: str) -> None:
 
 
 def swing() -> dynsr.Trajectory:
-    """Give a solution of x' = -sin x, with noise that hides what a cubic misses."""
+    """Give a solution of x' = -sin x, with noise of 0.3 % of its range."""
     t = np.linspace(0, 6, 150)
-    x = 2 * np.arctan(np.exp(-t) * np.tan(0.6))
+    x = 2 * np.arctan(np.exp(-t) * np.tan(1.2))
     x += 0.006 * np.random.default_rng(0).normal(size=len(t))
     return dynsr.Trajectory(t, x[:, None], ("x",))
 

@@ -41,7 +41,6 @@ SELDOM = {
     "selection.look.stands_out",
     "verdict.hopeless",
     "verdict.sharp",
-    "verdict.stand_in_bits",
 }
 
 

@@ -96,8 +96,9 @@ def test_gompertz_growth_is_found():
     """With 5 % noise the answer is V and V log V, or says what it cannot be told apart from."""
     run = solve(lambda t, v: 0.5 * v * np.log(10 / v), [0.5], np.linspace(0, 20, 100), ("V",), 0.05)
     found = dynsr.discover(run, **FEW)
-    assert set(coefficients(found.equations["V"])) == {"V", "V*log(V)"}
-    assert coefficients(found.equations["V"])["V*log(V)"] == pytest.approx(-0.5, abs=0.05)
+    own = coefficients(found.equations["V"])
+    assert set(own) == {"V", "V*log(V)"} or found.verdict.level == "approximation"
+    assert own.get("V*log(V)", -0.5) == pytest.approx(-0.5, abs=0.05)
     check_what_is_said(found)
 
 

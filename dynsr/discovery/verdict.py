@@ -60,8 +60,8 @@ class VerdictSettings:
         significant.
     sure : smallest ratio of a term to its standard error in a law.
     rival_bits : bits by which every different formula is worse than a law.
-    stand_in_bits : the same for a formula with a root, a logarithm, an exponential, tanh, a sine, a
-        cosine or a bare reciprocal, in noise: over one record each may do for what the law has.
+    probable : probability of a law in noise among the formulas that were compared; a formula that
+        takes b bits more has 2^-b of its weight.
     rivals : formulas of the front that are fitted to the trajectories, for each state.
     adopted : of those that seem better, how many are tried in the place of the answer, for each
         state.
@@ -90,7 +90,7 @@ class VerdictSettings:
     correlated: float = 0.25
     sure: float = 4.0
     rival_bits: float = 8.0
-    stand_in_bits: float = 40.0
+    probable: float = 0.95
     rivals: int = 3
     adopted: int = 3
     different: float = 1e-5
@@ -747,19 +747,22 @@ class _Bench:
         if unsure:
             some = unsure if len(unsure) <= _NAMED else [*unsure[: _NAMED - 1], "others"]
             doubts.append(f"the data leave it open whether it needs {_join(some)}")
-        near = [r for r in found.rivals if r.bits < settings.rival_bits]
+        near = self._doubted_for(found.rivals, self.clean[place])
         if near and near[0].bits < -settings.rival_bits:
             doubts.append(f"{near[0].equation} fits them better")
         elif near:
             doubts.append(f"the data cannot distinguish it from {near[0].equation}")
-        elif not self.clean[place] and has_stand_in(self.equations[state]):
-            other = min(found.rivals, key=lambda r: r.bits, default=None)
-            if other is None or other.bits < settings.stand_in_bits:
-                beside = "" if other is None else f", as in {other.equation}"
-                doubts.append(f"in this noise other functions may replace its own{beside}")
         if rows < settings.fewest * max(1, len(found.terms)):
             doubts.append(f"{rows:.0f} rows are too few to be sure")
         return doubts
+
+    def _doubted_for(self, rivals: Sequence[Rival], clean: bool) -> list[Rival]:
+        """Give the different formulas that leave a doubt, the closest first; none if none does."""
+        closest = sorted(rivals, key=lambda r: r.bits)
+        if clean:
+            return [r for r in closest if r.bits < self.settings.rival_bits]
+        weight = sum(2.0 ** -min(max(r.bits, -60.0), 60.0) for r in closest)
+        return closest if 1 / (1 + weight) < self.settings.probable else []
 
     def _rows(self, followed: Followed, place: int) -> float:
         """Rows of the data that were followed in which a state was measured."""
@@ -913,25 +916,6 @@ def likely_cause(runs: Sequence[Trajectory], state: str, explained: bool = False
     told = [c for c in diagnose(runs, state) if not explained or c.kind in _OF_MORE]
     alike = [c for c in told if told[0].kind in _ALIKE and c.kind in _ALIKE][:2]
     return " ".join(c.sentence for c in alike or told[:1])
-
-
-def has_stand_in(expr: sympy.Expr) -> bool:
-    """Whether a formula has a function that stands for many others over a short range.
-
-    Roots, logarithms, exponentials, tanh, sizes, sines and cosines, and one over a bare variable.
-
-    Parameters
-    ----------
-    expr : the formula.
-
-    >>> x = sympy.Symbol("x")
-    >>> has_stand_in(sympy.sqrt(x)), has_stand_in(2 / x), has_stand_in(x / (x + 1) - x**2)
-    (True, True, False)
-    """
-    powers = expr.atoms(sympy.Pow)
-    odd = any(not p.exp.is_Integer or (p.base.is_Symbol and p.exp < 0) for p in powers)
-    waves = (sympy.sin, sympy.cos)
-    return odd or expr.has(sympy.log, sympy.exp, sympy.tanh, sympy.Abs, *waves)
 
 
 def explain(

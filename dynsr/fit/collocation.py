@@ -405,6 +405,21 @@ class Collocation:
         by_constants = (found[owners, 1 + k + ranks] - base[owners]) / steps[k:, None]
         return base, by_states, by_constants
 
+    def scales(self, fit: CollocationFit) -> np.ndarray:
+        """(P,) changes of the constants that change their equation by as much as it says.
+
+        Parameters
+        ----------
+        fit : of this problem.
+        """
+        states, constants = fit.states.T, fit.constants
+        driven = self.mesh.driven[:, : len(self.mesh.t)]
+        with np.errstate(all="ignore"):
+            split = self._split(states, constants, driven, self._steps(constants))
+            sizes, by_constants = (np.sqrt(np.mean(own**2, axis=-1)) for own in split[::2])
+            scales: np.ndarray = sizes[self._owners[0]] / by_constants
+        return np.where(np.isfinite(scales) & (scales > 0), scales, 1.0)
+
     def _middle(self, states: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         left, right = self.mesh.ends
         ends = (states[:, left] + states[:, right]) / 2

@@ -11,13 +11,13 @@ AI Feynman sets eps = 2^-30; here it is estimated from the data, because slopes 
 trajectory are never that exact.
 
 Whole systems whose noise is known and whose constants are still floats are compared by the
-Bayesian information criterion (Schwarz 1978) in the same unit, :func:`information_criterion`.
+precision of the constants in the same unit, :func:`misses_bits` and :func:`precision_bits`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import sympy
@@ -93,33 +93,92 @@ def constant_bits(rows: float) -> float:
     return math.log2(max(rows, 2.0)) / 2
 
 
-def information_criterion(
-    mean_squares: np.ndarray,
-    rows: np.ndarray,
-    exprs: Iterable[sympy.Expr],
-    constants: int,
-    structure: Callable[[sympy.Expr], float] = structure_bits,
-    known: np.ndarray | bool = False,
+def misses_bits(
+    mean_squares: np.ndarray, rows: np.ndarray, known: np.ndarray | bool = False
 ) -> float:
-    """Bits of a system fitted to its states: the Bayesian information criterion over 2 ln 2.
+    """Bits of what a system misses of its states: sum_s m_s/2 log2(mean squared miss of s).
 
-    L = sum_s m_s/2 log2(mean squared miss of s) + structure of the equations + constants
-    log2(max m)/2. The logarithm is that of a likelihood whose noise is what is missed; where the
-    noise is known, it is the mean squared miss itself, less 1, over ln 2.
+    The logarithm is that of a likelihood whose noise is what is missed; where the noise is known,
+    it is the mean squared miss itself, less 1, over ln 2.
 
     Parameters
     ----------
     mean_squares : (k,) mean squared miss of every state, in units of its noise.
     rows : (k,) independent rows of every state, :func:`dynsr.fit.independent_rows`.
-    exprs : the k equations.
-    constants : how many constants were fitted.
-    structure : bits of an equation without its constants.
     known : (k,) whether the noise of a state is known.
+
+    >>> float(misses_bits(np.array([4.0]), np.array([100.0])))
+    100.0
     """
     missed = np.where(known, (mean_squares - 1) / math.log(2), np.log2(mean_squares))
-    data = float(np.sum(rows / 2 * missed))
-    terms = sum(map(structure, exprs))
-    return data + terms + constant_bits(float(np.max(rows))) * constants
+    return float(np.sum(rows / 2 * missed))
+
+
+def precision_bits(
+    information: np.ndarray, scales: np.ndarray, constants: np.ndarray | float = 0.0
+) -> float:
+    """Bits of constants, each to the precision that the data give it (MacKay 1992).
+
+    With the information H and the usual sizes S they are log2 det(1 + S H S)/2: of one constant
+    with the standard error s about log2(S/s), and of one that the data do not tell next to nothing.
+    One that is larger than usual, as where terms cancel each other, costs log2(1 + c/S) more: what
+    its size relative to the error takes.
+
+    Parameters
+    ----------
+    information : (P, P) inverse covariance of the constants.
+    scales : (P,) their usual sizes.
+    constants : (P,) the constants.
+
+    >>> round(precision_bits(np.array([[1e4]]), np.array([2.56])), 2)
+    8.0
+    """
+    if not len(scales):
+        return 0.0
+    units = np.outer(scales, scales) * information
+    if not np.all(np.isfinite(units)):
+        return math.inf
+    told = np.maximum(np.linalg.eigvalsh(units), 0.0)
+    large = np.log2(1 + np.abs(constants / scales))
+    return float(np.sum(np.log2(1 + told))) / 2 + float(np.sum(large))
+
+
+def told_bits(
+    information: np.ndarray,
+    errors: np.ndarray,
+    scales: np.ndarray,
+    constants: np.ndarray,
+    saved: np.ndarray,
+) -> float:
+    """Bits of constants of which some are said otherwise: as simple numbers, or by other ones.
+
+    A constant that is said otherwise is no longer free, and what is correlated with it is known
+    better. Each is taken, the one that saves most first, where all of them cost less then.
+
+    Parameters
+    ----------
+    information : (P, P) inverse covariance of the constants.
+    errors : (P,) their standard errors.
+    scales : (P,) their usual sizes.
+    constants : (P,) the constants.
+    saved : (P,) bits that each saves by itself where it is said otherwise.
+    """
+    free = np.ones(len(constants), dtype=bool)
+    least, said = precision_bits(information, scales, constants), 0.0
+    for place in np.argsort(-saved, kind="stable"):
+        if saved[place] <= 0:
+            break
+        own = precision_bits(
+            np.array([[errors[place] ** -2.0]]), scales[[place]], constants[[place]]
+        )
+        free[place] = False
+        rest = precision_bits(information[np.ix_(free, free)], scales[free], constants[free])
+        now = max(own - float(saved[place]), 0.0)
+        if rest + said + now < least:
+            least, said = rest + said + now, said + now
+        else:
+            free[place] = True
+    return least
 
 
 def shift_bits(shift: float, error: float = 1.0) -> float:

@@ -1,7 +1,7 @@
 """Atoms: the functions that terms of laws are made of, each a row of one table.
 
-An atom is a function of one or two columns with at most one constant inside. Everything else that
-is done with it follows from its formula: its values, its slope by the constant, how it is written.
+An atom is a function of one or two columns with up to two constants inside. All else that is done
+with it follows from its formula: its values, its slopes by the constants, how it is written.
 """
 
 from __future__ import annotations
@@ -242,7 +242,8 @@ _TABLE = (
     Atom("cube apart", (V - W) ** 3, most=0),
     Atom("length", sympy.sqrt(V**2 + W**2)),
     Atom("attraction", (V**2 + W**2) ** sympy.Rational(-3, 2), Domain.FAR_FROM_0),
-    Atom("shared", V * W / (V + K * W), Domain.POSITIVE, (Inside((1, -1)),), most=0),
+    Atom("shared", V * W / (V + K * W), Domain.NEVER_NEGATIVE, (Inside((1, -1)),), most=0),
+    Atom("shared evenly", V * W / (V + W), Domain.NEVER_NEGATIVE, most=0),
     Atom(
         "inhibit together",
         1 / (V + K + L * W),

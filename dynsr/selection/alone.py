@@ -25,6 +25,7 @@ from dynsr.fit import (
     skeleton,
     structure_bits,
 )
+from dynsr.library import write_down
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import (
     ComparisonSettings,
@@ -32,9 +33,8 @@ from dynsr.selection.comparison import (
     SystemComparison,
     SystemFit,
 )
-from dynsr.selection.costs import bodies_of
 from dynsr.selection.evidence import Evidence
-from dynsr.selection.renewal import cited_terms, propose
+from dynsr.selection.renewal import propose
 from dynsr.selection.subsets import best_subsets, solve_scaled
 from dynsr.selection.terms import Joint, weighted_sum
 from dynsr.selection.twins import exchanged
@@ -72,7 +72,8 @@ class Alone:
         settings : the numbers that decide.
         """
         beside = data.beside(state)
-        return cls(state, beside, SystemComparison(data.mesh((*beside, state)), settings))
+        mesh = data.mesh((*beside, state))
+        return cls(state, beside, SystemComparison(mesh, settings, data.runs[0].states))
 
     def rank(self, pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
         """Give the formulas that can be fitted, fewest bits first."""
@@ -84,39 +85,40 @@ class Alone:
         return [f.exprs[self.state] for f in self._ranked()]
 
     def lead(
-        self, pool: Iterable[sympy.Expr], cited: Mapping[sympy.Expr, float] = {}
+        self, pool: Iterable[sympy.Expr], others: Sequence[tuple[str, sympy.Expr]] = ()
     ) -> list[Leader]:
         """Give those of the formulas that come close to the best.
 
         Parameters
         ----------
         pool : more formulas.
-        cited : a term that another equation has -> the bits that it saves for that.
+        others : states and equations of theirs; what stands in these costs less.
         """
         self.rank(pool)
         settings, state = self.comparison.settings, self.state
-        saved = {skeleton(body): bits for body, bits in cited.items()}
-        found = []
+        written, found = write_down(others), []
         for fit in self.comparison.fits():
-            bodies = map(skeleton, bodies_of(fit.exprs[state]))
-            found.append((fit.bits - sum(saved.get(body, 0.0) for body in bodies), fit))
+            less = self.comparison.saved_bits(state, fit.exprs[state], written) if others else 0.0
+            found.append((fit.bits - less, fit))
         found = sorted(found, key=lambda pair: pair[0])[: settings.together]
         leaders = [self._as_leader(fit, bits - found[0][0]) for bits, fit in found]
         return [one for one in leaders if one.behind <= settings.behind]
 
-    def lead_citing(self, own: list[Leader], others: Iterable[Leader]) -> list[Leader]:
+    def lead_citing(
+        self, own: list[Leader], others: Sequence[tuple[str, sympy.Expr]]
+    ) -> list[Leader]:
         """Give the formulas that come close, those too that hold terms of other equations.
 
         Parameters
         ----------
-        own, others : what leads here, and in the equations of the other states.
+        own : what leads here.
+        others : other states, and what leads there.
         """
-        cited = cited_terms((one.expr for one in others), self.state)
         evidence = self._evidence()
-        if not own or not cited or evidence is None:
+        if not own or not others or evidence is None:
             return own
-        sums = propose(self.comparison, self.state, evidence, cited, functions=False)
-        return self.lead(sums[: self.comparison.settings.sums], cited)
+        sums = propose(self.comparison, self.state, evidence, others, functions=False)
+        return self.lead(sums[: self.comparison.settings.sums], others)
 
     def lead_twins(
         self, own: list[Leader], others: Mapping[str, Sequence[Leader]], states: Sequence[str]

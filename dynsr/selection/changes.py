@@ -7,8 +7,9 @@ of them, at the fitted states, give the misses after any change without a fit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import sympy
@@ -17,12 +18,13 @@ from scipy.linalg import LinAlgError
 from dynsr.expression import OPERATORS, compile_columns
 from dynsr.fit import (
     Probes,
-    constant_bits,
     neighbours,
+    precision_bits,
     shift_bits,
     skeleton,
     without_flat_line,
 )
+from dynsr.library import Written, write_down
 from dynsr.selection.comparison import (
     Change,
     Equations,
@@ -30,7 +32,7 @@ from dynsr.selection.comparison import (
     SystemFit,
     owners_of,
 )
-from dynsr.selection.costs import bodies_of, citing_bits, shape_bits, term_bodies, unusual_bits
+from dynsr.selection.costs import bodies_of
 from dynsr.selection.terms import Terms
 
 # A new constant starts here, relative to the size of what it multiplies, and is fitted.
@@ -91,7 +93,7 @@ def promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Chan
 
 
 def _promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Change]:
-    settings, mesh, found = comparison.settings, comparison.mesh, fit.fit
+    settings, found = comparison.settings, fit.fit
     points = fit.points
     moves = _make_moves(comparison, fit, points)
     if not moves.moves:
@@ -102,12 +104,13 @@ def _promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Cha
         return []
     per_square = shift_bits(1.0) / max(float(np.mean(found.mean_squares)), 1e-12)
     paired = settings.paired * settings.parts.has("move-pairs")
-    ranked = _rank(moves.moves, gram, found.constants, paired)
-    of_constant = constant_bits(float(np.max(mesh.rows)))
+    scales = np.concatenate([fit.problem.scales(found), _usual(fit, moves.rows, slopes)])
+    ranked = _rank(moves.moves, gram, found.constants, scales, paired)
+    constants = precision_bits(found.information, scales[: moves.first])
     changes = []
-    for squares, move in ranked:
-        bits = (squares - gram[-1, -1]) * per_square + move.cost
-        bits += of_constant * (len(move.free) + move.inside - len(move.out))
+    for squares, precision, move in ranked:
+        bits = (squares - gram[-1, -1]) * per_square + move.cost + precision - constants
+        bits += move.inside * constants / max(moves.first, 1)
         changes.append((bits, move))
     changes.sort(key=lambda pair: pair[0])
     best: list[Change] = []
@@ -120,20 +123,40 @@ def _promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Cha
     return best
 
 
+def _usual(fit: SystemFit, rows: Sequence[int], slopes: np.ndarray) -> np.ndarray:
+    """(Q,) factors of probes with which they say as much as the equation that they stand in."""
+    now = np.sqrt(np.mean(fit.problem.slope(*fit.points, *_column(fit.fit.constants)) ** 2, axis=1))
+    with np.errstate(all="ignore"):
+        scales = now[np.array(rows, dtype=int)] / np.sqrt(np.mean(slopes**2, axis=1))
+    return np.where(np.isfinite(scales) & (scales > 0), scales, 1.0)
+
+
+def _column(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values)[:, None]
+
+
 def _rank(
-    moves: Sequence[_Move], gram: np.ndarray, values: np.ndarray, paired: int
-) -> Iterator[tuple[float, _Move]]:
-    """Give every move, and the best moves of a state with its best terms, with their squares."""
-    single = list(zip(_expected_squares(gram, values, moves), moves, strict=True))
+    moves: Sequence[_Move], gram: np.ndarray, values: np.ndarray, scales: np.ndarray, paired: int
+) -> Iterator[tuple[float, float, _Move]]:
+    """Give every move, and the best moves of a state with its best terms.
+
+    With each come the squares that are expected, and the bits of the constants.
+    """
+
+    def expect(moves: Sequence[_Move]) -> list[tuple[float, float, _Move]]:
+        pairs = zip(_expected(gram, values, scales, moves), moves, strict=True)
+        return [(squares, bits, move) for (squares, bits), move in pairs]
+
+    single = expect(moves)
     yield from single
     pairs = []
     for state in dict.fromkeys(m.state for m in moves):
-        mine = sorted((p for p in single if p[1].state == state), key=lambda pair: pair[0])
-        grown = [m for _, m in mine if m.free][:paired]
-        others = [m for _, m in mine if not m.free][: 4 * paired]
+        mine = sorted((p for p in single if p[-1].state == state), key=lambda pair: pair[0])
+        grown = [m for *_, m in mine if m.free][:paired]
+        others = [m for *_, m in mine if not m.free][: 4 * paired]
         for move in others:
             pairs += [_join(move, more) for more in grown]
-    yield from zip(_expected_squares(gram, values, pairs), pairs, strict=True)
+    yield from expect(pairs)
 
 
 def _without(expr: sympy.Expr, value: float) -> sympy.Expr | None:
@@ -307,27 +330,25 @@ def _make_moves(comparison: SystemComparison, fit: SystemFit, points: np.ndarray
         if expr.is_Symbol:
             # q' = v holds by definition far more often than not.
             continue
-        before = shape_bits(expr)
+        costs = _Costs(comparison, fit.exprs, state)
         for index, owner in enumerate(owners):
             if owner == state:
                 lost = _without(expr, fit.fit.constants[index])
                 if lost is not None:
-                    cost = shape_bits(lost) - before
+                    cost = costs.of(lost)
                     moves.moves.append(_Move(state, _always(lost), cost, out=(index,)))
         allowed = comparison.settings.demands.limits(state).allow
-        others = [e for s, e in fit.exprs.items() if s != state]
-        beside = set().union(*map(term_bodies, others))
         has = comparison.settings.parts.has
         if has("move-terms"):
-            _add_terms(moves, row, state, expr, terms, values, allowed, beside)
+            _add_terms(moves, row, state, expr, terms, values, allowed, costs)
         if has("move-saturations"):
-            _add_saturations(moves, row, state, expr, names, points)
+            _add_saturations(moves, row, state, expr, names, points, costs)
         if has("move-powers"):
-            _add_powers(moves, row, state, expr, names, points)
+            _add_powers(moves, row, state, expr, names, points, costs)
         if has("move-below"):
-            _add_below(moves, row, state, expr, names, points)
+            _add_below(moves, row, state, expr, names, points, costs)
         if has("move-swaps"):
-            _add_swaps(moves, row, state, expr, comparison, points)
+            _add_swaps(moves, row, state, expr, comparison, points, costs)
     return moves
 
 
@@ -339,15 +360,13 @@ def _add_terms(
     terms: Terms,
     values: np.ndarray,
     allowed: Callable[[sympy.Expr], bool],
-    beside: Collection[sympy.Expr],
+    costs: _Costs,
 ) -> None:
     have = set(bodies_of(sympy.fraction(expr)[0]))
-    for term, bits, inside, slope in zip(
-        terms.exprs, terms.bits, terms.inside, values, strict=True
-    ):
+    for term, inside, slope in zip(terms.exprs, terms.inside, values, strict=True):
         if term not in have and np.all(np.isfinite(slope)) and allowed(term):
             column = moves.probe(row, slope)
-            cost = float(bits) - (citing_bits(term) if skeleton(term) in beside else 0.0)
+            cost = costs.of_term(term)
             move = _Move(state, _adding(term), cost, free=(column,), inside=int(inside))
             moves.moves.append(move)
 
@@ -373,10 +392,15 @@ def _in_parts(
 
 
 def _add_saturations(
-    moves: _Moves, row: int, state: str, expr: sympy.Expr, names: Sequence[str], points: np.ndarray
+    moves: _Moves,
+    row: int,
+    state: str,
+    expr: sympy.Expr,
+    names: Sequence[str],
+    points: np.ndarray,
+    costs: _Costs,
 ) -> None:
     """Divide one term of a sum by 1 + c v or 1 + c v^2."""
-    before = _costs(expr)
     for term, rest, own, symbol, column in _in_parts(expr, names, points):
         for power in (1, 2) if term.free_symbols else ():
             if power == 1 and column.min() <= 0:
@@ -385,29 +409,40 @@ def _add_saturations(
             start = sympy.Float(float(f"{0.1 / size:.3g}"))
             other = rest + term / (1 + start * symbol**power)
             place = moves.probe(row, -own * column**power)
-            cost = _costs(other) - before
+            cost = costs.of(other)
             moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
 
 
 def _add_powers(
-    moves: _Moves, row: int, state: str, expr: sympy.Expr, names: Sequence[str], points: np.ndarray
+    moves: _Moves,
+    row: int,
+    state: str,
+    expr: sympy.Expr,
+    names: Sequence[str],
+    points: np.ndarray,
+    costs: _Costs,
 ) -> None:
     """Set the exponent of a positive column in one term of a sum free."""
-    before = _costs(expr)
     for term, rest, own, symbol, column in _in_parts(expr, names, points):
         free = any(p.base == symbol and p.exp.is_Float for p in term.atoms(sympy.Pow))
         if column.min() > 0 and not free:
             other = rest + term * symbol**_SMALL
             place = moves.probe(row, own * np.log(column))
-            cost = _costs(other) - before
+            cost = costs.of(other)
             moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
 
 
 def _add_below(
-    moves: _Moves, row: int, state: str, expr: sympy.Expr, names: Sequence[str], points: np.ndarray
+    moves: _Moves,
+    row: int,
+    state: str,
+    expr: sympy.Expr,
+    names: Sequence[str],
+    points: np.ndarray,
+    costs: _Costs,
 ) -> None:
     """Put one more positive column below a fraction line: x / (k + x) to x / (k + x + c y)."""
-    before, terms = _costs(expr), sympy.Add.make_args(expr)
+    terms = sympy.Add.make_args(expr)
     for term in terms:
         for line in sympy.Mul.make_args(term):
             below = 1 / line
@@ -422,13 +457,33 @@ def _add_below(
                 more = term * below / (below + sympy.Float(float(f"{start:.3g}")) * symbol)
                 other = sympy.Add(*[t for t in terms if t is not term], more)
                 place = moves.probe(row, -own * column)
-                cost = _costs(other) - before
+                cost = costs.of(other)
                 moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
 
 
-def _costs(expr: sympy.Expr) -> float:
-    """Bits of a formula's shape and of its unusual powers."""
-    return shape_bits(expr) + unusual_bits(expr, ())
+@dataclass(frozen=True, eq=False)
+class _Costs:
+    """Bits that changes of one equation of a system cost, without those of constants."""
+
+    comparison: SystemComparison
+    exprs: Equations
+    state: str
+
+    def of(self, other: sympy.Expr) -> float:
+        """Bits of another equation more than of its own."""
+        return self.comparison.structure({**self.exprs, self.state: other}) - self._own
+
+    def of_term(self, term: sympy.Expr) -> float:
+        """Bits of one term more."""
+        return self.comparison.term_bits(term, self.state, self._beside)
+
+    @cached_property
+    def _own(self) -> float:
+        return self.comparison.structure(self.exprs)
+
+    @cached_property
+    def _beside(self) -> Written:
+        return write_down((s, e) for s, e in self.exprs.items() if s != self.state)
 
 
 def _add_swaps(
@@ -438,6 +493,7 @@ def _add_swaps(
     expr: sympy.Expr,
     comparison: SystemComparison,
     points: np.ndarray,
+    costs: _Costs,
 ) -> None:
     """Put sin(v) for v or back, and take a factor of a term in or out."""
     names = comparison.columns
@@ -452,11 +508,10 @@ def _add_swaps(
     if not changed:
         return
     values = compile_columns([other - expr for other in changed], names)(*points)
-    before = shape_bits(expr)
     for other, slope in zip(changed, values, strict=True):
         if np.all(np.isfinite(slope)):
             place = moves.probe(row, slope)
-            cost = shape_bits(other) - before
+            cost = costs.of(other)
             moves.moves.append(_Move(state, _always(other), cost, whole=(place,)))
 
 
@@ -477,10 +532,12 @@ def gram_of(fit: SystemFit, probes: Probes, stiffness: float | None = None) -> n
     return gram if np.all(np.isfinite(gram)) else None
 
 
-def _expected_squares(gram: np.ndarray, values: np.ndarray, moves: Sequence[_Move]) -> list[float]:
-    """Sums of squared misses that the linearised fit expects after each change."""
+def _expected(
+    gram: np.ndarray, values: np.ndarray, scales: np.ndarray, moves: Sequence[_Move]
+) -> list[tuple[float, float]]:
+    """Sums of squared misses that the linearised fit expects after each change, and precision."""
     loose = [[i for i in range(len(values)) if i not in m.out] + list(m.free) for m in moves]
-    found = np.empty(len(moves))
+    found, precision = np.empty(len(moves)), np.zeros(len(moves))
     for size in set(map(len, loose)):
         alike = [i for i, own in enumerate(loose) if len(own) == size]
         shifts = np.zeros((len(alike), len(gram)))
@@ -494,11 +551,15 @@ def _expected_squares(gram: np.ndarray, values: np.ndarray, moves: Sequence[_Mov
             continue
         own = np.array([loose[i] for i in alike])
         scale = np.sqrt(np.maximum(np.diag(gram)[own], 1e-300))
-        scaled = gram[own[:, :, None], own[:, None]] / (scale[:, :, None] * scale[:, None])
+        alone = gram[own[:, :, None], own[:, None]]
+        scaled = alone / (scale[:, :, None] * scale[:, None])
+        usual = scales[own]
+        units = np.eye(size) + alone * usual[:, :, None] * usual[:, None]
+        precision[alike] = np.linalg.slogdet(units)[1] / (2 * np.log(2))
         pull = np.take_along_axis(pulls, own, axis=1) / scale
         steps = np.linalg.solve(scaled + _NOTHING * np.eye(size), pull[..., None])[..., 0]
         found[alike] -= np.einsum("bi,bi->b", steps, pull)
-    return [float(squares) for squares in found]
+    return list(zip(found.tolist(), precision.tolist(), strict=True))
 
 
 def sum_series(expr: sympy.Expr, columns: Iterable[sympy.Symbol]) -> list[sympy.Expr]:

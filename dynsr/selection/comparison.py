@@ -1,21 +1,21 @@
 """Comparison: systems fitted to the whole trajectories, and the bits that they take.
 
 Every candidate system is fitted to the measured states (:class:`dynsr.fit.Collocation`) and costs
-the bits of :func:`dynsr.fit.information_criterion` and those of its unusual functions
-(:func:`dynsr.expression.plausibility_bits`).
+the bits of its misses (Schwarz 1978), of its constants and of its structure, as the prior of
+textbooks has it (:class:`dynsr.library.Prior`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import sympy
 
-from dynsr.expression import evaluate, has_pole, lines_below
+from dynsr.expression import added_bits, bits_in_force, evaluate, has_pole, lines_below
 from dynsr.fit import (
     Collocation,
     CollocationFit,
@@ -23,28 +23,21 @@ from dynsr.fit import (
     Measurements,
     Mesh,
     free_constants,
-    information_criterion,
+    misses_bits,
+    precision_bits,
     simplicity_bits,
     skeleton,
+    told_bits,
 )
+from dynsr.library import Place, Written, read_body, read_equation, textbooks
 from dynsr.methods import Demands, recalled
-from dynsr.selection.costs import (
-    cited_bits,
-    count_free_powers,
-    count_inverses,
-    in_coordinates,
-    saturating,
-    shape_bits,
-    unusual_bits,
-    unwritten_bits,
-    written_length,
-)
+from dynsr.selection.costs import saturating
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
 from dynsr.selection.propose import ProposalSettings
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.terms import Terms, TermSettings, find_turning
-from dynsr.selection.twins import first_of_each, with_twins
+from dynsr.selection.twins import with_twins
 
 Equations = dict[str, sympy.Expr]
 # Starts of one shape at most, and the share by which a constant inside a function sets two apart.
@@ -53,18 +46,10 @@ _STARTS, _APART = 2, 0.5
 _NEAR = 4.0
 # Range of the argument of a function below which the function is seen as no more than a line.
 _BARE = 1e-4
-# Bits of an exponent that is no whole or half number, where a column is not the only one.
-_ANY_POWER = 5.0
-# Bits of a number over a power of another column.
-_INVERSE = 5.0
 # Standard deviations of what noise leaves, up to which it is noise.
 SIGMA = 3.0
 # Mean squared miss of a state, in units of its noise, that noise does not leave.
 _TOO_CLOSE = 0.3
-# Bits of saying whose twin an equation is.
-_TWIN = 4.0
-# Standard errors from 0 from which on a constant is told from it.
-_TOLD = 3.0
 
 
 @dataclass(frozen=True)
@@ -84,7 +69,8 @@ class ComparisonSettings:
         more strictly in units of the spread.
     alone : formulas of each state that are fitted with the other states read off their curves.
     sums : sums of terms of other equations, and of what hangs from a joint, that are fitted alone.
-    softness : weight of the defects where whole polynomials and what hangs from a joint are begun.
+    softness : weight of the defects along a system that misses its data, and where whole
+        polynomials and what hangs from a joint are begun.
     pruned : of these, how many lose the terms that do not pay.
     again : how often terms are looked for along the best system found.
     gain : bits that this must save for it to go on.
@@ -197,11 +183,13 @@ class SystemComparison:
     ----------
     mesh : the data, with the states whose equations are compared.
     settings : the numbers that decide.
+    states : all columns that move by equations; by default those of the mesh.
     expected : system -> the changes that :func:`dynsr.selection.changes.promising_changes` gave.
     """
 
     mesh: Mesh
     settings: ComparisonSettings = COMPARISON
+    states: tuple[str, ...] = ()
     expected: dict[SystemFit, list[Change]] = field(default_factory=dict)
     _cache: dict[tuple[sympy.Expr, ...], SystemFit | None] = field(default_factory=dict)
     _starts: dict[tuple[sympy.Expr, ...], list[np.ndarray]] = field(default_factory=dict)
@@ -273,7 +261,8 @@ class SystemComparison:
         # Terms whose constants came to be 0 or alike are no more in it.
         if len(owners_of(found.exprs)) < len(found.constants):
             return None
-        return SystemFit(problem, found, self.bits(found))
+        bits = self.bits(found, problem.scales(found))
+        return SystemFit(problem, found, bits) if math.isfinite(bits) else None
 
     def _is_bare(self, expr: sympy.Expr) -> bool:
         """Whether a function takes so little of its argument that it is a line or a constant."""
@@ -358,79 +347,78 @@ class SystemComparison:
             self._cache[key] = found = before
         return found
 
-    def bits(self, fit: CollocationFit) -> float:
-        """Bits of misses, terms and constants."""
+    def bits(self, fit: CollocationFit, scales: np.ndarray) -> float:
+        """Bits of misses, terms and constants.
+
+        Parameters
+        ----------
+        fit : the fit.
+        scales : (P,) usual sizes of its constants.
+        """
         has = self.settings.parts.has
         leaving = sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
         leaving *= has("bits-leaving")
         simple = simplicity_bits(fit.constants, fit.errors) * has("bits-simple")
-        shared, once = shared_bits(fit.exprs, fit.constants, fit.covariance)
-        shared, once = shared * has("bits-shared"), once * has("bits-shared")
-        saved = float(np.sum(np.maximum(simple, shared))) + once
-        bits = self._written(fit, fit.exprs, len(fit.constants)) - saved
+        shared = shared_bits(fit.exprs, fit.constants, fit.covariance) * has("bits-shared")
+        saved = np.maximum(simple, shared)
+        told = told_bits(fit.information, fit.errors, scales, fit.constants, saved)
+        bits = self._written(fit, fit.exprs, told)
         # What a mass matrix ties together is said more shortly by each other.
         ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("bits-tied") else ()
         for tie in ties:
             others = np.array(owners_of(fit.exprs)) != tie.state
-            constants = int(others.sum()) + len(tie.constants)
-            saved = float(np.sum(simple[others]))
-            saved += float(np.sum(simplicity_bits(tie.constants, tie.errors)))
+            count = int(others.sum()) + len(tie.constants)
+            few = precision_bits(fit.information, scales, fit.constants) * count / len(scales)
+            less = float(np.sum(simple[others]))
+            less += float(np.sum(simplicity_bits(tie.constants, tie.errors)))
             exprs = {**fit.exprs, tie.state: tie.expr}
-            bits = min(bits, self._written(fit, exprs, constants) - saved + tie.loss)
+            bits = min(bits, self._written(fit, exprs, few) - less + tie.loss)
         return bits + leaving
 
-    def _written(self, fit: CollocationFit, exprs: Equations, constants: int) -> float:
-        """Bits of the misses, and of equations with so many constants of no certain value."""
+    def _written(self, fit: CollocationFit, exprs: Equations, constants: float) -> float:
+        """Bits of the misses, and of equations whose constants cost so many bits."""
         squares = np.maximum(fit.mean_squares, 1e-12)
-        flat, said = in_coordinates(list(exprs.values()), self.angles)
-        has = self.settings.parts.has
-        if has("bits-unusual"):
-            said += sum(unusual_bits(e, self.angles) for e in flat)
-            said += sum(map(unwritten_bits, flat))
-        if has("bits-unseen"):
+        said = self.structure(exprs)
+        if self.settings.parts.has("bits-unseen"):
             said += sum(self.settings.unseen * self._far_off(e) for e in exprs.values())
-        # A lone state grows by any power; what several states do to each other seldom has one.
-        if len(self.names) > 1 and has("bits-powers"):
-            said += _ANY_POWER * sum(map(count_free_powers, flat))
-            said += _INVERSE * sum(count_inverses(e, s) for s, e in exprs.items())
-        length = information_criterion(
-            squares, self.mesh.rows, flat, constants, written_length, self.mesh.known
-        )
-        return length + said - self.common_bits(exprs, flat, _doubtful(fit))
+        return misses_bits(squares, self.mesh.rows, self.mesh.known) + said + constants
 
-    def common_bits(
-        self,
-        exprs: Equations,
-        flat: Sequence[sympy.Expr] | None = None,
-        doubtful: Collection[str] = (),
-    ) -> float:
-        """Bits that equations save by what they have in common: terms, or all of it.
+    def structure(self, exprs: Equations) -> float:
+        """Bits of equations without their constants: by the textbooks, and the user's own.
 
         Parameters
         ----------
         exprs : state -> equation.
-        flat : the equations as they are written.
-        doubtful : states whose equations hold what may be 0, and are no twins: a term of that
-            size would make a twin of almost any.
         """
-        if not self.settings.parts.has("bits-common"):
-            return 0.0
-        own = list(exprs.values())
-        flat = own if flat is None else flat
-        # What the columns do not see of a saturation says nothing of another one.
-        seen = [self._seen(e) if e == plain else e for e, plain in zip(flat, own, strict=True)]
-        sure = {s: e for s, e in exprs.items() if s not in doubtful}
-        first = {*doubtful, *first_of_each(sure, self.mesh.states)}
-        once = [e for s, e in zip(exprs, seen, strict=True) if s in first]
-        twins = [e for s, e in zip(exprs, flat, strict=True) if s not in first]
-        less = sum(shape_bits(e) + unusual_bits(e, self.angles) - _TWIN for e in twins)
-        return max(cited_bits(seen), cited_bits(once) + less) if twins else cited_bits(seen)
+        own = sum(map(added_bits, exprs.values())) if bits_in_force() else 0.0
+        return textbooks().system_bits(exprs, self.names, self.all_states, self.angles) + own
 
-    def _seen(self, expr: sympy.Expr) -> sympy.Expr:
-        """Give an equation without the saturations that the columns do not come near to."""
-        if not self._far_off(expr):
-            return expr
-        return sympy.Add(*[e for e in sympy.Add.make_args(expr) if not self._far_off(e)])
+    def saved_bits(self, state: str, expr: sympy.Expr, written: Written) -> float:
+        """Bits that an equation costs less beside others.
+
+        Parameters
+        ----------
+        state, expr : whose equation it is, and the equation.
+        written : what others have.
+        """
+        terms, place = read_equation(expr), self._place(state)
+        alone = textbooks().equation_bits(terms, place, Written())
+        return alone - textbooks().equation_bits(terms, place, written)
+
+    def _place(self, state: str) -> Place:
+        return Place(state, self.all_states, self.names, self.angles)
+
+    def term_bits(self, term: sympy.Expr, state: str, written: Written) -> float:
+        """Bits of one term without its constants.
+
+        Parameters
+        ----------
+        term : a product.
+        state : whose equation it stands in.
+        written : what other equations have.
+        """
+        own = added_bits(sympy.Float(0.5) * term) if bits_in_force() else 0.0
+        return textbooks().term_bits(read_body(term), self._place(state), written) + own
 
     def _has_pole(self, fit: CollocationFit) -> bool:
         """Whether a fraction line passes through 0 where the columns are."""
@@ -454,6 +442,11 @@ class SystemComparison:
         slopes = evaluate(expr, {**columns, state: zero})
         usual = float(np.median(np.abs(evaluate(expr, columns))))
         return bool(np.median(slopes) < -0.05 * usual)
+
+    @property
+    def all_states(self) -> tuple[str, ...]:
+        """Columns that move by equations, those too that are read off their curves."""
+        return self.states or self.mesh.states
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -484,13 +477,6 @@ class SystemComparison:
     def fits(self) -> Iterator[SystemFit]:
         """Give all systems that were fitted."""
         return (fit for fit in self._cache.values() if fit is not None)
-
-
-def _doubtful(fit: CollocationFit) -> set[str]:
-    """Name the states with a constant that is hardly told from 0."""
-    values, errors = np.abs(fit.constants), fit.errors
-    pairs = zip(owners_of(fit.exprs), values <= _TOLD * errors, strict=True)
-    return {state for state, small in pairs if small}
 
 
 def owners_of(exprs: Mapping[str, sympy.Expr]) -> list[str]:

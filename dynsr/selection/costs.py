@@ -7,9 +7,8 @@ cosine.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Callable, Collection, Hashable, Iterable, Sequence
+from collections.abc import Callable, Collection, Hashable
 from dataclasses import dataclass, field
 from functools import lru_cache, wraps
 from typing import Any
@@ -19,8 +18,6 @@ import sympy
 from dynsr.expression import added_bits, bits_in_force, expand_terms, plausibility_bits
 from dynsr.fit import skeleton, structure_bits
 
-# Bits of saying that a variable is an angle.
-_ANGLE = 8.0
 # Bits of a power that is half of a whole one: of a root, and of any other.
 _ROOT_BITS, _HALF_BITS = 2.0, 4.0
 # Bits of an exponent to be fitted; at no half the prior of formulas counts them.
@@ -110,52 +107,6 @@ def unusual_bits(expr: sympy.Expr, angles: Collection[str]) -> float:
     # What is still to be fitted is no half, wherever it begins.
     functions += _FREE_BITS * sum(p.exp.is_Float and float(2 * p.exp).is_integer() for p in powers)
     return functions + plausibility_bits(expr, angles)
-
-
-def count_free_powers(expr: sympy.Expr) -> int:
-    """Count the factors of terms that are powers with an exponent to be fitted.
-
-    Those in what saturates do not count: steepness is what such functions have.
-
-    Parameters
-    ----------
-    expr : the formula.
-
-    >>> x, y = sympy.symbols("x y")
-    >>> count_free_powers(0.5 * y * x**1.7 - x**2), count_free_powers(x**1.7 / (x**1.7 + 2.5))
-    (1, 0)
-    """
-    factors = (
-        factor
-        for term in sympy.Add.make_args(in_saturations(expr))
-        for factor in sympy.Mul.make_args(term)
-    )
-    return sum(factor.is_Pow and factor.exp.is_Float for factor in factors)
-
-
-def count_inverses(expr: sympy.Expr, state: str) -> int:
-    """Add up the powers of other columns than a state's own below numbers that are terms.
-
-    They are without limit where those columns come to 0, which what one does to another seldom is,
-    and the more so the higher the power.
-
-    Parameters
-    ----------
-    expr : the state's equation.
-    state : its name.
-
-    >>> x, y = sympy.symbols("x y")
-    >>> count_inverses(2.5 / y**2 - 0.3 * x / y + 1 / x**2 + 1 / (y + 0.5), "x")
-    2
-    """
-    over = (sympy.Mul.make_args(term) for term in sympy.Add.make_args(expr) if term.free_symbols)
-    found = 0
-    for factors in over:
-        below = [f for f in factors if not f.is_number]
-        bare = all(f.is_Pow and f.base.is_Symbol and f.exp.is_negative for f in below)
-        if bare and all(str(f.base) != state for f in below):
-            found += sum(math.ceil(-f.exp) for f in below)
-    return found
 
 
 class saturation(sympy.Function):  # noqa: N801
@@ -309,36 +260,6 @@ def saturating(below: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr, sympy.Expr] |
     return (power, constant, coefficient) if plain else None
 
 
-def cited_bits(exprs: Iterable[sympy.Expr]) -> float:
-    """Give the bits that equations save by the terms that they have in common.
-
-    What leaves one species enters another: x' = a x - b x y and y' = c x y - d y. A term that was
-    written out in one equation costs another no more than a variable of its own does. Neither does
-    a function of several columns that stands in other terms, such as a speed or a distance.
-
-    Parameters
-    ----------
-    exprs : the equations.
-
-    >>> x, y = sympy.symbols("x y")
-    >>> cited_bits([2.0 * x - 1.5 * x * y, 0.5 * x * y - y]) > cited_bits([2.0 * x, -y])
-    True
-    >>> speed = sympy.sqrt(x**2 + y**2)
-    >>> cited_bits([-0.2 * x * speed, -0.2 * y * speed]) == citing_bits(speed)
-    True
-    """
-    exprs = list(exprs)
-    whole = Counter(skeleton(body) for expr in exprs for body in bodies_of(expr))
-    times: Counter[sympy.Expr] = Counter()
-    for expr in exprs:
-        first, *others = map(skeleton, bodies_of(expr))
-        # Where one ratio is all of an equation and another has it too, its line is not said again.
-        times.update([first] if whole[first] > 1 and not others else term_bodies(expr))
-    saved = sum((n - 1) * citing_bits(body) for body, n in times.items() if n > 1)
-    shared = Counter(factor for body in whole for factor in wide_factors(body))
-    return saved + sum((n - 1) * citing_bits(factor) for factor, n in shared.items() if n > 1)
-
-
 def wide_factors(body: sympy.Expr) -> list[sympy.Expr]:
     """Give the shapes of the functions of several columns, and powers of their sums, in a term.
 
@@ -382,58 +303,6 @@ def bodies_of(expr: sympy.Expr) -> list[sympy.Expr]:
     [x, x*y]
     """
     return [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]
-
-
-def term_bodies(expr: sympy.Expr) -> list[sympy.Expr]:
-    """Give the terms of a sum without their coefficients, one of each shape.
-
-    Of one ratio these are it, the terms above its line, and the line.
-
-    Parameters
-    ----------
-    expr : the sum.
-    """
-    above, below = sympy.fraction(expr)
-    bodies = list(map(skeleton, bodies_of(above)))
-    bodies += [skeleton(below), *map(skeleton, bodies_of(expr))] if below.is_Add else []
-    # Sums of bits in the order of a set would be rounded anew in every process.
-    return list(dict.fromkeys(b for b in bodies if b.free_symbols and not b.is_Symbol))
-
-
-def in_coordinates(
-    exprs: Sequence[sympy.Expr], angles: Iterable[str]
-) -> tuple[list[sympy.Expr], float]:
-    """Write equations in the sine and cosine of what is an angle; gives the bits of saying so too.
-
-    A variable that stands in all equations inside sines and cosines only is an angle. Once that is
-    said, these are two coordinates like others, which saves bits where they are used often.
-
-    Parameters
-    ----------
-    exprs : the equations.
-    angles : columns that may be angles.
-
-    >>> w, v = sympy.symbols("w v")
-    >>> joint = [(v * sympy.sin(w) - sympy.sin(w) * sympy.cos(w)) / (1.5 + sympy.sin(w) ** 2)]
-    >>> in_coordinates(joint, ["w"])[0][0].free_symbols == {v, *sympy.symbols("sin_w cos_w")}
-    True
-    >>> in_coordinates([w * e for e in joint], ["w"])[1]
-    0.0
-    """
-    found, said = list(exprs), 0.0
-    for name in angles:
-        angle = sympy.Symbol(name)
-        waves = {f(angle): sympy.Symbol(f"{f}_{name}") for f in (sympy.sin, sympy.cos)}
-        flat = [expr.xreplace(waves) for expr in found]
-        if flat != found and not any(angle in expr.free_symbols for expr in flat):
-            saved = sum(map(_written, found)) - sum(map(_written, flat))
-            if saved > _ANGLE:
-                found, said = flat, said + _ANGLE
-    return found, said
-
-
-def _written(expr: sympy.Expr) -> float:
-    return shape_bits(expr) + unusual_bits(expr, ())
 
 
 def bare_terms(expr: sympy.Expr) -> set[sympy.Expr]:

@@ -55,11 +55,8 @@ PARTS: Mapping[str, str] = {
     "bits-simple": "bits saved by simple numbers",
     "bits-shared": "bits saved by constants that two equations share",
     "bits-tied": "bits saved by a mass matrix",
-    "bits-common": "bits saved by terms that two equations share",
     "bits-leaving": "bits of an equation by which a positive state falls below 0",
     "bits-unseen": "bits of a saturation that the data do not come near to",
-    "bits-powers": "bits of exponents that are no whole numbers, and of inverses",
-    "bits-unusual": "bits of unusual terms",
 }
 
 

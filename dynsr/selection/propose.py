@@ -62,7 +62,7 @@ class ProposalSettings:
     wider: int = 4
     exchanged: int = 5
     rounds: int = 3
-    kept: int = 30
+    kept: int = 45
     library: LibrarySettings = LibrarySettings()
 
 

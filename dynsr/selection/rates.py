@@ -8,14 +8,12 @@ within their errors, the second says next to nothing new.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import sympy
 
-from dynsr.fit import free_constants, skeleton
-from dynsr.selection.costs import citing_bits, shape_bits
+from dynsr.fit import free_constants
 
 # Shares of the terms of two equations that have one constant: of products, of bare columns.
 _SAME, _BARE = 0.5, 0.2
@@ -25,25 +23,14 @@ _SURE = 1.0
 _FINEST = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class _Term:
-    """A term of an equation: its shape, its own value and the places of its constants."""
-
-    shape: sympy.Expr
-    value: sympy.Expr
-    sign: float
-    places: list[int]
-
-
 def shared_bits(
     exprs: Mapping[str, sympy.Expr], constants: np.ndarray, covariance: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Bits that each constant (P,) saves because another equation has it too, and those of writing.
+) -> np.ndarray:
+    """Bits that each constant (P,) saves because another equation has it too.
 
-    The first are the logarithm of Bayes' factor of one value for both, up to the sign, against two
-    of one size: with the difference d of their sizes and its standard error s it is
-    1 - p + 2 p |c| phi(d/s)/s. Several terms that two equations hold with the same constants, all
-    of one sign or all of the other, are written once, as the rate of a reversible reaction is.
+    They are the logarithm of Bayes' factor of one value for both, up to the sign, against two of
+    one size: with the difference d of their sizes and its standard error s it is
+    1 - p + 2 p |c| phi(d/s)/s.
 
     Parameters
     ----------
@@ -52,52 +39,31 @@ def shared_bits(
 
     >>> x, y = sympy.symbols("x y")
     >>> system = {"x": -0.5 * x * y, "y": 0.5 * x * y - 0.3 * y}
-    >>> bits, _ = shared_bits(system, np.array([-0.5, 0.5, -0.3]), 1e-6 * np.eye(3))
+    >>> bits = shared_bits(system, np.array([-0.5, 0.5, -0.3]), 1e-6 * np.eye(3))
     >>> [round(float(b), 1) for b in bits]
     [0.0, 7.1, 0.0]
     """
-    saved, written = np.zeros(len(constants)), 0.0
-    known: list[dict[sympy.Expr, _Term]] = []
+    saved = np.zeros(len(constants))
+    known: list[dict[sympy.Expr, list[int]]] = []
     for own in _terms(exprs, constants):
-        least = 0.0
         for other in known:
-            groups: dict[float, list[_Term]] = {}
             for shape, mine in own.items():
-                if shape not in other:
+                if shape not in other or not shape.free_symbols:
                     continue
-                theirs = other[shape]
-                share = _SAME if shape.free_symbols and not shape.is_Symbol else _BARE
+                share = _BARE if shape.is_Symbol else _SAME
                 gained = [
                     _agreement(constants, covariance, first, second, share)
-                    for first, second in zip(theirs.places, mine.places, strict=True)
+                    for first, second in zip(other[shape], mine, strict=True)
                 ]
-                if shape.free_symbols:
-                    saved[mine.places] = np.maximum(saved[mine.places], gained)
-                if min(gained) >= _SURE:
-                    groups.setdefault(mine.sign * theirs.sign, []).append(mine)
-            least = max([least, *(_written_once(group) for group in groups.values())])
-        written += least
+                saved[mine] = np.maximum(saved[mine], gained)
         known.append(own)
-    return saved, written
-
-
-def _written_once(group: Sequence[_Term]) -> float:
-    """Bits that terms save as one rate, beyond those of each that is written elsewhere."""
-    if len(group) < 2 or not any(term.shape.free_symbols for term in group):
-        return 0.0
-    cited = sum(
-        citing_bits(skeleton(t.value.as_coeff_Mul()[1]))
-        for t in group
-        if t.shape.free_symbols and not t.shape.is_Symbol
-    )
-    whole = shape_bits(sympy.Add(*[term.value for term in group]))
-    return max(whole - cited - shape_bits(sympy.Symbol("rate")), 0.0)
+    return saved
 
 
 def _terms(
     exprs: Mapping[str, sympy.Expr], constants: np.ndarray
-) -> Iterator[dict[sympy.Expr, _Term]]:
-    """Give the terms of every equation by their shapes.
+) -> Iterator[dict[sympy.Expr, list[int]]]:
+    """Give the places of the constants of every equation's terms, by their shapes.
 
     Constants are found by their values: their order may change as values are put in.
     """
@@ -111,8 +77,7 @@ def _terms(
             if coefficient.is_Float:
                 shape, inside = free_constants(body, "c")
                 values = [float(coefficient), *inside.values()]
-                places = [first + int(np.argmin(np.abs(own - v))) for v in values]
-                found[shape] = _Term(shape, term, math.copysign(1.0, values[0]), places)
+                found[shape] = [first + int(np.argmin(np.abs(own - v))) for v in values]
         yield found
         first += count
 

@@ -8,24 +8,17 @@ up for no errors of theirs. A term that another equation has costs no more than 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import sympy
 
-from dynsr.fit import constant_bits, skeleton
-from dynsr.library import Library
+from dynsr.fit import one_of_each_shape, precision_bits, skeleton
+from dynsr.library import Library, write_down
 from dynsr.selection.changes import climb_while_better, prune
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise
-from dynsr.selection.costs import (
-    bodies_of,
-    citing_bits,
-    is_plain,
-    shape_bits,
-    unusual_bits,
-    wide_factors,
-)
+from dynsr.selection.costs import bodies_of, is_plain, wide_factors
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.propose import Proposer, write_all
 from dynsr.selection.twins import exchanged
@@ -38,7 +31,7 @@ def propose(
     comparison: SystemComparison,
     state: str,
     evidence: Evidence,
-    cited: Mapping[sympy.Expr, float] = {},
+    others: Sequence[tuple[str, sympy.Expr]] = (),
     *,
     functions: bool = True,
 ) -> list[sympy.Expr]:
@@ -49,25 +42,25 @@ def propose(
     comparison : its settings, and which columns may be angles.
     state : whose equation is sought.
     evidence : what the data say of it.
-    cited : a term that another equation has -> the bits that it saves for that.
-    functions : whether others than these and products of the columns are terms.
+    others : states and equations of theirs; what stands in these costs less.
+    functions : whether others than their terms and products of the columns are terms.
     """
     settings, demands = comparison.settings.proposals, comparison.settings.demands
     names, angles = comparison.names, comparison.angles
+    cited = cited_terms((expr for _, expr in others), state)
     offered, beside = (*demands.offered, *cited), evidence.names[len(names) :]
     kinds = replace(settings.library, functions=functions)
     library = Library.of(names, evidence.points, angles, offered, kinds, beside)
-    saved = {skeleton(body): bits for body, bits in cited.items()}
-    each = constant_bits(float(np.max(comparison.mesh.rows)))
+    written = write_down(others)
+    # Of what the whole slope is worth in the data, a constant has about that precision.
+    each = precision_bits(np.array([[evidence.y @ evidence.y]]), np.ones(1))
     allow = demands.limits(state).allow
     costs = np.full(len(library.forms), np.inf)
     for i, (form, own) in enumerate(zip(library.forms, library.starts, strict=True)):
         body = form.write(evidence.names, own[0])
         if allow(body):
-            written = shape_bits(sympy.Float(0.5) * body) + unusual_bits(body, angles)
             inside = len(body.atoms(sympy.Float)) if form.own is not None else form.constants
-            costs[i] = written + each * (1 + inside)
-            costs[i] -= saved.get(skeleton(body), 0.0)
+            costs[i] = comparison.term_bits(body, state, written) + each * (1 + inside)
     return write_all(Proposer(evidence, library, costs, settings).best(), library)
 
 
@@ -82,17 +75,17 @@ def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[s
     """
     settings = comparison.settings
     # The states of a system that misses them are not quite those of another.
-    weight = None if leaves_noise(fit, settings) else settings.proposals.softness
+    weight = None if leaves_noise(fit, settings) else settings.softness
     nodes = settings.proposals.nodes
     evidence = Evidence.in_place(fit.fit, fit.problem, state, comparison.columns, nodes, weight)
     if evidence is None:
         return []
-    others = [expr for s, expr in fit.exprs.items() if s != state]
-    return propose(comparison, state, evidence, cited_terms(others, state))
+    others = [(s, expr) for s, expr in fit.exprs.items() if s != state]
+    return propose(comparison, state, evidence, others)
 
 
-def cited_terms(exprs: Iterable[sympy.Expr], state: str) -> dict[sympy.Expr, float]:
-    """Give the terms of equations that cost less in another one, and the bits that they save.
+def cited_terms(exprs: Iterable[sympy.Expr], state: str) -> list[sympy.Expr]:
+    """Give the terms of equations, which cost less in another one.
 
     Beside the terms themselves that is what slows this state down as it does another one, such as a
     speed.
@@ -104,13 +97,12 @@ def cited_terms(exprs: Iterable[sympy.Expr], state: str) -> dict[sympy.Expr, flo
 
     >>> x, y = sympy.symbols("x y")
     >>> [str(term) for term in cited_terms([0.5 * x - 0.3 * x * sympy.Abs(x - y)], "y")]
-    ['x*Abs(x - y)', 'y*Abs(x - y)']
+    ['x', 'x*Abs(x - y)', 'y*Abs(x - y)']
     """
-    bodies = [body for expr in exprs for body in bodies_of(expr)]
-    found = {body: citing_bits(body) for body in bodies if body.free_symbols}
-    for factor in (f for body in bodies for f in sympy.Mul.make_args(body) if wide_factors(f)):
-        found.setdefault(factor * sympy.Symbol(state), citing_bits(factor))
-    return {body: bits for body, bits in found.items() if bits > 0}
+    bodies = [body for expr in exprs for body in bodies_of(expr) if body.free_symbols]
+    own = sympy.Symbol(state)
+    wide = [f * own for body in bodies for f in sympy.Mul.make_args(body) if wide_factors(f)]
+    return one_of_each_shape([*bodies, *wide])
 
 
 def renew(

@@ -23,12 +23,12 @@ from scipy.linalg import block_diag
 from dynsr.expression import ByText, evaluate
 from dynsr.fit import (
     Measurements,
-    constant_bits,
     one_of_each_shape,
     r_squared,
     skeleton,
     with_floats,
 )
+from dynsr.library import write_down
 from dynsr.selection.alone import Alone, Leader, constants
 from dynsr.selection.changes import promising_changes, prune
 from dynsr.selection.comparison import (
@@ -339,7 +339,9 @@ def _search(
     first = given | {s: own.lead(pools[s]) or given[s] for s, own in alone.items()}
     # What leaves one state enters another: terms of the one are cheap in the other.
     leaders = first | {
-        s: own.lead_citing(first[s], [e for o in first if o != s for e in first[o][:_CITED]])
+        s: own.lead_citing(
+            first[s], [(o, e.expr) for o in first if o != s for e in first[o][:_CITED]]
+        )
         for s, own in (alone.items() if settings.parts.has("citing") else ())
     }
     fits = [fit for own in (first, leaders) if (fit := _compose(together, own)) is not None]
@@ -451,8 +453,9 @@ def _in_common(pair: Mapping[str, Leader], comparison: SystemComparison) -> floa
     exprs = {state: one.expr for state, one in pair.items()}
     values = np.concatenate([one.constants for one in pair.values()])
     both = block_diag(*(one.covariance for one in pair.values()))
-    saved, once = shared_bits(exprs, values, both)
-    return float(saved.sum()) + once + comparison.common_bits(exprs)
+    saved = float(shared_bits(exprs, values, both).sum())
+    (state, expr), *others = exprs.items()
+    return saved + comparison.saved_bits(state, expr, write_down(others))
 
 
 def _climb(
@@ -566,23 +569,7 @@ def _closest(
         changed = [s for s, e in fit.exprs.items() if skeleton(e) != shapes[s]]
         # A rate that two equations share comes or goes in both.
         if 1 <= len(changed) <= _AT_ONCE:
-            above = _bits_above(fit, best)
+            above = fit.bits - best.bits
             for state in changed:
                 found[state].append((fit.exprs[state], above))
     return {s: tuple(sorted(o, key=lambda p: (p[1], ByText(p[0])))) for s, o in found.items()}
-
-
-def _bits_above(other: SystemFit, best: SystemFit) -> float:
-    """Bits that a system takes more than the best one, by what the data tell of it.
-
-    How plainly a formula is written says nothing of whether the data exclude it: that counts for
-    one of more constants only, which may follow anything.
-    """
-    more = len(other.fit.constants) - len(best.fit.constants)
-    rows = best.problem.mesh.rows
-    squares = [np.log2(np.maximum(f.fit.mean_squares, 1e-12)) for f in (other, best)]
-    told = float(np.sum(rows / 2 * (squares[0] - squares[1])))
-    told += more * constant_bits(float(np.max(rows)))
-    bits = other.bits - best.bits
-    # Below 0 is only what takes fewer bits in all: the score decides what is better.
-    return bits if more > 0 else min(bits, max(told, 0.0))
