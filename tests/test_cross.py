@@ -1,8 +1,6 @@
 """Every format of programs and models on every system of the gallery, integrated by its target."""
 
-import importlib.util
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,6 +11,7 @@ import pytest
 import sympy
 from known_systems import KNOWN
 from scipy.integrate import solve_ivp
+from targets import loaded, need_module, need_tool, run
 
 from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
@@ -68,34 +67,6 @@ def check(name, found):
 def written(name, form):
     """Give the text of a system in a format."""
     return write_format(Source.of(SYSTEMS[name]), form)
-
-
-def loaded(code, label):
-    """Run written code of Python as a module of its own."""
-    space = {"__name__": label}
-    exec(compile(code, label, "exec"), space)
-    return space
-
-
-def need_tool(name):
-    """Give the path of a program; skip where it is not there."""
-    path = shutil.which(name)
-    if path is None:
-        pytest.skip(f"{name} is not installed")
-    return path
-
-
-def need_module(name):
-    """Skip where a module is not there."""
-    if importlib.util.find_spec(name) is None:
-        pytest.skip(f"{name} is not installed")
-
-
-def run(*command, **options):
-    """Run a program and give what it printed."""
-    done = subprocess.run(command, capture_output=True, text=True, **options)
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done.stdout
 
 
 def check_all(text, names=NAMES):

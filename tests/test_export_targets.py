@@ -1,10 +1,7 @@
 """Every format on every known system, run by the tool that it is for where that is there."""
 
-import importlib.util
 import json
 import re
-import shutil
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -14,6 +11,7 @@ import sympy
 from command_line import run as command
 from known_systems import KNOWN, NAMES, points, slopes
 from scipy.integrate import solve_ivp
+from targets import loaded, need_module, need_tool, run
 
 from dynsr.data.reading import write_csv
 from dynsr.data.system import System
@@ -38,34 +36,6 @@ def last(name):
 def written(name, form):
     """Give the text of a system in a format."""
     return write_format(Source.of(KNOWN[name]), form)
-
-
-def loaded(code, label):
-    """Run written code of Python as a module of its own."""
-    space = {"__name__": label}
-    exec(compile(code, label, "exec"), space)
-    return space
-
-
-def need_tool(name):
-    """Give the path of a program; skip where it is not there."""
-    path = shutil.which(name)
-    if path is None:
-        pytest.skip(f"{name} is not installed")
-    return path
-
-
-def need_module(name):
-    """Skip where a module is not there."""
-    if importlib.util.find_spec(name) is None:
-        pytest.skip(f"{name} is not installed")
-
-
-def run(*command, **options):
-    """Run a program and give what it printed."""
-    done = subprocess.run(command, capture_output=True, text=True, **options)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def numbers(text):
