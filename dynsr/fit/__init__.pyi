@@ -7,6 +7,7 @@ from .collocation import (
     Mesh,
     Probes,
     fit_along,
+    usual_scales,
 )
 from .constants import free_constants, one_of_each_shape, refit, skeleton
 from .description import (
@@ -153,6 +154,7 @@ __all__ = [
     "tidy",
     "told_bits",
     "untouched_match",
+    "usual_scales",
     "ways_alike",
     "with_floats",
     "without_flat_line",

@@ -415,10 +415,8 @@ class Collocation:
         states, constants = fit.states.T, fit.constants
         driven = self.mesh.driven[:, : len(self.mesh.t)]
         with np.errstate(all="ignore"):
-            split = self._split(states, constants, driven, self._steps(constants))
-            sizes, by_constants = (np.sqrt(np.mean(own**2, axis=-1)) for own in split[::2])
-            scales: np.ndarray = sizes[self._owners[0]] / by_constants
-        return np.where(np.isfinite(scales) & (scales > 0), scales, 1.0)
+            base, _, by_constants = self._split(states, constants, driven, self._steps(constants))
+        return usual_scales(base, self._owners[0], by_constants)
 
     def _middle(self, states: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         left, right = self.mesh.ends
@@ -728,6 +726,20 @@ class Collocation:
         slopes = self.slope(*states.T, *self.mesh.driven[:, :n], *values)
         both = np.concatenate([states.T, self._middle(states.T, slopes)], axis=1)
         return np.concatenate([both, self.mesh.driven])
+
+
+def usual_scales(own: np.ndarray, owners: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """(Q,) factors with which slopes say as much as the equations that they belong to.
+
+    Parameters
+    ----------
+    own : (k, n) values of the equations.
+    owners, slopes : (Q,) places of the equations, and (Q, n) the slopes.
+    """
+    with np.errstate(all="ignore"):
+        sizes, more = (np.sqrt(np.mean(values**2, axis=-1)) for values in (own, slopes))
+        scales: np.ndarray = sizes[owners] / more
+    return np.where(np.isfinite(scales) & (scales > 0), scales, 1.0)
 
 
 def _add_up(defects: np.ndarray) -> np.ndarray:

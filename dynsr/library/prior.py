@@ -50,7 +50,7 @@ _FILES = files("dynsr.library")
 _CONSTANT = sympy.Symbol("c")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class Factor:
     """A template and the columns in it, in the order of its places."""
 
@@ -60,10 +60,19 @@ class Factor:
     @property
     def plain(self) -> bool:
         """Whether it is a power of one column."""
-        return re.fullmatch(r"v0(\*\*.*)?|1/v0|v0\*\*\(.*\)", self.template) is not None
+        return re.fullmatch(r"v0(\*\*.*)?|1/v0", self.template) is not None
+
+    @property
+    def roles(self) -> str:
+        """The choice of CHOICES that counts what its columns are."""
+        return "role of a power" if self.plain else "role in a function"
 
 
 Term = tuple[Factor, ...]
+
+
+def _functions(term: Term) -> dict[Factor, None]:
+    return dict.fromkeys(factor for factor in term if not factor.plain)
 
 
 @lru_cache(maxsize=50_000)
@@ -79,7 +88,6 @@ def read_term(body: sympy.Expr) -> Term:
     ['v0', 'v0**2/(c + v0**2)']
     """
     factors = [f for f in sympy.Mul.make_args(body) if f.free_symbols]
-    found = []
     for line in [f for f in factors if f.is_Pow and f.base.is_Add and f.exp.is_negative]:
         powers = {a.as_coeff_Mul()[1] for a in line.base.args if len(line.base.args) == 2}
         over = [f for f in factors if f in powers]
@@ -88,9 +96,7 @@ def read_term(body: sympy.Expr) -> Term:
             factors.remove(line)
             factors.remove(saturating)
             factors.append(saturating * line)
-    for factor in factors:
-        found.append(_read_factor(factor))
-    return tuple(sorted(found, key=lambda f: (f.template, f.columns)))
+    return tuple(sorted(map(_read_factor, factors)))
 
 
 @lru_cache(maxsize=50_000)
@@ -99,14 +105,10 @@ def _read_factor(factor: sympy.Expr) -> Factor:
     ways = permutations(columns) if len(columns) <= _ORDERED else [tuple(columns)]
     written = []
     for way in ways:
-        places = dict(zip(way, map(_place, range(len(way))), strict=True))
+        places = {column: sympy.Symbol(f"v{i}") for i, column in enumerate(way)}
         template = str(_without_numbers(factor.xreplace(places))).removeprefix("-")
         written.append((template, tuple(map(str, way))))
     return Factor(*min(written))
-
-
-def _place(number: int) -> sympy.Symbol:
-    return sympy.Symbol(f"v{number}")
 
 
 def _without_numbers(node: sympy.Expr) -> sympy.Expr:
@@ -213,13 +215,8 @@ class Choice:
             return math.log2(self._total / own)
         return math.log2(sum(self.counts.get(o, 0) + _MORE for o in among) / own)
 
-
-@dataclass(frozen=True)
-class Number(Choice):
-    """How often there were how many; each more beyond many is as likely as the one before."""
-
     def many(self, count: int) -> float:
-        """Bits of a number."""
+        """Bits of a number; each more beyond many is as likely as the one before."""
         return self.bits(_name(count)) + max(count - _MANY, 0) + (count >= _MANY)
 
 
@@ -249,7 +246,8 @@ class Written:
         state, terms : whose equation it is, and its terms.
         """
         self.terms |= dict.fromkeys(t for t in terms if t)
-        self.factors |= dict.fromkeys(f for t in terms for f in t if not f.plain)
+        for term in terms:
+            self.factors |= _functions(term)
         self.equations.append((state, frozenset(terms)))
 
     def has_twin(self, state: str, terms: Sequence[Term], states: Sequence[str]) -> bool:
@@ -325,8 +323,8 @@ class Prior:
     counts: Mapping[str, Mapping[str, int]]
 
     @cached_property
-    def _choices(self) -> dict[str, Number]:
-        return {name: Number(self.counts[name]) for name in CHOICES}
+    def _choices(self) -> dict[str, Choice]:
+        return {name: Choice(self.counts[name]) for name in CHOICES}
 
     @cached_property
     def _unseen(self) -> float:
@@ -393,7 +391,7 @@ class Prior:
         within = Written(written.terms, dict(written.factors), written.equations)
         for term in terms:
             bits += self.term_bits(term, place, within)
-            within.factors |= dict.fromkeys(f for f in term if not f.plain)
+            within.factors |= _functions(term)
         return bits
 
     def term_bits(self, term: Term, place: Place, written: Written) -> float:
@@ -420,7 +418,7 @@ class Prior:
         What is known of all powers or of all functions is worth one more that was seen.
         """
         there = [one for one in ROLES if place.sizes[one]]
-        general = self._choices["role of a power" if factor.plain else "role in a function"]
+        general = self._choices[factor.roles]
         own = self.counts["role"]
         seen = {one: own.get(f"{one} in {factor.template}", 0) for one in there}
         if role not in seen:
@@ -463,12 +461,7 @@ def _shapes(terms: frozenset[Term]) -> Counter[tuple[str, ...]]:
 
 def _renamed(terms: frozenset[Term], way: Mapping[str, str]) -> frozenset[Term]:
     return frozenset(
-        tuple(
-            sorted(
-                (Factor(f.template, tuple(way.get(c, c) for c in f.columns)) for f in term),
-                key=lambda f: (f.template, f.columns),
-            )
-        )
+        tuple(sorted(Factor(f.template, tuple(way.get(c, c) for c in f.columns)) for f in term))
         for term in terms
     )
 
@@ -541,11 +534,10 @@ def count(systems: Iterable[Mapping[str, sympy.Expr]]) -> Prior:
                         if not factor.plain and factors and ask("repeated", factor in factors):
                             continue
                         counts["template"][factor.template] += 1
-                        roles = "role of a power" if factor.plain else "role in a function"
                         held = [place.role(name) for name in factor.columns]
-                        counts[roles].update(held)
+                        counts[factor.roles].update(held)
                         counts["role"].update(f"{role} in {factor.template}" for role in held)
-                    factors |= dict.fromkeys(f for f in term if not f.plain)
+                    factors |= _functions(term)
             written.add(state, terms)
     return Prior(counts)
 

@@ -22,6 +22,7 @@ from dynsr.fit import (
     precision_bits,
     shift_bits,
     skeleton,
+    usual_scales,
     without_flat_line,
 )
 from dynsr.library import Written, write_down
@@ -125,14 +126,8 @@ def _promising_changes(comparison: SystemComparison, fit: SystemFit) -> list[Cha
 
 def _usual(fit: SystemFit, rows: Sequence[int], slopes: np.ndarray) -> np.ndarray:
     """(Q,) factors of probes with which they say as much as the equation that they stand in."""
-    now = np.sqrt(np.mean(fit.problem.slope(*fit.points, *_column(fit.fit.constants)) ** 2, axis=1))
-    with np.errstate(all="ignore"):
-        scales = now[np.array(rows, dtype=int)] / np.sqrt(np.mean(slopes**2, axis=1))
-    return np.where(np.isfinite(scales) & (scales > 0), scales, 1.0)
-
-
-def _column(values: np.ndarray) -> np.ndarray:
-    return np.asarray(values)[:, None]
+    now = fit.problem.slope(*fit.points, *fit.fit.constants[:, None])
+    return usual_scales(now, np.array(rows, dtype=int), slopes)
 
 
 def _rank(
@@ -321,7 +316,6 @@ def _join(move: _Move, more: _Move) -> _Move:
 
 def _make_moves(comparison: SystemComparison, fit: SystemFit, points: np.ndarray) -> _Moves:
     """Give all single changes; a probe has the column of its place after the constants'."""
-    names = comparison.columns
     terms = comparison.terms
     values = terms.values(points[:-1])
     owners = owners_of(fit.exprs)
@@ -330,45 +324,121 @@ def _make_moves(comparison: SystemComparison, fit: SystemFit, points: np.ndarray
         if expr.is_Symbol:
             # q' = v holds by definition far more often than not.
             continue
-        costs = _Costs(comparison, fit.exprs, state)
+        own = _Equation(comparison, fit.exprs, state, row, points, moves)
         for index, owner in enumerate(owners):
             if owner == state:
                 lost = _without(expr, fit.fit.constants[index])
                 if lost is not None:
-                    cost = costs.of(lost)
-                    moves.moves.append(_Move(state, _always(lost), cost, out=(index,)))
-        allowed = comparison.settings.demands.limits(state).allow
+                    own.change_to(lost, out=(index,))
         has = comparison.settings.parts.has
         if has("move-terms"):
-            _add_terms(moves, row, state, expr, terms, values, allowed, costs)
+            _add_terms(own, terms, values)
         if has("move-saturations"):
-            _add_saturations(moves, row, state, expr, names, points, costs)
+            _add_saturations(own)
         if has("move-powers"):
-            _add_powers(moves, row, state, expr, names, points, costs)
+            _add_powers(own)
         if has("move-below"):
-            _add_below(moves, row, state, expr, names, points, costs)
+            _add_below(own)
         if has("move-swaps"):
-            _add_swaps(moves, row, state, expr, comparison, points, costs)
+            _add_swaps(own)
     return moves
 
 
-def _add_terms(
-    moves: _Moves,
-    row: int,
-    state: str,
-    expr: sympy.Expr,
-    terms: Terms,
-    values: np.ndarray,
-    allowed: Callable[[sympy.Expr], bool],
-    costs: _Costs,
-) -> None:
-    have = set(bodies_of(sympy.fraction(expr)[0]))
+@dataclass(frozen=True, eq=False)
+class _Equation:
+    """One equation of a system, whose changes are gathered with the bits that they cost.
+
+    These are without those of constants.
+
+    Parameters
+    ----------
+    comparison, exprs : of the system.
+    state, row : whose equation it is, and its place in the system.
+    points : (columns, n) values of the columns.
+    moves : takes the changes.
+    """
+
+    comparison: SystemComparison
+    exprs: Equations
+    state: str
+    row: int
+    points: np.ndarray
+    moves: _Moves
+
+    @property
+    def expr(self) -> sympy.Expr:
+        """The equation as it is."""
+        return self.exprs[self.state]
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Columns, the time the last."""
+        return self.comparison.columns
+
+    def change_to(
+        self,
+        other: sympy.Expr,
+        *,
+        out: tuple[int, ...] = (),
+        free: np.ndarray | None = None,
+        whole: np.ndarray | None = None,
+    ) -> None:
+        """Add another equation in its place.
+
+        Parameters
+        ----------
+        other : the equation.
+        out : constants that it loses.
+        free, whole : slopes by a constant that it has more, or of all that it says more.
+        """
+        cost = self.comparison.structure({**self.exprs, self.state: other}) - self._own
+        more, all_of_it = (() if s is None else (self._probe(s),) for s in (free, whole))
+        move = _Move(self.state, _always(other), cost, out=out, free=more, whole=all_of_it)
+        self.moves.moves.append(move)
+
+    def add(self, term: sympy.Expr, slope: np.ndarray, inside: int) -> None:
+        """Add a term.
+
+        Parameters
+        ----------
+        term, slope : the term and its values.
+        inside : constants inside it.
+        """
+        cost = self.comparison.term_bits(term, self.state, self._beside)
+        place = self._probe(slope)
+        self.moves.moves.append(
+            _Move(self.state, _adding(term), cost, free=(place,), inside=inside)
+        )
+
+    def _probe(self, slope: np.ndarray) -> int:
+        return self.moves.probe(self.row, slope)
+
+    @cached_property
+    def _own(self) -> float:
+        return self.comparison.structure(self.exprs)
+
+    @cached_property
+    def _beside(self) -> Written:
+        return write_down((s, e) for s, e in self.exprs.items() if s != self.state)
+
+    def parts(
+        self,
+    ) -> Iterator[tuple[sympy.Expr, sympy.Expr, np.ndarray, sympy.Symbol, np.ndarray]]:
+        """Give every term, the others, its values; and with each every column with its values."""
+        terms = sympy.Add.make_args(self.expr)
+        values = compile_columns(list(terms), self.names)(*self.points)
+        for i, (term, own) in enumerate(zip(terms, values, strict=True)):
+            rest = sympy.Add(*terms[:i], *terms[i + 1 :])
+            for name, column in zip(self.names[:-1], self.points[:-1], strict=True):
+                yield term, rest, own, sympy.Symbol(name), column
+
+
+def _add_terms(own: _Equation, terms: Terms, values: np.ndarray) -> None:
+    have = set(bodies_of(sympy.fraction(own.expr)[0]))
+    allowed = own.comparison.settings.demands.limits(own.state).allow
     for term, inside, slope in zip(terms.exprs, terms.inside, values, strict=True):
         if term not in have and np.all(np.isfinite(slope)) and allowed(term):
-            column = moves.probe(row, slope)
-            cost = costs.of_term(term)
-            move = _Move(state, _adding(term), cost, free=(column,), inside=int(inside))
-            moves.moves.append(move)
+            own.add(term, slope, int(inside))
 
 
 def _adding(term: sympy.Expr) -> Callable[[sympy.Expr], sympy.Expr]:
@@ -379,124 +449,48 @@ def _always(expr: sympy.Expr) -> Callable[[sympy.Expr], sympy.Expr]:
     return lambda _: expr
 
 
-def _in_parts(
-    expr: sympy.Expr, names: Sequence[str], points: np.ndarray
-) -> Iterator[tuple[sympy.Expr, sympy.Expr, np.ndarray, sympy.Symbol, np.ndarray]]:
-    """Give every term, the others, its values; and beside each every column with its values."""
-    terms = sympy.Add.make_args(expr)
-    values = compile_columns(list(terms), names)(*points)
-    for i, (term, own) in enumerate(zip(terms, values, strict=True)):
-        rest = sympy.Add(*terms[:i], *terms[i + 1 :])
-        for name, column in zip(names[:-1], points[:-1], strict=True):
-            yield term, rest, own, sympy.Symbol(name), column
-
-
-def _add_saturations(
-    moves: _Moves,
-    row: int,
-    state: str,
-    expr: sympy.Expr,
-    names: Sequence[str],
-    points: np.ndarray,
-    costs: _Costs,
-) -> None:
+def _add_saturations(own: _Equation) -> None:
     """Divide one term of a sum by 1 + c v or 1 + c v^2."""
-    for term, rest, own, symbol, column in _in_parts(expr, names, points):
+    for term, rest, values, symbol, column in own.parts():
         for power in (1, 2) if term.free_symbols else ():
             if power == 1 and column.min() <= 0:
                 continue
             size = float(np.median(np.abs(column))) ** power or 1.0
             start = sympy.Float(float(f"{0.1 / size:.3g}"))
             other = rest + term / (1 + start * symbol**power)
-            place = moves.probe(row, -own * column**power)
-            cost = costs.of(other)
-            moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
+            own.change_to(other, free=-values * column**power)
 
 
-def _add_powers(
-    moves: _Moves,
-    row: int,
-    state: str,
-    expr: sympy.Expr,
-    names: Sequence[str],
-    points: np.ndarray,
-    costs: _Costs,
-) -> None:
+def _add_powers(own: _Equation) -> None:
     """Set the exponent of a positive column in one term of a sum free."""
-    for term, rest, own, symbol, column in _in_parts(expr, names, points):
+    for term, rest, values, symbol, column in own.parts():
         free = any(p.base == symbol and p.exp.is_Float for p in term.atoms(sympy.Pow))
         if column.min() > 0 and not free:
-            other = rest + term * symbol**_SMALL
-            place = moves.probe(row, own * np.log(column))
-            cost = costs.of(other)
-            moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
+            own.change_to(rest + term * symbol**_SMALL, free=values * np.log(column))
 
 
-def _add_below(
-    moves: _Moves,
-    row: int,
-    state: str,
-    expr: sympy.Expr,
-    names: Sequence[str],
-    points: np.ndarray,
-    costs: _Costs,
-) -> None:
+def _add_below(own: _Equation) -> None:
     """Put one more positive column below a fraction line: x / (k + x) to x / (k + x + c y)."""
-    terms = sympy.Add.make_args(expr)
+    terms = sympy.Add.make_args(own.expr)
     for term in terms:
         for line in sympy.Mul.make_args(term):
             below = 1 / line
             if not (below.is_Add and below.free_symbols):
                 continue
-            own, size = compile_columns([term * line, below], names)(*points)
-            for name, column in zip(names[:-1], points[:-1], strict=True):
+            values, size = compile_columns([term * line, below], own.names)(*own.points)
+            for name, column in zip(own.names[:-1], own.points[:-1], strict=True):
                 symbol = sympy.Symbol(name)
                 if column.min() <= 0 or symbol in below.args or below.coeff(symbol) != 0:
                     continue
                 start = 0.1 * float(np.median(np.abs(size)) / np.median(column))
                 more = term * below / (below + sympy.Float(float(f"{start:.3g}")) * symbol)
                 other = sympy.Add(*[t for t in terms if t is not term], more)
-                place = moves.probe(row, -own * column)
-                cost = costs.of(other)
-                moves.moves.append(_Move(state, _always(other), cost, free=(place,)))
+                own.change_to(other, free=-values * column)
 
 
-@dataclass(frozen=True, eq=False)
-class _Costs:
-    """Bits that changes of one equation of a system cost, without those of constants."""
-
-    comparison: SystemComparison
-    exprs: Equations
-    state: str
-
-    def of(self, other: sympy.Expr) -> float:
-        """Bits of another equation more than of its own."""
-        return self.comparison.structure({**self.exprs, self.state: other}) - self._own
-
-    def of_term(self, term: sympy.Expr) -> float:
-        """Bits of one term more."""
-        return self.comparison.term_bits(term, self.state, self._beside)
-
-    @cached_property
-    def _own(self) -> float:
-        return self.comparison.structure(self.exprs)
-
-    @cached_property
-    def _beside(self) -> Written:
-        return write_down((s, e) for s, e in self.exprs.items() if s != self.state)
-
-
-def _add_swaps(
-    moves: _Moves,
-    row: int,
-    state: str,
-    expr: sympy.Expr,
-    comparison: SystemComparison,
-    points: np.ndarray,
-    costs: _Costs,
-) -> None:
+def _add_swaps(own: _Equation) -> None:
     """Put sin(v) for v or back, and take a factor of a term in or out."""
-    names = comparison.columns
+    expr, names, comparison = own.expr, own.names, own.comparison
     angles = {sympy.Symbol(name) for name in comparison.angles}
     columns = [sympy.Symbol(name) for name in comparison.names]
     functions = [OPERATORS[name].sympy for name in comparison.settings.functions]
@@ -507,12 +501,10 @@ def _add_swaps(
     changed = list({skeleton(e): e for e in others}.values())
     if not changed:
         return
-    values = compile_columns([other - expr for other in changed], names)(*points)
+    values = compile_columns([other - expr for other in changed], names)(*own.points)
     for other, slope in zip(changed, values, strict=True):
         if np.all(np.isfinite(slope)):
-            place = moves.probe(row, slope)
-            cost = costs.of(other)
-            moves.moves.append(_Move(state, _always(other), cost, whole=(place,)))
+            own.change_to(other, whole=slope)
 
 
 def gram_of(fit: SystemFit, probes: Probes, stiffness: float | None = None) -> np.ndarray | None:
