@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from dynsr.data.trajectory import Trajectory
+from dynsr.discovery import DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
+from dynsr.jobs import to_plain
+from dynsr.methods import choose_methods
 from dynsr.report.discovery import place_front, render_discovery
 
 
@@ -146,29 +149,88 @@ def test_a_report_that_cannot_be_written_is_an_error_of_one_line(found, tmp_path
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
 
 
-def test_constants_and_intervals_stand_below_each_equation(page):
-    """The table of a state's constants comes before what the verdict rests on and all pictures."""
-    table = re.search(r'<table id="constants-y".*?</table>', page, re.DOTALL)
-    assert table is not None and table.start() < page.index('id="fronts"')
-    cells = re.findall(r"<td[^>]*>([^<]*)</td>", table[0])
-    assert cells[:2] == ["x", "-1"]
-    low, high = map(float, cells[2].split(" to "))
-    assert low == pytest.approx(-1 - 1.96 * 0.01, abs=1e-3)
-    assert high == pytest.approx(-1 + 1.96 * 0.01, abs=1e-3)
-    assert 'id="constants-x"' not in page
+def test_pictures_come_before_constants_and_these_before_other_formulas(page):
+    """The trajectories follow the equations; then the constants, each once, with its interval."""
+    table = re.search(r'<table id="constants".*?</table>', page, re.DOTALL)
+    assert table is not None
+    order = [page.index('id="equations"'), page.index('<svg class="picture"'), table.start(),
+             page.index('id="fronts"'), page.index('id="slopes"')]  # fmt: skip
+    assert order == sorted(order)
+    cells = dict(re.findall(r'data-label="([^"]*)">([^<]*)</td>', table[0]))
+    assert (cells["Name"], cells["Value"]) == ("k1", "1")
+    assert html.unescape(cells["Constant of"]) == "x of y'"
+    low, high = map(float, cells["95 % interval"].split(" to "))
+    assert low == pytest.approx(1 - 1.96 * 0.01, abs=1e-3)
+    assert high == pytest.approx(1 + 1.96 * 0.01, abs=1e-3)
+    assert "y&#39; = -k1*x" in page
 
 
-def test_a_choice_off_its_front_is_told():
-    """Above it the formula is named that is no longer and misses less, else that constants were
-    fitted later; on the front there is no note.
+def test_a_rounded_constant_shows_what_was_fitted(found):
+    """The fitted number has the sign of the parameter; one that was not rounded has none."""
+    rounded = replace(found, fitted={"x": (), "y": (-1.0123,)})
+    page = render_discovery(rounded)
+    assert 'data-label="Fitted">1.0' in page and "before it was made a simple one" in page
+    assert 'data-label="Fitted"' not in render_discovery(found)
+
+
+def test_only_settings_that_differ_are_listed_and_folded(found):
+    """Of the numbers that decide, the usual ones are not listed; one that was changed is."""
+    usual = to_plain(DiscoverySettings())
+    other = to_plain(DiscoverySettings(rows=123))
+    methods = {n: to_plain(m) for n, m in choose_methods("auto", "quick").items()}
+    methods = {**methods, "sindy": {**methods["sindy"], "max_iterations": 77}}
+    for details, listed in (
+        ({**usual, "methods": to_plain(choose_methods("auto", "quick"))}, {}),
+        ({**other, "methods": methods}, {"methods.sindy.max_iterations": "77", "rows": "123"}),
+    ):
+        record = {**found.settings, "method": "auto", "preset": "quick", "details": details}
+        page = render_discovery(replace(found, settings=record))
+        folded = page.partition('<details class="settings">')[2].partition("</details>")[0]
+        facts = dict(re.findall(r"<dt>([^<]*)</dt><dd>([^<]*)</dd>", folded))
+        assert {name: value for name, value in facts.items() if name not in record} == listed
+        assert facts["preset"] == "quick"
+
+
+def test_the_command_repeats_what_was_asked(found):
+    """Terms, functions, signs and limits of the call are in the command, ready for a shell."""
+    record = {
+        **found.settings,
+        "terms": ["x*y/(x + 1)"],
+        "constraints": ["x: x < 0"],
+        "functions": ["exp", "/"],
+        "max_complexity": 60.0,
+        "hold": {"u": "previous"},
+        "complexity": {"sin": 8.0},
+        "time_budget": 20.0,
+    }
+    page = render_discovery(replace(found, settings=record))
+    words = shlex.split(html.unescape(re.search("dynsr discover DATA [^<]*", page)[0]))
+    for option, value in {
+        "--terms": "x*y/(x + 1)",
+        "--constraints": "x: x < 0",
+        "--functions": "exp,/",
+        "--max-complexity": "60",
+        "--hold": "u=previous",
+        "--complexity": "sin=8",
+        "--time-budget": "20",
+    }.items():
+        assert words[words.index(option) + 1] == value
+
+
+def test_a_choice_that_the_search_did_not_find_is_explained():
+    """Above the front the formula is named that is no longer and misses less; otherwise the line
+    goes through the choice, and the page says that constants were fitted later.
     """
     front = ParetoFront([Candidate(parse("x"), 0.5, 2.0), Candidate(parse("sin(x)"), 0.1, 4.0)])
     above = place_front(front, Candidate(parse("2*x"), 0.3, 5.0, "polishing"))
     assert above.note.startswith("The chosen formula is above the front: sin(x) is no longer")
     assert "4 bits, RMSE 0.1" in above.note
-    for loss, bits in ((0.3, 3.0), (0.1001, 4.0)):
-        beside = place_front(front, Candidate(parse("2*x"), loss, bits))
-        assert beside.note.startswith("The chosen formula is off the front")
+    for loss, bits in ((0.3, 3.0), (0.05, 5.0), (0.1001, 4.0)):
+        fitted = place_front(front, Candidate(parse("2*x"), loss, bits))
+        assert fitted.note.startswith("The constants of the chosen formula were fitted")
+        (dot,) = [dot for dot in fitted.dots if dot.chosen]
+        on_line = any((dot.x, dot.y) in ((a, b), (c, d)) for a, b, c, d in fitted.steps)
+        assert on_line is (loss != 0.1001)
     for on in ("sin(x)", Candidate(parse("sin(x)"), 0.1, 4.0)):
         assert place_front(front, on).note == ""
 

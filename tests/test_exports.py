@@ -88,6 +88,25 @@ def test_latex_is_short_and_complete():
     assert r"\frac{1}{\theta_{1}}" in text
 
 
+def test_a_word_is_set_as_one_in_latex():
+    """A word is upright, two words have a space between, and its slope is a fraction, not a dot."""
+    text = to_latex({"substrate": parse("2*biomass*substrate"), "x": parse("x*y")})
+    assert text.splitlines()[1:3] == [
+        r"\frac{\mathrm{d} \mathrm{substrate}}{\mathrm{d} t} &= "
+        r"2 \, \mathrm{biomass} \, \mathrm{substrate} \\",
+        r"\dot{x} &= x y",
+    ]
+
+
+@pytest.mark.parametrize("name", ["substrate", "substrate_2"])
+def test_the_slope_of_a_word_is_a_fraction_in_mathml(name):
+    """It is d(substrate)/dt; a letter, a Greek one too, has a dot."""
+    left = to_mathml(parse("1"), name).partition("<mo>=")[0]
+    assert left.startswith("<math><mfrac>") and "\u02d9" not in left and "substrate" in left
+    for letter in ("x", "theta", "theta1"):
+        assert "\u02d9" in to_mathml(parse("1"), letter)
+
+
 def test_prediction_by_expression_by_values_and_by_the_simulator_agree():
     """The force as expression or as sampled values gives the simulator's own trajectory."""
     t = np.linspace(0, 3, 301)

@@ -292,10 +292,10 @@ def test_a_map_pairs_only_rows_that_were_measured():
 
 
 def test_pictures_show_the_points_that_are_there():
-    """A state with gaps is drawn as points at its own rows, one without as a line."""
+    """Data are points; a state with gaps has those of its own rows."""
     (run,) = carry([gappy()])
     lines = [axis.lines[0] for axis in draw_states(run).axes[:2]]
-    assert [line.get_marker() for line in lines] == ["None", "o"]
+    assert [line.get_marker() for line in lines] == ["o", "o"]
     assert np.isfinite(lines[1].get_ydata()).sum() == 26
     path = draw_phase_portrait(run, None, "x", "y").axes[0].lines[0]
     assert len(path.get_xdata()) == 26

@@ -150,5 +150,5 @@ def test_a_kernel_runs_the_first_cell():
 def test_equations_with_named_parameters_are_shown(found):
     """The system of a discovery is formulas with names, above the table of their values."""
     shown = found.rename({"k1": "rate"}).system._repr_html_()
-    assert r"$\displaystyle \dot{x} = - rate x$" in shown
+    assert r"$\displaystyle \dot{x} = - \mathrm{rate} \, x$" in shown
     assert shown.endswith("</table>") and "<td>rate</td><td>1</td>" in shown

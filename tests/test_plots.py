@@ -5,6 +5,8 @@ import pytest
 
 from dynsr.data.samples import Samples
 from dynsr.data.trajectory import Trajectory
+from dynsr.discovery import Profile
+from dynsr.expression import parse
 from dynsr.report import plots
 
 T = np.linspace(0.0, 5.0, 60)
@@ -47,11 +49,13 @@ def test_a_run_that_runs_away_does_not_flatten_the_truth():
 
 
 def test_states_are_drawn_with_intervals():
-    """One panel a state, the found curve over the data, the interval as a band."""
+    """One panel a state: the data as points, the found curve as a line, the interval as a band."""
     band = {"a": (FOUND.x[:, 0] - 0.1, FOUND.x[:, 0] + 0.1)}
     figure = plots.draw_states(TRUE, FOUND, band)
     assert [axis.get_ylabel() for axis in figure.axes] == ["a", "b"]
     assert [len(axis.collections) for axis in figure.axes] == [1, 0]
+    data, found = figure.axes[0].lines
+    assert (data.get_marker(), data.get_linestyle(), found.get_linestyle()) == ("o", "None", "-")
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["data", "found", "interval"]
     assert len(plots.draw_states(TRUE).axes) == 2
 
@@ -71,6 +75,36 @@ def test_a_phase_portrait_sets_one_state_against_another():
     np.testing.assert_array_equal(path.get_xydata(), TRUE.x[:, ::-1])
     assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("b", "a")
     assert len(plots.draw_phase_portrait(TRUE, None, "a", "b").axes[0].lines) == 2
+
+
+def test_a_legend_is_as_long_as_its_words_ask_for():
+    """Long names take more lines below the picture; none of it leaves the picture."""
+    long = "substrate_concentration"
+    equations = {
+        "biomass_concentration": parse(f"{long} - 1"),
+        long: parse("biomass_concentration"),
+    }
+    box = dict.fromkeys(equations, (-1.0, 2.0))
+    figure = plots.draw_flow(equations, box)
+    plots.to_bytes(figure)
+    inside = figure.legends[0].get_window_extent()
+    assert inside.x0 >= 0 and inside.x1 <= figure.bbox.width
+    assert inside.y1 <= figure.axes[0].get_tightbbox().y0
+
+
+def test_a_long_title_is_in_lines_and_all_of_it_is_on_a_page():
+    """The title of a profile is broken to the width of its picture; no word of it is lost."""
+    grid = np.linspace(0.0, 2.0, 9)
+    of = "biomass*substrate/(substrate + 1)"
+    parts = ("", "biomass", 0, of, 1.0, grid, 4 * (grid - 1) ** 2, 0.5, 1.5, (0.5, 1.5), 1.0)
+    own = Profile(*parts)
+    root = ElementTree.fromstring(
+        plots.to_svg(plots.draw_profiles([own, own]), "profiles").replace("xlink:href", "href")
+    )
+    lines = [text.text for text in root.iter("text")]
+    title = " ".join(lines[lines.index("constant of") :][:3])
+    assert title == f"constant of {of} in biomass'"
+    assert "font-family" not in ElementTree.tostring(root, encoding="unicode")
 
 
 def test_recovery_over_noise():

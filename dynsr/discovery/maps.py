@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -17,7 +16,7 @@ from dynsr.expression import (
     differentiate,
     evaluate,
     parse,
-    to_latex,
+    to_latex_formula,
     to_mathml,
 )
 from dynsr.fit import free_constants, loosen, rmse, tidy, written_constant
@@ -301,8 +300,11 @@ def write_map_latex(equations: Mapping[str, sympy.Expr], first: Collection[str] 
     {x}_{n+1} &= 2 x
     \end{aligned}
     """
-    text = to_latex(equations, first=first)
-    return re.sub(r"^\\dot\{(.*?)\} &=", r"{\1}_{n+1} &=", text, flags=re.MULTILINE)
+    rows = [
+        f"{{{to_latex_formula(sympy.Symbol(s))}}}_{{n+1}} &= {to_latex_formula(e, first)}"
+        for s, e in equations.items()
+    ]
+    return "\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}"
 
 
 def write_map_mathml(expr: sympy.Expr, state: str) -> str:

@@ -26,7 +26,7 @@ from dynsr.discovery.intervals import (
     write_interval,
 )
 from dynsr.errors import InputError
-from dynsr.expression import check_name, shown, to_latex_formula
+from dynsr.expression import check_name, shown, slope_latex, to_latex_formula
 from dynsr.fit import pairs_alike
 
 if TYPE_CHECKING:
@@ -295,9 +295,9 @@ class ParametricSystem:
 
     def _repr_html_(self) -> str:
         """Show the equations with names, and a table of what these stand for, in a notebook."""
-        left = "{{{}}}_{{n+1}}" if self.discrete else r"\dot{{{}}}"
+        left = _next_latex if self.discrete else slope_latex
         lines = [
-            f"<p>$\\displaystyle {left.format(to_latex_formula(sympy.Symbol(state)))} = "
+            f"<p>$\\displaystyle {left(state)} = "
             f"{to_latex_formula(expr, first=self.parameters)}$</p>"
             for state, expr in self.equations.items()
         ]
@@ -312,6 +312,10 @@ class ParametricSystem:
         ]
         values = [f"{name} = {value:.6g}" for name, value in self.parameters.numbers.items()]
         return ", ".join([*lines, *values])
+
+
+def _next_latex(state: str) -> str:
+    return f"{{{to_latex_formula(sympy.Symbol(state))}}}_{{n+1}}"
 
 
 def check_values(values: Mapping[str, float], known: Mapping[str, Any]) -> None:

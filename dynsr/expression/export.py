@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
+from html import unescape
 from typing import Any, ClassVar
 
 import numpy as np
@@ -94,6 +95,10 @@ class _Latex(LatexPrinter):
     def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802 (SymPy's protocol)
         return super()._print_Float(sympy.Float(f"{float(expr):.6g}"))
 
+    def _print_Symbol(self, expr: sympy.Symbol) -> str:  # noqa: N802 (SymPy's protocol)
+        # LaTeX sets a word as a product of its letters.
+        return re.sub("^[A-Za-z]{2,}", r"\\mathrm{\g<0>}", super()._print_Symbol(expr))
+
 
 # No name begins with it, and it sorts before all that names begin with.
 _BEFORE = "!"
@@ -122,12 +127,25 @@ def to_latex(
     >>> print(to_latex({"x": k * x * y}, first=["z1"]).splitlines()[1])
     \dot{x} &= z_{1} x y
     """
-    rows = [
-        f"\\dot{{{sympy.latex(sympy.Symbol(s))}}} &= {to_latex_formula(e, first)}"
-        for s, e in equations.items()
-    ]
+    rows = [f"{slope_latex(s)} &= {to_latex_formula(e, first)}" for s, e in equations.items()]
     unit = f"% time in {time_unit}\n" if time_unit else ""
     return unit + "\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}"
+
+
+def slope_latex(state: str) -> str:
+    r"""Write the time derivative of a state as LaTeX: a letter has a dot, a word a fraction.
+
+    >>> print(slope_latex("x"), slope_latex("substrate"))
+    \dot{x} \frac{\mathrm{d} \mathrm{substrate}}{\mathrm{d} t}
+    """
+    name = to_latex_formula(sympy.Symbol(state))
+    if _is_word(name):
+        return rf"\frac{{\mathrm{{d}} {name}}}{{\mathrm{{d}} t}}"
+    return rf"\dot{{{name}}}"
+
+
+def _is_word(latex: str) -> bool:
+    return latex.startswith(r"\mathrm")
 
 
 def to_latex_formula(expr: sympy.Expr, first: Collection[str] = ()) -> str:
@@ -136,12 +154,13 @@ def to_latex_formula(expr: sympy.Expr, first: Collection[str] = ()) -> str:
     >>> print(to_latex_formula(sympy.sqrt(sympy.Symbol("x")) / 3))
     \frac{\sqrt{x}}{3}
     """
-    return str(_latex_printer(first).doprint(_put_first(expr, first)))
-
-
-def _latex_printer(first: Collection[str]) -> _Latex:
-    names = {sympy.Symbol(_BEFORE + n): sympy.latex(sympy.Symbol(n)) for n in first}
-    return _Latex({"symbol_names": names})
+    plain = _Latex()
+    names = {s: plain.doprint(s) for s in expr.free_symbols}
+    # Without a space two words are one.
+    between = r" \, " if any(map(_is_word, names.values())) else None
+    names |= {sympy.Symbol(_BEFORE + n): plain.doprint(sympy.Symbol(n)) for n in first}
+    printer = _Latex({"symbol_names": names, "mul_symbol": between})
+    return str(printer.doprint(_put_first(expr, first)))
 
 
 class _MathML(MathMLPresentationPrinter):
@@ -182,7 +201,7 @@ def to_mathml(expr: sympy.Expr, state: str | None = None) -> str:
         return text.replace("<mo>-</mo>", "<mo>\u2212</mo>")
 
     first, *others = expr.as_ordered_terms()
-    left = "" if state is None else f"{_dotted(printer.doprint(sympy.Symbol(state)))}<mo>=</mo>"
+    left = "" if state is None else f"{_slope(printer.doprint(sympy.Symbol(state)))}<mo>=</mo>"
     signed = [
         f'<mo form="infix">\u2212</mo>{write(-term)}'
         if term.could_extract_minus_sign()
@@ -192,14 +211,15 @@ def to_mathml(expr: sympy.Expr, state: str | None = None) -> str:
     return " ".join(f"<math>{piece}</math>" for piece in (left + write(first), *signed))
 
 
-def _dotted(name: str) -> str:
-    """Set the dot of a time derivative over the letter of a name, not over its index."""
-    return re.sub(
-        "<mi>.*?</mi>",
-        r'<mover accent="true">\g<0><mo>\u02d9</mo></mover>'.replace("\\u02d9", "\u02d9"),
-        name,
-        count=1,
-    )
+def _slope(name: str) -> str:
+    """Write a time derivative: a dot over a letter, not over its index; a fraction of a word."""
+    letters = re.search("<mi>(.*?)</mi>", name)
+    if letters and len(unescape(letters[1])) > 1:
+        d = '<mi mathvariant="normal">d</mi>'
+        space = '<mspace width="0.15em"/>'
+        return f"<mfrac><mrow>{d}{space}{name}</mrow><mrow>{d}<mi>t</mi></mrow></mfrac>"
+    dotted = '<mover accent="true">\\g<0><mo>\u02d9</mo></mover>'
+    return re.sub("<mi>.*?</mi>", dotted, name, count=1)
 
 
 class AllDigits:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -24,7 +24,9 @@ from dynsr.data import (
     write_page,
 )
 from dynsr.discovery import (
+    DISCOVERY,
     Discovery,
+    Parameter,
     StateVerdict,
     inputs_in,
     iterate,
@@ -37,6 +39,8 @@ from dynsr.errors import DynsrError, InputError
 from dynsr.export import Source, list_formats, pack_format
 from dynsr.expression import arguments_of, complexity, counting, evaluate, shown, to_mathml
 from dynsr.fit import Candidate, ParetoFront, free_constants, is_noisy, loosen, rmse
+from dynsr.jobs import to_plain
+from dynsr.methods import choose_methods
 from dynsr.report.page import Picture, render_page
 from dynsr.report.plots import (
     MOST_DOTS,
@@ -79,7 +83,7 @@ class Chart:
     """A front as it is drawn.
 
     ``rows`` and ``columns`` are (place, label) of the ticks; ``steps`` are (x1, y1, x2, y2) of the
-    line that no formula is below; ``note`` says why the formula that was chosen is off it.
+    line that no formula is below; ``note`` says what is special about the chosen formula.
     """
 
     dots: tuple[Dot, ...]
@@ -108,9 +112,10 @@ def place_front(front: ParetoFront, chosen: Candidate | str) -> Chart:
     ((0.0, '0'), (25.0, '1'), (50.0, '2'), (75.0, '3'), (100.0, '4'))
     """
     text = chosen if isinstance(chosen, str) else shown(chosen.expr)
-    some = list(front)
+    some, line, note = list(front), front, ""
     if isinstance(chosen, Candidate) and all(shown(c.expr) != text for c in some):
         some = sorted([*some, chosen], key=lambda c: (c.complexity, -c.loss))
+        line, note = ParetoFront(some), _note_of(front, chosen)
     logs = [math.log10(max(c.loss, _SMALLEST)) for c in some] or [0.0]
     low, high = math.floor(min(logs)), max(math.ceil(max(logs)), math.floor(min(logs)) + 1)
     bits = _ticks(max((c.complexity for c in some), default=1.0))
@@ -127,15 +132,13 @@ def place_front(front: ParetoFront, chosen: Candidate | str) -> Chart:
             for power in range(high, low - 1, -every)
         ),
         tuple((round(100 * b / bits[-1], 2), f"{b:g}") for b in bits),
-        tuple(_steps([place(c) for c in front])),
-        _note_off(front, chosen)
-        if isinstance(chosen, Candidate) and len(some) > len(front)
-        else "",
+        tuple(_steps([place(c) for c in line])),
+        note,
     )
 
 
-def _note_off(front: ParetoFront, chosen: Candidate) -> str:
-    """Say why a formula that was chosen is not on the front."""
+def _note_of(front: ParetoFront, chosen: Candidate) -> str:
+    """Say why a chosen formula is not one of those that the search found."""
     near = [c for c in front if c.complexity <= chosen.complexity]
     below = [c for c in near if c.loss < _CLEARLY * chosen.loss]
     if below:
@@ -146,8 +149,8 @@ def _note_off(front: ParetoFront, chosen: Candidate) -> str:
             " compared on whole trajectories, and constants are fitted to the states."
         )
     return (
-        "The chosen formula is off the front, which is what the searches found: its constants were"
-        " fitted to the states after that."
+        "The constants of the chosen formula were fitted to the states after the search. Those of"
+        " the others are as the search fitted them to the slopes."
     )
 
 
@@ -172,7 +175,8 @@ def _ticks(largest: float) -> list[float]:
 
 _MOST_RUNS = 3
 _MOST_PROFILES = 12
-_PROFILED = "Where the standard error is wrong, the interval is that of the profile likelihood."
+_ROUNDED = " Fitted: the number before it was made a simple one."
+_PROFILED = " Where the standard error is wrong, the interval is that of the profile likelihood."
 _MOST_ROWS = 2000
 _MOST_STEPS = 200
 # Is it a map? -> what was done with the equations.
@@ -181,6 +185,8 @@ _FOLLOWED = {
     "within their errors give.",
     True: "iterated from the first row.",
 }
+# Settings that are shown by themselves, or that only a program reads.
+_TOLD_ELSEWHERE = ("version", "seed", "columns", "table", "details")
 _TARGETS = {False: "slopes", True: "next values"}
 _DRAWS = 20
 # Share of a constant below which its error moves no curve that is drawn.
@@ -220,7 +226,7 @@ def render_discovery(found: Discovery) -> str:
         suggestion=_suggestion(found),
         summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
-        parameters=_parameters(found),
+        constants=_constants(found),
         fronts={state: _front(found, state, samples.get(state)) for state in found.equations},
         trajectories=list(_trajectories(found)),
         fixed=_fixed_points(found),
@@ -231,6 +237,7 @@ def render_discovery(found: Discovery) -> str:
         exports=[("LaTeX", latex), ("Python", found.to_python()), ("Julia", found.to_julia())],
         formats=list(_formats(found)),
         facts=_facts(found),
+        settings=_settings(found),
     )
 
 
@@ -272,31 +279,18 @@ def _summary(found: Discovery) -> str:
 
 def _equation(found: Discovery, state: str) -> dict[str, Any]:
     expr = found.equations[state]
+    text = f"{state}{'[n+1]' if found.is_map else chr(39)} = {shown(expr)}"
+    why = found.explanation.get(state, "")
+    if why.startswith(f"{text}: "):
+        why = why.removeprefix(f"{text}: ")
+        why = why[:1].upper() + why[1:]
     return {
         "state": state,
-        "text": f"{state}{'[n+1]' if found.is_map else chr(39)} = {shown(expr)}",
+        "text": text,
         "mathml": (write_map_mathml if found.is_map else to_mathml)(expr, state),
-        "why": found.explanation.get(state, ""),
+        "why": why,
         "details": found.details.get(state, ""),
-        "constants": _constants(found, state),
     }
-
-
-def _constants(found: Discovery, state: str) -> Table | None:
-    """Give the constants of an equation in its order, each with its interval; None without any."""
-    constants = found.constants[state]
-    if not constants:
-        return None
-    units = _coefficient_units(found).get(state, {})
-    rows = ((c.of, f"{c.value:.6g}", c.interval_text, c.fitted_text) for c in constants)
-    known = [(units.get(c.of, ""),) if units else () for c in constants]
-    return Table(
-        f"constants-{state}",
-        f"Constants of {state}, in the order of the formula",
-        ("Constant of", "Value", "95 % interval", "Fitted", *(["Unit"] if units else [])),
-        tuple(row + unit for row, unit in zip(rows, known, strict=True)),
-        _PROFILED if any(c.profiled for c in constants) else "",
-    )
 
 
 def _is_doubtful(found: Discovery) -> bool:
@@ -356,32 +350,43 @@ def _known(found: Discovery) -> str:
     return " ".join(known.sentences) if known.unknown or known.weak else ""
 
 
-def _coefficient_units(found: Discovery) -> dict[str, dict[str, str]]:
-    try:
-        return found.coefficient_units()
-    except InputError:  # no units, or none that pint, which may be absent, can read
-        return {}
-
-
-def _parameters(found: Discovery) -> Table | None:
+def _constants(found: Discovery) -> Table | None:
     """Give the constants as parameters with names, each once; None without any."""
-    system, rows = found.system, found.parameters.rows()
-    if not rows:
+    system = found.system
+    if not system.parameters:
         return None
     left = "[n+1]" if found.is_map else "'"
     lines = "; ".join(
         f"{state}{left} = {shown(e, first=system.parameters)}"
         for state, e in system.equations.items()
     )
-    kept = [i for i in range(len(rows[0])) if any(row[i] for row in rows)]
-    head = ("Parameter", "Value", "Standard error", "95 % interval", "Unit", "Term")
+    rows = [
+        (name, value, interval, _fitted(found, found.parameters[name]), error, unit, of)
+        for name, value, error, interval, unit, of in found.parameters.rows()
+    ]
+    head = ("Name", "Value", "95 % interval", "Fitted", "Standard error", "Unit", "Constant of")
+    kept = [i for i in range(len(head)) if any(row[i] for row in rows)]
+    profiled = any(c.profiled for own in found.constants.values() for c in own)
     return Table(
-        "parameters",
-        "Parameters with names",
+        "constants",
+        "Each constant with its 95 % interval",
         tuple(head[i] for i in kept),
         tuple(tuple(row[i] for i in kept) for row in rows),
-        f"In these names: {lines}.",
+        f"In these names: {lines}.{_ROUNDED if 3 in kept else ''}{_PROFILED if profiled else ''}",
     )
+
+
+def _fitted(found: Discovery, parameter: Parameter) -> str:
+    """Give the fitted number of a parameter whose value is a simpler one; else nothing."""
+    same = [
+        c
+        for c in found.constants[parameter.states[0]]
+        if c.of == parameter.of and abs(c.value) == abs(parameter.value)
+    ]
+    if not same or same[0].fitted_text == f"{same[0].value:.6g}":
+        return ""
+    text = same[0].fitted_text
+    return text if same[0].value == parameter.value else text.removeprefix("-")
 
 
 def _ensemble(found: Discovery) -> Table | None:
@@ -627,17 +632,45 @@ def _formats(found: Discovery) -> Iterator[tuple[str, str, str, str]]:
 
 
 def _facts(found: Discovery) -> list[tuple[str, str]]:
-    settings, runs = dict(found.settings), found.trajectories
-    version = settings.pop("version", __version__)
+    """Give what a reader asks first: with what, and from which data, the equations were found."""
+    settings, runs = found.settings, found.trajectories
     count = "1 trajectory" if len(runs) == 1 else f"{len(runs)} trajectories"
+    rows = f"{sum(map(len, runs))} rows in {count}" if runs else ""
     return [
-        ("made by", f"dynsr {version}"),
+        ("made by", f"dynsr {settings.get('version', __version__)}"),
         ("command", _command(found)),
-        *([("data", f"{sum(map(len, runs))} rows in {count}")] if runs else []),
+        *([("data", about)] if (about := str(settings.get("columns", rows))) else []),
         *((f"input {name}", shown(expr)) for name, expr in found.inputs.items()),
-        *((name, _read(value)) for name, value in settings.items() if value not in ("", {})),
-        ("seconds", f"{found.seconds:.1f}"),
+        ("seed", str(settings.get("seed", ""))),
+        ("time of the search", f"{found.seconds:.1f} s"),
     ]
+
+
+def _settings(found: Discovery) -> list[tuple[str, str]]:
+    """Give the settings: those of the call, then each number that is not the usual one."""
+    settings = found.settings
+    of_call = {k: v for k, v in settings.items() if k not in _TOLD_ELSEWHERE and v not in ("", {})}
+    usual = dict(_flat(to_plain(DISCOVERY)))
+    try:
+        methods = choose_methods(str(settings["method"]).split(","), settings["preset"])
+    except (KeyError, DynsrError):  # of an older version, or the user's own
+        methods = {}
+    usual |= dict(_flat({"methods": to_plain(methods)}))
+    changed = [
+        (name, value)
+        for name, value in _flat(settings.get("details", {}))
+        if not name.endswith(".engine") and usual.get(name) != value
+    ]
+    return [(name, _read(value)) for name, value in (*of_call.items(), *changed)]
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Give the values of nested mappings, each by its path."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
 
 
 def _command(found: Discovery) -> str:
@@ -652,8 +685,20 @@ def _command(found: Discovery) -> str:
         "seed": str(settings.get("seed", "")),
         "engine": settings.get("engine", ""),
         "order": ",".join(f"{state}=2" for state in settings.get("velocities", {})),
+        "hold": ",".join(f"{name}={how}" for name, how in settings.get("hold", {}).items()),
+        "functions": ",".join(settings.get("functions", ())),
+        "max-complexity": f"{settings['max_complexity']:g}" if "max_complexity" in settings else "",
+        "complexity": ",".join(f"{k}={v:g}" for k, v in settings.get("complexity", {}).items()),
+        "loss": settings.get("loss", ""),
+        "nonnegative": ",".join(settings.get("nonnegative", ())),
+        "time-budget": f"{settings['time_budget']:g}" if "time_budget" in settings else "",
     }
     given = [f"--{name} {quote(value)}" for name, value in options.items() if value]
+    given += [
+        f"--{name} {quote(str(value))}"
+        for name in ("terms", "must", "constraints", "conserved")
+        for value in settings.get(name, ())
+    ]
     given += ["--explicit-time"] * bool(settings.get("explicit_time"))
     given += ["--map"] * found.is_map
     return " ".join(["dynsr discover DATA", *given])

@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from textwrap import fill
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from dynsr.data import Samples, Trajectory
 from dynsr.discovery import Profile, Suggestion
@@ -35,6 +37,12 @@ _NOTEBOOK_DPI = 100
 # Room in inches for what stands around axes: numbers and a label, an exponent, a legend. Measuring
 # them, as a layout engine does, takes longer than drawing them.
 _LEFT, _RIGHT, _TOP, _BOTTOM, _LEGEND = 1.0, 0.12, 0.25, 0.5, 0.3
+# Inches of a legend: a mark with the spaces around it, a letter, a further line.
+_LEGEND_MARK, _LEGEND_LETTER, _LEGEND_LINE = 0.65, 0.085, 0.21
+# Letters of a line above one of two pictures side by side.
+_TITLE = 30
+# Numbers below it at most.
+_TICKS = 3
 # More dots than these hide each other: how many lie where is drawn instead.
 MOST_DOTS = 5000
 _BINS = (160, 80)
@@ -42,6 +50,11 @@ _BINS = (160, 80)
 _OPEN = 3.0
 # Points across a picture of a flow, and the colour of its arrows.
 _FLOW_GRID = 41
+# Size in points of a dot of measured values: so much over the root of their number, within limits.
+_DOT_SIZE, _DOT_SIZES = 40.0, (1.5, 4.0)
+# More dots than these are a picture in the page and no shapes, which take a line of text each.
+_MOST_SHAPES = 500
+_DATA = "#7a7a7a"
 _GREY = "#8a8a8a"
 # What a curve that runs away may take of the picture: this many spans of the truth.
 _ROOM = 0.6
@@ -128,7 +141,7 @@ def draw_states(
     found: Trajectory | None = None,
     intervals: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> Figure:
-    """Draw every state of a trajectory over time, with the one found and its intervals.
+    """Draw every state of a trajectory over time as points, the one found as a line.
 
     Parameters
     ----------
@@ -144,7 +157,7 @@ def draw_states(
         axis.plot(true.t, column, label="data", **_look_of(column))
         if found is not None:
             curve = found.x[:, found.index(state)]
-            axis.plot(found.t, curve, color=COLOURS[1], ls="--", lw=1.4, label="found")
+            axis.plot(found.t, curve, color=COLOURS[1], lw=1.4, label="found")
             if intervals and state in intervals:
                 axis.fill_between(
                     found.t, *intervals[state], color=COLOURS[1], alpha=0.25, label="interval"
@@ -251,7 +264,9 @@ def _draw_profile(axis: Axes, own: Profile) -> None:
     axis.axvspan(low, high, color=COLOURS[0], alpha=0.1, lw=0)
     axis.set_ylim(0, top)
     axis.set_xlim(left, right)
-    axis.set_title(own.title, fontsize=9)
+    axis.set_title(fill(own.title, _TITLE), fontsize=9)
+    axis.ticklabel_format(axis="x", useOffset=False)
+    axis.locator_params(axis="x", nbins=_TICKS)
 
 
 def draw_suggestion(suggestion: Suggestion) -> Figure:
@@ -288,7 +303,7 @@ def draw_suggestion(suggestion: Suggestion) -> Figure:
 
 
 def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str, up: str) -> Figure:
-    """Draw one state against another: the true path and the one found.
+    """Draw one state against another: the data as points, the trajectory found as a line.
 
     Parameters
     ----------
@@ -301,11 +316,11 @@ def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str,
     i, j = true.index(across), true.index(up)
     both = true.observed[:, [i, j]]
     whole = both[np.all(np.isfinite(both), axis=1)]
-    axis.plot(*whole.T, label="data", **_look_of(both[:, 0] + both[:, 1]))
-    axis.plot(*whole[0], "o", color="black", label="start")
+    axis.plot(*whole.T, label="data", **_look_of(whole))
+    axis.plot(*whole[0], "s", color="black", ms=7, mfc="none", mew=1.5, label="start")
     if found is not None:
         path = found.x[:, [found.index(across), found.index(up)]]
-        axis.plot(*path.T, color=COLOURS[1], ls="--", lw=1.4, label="found")
+        axis.plot(*path.T, color=COLOURS[1], lw=1.4, label="found")
         _follow(axis, whole[:, 1], [path[:, 1]])
         low, high = _limits(whole[:, 0], [path[:, 0]])
         axis.set_xlim(low, high)
@@ -349,7 +364,7 @@ def draw_flow(
             axis.plot([], [], color=COLOURS[k], ls=STYLES[k], label=f"{state}' = 0")
     for k, run in enumerate(runs):
         path = run.x[:, [run.index(across), run.index(up)]]
-        axis.plot(*path.T, color="black", lw=1.2, alpha=0.8, label=None if k else "data")
+        axis.plot(*path.T, label=None if k else "data", **_look_of(path))
     for stable, face in ((True, "black"), (False, "white")):
         some = [p for p in points if p.stable == stable]
         if some:
@@ -461,7 +476,7 @@ def to_svg(figure: Figure, label: str) -> str:
         figure.savefig(out, format="svg", dpi=200, metadata=metadata, transparent=True)
     drawn = re.search(r'viewBox="([^"]*)"[^>]*>(.*)</svg>', out.getvalue(), re.DOTALL)
     assert drawn is not None
-    body = re.sub(r"<style.*?</style>|font-family: [^;]*; ", "", drawn[2], flags=re.DOTALL)
+    body = re.sub(r'<style.*?</style>|font-family: [^;"]*(; )?', "", drawn[2], flags=re.DOTALL)
     # A name that nothing refers to would stand on the page once for every picture.
     used = set(re.findall(r"#([\w.]+)", body))
     body = re.sub(r' id="([^"]*)"', lambda name: name[0] if name[1] in used else "", body)
@@ -511,12 +526,14 @@ def _framed(
     return figure, axes
 
 
-def _look_of(column: np.ndarray) -> dict[str, Any]:
-    """Give the look of measured values: a line, or points where some are not there."""
-    plain = {"color": "black", "alpha": 0.8}
-    if np.all(np.isfinite(column)):
-        return {**plain, "lw": 2.2}
-    return {**plain, "ls": "", "marker": "o", "ms": 3.0, "markeredgewidth": 0.0}
+def _look_of(rows: np.ndarray) -> dict[str, Any]:
+    """Give the look of measured values: points, the smaller the more there are."""
+    size = float(np.clip(_DOT_SIZE / np.sqrt(max(len(rows), 1)), *_DOT_SIZES))
+    many = len(rows) > _MOST_SHAPES
+    # A dot that is a picture keeps its colour on a dark page, where black is not seen.
+    colour = _DATA if many else "black"
+    look = {"ls": "", "marker": "o", "ms": size, "mew": 0.0, "color": colour, "alpha": 0.8}
+    return {**look, "rasterized": many}
 
 
 def _draw_dots(
@@ -564,12 +581,23 @@ def _follow(axis: Axes, truth: np.ndarray, found: Sequence[np.ndarray]) -> None:
 
 
 def _legend_below(figure: Figure, axis: Axes) -> None:
+    """Put the legend below the axes, in as many lines as its words need."""
     handles, labels = axis.get_legend_handles_labels()
     measured = figure.get_layout_engine() is not None
-    figure.legend(
+    width = figure.get_figwidth()
+    widest = _LEGEND_MARK + _LEGEND_LETTER * max(map(len, labels), default=0)
+    columns = int(np.clip(width // widest, 1, max(len(labels), 1)))
+    lines = -(-len(labels) // columns)
+    if not measured and lines > 1:
+        more = (lines - 1) * _LEGEND_LINE / figure.get_figheight()
+        figure.subplots_adjust(bottom=figure.subplotpars.bottom + more)
+    legend = figure.legend(
         handles,
         labels,
         loc="outside lower center" if measured else "lower center",
-        ncols=min(len(labels), 4),
+        ncols=columns,
         frameon=False,
     )
+    for mark in legend.legend_handles:
+        if isinstance(mark, Line2D):
+            mark.set_markersize(max(mark.get_markersize(), _DOT_SIZES[1]))
