@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Table 1: losses of the three methods on the three systems, beside the paper's."""
+"""Table 1: losses of the three methods on the three systems, next to the paper's."""
 
 from pathlib import Path
 

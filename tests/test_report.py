@@ -76,11 +76,12 @@ def test_the_report_needs_nothing_but_itself(records):
 
 
 def test_the_report_shows_every_formula_and_where_it_comes_from(records):
-    """Table 1, a table for each system and method, every formula, seed, engine and failures."""
+    """Tables 1 and 2, the appendix in the paper's order, every formula, seed, engine, failures."""
     failed = [*records, replace(records[0], run=9, status="failed", error="a < b & c")]
     page = Page(render_replication(failed, SETTINGS))
-    assert page.tables == ["table1", "appendix_ga_lotka-volterra", "appendix_sindy_pendulum",
-                           "appendix_ga_cart-pole", "made_by"]  # fmt: skip
+    assert page.tables == ["table1", "table2", "losses", "appendix_ga_lotka-volterra",
+                           "appendix_ga_cart-pole", "appendix_sindy_pendulum",
+                           "made_by"]  # fmt: skip
     words = " ".join(page.text)
     for entry in records:
         assert entry.expression in words
@@ -106,7 +107,9 @@ def test_what_users_name_is_escaped():
         summary=evil,
         quick=False,
         failures=[evil],
-        losses=table,
+        table1=table,
+        table2=[table],
+        losses=[table],
         formulas=[table],
         stages=[table],
         made=[table],
@@ -124,7 +127,7 @@ def test_results_are_written_as_files(records, tmp_path):
     assert all(path.stat().st_size > 50 for path in paths)
     names = {str(path.relative_to(tmp_path)) for path in paths}
     assert {"report.html", "figure1.png", "figure1.pdf", "tables/table1.tex"} <= names
-    assert len(names) == 3 + 3 * 5
+    assert len(names) == 3 + 3 * 7
     before = {path: path.read_bytes() for path in paths}
     assert write_results(tmp_path, records, SETTINGS) == paths
     assert {path: path.read_bytes() for path in paths} == before

@@ -113,7 +113,7 @@ def test_nothing_sticks_out(browser, pages, name, width):
 def test_a_wide_table_scrolls_in_its_box(browser, pages):
     """On a phone the wide table is reached by scrolling its box, also from the keyboard."""
     browser.open(pages["replication"], PHONE)
-    box = "document.querySelector('#table1').closest('.scroll')"
+    box = "document.querySelector('#losses').closest('.scroll')"
     assert browser.run(f"{box}.scrollWidth > {box}.clientWidth && {box}.tabIndex === 0")
     assert browser.run(f"{box}.scrollLeft = 1e6, {box}.scrollLeft > 100")
 

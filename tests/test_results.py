@@ -17,6 +17,7 @@ from dynsr.paper.results import (
     drawable,
     figure_1,
     groups,
+    loss_table,
     panel,
     table_1,
     table_2,
@@ -35,9 +36,24 @@ def records():
     return [*done, failed]
 
 
-def test_table_1_of_the_papers_own_formulas_is_the_papers(records):
+def test_table_1_is_three_by_three_as_printed_with_ours_next_to_it(records):
+    """Every number of the paper's Table 1 is there; ours are where there are records."""
+    table = table_1([*records[:-1], record("lorenz", "x*y")])
+    assert [row[0] for row in table.rows] == ["DynAIFeynman", "GA-Baseline", "SINDy"]
+    assert table.columns[1:3] == ("Lotka-Volterra, paper", "Lotka-Volterra, ours")
+    printed = [[str(cell) for cell in row[1::2]] for row in table.rows]
+    assert printed == [
+        ["0.19 ± 0.05", "2.41 ± 0.13", "1.23 ± 0.36"],
+        ["2.13 ± 1.11", "2.47 ± 0.003", "0.771 ± 0.79"],
+        ["0.24", "2.19", "1.92"],
+    ]
+    ours = [[str(cell) for cell in row[2::2]] for row in table.rows]
+    assert ours == [["", "", ""], ["2.134 ± 1.107", "", "0.7713 ± 0.7861"], ["", "", ""]]
+
+
+def test_losses_of_the_papers_own_formulas_are_the_papers(records):
     """Mean and deviation of the printed expressions' losses are the printed Table 1, digits cut."""
-    rows = list(csv.DictReader(io.StringIO(table_1(records[:-1]).to_csv())))
+    rows = list(csv.DictReader(io.StringIO(loss_table(records[:-1]).to_csv())))
     assert [(r["System"], r["Method"], r["Runs"]) for r in rows] == [
         ("Lotka-Volterra", "GA-Baseline", "5"),
         ("Cart-pole", "GA-Baseline", "5"),
@@ -53,28 +69,45 @@ def test_table_1_of_the_papers_own_formulas_is_the_papers(records):
 
 def test_failed_runs_are_counted_and_not_averaged(records):
     """A cell that failed shows in the runs and in its table of the appendix, and nowhere else."""
-    table = table_1(records)
+    table = loss_table(records)
     assert [row[2] for row in table.rows] == ["5 of 6", "5"]
-    assert table.rows[0][3] == table_1(records[:-1]).rows[0][3]
-    last = appendix_table(groups(records)[0]).rows[-1]
-    assert last[:2] == (6, "failed: no luck") and all(math.isnan(v) for v in last[3:6])
+    assert table.rows[0][3] == loss_table(records[:-1]).rows[0][3]
+    (failed,) = [r for r in appendix_table(groups(records)[0]).rows if r[2] == "failed: no luck"]
+    assert failed[:2] == ("ours", "6") and all(math.isnan(v) for v in failed[4:7])
 
 
-def test_the_appendix_holds_every_formula_with_its_losses(records):
-    """One table a system and method; its rows are the records, in the order of the runs."""
-    tables = all_tables(records)
-    assert [t.name for t in tables] == ["table1", "appendix_ga_lotka-volterra",
-                                        "appendix_ga_cart-pole", "made_by"]  # fmt: skip
-    rows = tables[2].to_records()
-    assert [r["Formula"] for r in rows] == PRINTED["cart-pole"]
-    assert rows[3]["As printed"] == pytest.approx(0.301, abs=1e-3)
-    assert rows[3]["Seconds"] == 2.0
+def test_the_appendix_has_the_papers_numbers_and_each_formula_once(records):
+    """In the paper's order; runs with one formula are one row, and the printed ones follow ours."""
+    more = [*records, record("pendulum", "theta1", method="sindy")]
+    tables = all_tables(more)
+    assert [t.name for t in tables] == ["table1", "table2", "losses", "appendix_ga_lotka-volterra",
+                                        "appendix_ga_cart-pole", "appendix_sindy_pendulum",
+                                        "made_by"]  # fmt: skip
+    assert [t.title[:8] for t in tables[3:6]] == ["Table 4:", "Table 5:", "Table 9:"]
+    rows = tables[4].to_records()
+    ours = {r["Formula"]: r for r in rows if r["By"] == "ours"}
+    assert {formula: r["Runs"] for formula, r in ours.items()} == {
+        "-12*w": "1", "-2*w - z^2/y": "2", "-2*w": "3, 5", "-4*w": "4",
+    }  # fmt: skip
+    assert ours["-4*w"]["As printed"] == pytest.approx(0.301, abs=1e-3)
+    assert ours["-2*w"]["Seconds a run, mean"] == 2.0
+    paper = [r for r in rows if r["By"] == "paper"]
+    assert [(r["Runs"], r["As printed"]) for r in paper] == [
+        ("1", 2.168), ("2", 0.552), ("3, 5", 0.417), ("4", 0.301),
+    ]  # fmt: skip
+
+
+def test_runs_with_one_formula_are_named_together():
+    """Five equal runs are "1 to 5"."""
+    runs = [record("lorenz", "x*y", run) for run in range(1, 6)]
+    (row,) = appendix_table(groups(runs)[0]).rows
+    assert row[:2] == ("ours", "1 to 5") and str(row[-1]) == "1.5 ± 0.7906"
 
 
 def test_a_system_that_the_paper_lacks_has_empty_columns():
     """Lorenz has our general losses, no printed loss, and nothing on the paper's side."""
     runs = [record("lorenz", "x*y - 8/3*z")]
-    table = table_1(runs)
+    table = loss_table(runs)
     row = table.to_records()[0]
     assert table.rows[0][3].count == 0
     assert appendix_table(groups(runs)[0]).to_records()[0]["As printed"] is None
@@ -133,6 +166,6 @@ def test_only_runs_without_chance_are_called_deterministic():
         ("ga", "ga", "1.035 ± 0"),
     ):
         runs = [record("lotka-volterra", "x - 3", r, method, source=source) for r in (1, 2)]
-        row = table_1(runs).rows[0]
+        row = loss_table(runs).rows[0]
         assert [str(value) for value in (row[3], row[5])] == [expected] * 2
         assert appendix_table(groups(runs)[0]).to_records()[0]["Stage"] == source

@@ -78,7 +78,7 @@ def deliver_results(
     folder: Path, records: Sequence[Record], settings: Mapping[str, Any], json: bool
 ) -> None:
     """Write every table, figure and the report of a replication, and show its Table 1."""
-    from dynsr.paper import table_1, write_results
+    from dynsr.paper import loss_table, table_1, write_results
 
     written = write_results(folder, records, settings)
     table = table_1(records)
@@ -87,6 +87,7 @@ def deliver_results(
             {
                 "settings": settings,
                 "table_1": table.to_records(),
+                "losses": loss_table(records).to_records(),
                 "records": records,
                 "files": written,
             }

@@ -10,7 +10,7 @@ from .protocol import (
 from .records import Record
 from .reference import SparseRecord, sparse_records, trajectory_record
 from .replication import replicate
-from .results import table_1
+from .results import loss_table, table_1
 
 __all__ = [
     "PAPER_NAMES",
@@ -19,6 +19,7 @@ __all__ = [
     "SparseRecord",
     "audit",
     "is_of_paper",
+    "loss_table",
     "paper_method",
     "printed_loss",
     "render_replication",

@@ -10,9 +10,12 @@ from dynsr.data import write_bytes, write_page
 from dynsr.paper.provenance import ENGINES_BESIDE, MADE_BY
 from dynsr.paper.records import Record
 from dynsr.paper.results import (
+    APPENDIX,
     FIGURE_1,
+    LOSSES,
     STAGES,
     SYSTEM_TITLES,
+    TABLE_2,
     all_tables,
     drawable,
     figure_1,
@@ -39,19 +42,24 @@ def render_replication(
         for system, caption in _pictures(records)
     ]
     failed = [r for r in records if not r.done]
-    losses, *others = tables or all_tables(records, settings["recorded_steps"])
-    made = [table for table in others if table.name in (MADE_BY, ENGINES_BESIDE)]
+    tables = tables or all_tables(records, settings["recorded_steps"])
+
+    def some(*names: str) -> list[Table]:
+        return [table for table in tables if table.name.startswith(names)]
+
     return render_page(
         "replication.html.j2",
         summary=_summary(records),
         quick=settings["quick"],
         failures=[f"{r.system}, {r.method}, run {r.run}: {r.error}" for r in failed],
-        losses=losses,
-        formulas=[t for t in others if t not in made and not t.name.startswith(STAGES)],
-        stages=[table for table in others if table.name.startswith(STAGES)],
+        table1=tables[0],
+        table2=some(TABLE_2),
+        losses=some(LOSSES),
+        formulas=some(APPENDIX),
+        stages=some(STAGES),
         recorded_steps=settings["recorded_steps"],
         pictures=pictures,
-        made=made,
+        made=some(MADE_BY, ENGINES_BESIDE),
         facts=_facts(records, settings),
     )
 

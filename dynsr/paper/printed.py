@@ -51,6 +51,10 @@ class PrintedCell:
     mean: str
     spread: str | None
 
+    def __str__(self) -> str:
+        """Write it as it is printed."""
+        return self.mean if self.spread is None else f"{self.mean} ± {self.spread}"
+
 
 # Table 1 ("RMSE scores"); the cart-pole's SINDy adds up all four states, the others two.
 TABLE_1: Mapping[tuple[str, str], PrintedCell] = {

@@ -15,8 +15,8 @@ from dynsr.report import Formula, Table
 
 EMBEDDED = "embedded"
 MADE_BY, ENGINES_BESIDE = "made_by", "engines"
-LOSSES = ("printed_loss", "trajectory_loss", "equation_rmse")
-_LOSS_TITLES = ("As printed", "Corrected", "Equation RMSE")
+LOSS_FIELDS = ("printed_loss", "trajectory_loss", "equation_rmse")
+LOSS_TITLES = ("As printed", "Corrected", "Equation RMSE")
 # Packages of a record that integrate, and those that search.
 _INTEGRATING = ("julia", "OrdinaryDiffEqTsit5", "juliacall", "dynsr")
 _REGRESSING = ("julia", "juliacall", "dynsr", "numpy")
@@ -88,7 +88,7 @@ def engines_table(records: Sequence[Record]) -> Table:
             f"Formula, {engine}",
             "Formula, embedded",
         ),
-        *(f"{t}: {who}" for t in _LOSS_TITLES for who in (engine, "embedded")),
+        *(f"{t}: {who}" for t in LOSS_TITLES for who in (engine, "embedded")),
     )
     return Table(
         ENGINES_BESIDE,
@@ -102,7 +102,7 @@ def engines_table(records: Sequence[Record]) -> Table:
 
 
 def _beside(record: Record, embedded: Mapping[str, Any]) -> tuple[Any, ...]:
-    losses = [_loss(v) for name in LOSSES for v in (getattr(record, name), embedded.get(name))]
+    losses = [_loss(v) for name in LOSS_FIELDS for v in (getattr(record, name), embedded.get(name))]
     again = str(embedded.get("expression", ""))
     return (
         *(record.system, record.method, record.run, _loss(embedded.get("samples"))),

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from dynsr.data import SYSTEMS, System, find_system
 from dynsr.engines import InitialValueProblem, find_engine
+from dynsr.expression import parse
 from dynsr.paper.auditing import AuditRow, audit
 from dynsr.paper.printed import TABLE_1
 from dynsr.paper.protocol import paper_method
-from dynsr.paper.provenance import engines_table, made_by_table
+from dynsr.paper.provenance import LOSS_FIELDS, LOSS_TITLES, engines_table, made_by_table
 from dynsr.paper.records import Record
 from dynsr.paper.stages import is_deterministic, stage_of
 from dynsr.report import Formula, Spread, Table
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dynsr.report import Panel
+
+T = TypeVar("T")
 
 METHOD_TITLES = {"dynaifeynman": "DynAIFeynman", "ga": "GA-Baseline", "sindy": "SINDy"}
 _PAPER_NAMES = {"dynaifeynman": "DynAIFeynman", "ga": "GA", "sindy": "SINDy"}
@@ -36,9 +39,26 @@ SYSTEM_TITLES = {
 UNITS = {"theta1": "rad", "theta2": "rad/s", "w": "rad", "x": "m", "y": "rad/s", "z": "m/s"}
 FIGURE_1 = ("lotka-volterra", "cart-pole")
 _FIGURE_POINTS = 1001
-# Beginning of the names of the tables of stages.
-STAGES = "stages_"
+# Names of tables, and beginnings of those of the appendix and of stages.
+TABLE_2, LOSSES, APPENDIX, STAGES = "table2", "losses", "appendix_", "stages_"
+# Numbers of the tables in the paper; Table 9 has the three systems of SINDy.
+_APPENDIX = {
+    ("ga", "pendulum"): 3,
+    ("ga", "lotka-volterra"): 4,
+    ("ga", "cart-pole"): 5,
+    ("dynaifeynman", "pendulum"): 6,
+    ("dynaifeynman", "lotka-volterra"): 7,
+    ("dynaifeynman", "cart-pole"): 8,
+    ("sindy", "pendulum"): 9,
+    ("sindy", "lotka-volterra"): 9,
+    ("sindy", "cart-pole"): 9,
+}
 _NOTE_1 = (
+    "Mean ± standard deviation (n - 1) over the runs of the loss as printed: the loss that the "
+    "numbers of the paper really are. Paper: as printed there. Deterministic: no chance is in the "
+    "stage that found the formula, so that runs from other seeds had to coincide."
+)
+_NOTE_LOSSES = (
     "Mean ± standard deviation (n - 1) over the runs. As printed: the loss that the numbers of the "
     "paper really are, with its mixed states and its wrong start of the pendulum. Corrected: "
     "all states, right start; the paper's side is computed from the expressions that it prints, "
@@ -91,7 +111,7 @@ def groups(records: Iterable[Record]) -> list[Group]:
     return [Group(*key, tuple(found[key])) for key in sorted(found, key=order)]
 
 
-def _place(name: str, names: Sequence[str]) -> int:
+def _place(name: T, names: Sequence[T]) -> int:
     return names.index(name) if name in names else len(names)
 
 
@@ -116,7 +136,37 @@ def prepare() -> None:
 
 
 def table_1(records: Sequence[Record]) -> Table:
-    """Give Table 1, our losses and the paper's: as printed, corrected, and equation RMSE."""
+    """Give the paper's Table 1 as it is printed, three methods on three systems, with ours.
+
+    Methods and systems that the paper does not have are not in it.
+    """
+    own = {(group.system, group.method): group for group in groups(records)}
+    columns = (f"{title}, {who}" for title in SYSTEM_TITLES.values() for who in ("paper", "ours"))
+    rows = tuple(
+        (
+            title,
+            *(
+                value
+                for system in SYSTEM_TITLES
+                for value in (
+                    str(TABLE_1[_PAPER_NAMES[method], system]),
+                    _printed(own[system, method]) if (system, method) in own else "",
+                )
+            ),
+        )
+        for method, title in METHOD_TITLES.items()
+    )
+    title = "Table 1: RMSE scores of the paper, and ours"
+    return Table("table1", title, ("Method", *columns), rows, _NOTE_1)
+
+
+def _printed(group: Group) -> Spread:
+    losses = (r.printed_loss for r in group.done if r.printed_loss is not None)
+    return Spread.of(losses, group.deterministic)
+
+
+def loss_table(records: Sequence[Record]) -> Table:
+    """Give our losses and the paper's: as printed, corrected, and equation RMSE."""
     columns = (
         "System",
         "Method",
@@ -129,14 +179,13 @@ def table_1(records: Sequence[Record]) -> Table:
         "Equation RMSE: paper",
         "Seconds a run",
     )
-    rows = tuple(_row_1(group) for group in groups(records))
-    return Table("table1", "Losses compared with the paper's Table 1", columns, rows, _NOTE_1)
+    rows = tuple(_losses(group) for group in groups(records))
+    return Table(LOSSES, "Three kinds of loss, ours and the paper's", columns, rows, _NOTE_LOSSES)
 
 
-def _row_1(group: Group) -> tuple[Any, ...]:
-    key = (_PAPER_NAMES.get(group.method, ""), group.system)
-    paper = _paper_rows().get(key, ())
-    printed = TABLE_1.get(key)
+def _losses(group: Group) -> tuple[Any, ...]:
+    paper = _printed_rows(group)
+    printed = TABLE_1.get((_PAPER_NAMES.get(group.method, ""), group.system))
     done, all_ = len(group.done), len(group.records)
 
     def spread(values: Iterable[float | None]) -> Spread:
@@ -145,8 +194,8 @@ def _row_1(group: Group) -> tuple[Any, ...]:
     return (
         *group.titles,
         str(all_) if done == all_ else f"{done} of {all_}",
-        spread(r.printed_loss for r in group.done),
-        " ± ".join(filter(None, (printed.mean, printed.spread))) if printed else "",
+        _printed(group),
+        "" if printed is None else str(printed),
         spread(r.trajectory_loss for r in group.done),
         Spread.of(row.corrected for row in paper),
         spread(r.equation_rmse for r in group.done),
@@ -156,29 +205,74 @@ def _row_1(group: Group) -> tuple[Any, ...]:
 
 
 def appendix_table(group: Group) -> Table:
-    """Give one table of the paper's appendix: each run's formula, its stage, losses and seconds."""
-    columns = ("Run", "Formula", "Stage", "As printed", "Corrected", "Equation RMSE", "Seconds")
-    rows = tuple(
+    """Give one table of the paper's appendix: our formulas and the printed ones, each once.
+
+    Runs that gave the same formula are one row.
+    """
+    columns = ("By", "Runs", "Formula", "Stage", *LOSS_TITLES, "Seconds a run")
+    ours = [
         (
-            r.run,
-            Formula(r.expression) if r.done else f"failed: {r.error}",
-            r.source,
-            *(
-                (r.printed_loss, r.trajectory_loss, r.equation_rmse, r.seconds)
-                if r.done
-                else (math.nan,) * 4
-            ),
+            "ours",
+            _name_runs([r.run for r in same]),
+            Formula(first.expression) if first.done else f"failed: {first.error}",
+            ", ".join(dict.fromkeys(r.source for r in same)),
+            *(getattr(first, loss) if first.done else math.nan for loss in LOSS_FIELDS),
+            Spread.of(r.seconds for r in same if r.done),
         )
-        for r in group.records
-    )
+        for same in _alike(group.records, lambda r: (r.expression, r.error))
+        for first in same[:1]
+    ]
+    printed = [
+        (
+            "paper",
+            _name_runs([row.run for row in same]),
+            Formula(first.expression),
+            "",
+            *(float(first.printed_digits), first.corrected, first.equation_rmse),
+            Spread.of([]),
+        )
+        for same in _alike(_printed_rows(group), lambda row: parse(row.expression))
+        for first in same[:1]
+    ]
     system, method = group.titles
     target = group.records[0].target
+    number = _APPENDIX.get((group.method, group.system))
     return Table(
-        f"appendix_{group.method}_{group.system}",
-        f"{method} on {system}: the formulas found for d{target}/dt",
+        f"{APPENDIX}{group.method}_{group.system}",
+        f"{f'Table {number}: ' if number else ''}{method} on {system}, formulas of d{target}/dt",
         columns,
-        rows,
+        (*ours, *printed),
     )
+
+
+def _alike(items: Iterable[T], of: Callable[[T], Any]) -> list[list[T]]:
+    """Put together what is equal, in the order of the first of each."""
+    found: dict[Any, list[T]] = {}
+    for item in items:
+        found.setdefault(of(item), []).append(item)
+    return list(found.values())
+
+
+def _name_runs(numbers: Iterable[int]) -> str:
+    """Write the numbers of runs.
+
+    >>> _name_runs([1, 2, 3, 5]), _name_runs([4, 5])
+    ('1 to 3, 5', '4, 5')
+    """
+    parts: list[list[int]] = []
+    for number in sorted(numbers):
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1].append(number)
+        else:
+            parts.append([number])
+    texts = (
+        f"{part[0]} to {part[-1]}" if len(part) > 2 else ", ".join(map(str, part)) for part in parts
+    )
+    return ", ".join(texts)
+
+
+def _printed_rows(group: Group) -> tuple[AuditRow, ...]:
+    return _paper_rows().get((_PAPER_NAMES.get(group.method, ""), group.system), ())
 
 
 def stage_table(group: Group) -> Table:
@@ -206,17 +300,21 @@ def stage_table(group: Group) -> Table:
 
 
 def all_tables(records: Sequence[Record], recorded_steps: bool = False) -> list[Table]:
-    """Give Table 1, every table of the appendix, and the stages of what has more than one.
+    """Give Tables 1 and 2, our losses, the appendix in its order, and the stages of searches.
 
     Last come what made each number and, where another engine than the embedded one did, the two
     next to each other.
     """
     found = groups(records)
+    order = [*_APPENDIX]
+    appendix = sorted(found, key=lambda group: _place((group.method, group.system), order))
     staged = [group for group in found if any(len(r.stages) > 1 for r in group.records)]
     compared = [engines_table(records)] if any(r.embedded for r in records) else []
     return [
         table_1(records),
-        *map(appendix_table, found),
+        *([table_2()] if any(group.method == "ga" for group in found) else []),
+        loss_table(records),
+        *map(appendix_table, appendix),
         *map(stage_table, staged),
         *compared,
         made_by_table(records, recorded_steps),
@@ -232,7 +330,8 @@ def table_2() -> Table:
         "iterations": "iterations",
     }
     rows = tuple((label, *(getattr(m, s) for m in methods)) for label, s in settings.items())
-    return Table("table2", "Settings of the GA", ("Setting", *SYSTEM_TITLES.values()), rows)
+    title = "Table 2: hyperparameter setting of the GA"
+    return Table(TABLE_2, title, ("Setting", *SYSTEM_TITLES.values()), rows)
 
 
 def panel(system: System, some: Sequence[Group], engine: str = "embedded") -> Panel:
