@@ -126,7 +126,8 @@ def test_what_cannot_be_saved_is_shown(data, tmp_path, monkeypatch, capsys):
         raise OSError(28, "No space left on device", str(path))
 
     monkeypatch.setattr(Discovery, "save", refuse)
-    with pytest.raises(OSError, match="No space"):
+    saves = pytest.warns(UserWarning, match="No space left")
+    with saves, pytest.raises(OSError, match="No space"):
         discovering.discover([data], preset="quick", functions="none", jobs=1, out=tmp_path / "o")
     assert "x' = -0.5*x" in capsys.readouterr().out
 

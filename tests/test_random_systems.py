@@ -33,6 +33,14 @@ def test_random_systems_are_of_many_fields_and_sizes(drawn):
     assert len({system.name for system in drawn}) == len(drawn)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "seed"), [(25, 5), (12, 12)])
+def test_a_system_that_runs_away_is_passed_over(number, seed):
+    """Whatever the step in which a drawn system leaves its field, or fails, the next is drawn."""
+    some = draw_systems(number, seed=seed, beyond=True)
+    assert len(some) == number and all("beyond" in system.name for system in some)
+
+
 def test_no_random_system_is_one_of_the_zoo(drawn):
     """None has the name or the equations of a system that is published."""
     known = {tuple(animal.system.rhs) for animal in ZOO}

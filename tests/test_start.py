@@ -46,6 +46,35 @@ def earlier() -> dynsr.Discovery:
     return replace(found, equations=shifted, front=few)
 
 
+def test_a_search_goes_on_from_the_folder_that_another_one_left(tmp_path: Path) -> None:
+    """What out= leaves is enough for start=, and a folder without a result is told apart."""
+    data = prey(60, 4)
+    found = dynsr.discover(data, preset="quick", functions=(), jobs=1, out=tmp_path / "a")
+    kept = dynsr.load(tmp_path / "a" / "discovery.json")
+    assert kept.equations == found.equations
+    again = dynsr.discover(data, preset="quick", functions=(), jobs=1, start=tmp_path / "a")
+    assert again.equations == found.equations
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"without discovery\.json: its discovery has not ended"):
+        dynsr.discover(data, jobs=1, start=tmp_path / "empty")
+
+
+def test_a_result_that_cannot_be_saved_is_returned_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full disk costs the file and not the equations; a warning says so in one line."""
+
+    def full(*_: object) -> None:
+        raise InputError("cannot write discovery.json: no space left on device")
+
+    monkeypatch.setattr("dynsr.discovery.search.keep", full)
+    with pytest.warns(UserWarning, match="no space left on device; the result is returned"):
+        found = dynsr.discover(
+            prey(60, 4), preset="quick", functions=(), jobs=1, out=tmp_path / "a"
+        )
+    assert set(found.equations) == {"x", "y"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_law_of_the_new_data_too_ends_the_search(

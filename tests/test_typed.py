@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 import dynsr
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import Verdict
+from dynsr.discovery.verdict import StateVerdict, Verdict
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import ParetoFront
@@ -107,13 +108,21 @@ def test_there_is_always_a_verdict(tmp_path):
     assert again.verdict == found.verdict and found.as_record()["verdict"] is None
 
 
-@pytest.mark.parametrize("kind", ["equations", "front", "constants", "explanation"])
+@pytest.mark.parametrize(
+    "kind",
+    ["equations", "errors", "front", "constants", "explanation", "details", "verdict.states"],
+)
 def test_a_state_that_is_none_is_a_key_error_with_the_names(kind):
     """The nearest name is offered."""
     front = {"prey": ParetoFront(), "hunters": ParetoFront()}
     said = {"prey": "few terms", "hunters": "few terms"}
-    found = Discovery({"prey": parse("-prey"), "hunters": parse("prey")}, {}, front, said)
-    table = getattr(found, kind)
+    equations = {"prey": parse("-prey"), "hunters": parse("prey")}
+    own = dict.fromkeys(equations, StateVerdict("law", "it follows", 1.0))
+    nothing = dict.fromkeys(equations, ())
+    found = Discovery(
+        equations, nothing, front, said, details=said, verdict=Verdict("law", "it follows", own)
+    )
+    table = attrgetter(kind)(found)
     said = r"no state 'pray' \(did you mean 'prey'\?\); the states are: prey, hunters"
     with pytest.raises(KeyError, match=said):
         table["pray"]

@@ -26,11 +26,11 @@ DiscoveryFile = Annotated[
 def check_keeping(folder: Path) -> None:
     """Raise FolderTaken where what is to be kept would replace what dynsr did not write."""
     from dynsr.data import check_replaceable, is_own_page
-    from dynsr.discovery import is_own_record
+    from dynsr.discovery import RECORD, is_own_record
     from dynsr.jobs import FolderTaken
 
     try:
-        check_replaceable(folder / "discovery.json", is_own_record)
+        check_replaceable(folder / RECORD, is_own_record)
         check_replaceable(folder / "report.html", is_own_page)
     except InputError as error:
         raise FolderTaken(str(error)) from None
@@ -38,24 +38,14 @@ def check_keeping(folder: Path) -> None:
 
 def keep(found: Discovery, folder: Path | None) -> list[Path]:
     """Save a discovery in a folder; gives the file. One cut short replaces no complete one."""
-    if folder is None:
-        return []
-    saved = folder / "discovery.json"
-    return [] if not found.complete and _is_complete(saved) else [found.save(saved)]
+    from dynsr.discovery import keep as save
+
+    return [] if folder is None else save(found, folder)
 
 
 def keep_report(found: Discovery, folder: Path | None) -> list[Path]:
     """Write the report of a discovery that was not cut short; gives the file."""
     return [] if folder is None or not found.complete else [found.report(folder / "report.html")]
-
-
-def _is_complete(path: Path) -> bool:
-    from dynsr.discovery import Discovery
-
-    try:
-        return Discovery.load(path).complete
-    except InputError:
-        return False
 
 
 def score_discovery(

@@ -8,8 +8,8 @@ from .parameters import Parameter, Parameters, ParametricSystem
 from .prediction import predict
 from .problem import DISCOVERY, DiscoverySettings
 from .profile import Profile
-from .records import is_own_record
-from .result import Discovery, load
+from .records import RECORD, is_own_record
+from .result import Discovery, keep, load
 from .scoring import (
     Score,
     equation_rmse,
@@ -25,6 +25,7 @@ from .verdict import StateVerdict, Verdict, VerdictSettings
 
 __all__ = [
     "DISCOVERY",
+    "RECORD",
     "Alternative",
     "Discovery",
     "DiscoverySettings",
@@ -51,6 +52,7 @@ __all__ = [
     "inputs_in",
     "is_own_record",
     "iterate",
+    "keep",
     "keep_formulas",
     "load",
     "pair_rows",

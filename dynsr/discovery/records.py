@@ -21,6 +21,8 @@ from dynsr.jobs import RecordError, checksum, from_plain, read_json, to_json
 
 _FORMAT = "dynsr discovery "
 FORMAT = f"{_FORMAT}1"
+# The file of a discovery in its folder.
+RECORD = "discovery.json"
 # A formula of more bits, or one that is simpler than nothing, is none of ours.
 _MOST_BITS = 1e9
 

@@ -58,7 +58,7 @@ from dynsr.discovery.parameters import (
 )
 from dynsr.discovery.prediction import Measured, is_sampled, predict, predict_with_doses
 from dynsr.discovery.profile import Ends, Profile, Profiles, read_constant
-from dynsr.discovery.records import FORMAT, read_discovery, write_discovery
+from dynsr.discovery.records import FORMAT, RECORD, read_discovery, write_discovery
 from dynsr.discovery.rivals import MORE_CONSTANTS, count_constants
 from dynsr.discovery.suggesting import SUGGESTION, Suggestion, SuggestionSettings, suggest
 from dynsr.discovery.summary import DataSummary, summarise
@@ -118,6 +118,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 # A measured column that differs from an expression by less than this share was written from it.
 _ROUNDED = 1e-6
+# Fields of a discovery that have something of each state.
+_OF_STATES = ("equations", "errors", "front", "explanation", "fitted", "details", "ensemble")
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,7 @@ class Discovery:
 
     def __post_init__(self) -> None:
         """Have a name that is no state's answered with those there are."""
-        for name in ("equations", "front", "explanation"):
+        for name in _OF_STATES:
             object.__setattr__(self, name, ByState(getattr(self, name)))
 
     @property
@@ -1024,12 +1026,12 @@ class Discovery:
             refuse_idle(engine, "a map is iterated")
         runs = self._runs(data, hold)
         if self.is_map:
-            return score_map(self.equations, runs)
+            return ByState(score_map(self.equations, runs))
         form = form_of(self.settings)
         runs = form.prepare(carry(runs))
         self._need_columns(runs)
         whole = [self._whole(run, chosen) for run in runs]
-        known, scores = self._known_inputs(runs), {}
+        known, scores = self._known_inputs(runs), ByState[dict[str, float]]()
         for state, expr in self.equations.items():
             samples = form.samples(runs, state)
             truth = np.concatenate([run.observed[:, run.index(state)] for run in runs])
@@ -1422,6 +1424,27 @@ def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
     except (InputError, KeyboardInterrupt):
         # The search is over, and what it found is not lost.
         return found
+
+
+def keep(found: Discovery, folder: Path) -> list[Path]:
+    """Save a discovery in a folder and give the file; one cut short replaces no complete one.
+
+    Parameters
+    ----------
+    found : the discovery.
+    folder : the folder of :data:`RECORD`.
+
+    Raises InputError when the file cannot be written, or one that is no discovery is there.
+    """
+    saved = folder / RECORD
+    return [] if not found.complete and _is_complete(saved) else [found.save(saved)]
+
+
+def _is_complete(path: Path) -> bool:
+    try:
+        return Discovery.load(path).complete
+    except InputError:
+        return False
 
 
 @checked

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from time import monotonic
 from typing import Any
+from warnings import warn
 
 import sympy
 from joblib import effective_n_jobs
@@ -41,7 +42,7 @@ from dynsr.discovery.problem import (
     pool_formulas,
     with_velocities,
 )
-from dynsr.discovery.result import Discovery
+from dynsr.discovery.result import Discovery, keep
 from dynsr.discovery.scaling import in_fitting_units
 from dynsr.discovery.start import Start
 from dynsr.discovery.tasks import (
@@ -73,7 +74,7 @@ from dynsr.discovery.tasks import (
 from dynsr.discovery.verdict import LAW, NOBODY, Verdict, explain
 from dynsr.discovery.watching import with_progress
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle, share_engine
-from dynsr.errors import InputError
+from dynsr.errors import InputError, one_line
 from dynsr.expression import arguments_of, read_own_bits, to_text
 from dynsr.fit import (
     Candidate,
@@ -198,7 +199,8 @@ def discover(
         :func:`dynsr.data.slopes.smooth_column`; "weak" is the weak form. In noise, "auto" is
         better than any of them, because it uses no slopes.
     slopes : state -> your own slopes, one array, or one for each trajectory.
-    out : a folder that keeps every finished task. The same call on it continues where it stopped.
+    out : a folder that keeps every finished task, and the result as discovery.json. The same call
+        on it continues where it stopped.
     progress : a function that is called with a :class:`Step` as tasks end, and every half second
         while they run. True shows live lines, as a notebook does by default; False shows none.
     snap : whether constants become simple numbers where the data allow it. False leaves them as
@@ -354,7 +356,7 @@ def discover(
     found = _judge(problem, found, rivals, record, _left_to_us(method, preset), steps.parts)
     if cut := list(dict.fromkeys([*cut, *problem.cut])):
         record["ended_by_budget"] = cut
-    return replace(
+    found = replace(
         found,
         explanation=_explain(found, problem),
         trajectories=tuple(run.as_measured() for run in runs),
@@ -363,6 +365,18 @@ def discover(
         settings=record,
         seconds=monotonic() - began,
     )
+    _save(found, folder)
+    return found
+
+
+def _save(found: Discovery, folder: RunFolder) -> None:
+    """Save the result in the folder; where that fails, say so: what was found is not lost."""
+    if folder.path is None:
+        return
+    try:
+        keep(found, folder.path)
+    except (InputError, OSError) as error:
+        warn(f"{one_line(error)}; the result is returned all the same", stacklevel=3)
 
 
 def _record_hold(

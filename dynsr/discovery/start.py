@@ -10,13 +10,13 @@ import sympy
 
 from dynsr.data import Trajectory
 from dynsr.discovery.orders import Form
+from dynsr.discovery.records import RECORD
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
 from dynsr.expression import parse, to_text
 from dynsr.jobs import fingerprint
 
 SOURCE = "the earlier discovery"
-_FILE = "discovery.json"
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,12 @@ class Start:
         if isinstance(given, (str, Path)):
             path = Path(given)
             label = f"start {str(given)!r}"
-            given = Discovery.load(path / _FILE if path.is_dir() else path)
+            if path.is_dir() and not (path / RECORD).exists():
+                raise InputError(
+                    f"{label} is a folder without {RECORD}: its discovery has not ended; run it "
+                    "again, or give the file of another one"
+                )
+            given = Discovery.load(path / RECORD if path.is_dir() else path)
         if not isinstance(given, Discovery):
             raise InputError(
                 f"start {str(given)[:40]!r} must be a Discovery, or the file that one was saved to"

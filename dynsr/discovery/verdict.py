@@ -17,6 +17,7 @@ import sympy
 from scipy.special import chdtrc
 
 from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose
+from dynsr.discovery.by_state import ByState
 from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
 from dynsr.discovery.drift_along import Along
 from dynsr.discovery.drift_exact import drift_of_slopes, same_in_time
@@ -200,6 +201,7 @@ class Verdict:
 
     def __post_init__(self) -> None:
         """Check the level; raises InputError."""
+        object.__setattr__(self, "states", ByState(self.states))
         if self.judged:
             _check_level(self.level)
 
@@ -211,7 +213,7 @@ class Verdict:
     @property
     def rivals(self) -> dict[str, tuple[Rival, ...]]:
         """State -> different formulas that were compared, the closest first."""
-        return {state: own.rivals for state, own in self.states.items()}
+        return ByState({state: own.rivals for state, own in self.states.items()})
 
 
 # The verdict of nobody.
