@@ -14,7 +14,7 @@ from command_line import run
 
 from dynsr.cli.results import flatten
 from dynsr.data.system import LOTKA_VOLTERRA
-from dynsr.discovery import Discovery
+from dynsr.discovery import Discovery, RunParameters
 from dynsr.errors import InputError
 from dynsr.paper.protocol import paper_method
 
@@ -126,6 +126,7 @@ class Found:
     constants = {}
     details = {}
     ensemble = {}
+    by_run = RunParameters()
     further = {}
 
     def __init__(self, settings):
@@ -181,7 +182,7 @@ def test_options_reach_the_search(tmp_path, seen):
         "--explicit-time",
     ]
     words += ["--complexity", "sin=8", "--loss", "huber", "--must", "x: x*v", "--start", "old"]
-    words += ["--units", "x=m,t=s", "--ensemble"]
+    words += ["--units", "x=m,t=s", "--ensemble", "--vary", "x"]
     words += ["--known", "x'=-0.1*x", "--out", tmp_path / "kept", "--json"]
     found = json.loads(run(*words).stdout)
     (data,) = seen.pop("data")
@@ -196,6 +197,7 @@ def test_options_reach_the_search(tmp_path, seen):
         "time_budget": 60.0,
         "units": "x=m,t=s",
         "ensemble": True,
+        "vary": ["x"],
         "complexity": {"sin": 8.0},
         "loss": "huber",
         "must": ["x: x*v"],
@@ -522,6 +524,7 @@ def test_a_reason_is_printed_once(monkeypatch, capsys):
         },
         constants={},
         ensemble={},
+        by_run=RunParameters(),
         details={},
         settings={},
     )

@@ -232,5 +232,5 @@ def test_the_report_lists_parameters_with_names(tmp_path):
     """Each stands once, with the equations in these names below."""
     found = made(PREY, settings={"engine": "embedded"}).rename({"k1": "bite"})
     page = found.report(tmp_path / "report.html").read_text()
-    assert "Parameters with names" in page and "bite*x*y" in page
+    assert "Each constant with its 95 % interval" in page and "bite*x*y" in page
     assert "<table>" in found.parameters._repr_html_()

@@ -120,7 +120,10 @@ def _print_constants(found: Discovery, details: bool = False) -> None:
 
     With details, also as they were fitted, before any of them became a simple number.
     """
-    rows = [(state, one) for state, own in found.constants.items() for one in own]
+    if found.by_run.constants:
+        output.console().print()
+        output.console().print(Text(str(found.by_run)), soft_wrap=True)
+    rows = [(s, one) for s, own in found.constants.items() for one in own if not one.fixed]
     if not rows:
         return
     units = found.coefficient_units() if "column_units" in found.settings else {}
@@ -282,6 +285,7 @@ def discover(
     nonnegative: options.Nonnegative = None,
     units: options.Units = None,
     time_budget: options.TimeBudget = None,
+    vary: options.Vary = None,
     ensemble: Annotated[
         bool,
         typer.Option(
@@ -388,6 +392,7 @@ def discover(
                 nonnegative=options.read_names(nonnegative) or (),
                 units=units,
                 time_budget=time_budget,
+                vary=options.read_vary(vary),
                 ensemble=ensemble,
                 start=start,
                 seed=seed,

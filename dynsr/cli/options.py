@@ -187,6 +187,16 @@ KnownNoise = Annotated[
         rich_help_panel=DATA,
     ),
 ]
+Vary = Annotated[
+    str | None,
+    typer.Option(
+        "--vary",
+        help="Let constants differ from trajectory to trajectory: all, or those in the equations "
+        "of some states: x,y. The description length decides which are shared.",
+        metavar="all|STATE,...",
+        rich_help_panel=SEARCH,
+    ),
+]
 TrajectoryColumn = Annotated[
     str | None,
     typer.Option(
@@ -473,3 +483,14 @@ def read_orders(values: Sequence[str] | None) -> int | dict[str, int]:
     if not pairs[0][0]:
         return int(pairs[0][2])
     return {state.strip(): int(number) for state, _, number in pairs}
+
+
+def read_vary(text: str | None) -> bool | list[str]:
+    """Give whether constants may differ, or the states in whose equations.
+
+    >>> read_vary("all"), read_vary("x, y"), read_vary(None)
+    (True, ['x', 'y'], False)
+    """
+    if text is None or text == "all":
+        return text is not None
+    return [name.strip() for name in text.split(",")]

@@ -88,6 +88,7 @@ def summarise(found: Discovery) -> dict[str, Any]:
         "explanation": found.explanation,
         "details": found.details,
         "ensemble": found.ensemble,
+        **({"by_run": found.by_run} if found.by_run.runs else {}),
         "inputs": found.inputs,
         "settings": found.settings,
         "seconds": found.seconds,

@@ -238,6 +238,21 @@ class Trajectory:
         gaps = self.unmeasured[:, places] if self.unmeasured.size else self.unmeasured
         return replace(self, x=self.x[:, places], states=tuple(states), unmeasured=gaps)
 
+    def with_inputs(self, values: Mapping[str, float]) -> Trajectory:
+        """Give the same run with more inputs, which are constant along it.
+
+        Parameters
+        ----------
+        values : input -> its value.
+
+        >>> run = Trajectory([0.0, 1.0], [[1.0], [2.0]], ("x",)).with_inputs({"k1": 0.5})
+        >>> run.inputs[:, 0].tolist(), run.input_names
+        ([0.5, 0.5], ('k1',))
+        """
+        constant = np.tile(list(values.values()), (len(self), 1))
+        inputs = np.column_stack([self.inputs, constant])
+        return replace(self, inputs=inputs, input_names=(*self.input_names, *values))
+
     def own_rows(self, state: str) -> np.ndarray:
         """Give the rows at which a state was measured.
 

@@ -430,7 +430,7 @@ def _make(
             tuple(names[:count]),
             np.column_stack([table[:, count:], extra]),
             (*names[count:], *asked.formulas),
-            {**origin, "name": run.name},
+            {**origin, "name": run.name, **_label(run.name, grouping.trajectory)},
             noise=_read_errors(run, roles, asked),
         )
         # A state that is measured seldom keeps its rows.
@@ -471,3 +471,9 @@ def _check_formulas(values: np.ndarray, t: np.ndarray, formulas: Mapping[str, st
             f"input {name} = {text} is {values[row, column]} at t = {t[row]:g}; "
             "give a formula that is finite over the whole data"
         )
+
+
+def _label(name: str, columns: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Give what each column of labels says of a trajectory, which is named by them."""
+    said = name.split(", ")
+    return {"labels": dict(zip(columns, said, strict=True))} if len(said) == len(columns) else {}

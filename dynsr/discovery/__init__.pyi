@@ -1,3 +1,4 @@
+from .by_run import RunParameters
 from .cut_short import beside_data, keep_formulas
 from .estimator import DynsrRegressor
 from .identifying import Identifiability, IdentifiabilitySettings, identifiability
@@ -21,6 +22,7 @@ from .search import discover
 from .suggesting import Alternative, Experiment, Suggestion, SuggestionSettings
 from .trajectory_estimator import TrajectoryRegressor
 from .uncertainty import bootstrap
+from .varying import VarySettings
 from .verdict import StateVerdict, Verdict, VerdictSettings
 
 __all__ = [
@@ -37,11 +39,13 @@ __all__ = [
     "Parameters",
     "ParametricSystem",
     "Profile",
+    "RunParameters",
     "Score",
     "StateVerdict",
     "Suggestion",
     "SuggestionSettings",
     "TrajectoryRegressor",
+    "VarySettings",
     "Verdict",
     "VerdictSettings",
     "beside_data",

@@ -44,6 +44,11 @@ class Constant:
         return f"<{self.text} of {self.of}>"
 
     @property
+    def fixed(self) -> bool:
+        """Whether it is a number of the form, such as 1 before a parameter, and was not fitted."""
+        return self.error == 0
+
+    @property
     def text(self) -> str:
         """The constant and its interval, to be read."""
         kept = "" if _close(self.fitted, self.value) else f", fitted {self.fitted_text}"

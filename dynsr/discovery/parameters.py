@@ -65,6 +65,18 @@ class Parameter:
     of: str = ""
     states: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Take ends that are not finite, as a file has those that are unknown, for unknown."""
+        for name in ("low", "high"):
+            end = getattr(self, name)
+            if end is not None and not math.isfinite(end):
+                object.__setattr__(self, name, None)
+
+    @property
+    def interval_text(self) -> str:
+        """The interval, to be read."""
+        return write_interval(self.low, self.high)
+
 
 @checked
 class Parameters(Mapping[str, Parameter]):
@@ -103,17 +115,18 @@ class Parameters(Mapping[str, Parameter]):
         return {name: parameter.value for name, parameter in self._found.items()}
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Give (name, value, standard error, interval, unit, place) of each, to be read."""
+        """Give (name, value, error, interval, unit, place) of each that was fitted, to be read."""
         return [
             (
                 p.name,
                 f"{p.value:.6g}",
                 f"{p.error:.2g}" if math.isfinite(p.error) else "unknown",
-                write_interval(p.low, p.high),
+                p.interval_text,
                 p.unit,
                 f"{p.of} of {', '.join(s + chr(39) for s in p.states)}",
             )
             for p in self._found.values()
+            if p.error > 0
         ]
 
     def to_frame(self) -> pd.DataFrame:

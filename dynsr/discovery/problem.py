@@ -29,6 +29,7 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import (
     Found,
 )
+from dynsr.discovery.varying import VarySettings
 from dynsr.discovery.verdict import LAW, Verdict, VerdictSettings, hold_to_slopes, judge, unjudged
 from dynsr.expression import compile_numpy, evaluate, has_pole, ratio_forms
 from dynsr.fit import (
@@ -110,6 +111,7 @@ class DiscoverySettings:
     verdict : when equations are a law, an approximation, or not found.
     followers : how sums of terms are chosen for their integration where no law is found.
     profile : where intervals of constants in noise come from profile likelihoods, and how.
+    vary : which constants differ from run to run, where that is asked.
 
     >>> DiscoverySettings(rows=2000).selection.compared
     5
@@ -122,6 +124,7 @@ class DiscoverySettings:
     verdict: VerdictSettings = VerdictSettings()
     followers: FollowerSettings = FollowerSettings()
     profile: ProfileSettings = ProfileSettings()
+    vary: VarySettings = VarySettings()
 
     def without_snapping(self) -> DiscoverySettings:
         """Give the same settings for constants that stay as fitted."""

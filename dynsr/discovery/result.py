@@ -29,6 +29,7 @@ from dynsr.data import (
     settle_hold,
     take_trajectories,
 )
+from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.by_state import ByState
 from dynsr.discovery.identifying import Identifiability, identify, with_data
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
@@ -62,6 +63,7 @@ from dynsr.discovery.records import FORMAT, RECORD, read_discovery, write_discov
 from dynsr.discovery.rivals import MORE_CONSTANTS, count_constants
 from dynsr.discovery.suggesting import SUGGESTION, Suggestion, SuggestionSettings, suggest
 from dynsr.discovery.summary import DataSummary, summarise
+from dynsr.discovery.varying import Law, Study, VarySettings, write_answer
 from dynsr.discovery.verdict import NOBODY, NOT_FOUND, Verdict, VerdictSettings, explain, judge
 from dynsr.engines import (
     DEFAULT_ENGINE,
@@ -174,6 +176,8 @@ class Discovery:
         the profile likelihood where the one by the standard error is wrong, None elsewhere; inf is
         for a side that the data leave open.
     summary : what is known of the data where they are not there, as after :meth:`load`.
+    by_run : the parameters that differ from run to run, see :meth:`vary`. Equations contain them as
+        inputs that are constant in each run.
 
     >>> x = sympy.Symbol("x")
     >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
@@ -198,6 +202,7 @@ class Discovery:
     parameter_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     profiled: Mapping[str, tuple[Ends | None, ...]] = field(default_factory=dict)
     summary: DataSummary | None = None
+    by_run: RunParameters = RunParameters()
 
     def __post_init__(self) -> None:
         """Have a name that is no state's answered with those there are."""
@@ -582,6 +587,10 @@ class Discovery:
     def _profiles(self, data: Any = None, settings: ProfileSettings | None = None) -> Profiles:
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its errors are of one step")
+        if self.by_run.constants:
+            raise InputError(
+                "parameters differ from run to run; ask for_run(NAME) for the profiles of one run"
+            )
         form, runs = form_of(self.settings), self._runs(data)
         prepared = form.prepare(runs)
         self._need_columns(prepared)
@@ -603,6 +612,153 @@ class Discovery:
         Raises InputError where :meth:`profile` does.
         """
         return replace(self, profiled=self._profiles(None, settings).ends())
+
+    def vary(
+        self,
+        which: bool | str | Sequence[str] = True,
+        *,
+        others: Sequence[Discovery] = (),
+        settings: VarySettings | None = None,
+    ) -> Discovery:
+        """Let constants differ from run to run, and fit all of them again, together.
+
+        A constant that differs becomes an input of the equations that is constant in each run;
+        :attr:`by_run` has its values with 95 % intervals. Where it follows a known input of the
+        runs, or is a multiple of another constant, that function takes its place, and
+        ``by_run.follows`` says so.
+
+        Parameters
+        ----------
+        which : True lets the description length decide for each constant whether it is shared,
+            differs with a label or known input of the runs, or from run to run. A state, or
+            several, does so for the constants of their equations. Names of parameters are those
+            that differ from run to run: all others are shared.
+        others : discoveries of the same states whose equations are tried too.
+        settings : the numbers that decide; those of the discovery by default.
+
+        Where no constant differs, the result is this discovery. Raises InputError when the data are
+        not here, there is one run, one is too short, the equations are a map or cannot be fitted,
+        or there is no such parameter.
+
+        >>> x, t = sympy.Symbol("x"), np.linspace(0.0, 2.0, 41)
+        >>> runs = tuple(Trajectory(t, np.exp(-k * t)[:, None], ("x",)) for k in (0.5, 0.9))
+        >>> found = Discovery({"x": -0.7 * x}, {}, {}, {}, runs)
+        >>> found.vary().by_run
+        run  k1   95 % interval
+        1    0.5  0.49998 to 0.50002
+        2    0.9  0.89998 to 0.90002
+        """
+        if self.is_map:
+            raise InputError("a map has no joint fit of its states; its constants do not differ")
+        if not self.trajectories:
+            raise InputError("the data are not here; discover again before constants can differ")
+        if self.by_run.constants:
+            raise InputError("constants differ already; vary the discovery from before that")
+        form = form_of(self.settings)
+        runs = form.prepare(self.carried)
+        known = self._known_inputs(runs)
+        comparison = self._settings(ComparisonSettings, "selection", "comparison")
+        own = settings or self._settings(VarySettings, "vary")
+        names = self.parameters
+        asked = [which] if isinstance(which, str) else which
+        chosen = [] if isinstance(asked, bool) else list(asked)
+        states = [name for name in chosen if name in self.equations]
+        if (mixed := [n for n in chosen if n not in self.equations and n not in names]) or (
+            states and len(states) < len(chosen)
+        ):
+            raise InputError(
+                f"{(mixed or chosen)[0]!r} cannot differ; give parameters ({', '.join(names)}), or "
+                f"states ({', '.join(self.equations)})"
+            )
+        study = Study.of(
+            runs,
+            known,
+            form.known,
+            tuple(self.equations),
+            states or tuple(self.equations),
+            comparison,
+            own,
+        )
+        if chosen and not states:
+            law = study.by_hand(self.equations, self.constant_names, chosen)
+        elif asked:
+            law = study.find([f.equations for f in (self, *others)])
+            law = law and study.explain(law)
+        else:
+            return self
+        if law is None:
+            raise InputError("the equations cannot be fitted along every run; their slopes diverge")
+        if not law.mixed.varied and not law.said and not others:
+            return self
+        return self._vary_as(study, law, form.known)
+
+    def _vary_as(self, study: Study, law: Law, derived: Mapping[str, sympy.Expr]) -> Discovery:
+        """Give the discovery of a law whose constants differ."""
+        labels = [str(run.origin.get("name", i)) for i, run in enumerate(self.trajectories, 1)]
+        names = (
+            labels if len(set(labels)) == len(labels) else list(map(str, range(1, len(labels) + 1)))
+        )
+        answer = write_answer(study, law, names)
+        columns = {n: [p.value for p in own] for n, own in answer.by_run.constants.items()}
+        runs = [
+            run.with_inputs({name: values[i] for name, values in columns.items()})
+            for i, run in enumerate(self.trajectories)
+        ]
+        judging = self._settings(VerdictSettings, "verdict")
+        prepared = form_of(self.settings).prepare(carry(runs))
+        verdict = judge(answer.equations, prepared, self._known_inputs(runs), settings=judging)
+        said = "".join(f" {words}" for words in answer.by_run.sentences)
+        return replace(
+            self,
+            equations=answer.equations,
+            errors=answer.errors,
+            front={state: ParetoFront() for state in answer.equations},
+            trajectories=tuple(run.as_measured() for run in runs),
+            fitted={s: tuple(v for v, _ in pairs) for s, pairs in answer.errors.items()},
+            reach=answer.reach,
+            profiled={},
+            ensemble={},
+            details={},
+            summary=None,
+            verdict=verdict,
+            explanation={
+                s: explain(s, e, verdict.states[s], False, judging) + said
+                for s, e in answer.equations.items()
+            },
+            parameter_names=answer.names,
+            by_run=answer.by_run,
+        )
+
+    def for_run(self, run: str | int) -> Discovery:
+        """Give the equations of one run, with numbers for the parameters that differ.
+
+        Parameters
+        ----------
+        run : its name in :attr:`by_run`, or its place from 0.
+
+        Raises InputError when there is no such run.
+
+        >>> x, t = sympy.Symbol("x"), np.linspace(0.0, 2.0, 41)
+        >>> runs = tuple(Trajectory(t, np.exp(-k * t)[:, None], ("x",)) for k in (0.5, 0.9))
+        >>> found = Discovery({"x": -0.7 * x}, {}, {}, {}, runs).vary()
+        >>> round(found.for_run(1).parameters["k1"].value, 6)
+        0.9
+        """
+        place = self.by_run.place(run)
+        put = {sympy.Symbol(n): sympy.Float(v) for n, v in self.by_run.numbers(place).items()}
+        own = [values[place] for values in self.by_run.constants.values()]
+        pairs = tuple((sign * p.value, p.error) for p in own for sign in (1.0, -1.0))
+        return replace(
+            self,
+            equations={s: e.xreplace(put) for s, e in self.equations.items()},
+            errors={s: (*known, *pairs) for s, known in self.errors.items()},
+            fitted={},
+            front={},
+            trajectories=self.trajectories[place : place + 1],
+            summary=None,
+            by_run=RunParameters(),
+            parameter_names={},
+        )
 
     def coefficient_units(self) -> dict[str, dict[str, str]]:
         """State -> term -> the unit of its coefficient, in the units that ``discover`` was given.
@@ -1050,7 +1206,21 @@ class Discovery:
             raise InputError("the data are not here; give some")
         own = {n: way for n, way in self.hold.items() if n in runs[0].input_names}
         asked = check_hold(hold, runs[0].input_names)
-        return in_unit(settle_hold(runs, {**own, **asked}), self.time_unit)
+        return self._by_name(in_unit(settle_hold(runs, {**own, **asked}), self.time_unit))
+
+    def _by_name(self, runs: list[Trajectory]) -> list[Trajectory]:
+        """Give runs of the names that the data had what the parameters that differ were there."""
+        own = self.by_run
+        if not own.constants or set(own.constants) <= set(runs[0].names):
+            return runs
+        plain = own.runs if len(runs) == len(own.runs) else [""] * len(runs)
+        names = [run.origin.get("name", name) for run, name in zip(runs, plain, strict=True)]
+        if not set(names) <= set(own.runs):
+            raise InputError(
+                f"{', '.join(own.constants)} differ from run to run, and these runs are others; "
+                "give columns of these names, or ask for_run(NAME)"
+            )
+        return [run.with_inputs(own.numbers(name)) for run, name in zip(runs, names, strict=True)]
 
     def _need_columns(self, runs: Sequence[Trajectory]) -> None:
         if missing := [n for n in arguments_of(self.equations) if n not in runs[0].names]:
@@ -1326,6 +1496,7 @@ class Discovery:
             **({"parameter_names": to_plain(self.parameter_names)} if self.parameter_names else {}),
             **({"profiled": to_plain(self.profiled)} if self.profiled else {}),
             **({"summary": to_plain(kept)} if (kept := self._summarise()) else {}),
+            **({"by_run": to_plain(self.by_run)} if self.by_run.runs else {}),
         }
 
     @classmethod
@@ -1342,6 +1513,7 @@ class Discovery:
             "parameter_names": dict[str, tuple[str, ...]],
             "profiled": dict[str, tuple[Ends | None, ...]],
             "summary": DataSummary,
+            "by_run": RunParameters,
         }
         fields = read_discovery(Path(path), **further, verdict=Verdict | None)
         return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY})
@@ -1417,7 +1589,12 @@ def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
     settings : the numbers that decide.
     """
     judged = found.verdict.judged and found.verdict.level != NOT_FOUND
-    if not (found.complete and judged) or found.is_map or not is_noisy(found.trajectories):
+    if (
+        found.by_run.runs
+        or not (found.complete and judged)
+        or found.is_map
+        or not is_noisy(found.trajectories)
+    ):
         return found
     try:
         return found.with_profiles(settings)

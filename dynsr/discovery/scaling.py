@@ -13,6 +13,7 @@ import sympy
 from threadpoolctl import threadpool_limits
 
 from dynsr.data import Trajectory, take_trajectories
+from dynsr.discovery.apart import check_vary, search_apart
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery, with_profiles
@@ -191,13 +192,22 @@ def in_fitting_units(search: Search) -> Search:
         runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), **asked)
         seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
+        vary = check_vary(settings.pop("vary", False), runs, discrete)
         units = Units.of(runs)
         bits = read_own_bits(settings.get("complexity"))
         until = Budget(settings.get("time_budget")).until(1.0)
+
+        def one_search(some: Sequence[Trajectory], own: dict[str, Any]) -> Discovery:
+            return _search_in(Units.of(some), some, own)
+
         # Its arrays are small: more threads than one only wait for each other.
         with counting(bits):
             with threadpool_limits(1):
-                found = with_told(_search_in(units, runs, settings), runs)
+                if vary:
+                    found = search_apart(one_search, runs, settings, vary)
+                else:
+                    found = _search_in(units, runs, settings)
+                found = with_told(found, runs)
                 found = finish_by(until, lambda: confirm(found), lambda: found)[0]
                 profiling = settings.get("settings", DISCOVERY).profile
                 sure, late = finish_by(

@@ -157,6 +157,7 @@ def discover(
     nonnegative: Sequence[str] = (),
     units: Mapping[str, str] | str | None = None,
     time_budget: float | None = None,
+    vary: bool | str | Sequence[str] = False,
     ensemble: bool | int = False,
     start: Discovery | Start | str | Path | None = None,
 ) -> Discovery:
@@ -236,6 +237,9 @@ def discover(
     time_budget : seconds after which the best result is taken, without the time for loading
         libraries. A budget that ends a search makes the result depend on the machine, and the
         record names what it ended. A budget that does not changes nothing.
+    vary : True if constants may differ from run to run. Some runs are searched alone, all are
+        fitted together, and the description length decides which constants are shared. A state,
+        or several, allows it in their equations only. See :meth:`Discovery.vary`.
     ensemble : True, or a number of draws: how often each term is kept, and the interval of its
         coefficient, in fits to data drawn with replacement (:func:`dynsr.bootstrap`). The result
         is in ``found.ensemble``, in the report and in the shell's output.

@@ -36,6 +36,7 @@ from .linear import (
     solve_each,
 )
 from .losses import LOSSES, Loss, LossFunction, judge_by_loss, read_loss
+from .mixed import Mixed, MixedFit, MixedMesh, measure_runs
 from .noise import (
     Noise,
     independent_rows,
@@ -83,6 +84,9 @@ __all__ = [
     "Match",
     "Measurements",
     "Mesh",
+    "Mixed",
+    "MixedFit",
+    "MixedMesh",
     "Names",
     "Noise",
     "Pace",
@@ -123,6 +127,7 @@ __all__ = [
     "match_trajectories",
     "mean_error_bits",
     "measure_covariance",
+    "measure_runs",
     "misses_bits",
     "missing_terms",
     "neighbours",

@@ -3,6 +3,7 @@ from .page import Picture, render_page, write_table
 from .plots import (
     Panel,
     draw_branches,
+    draw_by_run,
     draw_flow,
     draw_panels,
     draw_profiles,
@@ -19,6 +20,7 @@ __all__ = [
     "Spread",
     "Table",
     "draw_branches",
+    "draw_by_run",
     "draw_flow",
     "draw_panels",
     "draw_profiles",

@@ -227,6 +227,7 @@ def render_discovery(found: Discovery) -> str:
         summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
         constants=_constants(found),
+        by_run=_by_run(found),
         fronts={state: _front(found, state, samples.get(state)) for state in found.equations},
         trajectories=list(_trajectories(found)),
         fixed=_fixed_points(found),
@@ -353,7 +354,7 @@ def _known(found: Discovery) -> str:
 def _constants(found: Discovery) -> Table | None:
     """Give the constants as parameters with names, each once; None without any."""
     system = found.system
-    if not system.parameters:
+    if not found.parameters.rows():
         return None
     left = "[n+1]" if found.is_map else "'"
     lines = "; ".join(
@@ -373,6 +374,22 @@ def _constants(found: Discovery) -> Table | None:
         tuple(head[i] for i in kept),
         tuple(tuple(row[i] for i in kept) for row in rows),
         f"In these names: {lines}.{_ROUNDED if 3 in kept else ''}{_PROFILED if profiled else ''}",
+    )
+
+
+def _by_run(found: Discovery) -> Table | None:
+    """Give the parameters that differ from run to run; None where all are shared."""
+    own = found.by_run
+    if not own.constants:
+        return None
+    head = tuple(name[:1].upper() + name[1:] if name == "run" else name for name in own.head)
+    return Table(
+        "by-run",
+        "Parameters that differ from run to run",
+        head,
+        tuple(own.rows()),
+        f"{' '.join(own.sentences)} All other constants are shared by the runs. The intervals are "
+        "those of one fit of all runs.",
     )
 
 

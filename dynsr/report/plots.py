@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dynsr.data import Samples, Trajectory
-from dynsr.discovery import Profile, Suggestion
+from dynsr.discovery import Profile, RunParameters, Suggestion
 from dynsr.engines import Branches, FixedPoint
 from dynsr.expression import compile_numpy
 
@@ -47,6 +47,8 @@ _TICKS = 3
 MOST_DOTS = 5000
 _BINS = (160, 80)
 # What of an open side is drawn, in units of the other side or of the constant.
+# Degrees by which names of runs are turned.
+_SLANT = 30
 _OPEN = 3.0
 # Points across a picture of a flow, and the colour of its arrows.
 _FLOW_GRID = 41
@@ -240,6 +242,29 @@ def draw_profiles(profiles: Sequence[Profile]) -> Figure:
     for axis in axes[:, 0]:
         axis.set_ylabel("loss of log-likelihood")
     _legend_below(figure, axes.flat[0])
+    return figure
+
+
+def draw_by_run(own: RunParameters) -> Figure:
+    """Draw the parameters that differ from run to run with their 95 % intervals, two in a row.
+
+    Parameters
+    ----------
+    own : parameters of which one or more differ.
+    """
+    columns = min(2, len(own))
+    rows = -(-len(own) // columns)
+    figure, axes = _canvas(rows, columns, (_WIDTH, 2.2 * rows + 0.6))
+    for axis, (name, each) in zip(axes.flat, own.constants.items(), strict=False):
+        values = np.array([p.value for p in each])
+        # An interval that is unknown has no bar.
+        ends = [(p.low or p.value, p.high or p.value) for p in each]
+        bars = np.abs(np.array(ends).T - values)
+        axis.errorbar(own.runs, values, bars, fmt="o", color=COLOURS[0], ms=4, capsize=3, lw=1.2)
+        axis.set_title(f"{name} of {each[0].of} in {each[0].states[0]}'", fontsize=9)
+        axis.tick_params(axis="x", labelrotation=_SLANT if max(map(len, own.runs)) > 3 else 0)
+    for axis in axes.flat[len(own) :]:
+        axis.set_axis_off()
     return figure
 
 

@@ -1,0 +1,130 @@
+"""Apart: runs whose constants differ are searched one by one, and fitted together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from dynsr.data import Trajectory
+from dynsr.discovery.problem import DISCOVERY
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.verdict import LAW, LEVELS
+from dynsr.errors import InputError
+
+Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
+Asked = bool | tuple[str, ...]
+
+
+def check_vary(asked: Any, runs: Sequence[Trajectory], discrete: bool) -> Asked:
+    """Give whether constants may differ from run to run, or the states in whose equations.
+
+    Parameters
+    ----------
+    asked : what :func:`dynsr.discover` was given.
+    runs, discrete : the data, and whether the equations are a map.
+
+    Raises InputError when it is neither, there is one run, or the equations are a map.
+    """
+    if isinstance(asked, bool):
+        found: Asked = asked
+    else:
+        found = (asked,) if isinstance(asked, str) else tuple(asked)
+        for state in found:
+            runs[0].index(state)
+    if found and discrete:
+        raise InputError("a map has no joint fit of its states; leave vary out")
+    if found and len(runs) < 2:
+        raise InputError(
+            "constants can differ between trajectories, and there is one; give several, or name "
+            "the column that tells them with trajectory="
+        )
+    return found
+
+
+def search_apart(
+    search: Search, runs: Sequence[Trajectory], settings: dict[str, Any], asked: Asked
+) -> Discovery:
+    """Search some runs alone and give the law of all, with constants that may differ.
+
+    Where none differs, or what differs leaves no law, all runs are searched together too.
+
+    Parameters
+    ----------
+    search : finds equations of trajectories.
+    runs : the data.
+    settings : of the search.
+    asked : what :func:`check_vary` gave.
+    """
+    began = monotonic()
+    found = _search_apart(search, runs, settings, asked)
+    record = {**found.settings, "vary": asked if isinstance(asked, bool) else list(asked)}
+    return replace(found, settings=record, seconds=monotonic() - began)
+
+
+def _search_apart(
+    search: Search, runs: Sequence[Trajectory], settings: dict[str, Any], asked: Asked
+) -> Discovery:
+    varying = settings.get("settings", DISCOVERY).vary
+    alone: list[Discovery] = []
+    faults: list[InputError] = []
+    chosen = _most_telling(runs)[: varying.searched]
+    budget, out = settings.get("time_budget"), settings.get("out")
+    if budget is not None:
+        settings = {**settings, "time_budget": budget / (1 + len(chosen))}
+    for place in chosen:
+        own = {**settings, "out": None if out is None else Path(out) / f"run-{place + 1}"}
+        try:
+            alone.append(search([_without_constants(runs[place])], own))
+        except InputError as error:
+            faults.append(error)
+    if alone and not all(found.complete for found in alone):
+        return _of_all(alone[0], runs)
+    varied = _vary(alone, runs, asked)
+    if varied is not None and varied.by_run.constants and varied.verdict.level == LAW:
+        return varied
+    if varied is not None and varied.by_run.follows and not varied.by_run.constants:
+        # It is a law of the known inputs of the runs as any other.
+        begun = {"start": settings.get("start") or varied}
+        found = search(runs, {**settings, **begun})
+        return replace(found, by_run=varied.by_run) if found.verdict.level == LAW else varied
+    together = search(runs, dict(settings))
+    if not together.complete or together.verdict.level == LAW:
+        return together
+    again = _vary([*alone, together], runs, asked)
+    better = [found for found in (varied, again) if found is not None and found.by_run.runs]
+    return min([*better, together], key=lambda found: LEVELS.index(found.verdict.level))
+
+
+def _vary(found: Sequence[Discovery], runs: Sequence[Trajectory], asked: Asked) -> Discovery | None:
+    if not found:
+        return None
+    first, *others = (_of_all(one, runs) for one in found)
+    try:
+        return first.vary(asked, others=others)
+    except InputError:  # no equation can be fitted along every run
+        return None
+
+
+def _of_all(found: Discovery, runs: Sequence[Trajectory]) -> Discovery:
+    return replace(found, trajectories=tuple(run.as_measured() for run in runs))
+
+
+def _most_telling(runs: Sequence[Trajectory]) -> list[int]:
+    """Places of the runs, first those with most rows and the widest motion."""
+    spread = np.array([np.nanstd(run.observed, axis=0) for run in runs])
+    usual = np.maximum(spread.max(axis=0), 1e-300)
+    told = [len(run) * float(np.mean(own / usual)) for run, own in zip(runs, spread, strict=True)]
+    return sorted(range(len(runs)), key=lambda place: -told[place])
+
+
+def _without_constants(run: Trajectory) -> Trajectory:
+    """Give a run without inputs that are constant along it: one run cannot determine them."""
+    kept = [i for i in range(len(run.input_names)) if np.ptp(run.inputs[:, i]) > 0]
+    names = tuple(run.input_names[i] for i in kept)
+    hold = {name: way for name, way in run.hold.items() if name in names}
+    return replace(run, inputs=run.inputs[:, kept], input_names=names, hold=hold)
