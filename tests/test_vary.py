@@ -201,6 +201,24 @@ def test_cultures_of_two_treatments_are_told_by_the_shell(tmp_path):
     assert list(by_run["by"].values()) == ["treatment"]
 
 
+def test_constants_of_second_order_differ_too():
+    """Springs of their own and one damping, from positions alone."""
+    t, runs = np.linspace(0, 10, 120), []
+    rng = np.random.default_rng(5)
+    for stiffness in (1.0, 2.0, 3.0):
+        own = np.sqrt(stiffness - 0.01)
+        x = np.exp(-0.1 * t) * (np.cos(own * t) + 0.1 / own * np.sin(own * t))
+        runs.append(Trajectory(t, (x + 0.005 * rng.normal(size=120))[:, None], ("x",)))
+    v = sympy.Symbol("x_dot")
+    equations = {"x": v, "x_dot": -1.8 * X - 0.2 * v}
+    settings = {"velocities": {"x": "x_dot"}}
+    found = Discovery(equations, {}, {}, {}, tuple(runs), settings=settings).vary()
+    (own,) = found.by_run.constants.values()
+    assert [p.value for p in own] == pytest.approx([1.0, 2.0, 3.0], rel=0.01)
+    damping = next(p for p in found.parameters.values() if p.of == "x_dot")
+    assert damping.value == pytest.approx(0.2, abs=0.01)
+
+
 def test_equations_of_one_run_have_its_numbers():
     """`for_run` puts the numbers of a run, with their intervals, into the equations."""
     found = grown(0.01).vary()

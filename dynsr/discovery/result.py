@@ -706,7 +706,9 @@ class Discovery:
         ]
         judging = self._settings(VerdictSettings, "verdict")
         prepared = form_of(self.settings).prepare(carry(runs))
-        verdict = judge(answer.equations, prepared, self._known_inputs(runs), settings=judging)
+        noise = study.noise if is_noisy(prepared) else None
+        known = self._known_inputs(runs)
+        verdict = judge(answer.equations, prepared, known, noise=noise, settings=judging)
         said = "".join(f" {words}" for words in answer.by_run.sentences)
         return replace(
             self,

@@ -114,6 +114,7 @@ class Study:
     Parameters
     ----------
     runs : the trajectories.
+    data : their noise and smoothed curves.
     rows : their rows, ready for fits.
     comparison : what counts the bits of equations.
     states : states whose equations may have constants that differ.
@@ -121,6 +122,7 @@ class Study:
     """
 
     runs: Sequence[Trajectory]
+    data: Measurements
     rows: MixedMesh
     comparison: SystemComparison
     states: tuple[str, ...]
@@ -160,9 +162,16 @@ class Study:
                 f"of fewer than {_FEWEST} rows"
             )
         made = {s: slope for s, slope in derived.items() if slope.is_Symbol}
-        data: Measurements = measure_runs(runs, inputs, comparison.rows, made)
+        data = measure_runs(runs, inputs, comparison.rows, made)
         rows = MixedMesh.of(data, order)
-        return cls(runs, rows, SystemComparison(rows.mesh, comparison), tuple(states), settings)
+        counting = SystemComparison(rows.mesh, comparison)
+        return cls(runs, data, rows, counting, tuple(states), settings)
+
+    @property
+    def noise(self) -> list[np.ndarray] | None:
+        """(n, k) standard deviations of the noise of each run; None where rows were left out."""
+        found = [smoothed.noise for smoothed in self.data.smoothed]
+        return found if [*map(len, found)] == [*map(len, self.runs)] else None
 
     @cached_property
     def columns(self) -> list[str]:
@@ -245,7 +254,8 @@ class Study:
         counts = np.array([fit.problem.mesh.rows for fit in each])
         squares = np.array([fit.mean_squares for fit in each])
         rows = counts.sum(axis=0)
-        missed = (squares * counts).sum(axis=0) / np.maximum(rows, 1.0)
+        # A state that was made from another one has no rows, and costs nothing.
+        missed = np.maximum((squares * counts).sum(axis=0) / np.maximum(rows, 1.0), 1e-300)
         bits = misses_bits(missed, rows, self.rows.mesh.known)
         bits += self._structure(equations, signed)
         bits += sum(precision_bits(f.information, f.scales, f.theta) for f in each)
