@@ -176,12 +176,15 @@ def test_a_body_without_end_is_cut(page):
     assert page.ask("")[0] == 200
 
 
-@pytest.mark.parametrize("name", ["a.npz", "a.csv.gz", "a.xlsx", "a", "csv", "../../a.pkl"])
-def test_only_text_tables_are_taken(page, name):
-    """Archives, which may unfold to any size, and whatever else is no text are refused by name."""
+@pytest.mark.parametrize("name", ["a.npz", "a.csv.gz", "a.mat", "a", "csv", "../../a.pkl"])
+def test_only_text_and_spreadsheets_are_taken(page, name):
+    """Whatever else may unfold to any size or is no table is refused by name."""
     status, _, answer = page.ask(f"data?name={quote(name, safe='')}", b"PK\x03\x04")
     assert status == 400
-    assert "is no text table (.csv, .tsv, .txt, .dat)" in json.loads(answer)["error"]
+    assert (
+        "is no table that the page takes (.csv, .tsv, .txt, .dat, .xlsx"
+        in json.loads(answer)["error"]
+    )
 
 
 HOSTILE = {
@@ -564,9 +567,31 @@ def test_a_worker_that_does_not_start_is_tried_again_only_when_asked(own_page):
     assert served.drop(TABLE)["table"]["states"] == ["x", "y"]
 
 
+def test_a_spreadsheet_is_read_and_a_broken_one_named(page, tmp_path):
+    """The first sheet with a table gives the columns; a file that only says to be one is named."""
+    openpyxl = pytest.importorskip("openpyxl", reason="openpyxl is not installed")
+    pytest.importorskip("python_calamine", reason="python-calamine is not installed")
+    book = openpyxl.Workbook()
+    for row in (["t", "x"], *([0.1 * k, 2.0 + k] for k in range(20))):
+        book.active.append(row)
+    book.save(tmp_path / "a.xlsx")
+    parts = page.drop((tmp_path / "a.xlsx").read_bytes(), "a.xlsx")
+    assert parts["table"]["states"] == ["x"] and parts["table"]["rows"] == 20
+    said = page.drop(b"PK\x03\x04" + bytes(100), "b.xlsx")["said"]
+    assert said.startswith("'b.xlsx' is damaged or not a spreadsheet")
+
+
+def test_the_example_is_read_like_a_dropped_file(page):
+    """One wish gives the data that come with the page."""
+    assert page.post("example") == (200, "")
+    parts = page.wait(lambda parts: not parts["busy"] and parts.get("table"))
+    assert parts["table"]["states"] == ["prey", "predators"]
+    assert "in days" in parts["table"]["guess"]
+
+
 def test_other_data_begin_anew(page):
     """After Other data nothing of the earlier ones is there, nor can be asked for."""
-    assert page.drop(TABLE)["preview"].startswith("<svg")
+    assert page.drop(TABLE)["preview"]["svg"].startswith("<svg")
     assert page.post("forget") == (200, "")
     parts = page.wait(lambda parts: not parts["busy"])
     assert (parts["table"], parts["preview"], parts["found"]) == (None, None, None)
@@ -675,7 +700,7 @@ def test_each_run_has_its_picture(tmp_path):
     columns = {"run": np.repeat([1, 2], len(t)), "t": np.tile(t, 2)}
     columns["x"] = np.concatenate([np.exp(-t), 5 * np.exp(-t)])
     parts, work = search_columns(tmp_path, columns)
-    assert parts["found"]["runs"] == 2
+    assert parts["found"]["runs"] == ["1", "2"]
     first = parts["picture"]["svg"]
     work.redraw({"x": [-1.0]}, 1)
     assert parts["picture"]["svg"] != first and parts["picture"]["said"] == ""

@@ -11,6 +11,7 @@ import pytest
 import dynsr
 
 pytest.importorskip("tornado", reason="the extra app is not installed")
+from axe import require_axe, violations
 from browser import Browser, require_chromium
 from served_page import Page, rabbits
 
@@ -290,3 +291,92 @@ def test_nothing_is_shown_without_the_token(browser, page):
     """A browser that comes without the token sees nothing of the page."""
     browser.open(page.url.replace(page.token, "x" * len(page.token)), DESK)
     assert "dynsr" not in browser.run("document.documentElement.innerText")
+
+
+@pytest.mark.parametrize(("width", "dark"), [(DESK, False), (PHONE, True)])
+def test_the_page_keeps_the_rules_of_accessibility(browser, page, width, dark):
+    """Empty, with data, with options and a question, and with equations: axe-core finds nothing."""
+    script = require_axe()
+    browser.open(page.url, width, dark=dark)
+    browser.wait("document.getElementById('limit').textContent && !!parts.choices")
+    assert violations(browser, script) == []
+    page.drop(rabbits(), "rabbits.csv")
+    browser.wait(IDLE)
+    browser.run("document.getElementById('more').open = true")
+    assert violations(browser, script) == []
+    page.post("search", options={"preset": "quick", "functions": []})
+    browser.wait(FOUND)
+    browser.run("for (const one of document.querySelectorAll('details')) one.open = true")
+    assert violations(browser, script) == []
+    click(browser, "#forget")
+    assert browser.run("document.getElementById('sure').open")
+    assert violations(browser, script) == []
+
+
+def test_an_example_is_a_press_away(browser, page):
+    """Without a file of one's own the page is tried: data, preview, search and a law."""
+    browser.open(page.url, DESK)
+    browser.wait("document.getElementById('limit').textContent")
+    click(browser, "#example")
+    browser.wait(IDLE)
+    assert text(browser, "#guess").startswith("prey-and-predators.csv: time 'time (days)' in days")
+    assert browser.run("document.querySelectorAll('#preview svg').length") == 1
+    click(browser, "[name=preset][value=quick]")
+    click(browser, "#search")
+    browser.wait(FOUND)
+    assert text(browser, "#verdict").startswith("Law: every equation reproduces")
+    assert browser.complaints() == []
+
+
+def test_what_was_found_is_not_lost_by_a_slip(browser, page, tmp_path):
+    """Other data, a new search, another role and Quit ask first; after a download nobody asks."""
+    page.drop(rabbits(), "rabbits.csv")
+    page.post("search", options={"preset": "quick", "functions": []})
+    browser.open(page.url, DESK)
+    browser.wait(FOUND)
+    question = "document.getElementById('sure').open"
+    roles = "[...document.querySelectorAll('#columns select')].map(e => e.value)"
+    for wish in ("#forget", "#search", "#quit", "#role-1"):
+        if wish == "#role-1":
+            change(browser, wish, "unused")
+        else:
+            click(browser, wish)
+        assert browser.run(question)
+        assert "will be lost" in text(browser, "#sure-words")
+        # The safe answer has the focus, and Escape is one too.
+        assert browser.run("document.activeElement.value") == "no"
+        click(browser, "#sure button[value=no]")
+        browser.wait(f"!{question}")
+        assert browser.run("!!parts.found && !parts.busy")
+        browser.wait(f"{roles}.join() === 'time,state,state'")
+    browser.ask("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    click(browser, "a[href='discovery.json']")
+    click(browser, "#forget")
+    browser.wait("!parts.found && !parts.table")
+    assert not browser.run(question)
+
+
+def test_a_search_that_runs_is_not_ended_by_a_slip(browser, page):
+    """Quit asks while a search runs; the safe answer leaves the page as it is."""
+    rows = "\n".join(f"{k},{(k * 7919) % 101},{(k * 104729) % 97}" for k in range(300))
+    page.drop("t,a,b\n" + rows)
+    page.post("search", options={})
+    browser.open(page.url, DESK)
+    browser.wait("parts.busy === 'search'")
+    click(browser, "#quit")
+    assert "A search is running" in text(browser, "#sure-words")
+    click(browser, "#sure button[value=no]")
+    assert page.ask("")[0] == 200
+
+
+def test_the_preview_says_which_trajectory_it_shows(browser, page):
+    """Of several trajectories the first is named; the picture of equations offers all by name."""
+    rows = [f"{name},{k},{(k + 1) * size}" for name, size in (("A", 1), ("B", 2)) for k in range(9)]
+    page.drop("mouse,t,x\n" + "\n".join(rows), "mice.csv")
+    browser.open(page.url, DESK)
+    browser.wait(IDLE)
+    assert text(browser, "#preview-said") == "Trajectory 'A', the first of 2."
+    page.post("search", options={"preset": "quick", "functions": []})
+    browser.wait(FOUND)
+    names = "[...document.querySelectorAll('#run option')].map(e => e.textContent)"
+    assert browser.run(names) == ["A", "B"]

@@ -1,3 +1,4 @@
+import re
 from xml.etree import ElementTree
 
 import numpy as np
@@ -90,6 +91,17 @@ def test_a_legend_is_as_long_as_its_words_ask_for():
     inside = figure.legends[0].get_window_extent()
     assert inside.x0 >= 0 and inside.x1 <= figure.bbox.width
     assert inside.y1 <= figure.axes[0].get_tightbbox().y0
+
+
+def test_names_inside_a_picture_are_its_own():
+    """Two pictures of one page share no name, and each finds the marks that it refers to."""
+    svgs = [plots.to_svg(plots.draw_states(TRUE, FOUND), label) for label in ("one", "two")]
+    names = [set(re.findall(r' id="([^"]*)"', svg)) for svg in svgs]
+    assert names[0] and not names[0] & names[1]
+    for svg, own in zip(svgs, names, strict=True):
+        assert set(re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', svg)) <= {
+            pair for name in own for pair in ((name, ""), ("", name))
+        }
 
 
 def test_a_long_title_is_in_lines_and_all_of_it_is_on_a_page():

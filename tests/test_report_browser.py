@@ -5,6 +5,7 @@ Where there is no Chromium these tests are skipped; with DYNSR_REQUIRE_CHROMIUM=
 
 import numpy as np
 import pytest
+from axe import require_axe, violations
 from browser import Browser, require_chromium
 from fake_records import PRINTED, record
 
@@ -171,6 +172,16 @@ def test_paper_shows_everything(browser, pages, name, tmp_path):
     cut = "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1)"
     assert browser.run(f"{cut}.map(e => e.innerText.slice(0, 60))") == []
     assert browser.print_pdf(tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+
+
+@both
+@pytest.mark.parametrize("width", [PHONE, DESK])
+def test_reports_keep_the_rules_of_accessibility(browser, pages, name, width):
+    """axe-core finds nothing against WCAG 2.2 at level AA, also in what is folded."""
+    script = require_axe()
+    browser.open(pages[name], width)
+    browser.run("for (const one of document.querySelectorAll('details')) one.open = true")
+    assert violations(browser, script) == []
 
 
 def formula(browser):

@@ -10,13 +10,15 @@ import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.resources import files
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from dynsr.app.worker import END, LEAVE, STOP, run
-from dynsr.errors import InputError
+from dynsr.errors import InputError, one_line
 
+EXAMPLE = "prey-and-predators.csv"
 READ, SEARCH, REDRAW, WRITE = "read", "search", "redraw", "write"
 _KEEP, _RESTORE = "keep", "restore"
 _DATA = "data-"
@@ -170,6 +172,22 @@ class Desk:
             self._clear_away()
 
         self.ask(READ, path=str(path)).add_done_callback(done)
+
+    def try_example(self) -> None:
+        """Have the example read that comes with the page: prey and predators, with noise.
+
+        Raises InputError while a search runs, or where the disk is full.
+        """
+        path = self.place_for(EXAMPLE)
+        try:
+            path.write_bytes(files("dynsr.app").joinpath("page").joinpath(EXAMPLE).read_bytes())
+            self.read(path)
+        except OSError as error:
+            self.drop(path)
+            raise InputError(f"the example cannot be kept: {one_line(error)}") from None
+        except InputError:
+            self.drop(path)
+            raise
 
     def drop(self, path: Path) -> None:
         """Keep nothing of a file that came in."""

@@ -42,7 +42,7 @@ _TOKEN_BYTES = 24
 _PATIENCE = 20.0
 # What is too large is taken and thrown away up to so many times the limit; then the line is cut.
 _DRAINED = 20
-_TABLES = (".csv", ".tsv", ".txt", ".dat")
+_TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 # In bytes; a name may have 255.
 _LONGEST_NAME, _LONGEST_SUFFIX = 80, 10
 # Digits of the size of a file.
@@ -183,7 +183,7 @@ def _make_site(
 ) -> Application:
     hosts = (f"{HOST}:{port}", f"localhost:{port}")
     common = {"token": token, "hosts": hosts, "desk": desk}
-    wishes = "columns|search|stop|redraw|forget|quit"
+    wishes = "columns|example|search|stop|redraw|forget|quit"
     downloads = "|".join((*map(re.escape, _DOWNLOADS), _EXPORTED))
     return Application(
         [
@@ -293,7 +293,12 @@ class _Wish(_Guarded):
                 raise InputError("run must be a number; load the page again")
             self.desk.ask(REDRAW, values={s: _numbers(v) for s, v in values.items()}, run=run)
         else:
-            {"stop": self.desk.stop, "forget": self.desk.forget, "quit": self.leave}[wish]()
+            {
+                "example": self.desk.try_example,
+                "stop": self.desk.stop,
+                "forget": self.desk.forget,
+                "quit": self.leave,
+            }[wish]()
         self.finish({})
 
     def _read(self) -> dict[str, Any]:
@@ -374,8 +379,8 @@ class _Upload(_Guarded):
             )
         if Path(self.name).suffix.lower() not in _TABLES:
             return (
-                f"{self.name!r} is no text table ({', '.join(_TABLES)}); save the data as CSV, or "
-                "start dynsr app with the file"
+                f"{self.name!r} is no table that the page takes ({', '.join(_TABLES)}); save the "
+                "data as CSV, or start dynsr app with the file"
             )
         return ""
 

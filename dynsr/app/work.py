@@ -87,6 +87,7 @@ class Work:
         self._source: tuple[str, Columns] | None = None
         self._reshaped: tuple[str, ...] = ()
         self._runs: list[Trajectory] = []
+        self._names: list[str] = []
         self._units: dict[str, str] = {}
         self._found: Discovery | None = None
 
@@ -129,7 +130,16 @@ class Work:
                 guessed = roles or {n: STATE for n in columns.names if _is_number(columns, n)}
                 view = {**_describe(columns, guessed, given), "error": one_line(error)}
         self._say("table", {**view, "notes": list(dict.fromkeys([*notes, *view["seen"]]))})
-        self._say("preview", _draw(_at_a_glance(self._runs[0]), None) if self._runs else None)
+        self._say("preview", self._preview() if self._runs else None)
+
+    def _preview(self) -> dict[str, str]:
+        """Draw the first trajectory, and say which it is and what of it is drawn."""
+        run, count = self._runs[0], len(self._runs)
+        which = f"Trajectory {self._names[0]!r}, the first of {count}." if count > 1 else ""
+        left = len(run.states) - _MOST_PANELS
+        some = f"The first {_MOST_PANELS} of {len(run.states)} states." if left > 0 else ""
+        svg = _draw(_at_a_glance(run), None)
+        return {"svg": svg, "said": " ".join(filter(None, (which, some)))}
 
     def _understand(
         self, columns: Columns, roles: Mapping[str, str] | None, units: Mapping[str, str]
@@ -170,10 +180,12 @@ class Work:
             for own, name in {**found.renamed, found.time: "t"}.items()
             if units.get(own)
         }
+        described = describe_table(table)
+        self._names = [run.name for run in described.trajectories]
         return {
             **_describe(columns, roles, units),
             "guess": table.guess,
-            "seen": _seen(describe_table(table)),
+            "seen": _seen(described),
             "states": list(self._runs[0].states),
             "error": "",
         }
@@ -227,7 +239,8 @@ class Work:
     def _take(self, found: Discovery, notes: Sequence[str]) -> None:
         self._found = found
         found.save(self._folder / _KEPT)
-        self._say("found", {**show_found(found), "notes": list(dict.fromkeys(notes))})
+        more = {"notes": list(dict.fromkeys(notes)), "runs": self._names}
+        self._say("found", {**show_found(found), **more})
 
     def write(self, name: str) -> None:
         """Write one of FILES of what was found, or a file of an export, for downloading.
@@ -507,7 +520,9 @@ def show_found(found: Discovery) -> dict[str, Any]:
                 "mathml": write(expr, state),
                 "text": f"{state}{left} = {shown(expr)}",
                 "level": verdicts[state].level if state in verdicts else "",
-                "why": found.explanation.get(state, ""),
+                "why": _without(
+                    f"{state}{left} = {shown(expr)}: ", found.explanation.get(state, "")
+                ),
             }
             for state, expr in found.equations.items()
         ],
@@ -526,7 +541,6 @@ def show_found(found: Discovery) -> dict[str, Any]:
         ],
         "left": left,
         "units": known,
-        "runs": len(found.trajectories),
         "latex": found.latex(),
         "python": found.to_python(),
         "points": [point.text for point in list_fixed_points(found)],
@@ -536,6 +550,14 @@ def show_found(found: Discovery) -> dict[str, Any]:
             for name, one in list_formats(Source.of(found)).items()
         ],
     }
+
+
+def _without(begin: str, text: str) -> str:
+    """Leave out what is shown as a formula above."""
+    if not text.startswith(begin):
+        return text
+    text = text.removeprefix(begin)
+    return text[:1].upper() + text[1:]
 
 
 def _follow(found: Discovery, run: Trajectory) -> Trajectory:

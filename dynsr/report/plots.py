@@ -10,6 +10,7 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from hashlib import sha256
 from html import escape
 from textwrap import fill
 from typing import Any, Literal
@@ -505,6 +506,10 @@ def to_svg(figure: Figure, label: str) -> str:
     # A name that nothing refers to would stand on the page once for every picture.
     used = set(re.findall(r"#([\w.]+)", body))
     body = re.sub(r' id="([^"]*)"', lambda name: name[0] if name[1] in used else "", body)
+    # Pictures of one page may have the same marks; each calls them its own.
+    own = sha256((label + body).encode()).hexdigest()[:8]
+    for name in re.findall(r' id="([^"]*)"', body):
+        body = re.sub(rf'( id="|#){re.escape(name)}(?=["\)])', rf"\g<1>{name}-{own}", body)
     body = body.replace("#000000", "currentColor")
     head = f'role="img" aria-label="{escape(label)}" viewBox="{drawn[1]}"'
     return f'<svg class="picture" {head}>{body}</svg>'

@@ -33,6 +33,21 @@ const send = async (wish, content) => {
   } catch { return false; }
 };
 
+// What was found is lost by some wishes. Once the report or the result is downloaded, nobody asks.
+let kept = false;
+const mayLose = action => new Promise(answer => {
+  const searching = parts.busy === "search";
+  if (!searching && (!parts.found || kept)) { answer(true); return; }
+  const dialog = $("sure");
+  $("sure-words").textContent = searching
+    ? "A search is running. Its equations will be lost."
+    : "The equations that were found will be lost. Download the report or the result to keep them.";
+  $("sure-yes").textContent = action;
+  dialog.returnValue = "no";
+  dialog.addEventListener("close", () => answer(dialog.returnValue === "yes"), { once: true });
+  dialog.showModal();
+});
+
 // ---- data
 const upload = async file => {
   const about = parts.about || {};
@@ -41,6 +56,7 @@ const upload = async file => {
     return;
   }
   complain("");
+  if (!await mayLose("Read the other file")) return;
   try {
     const answer = await fetch(`data?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file, headers: { "Content-Type": "application/octet-stream" } });
     if (!answer.ok) complain((await answer.json().catch(() => ({}))).error || "the file was refused");
@@ -63,14 +79,19 @@ const showTable = table => {
   const heads = table.columns.map((column, j) => {
     const role = make("select", { id: `role-${j}`, ariaLabel: `Role of ${column.name}` },
       ...Object.entries(ROLES).map(([value, words]) => make("option", { value, selected: value === column.role }, words)));
-    role.addEventListener("change", () => {
+    role.addEventListener("change", async () => {
+      if (!await mayLose("Change the column")) { role.value = column.role; return; }
       // There is one time, and one column that names quantities; several may name the runs.
       for (const other of table.columns) if (other.role === role.value && ["time", "quantity"].includes(role.value)) other.role = "unused";
       column.role = role.value;
       changed();
     });
     const unit = make("input", { id: `unit-${j}`, value: column.unit, placeholder: "unit", ariaLabel: `Unit of ${column.name}`, maxLength: 40 });
-    unit.addEventListener("change", () => { column.unit = unit.value.trim(); changed(); });
+    unit.addEventListener("change", async () => {
+      if (!await mayLose("Change the unit")) { unit.value = column.unit; return; }
+      column.unit = unit.value.trim();
+      changed();
+    });
     unit.hidden = ["unused", "trajectory", "quantity"].includes(column.role);
     return make("th", { className: column.role, scope: "col" }, column.name, role, unit);
   });
@@ -83,11 +104,12 @@ const showTable = table => {
 };
 
 // ---- search
+const PRESETS = { best: "Thorough", quick: "Quick look", paper: "As in the paper" };
 const showChoices = choices => {
   if (!choices) return;
   $("presets").replaceChildren($("presets").firstElementChild, ...Object.entries(choices.presets).map(([name, meaning]) =>
     make("label", {}, make("input", { type: "radio", name: "preset", value: name, checked: name === choices.preset }),
-      make("span", {}, name, make("small", {}, meaning)))));
+      make("span", {}, PRESETS[name] || name, make("small", {}, meaning)))));
   $("functions").replaceChildren(...choices.functions.map(name =>
     make("label", { className: "tick" }, make("input", { type: "checkbox", name: "function", value: name, disabled: !$("own").checked }), name)));
 };
@@ -163,12 +185,14 @@ const slider = (one, left, unit) => {
   number.addEventListener("change", () => { put(number.valueAsNumber); redraw(); });
   put(one.value);
   own.rows = [
-    make("tr", {}, make("td", {}, `${one.state}${left}`), make("td", {}, one.of, ...(unit ? [make("small", {}, ` ${one.unit}`)] : [])),
-      make("td", {}, one.name), make("td", { title: `fitted ${one.fitted}` }, one.interval), make("td", {}, number)),
-    make("tr", {}, make("td", { colSpan: 5 }, range))];
+    make("tr", {}, make("td", {}, one.name),
+      make("td", {}, one.of, make("small", {}, ` in ${one.state}${left}${unit && one.unit ? `, ${one.unit}` : ""}`)),
+      make("td", { title: `fitted ${one.fitted}` }, one.interval), make("td", {}, number)),
+    make("tr", {}, make("td", { colSpan: 4 }, range))];
   return own;
 };
 const showFound = (found, fresh) => {
+  kept = false;
   show("found", found);
   show("code", found);
   show("goes", found && (found.points.length || found.flow));
@@ -188,8 +212,8 @@ const showFound = (found, fresh) => {
   $("rows-of-constants").replaceChildren(...sliders.flatMap(one => one.rows));
   show("constants", sliders.length);
   show("reset", false);
-  show("runs", found.runs > 1);
-  $("run").replaceChildren(...Array.from({ length: found.runs }, (_, j) => make("option", { value: j }, `${j + 1}`)));
+  show("runs", found.runs.length > 1);
+  $("run").replaceChildren(...found.runs.map((name, j) => make("option", { value: j }, name)));
   if (fresh) $("found").scrollIntoView({ behavior: "smooth" });
 };
 const showPicture = picture => {
@@ -202,7 +226,11 @@ const showPicture = picture => {
 };
 
 // ---- what dynsr says
-const DRAW = { preview: svg => { $("preview").innerHTML = svg || ""; }, choices: showChoices, table: showTable, picture: showPicture, said: complain };
+const showPreview = preview => {
+  $("preview-svg").innerHTML = preview ? preview.svg : "";
+  $("preview-said").textContent = preview ? preview.said : "";
+};
+const DRAW = { preview: showPreview, choices: showChoices, table: showTable, picture: showPicture, said: complain };
 const draw = (changed, first) => {
   Object.assign(parts, changed);
   if ("found" in changed) showFound(parts.found, !first);
@@ -249,10 +277,19 @@ for (const name of ["dragover", "dragleave", "drop"]) {
   });
 }
 $("own").addEventListener("change", () => { for (const box of document.querySelectorAll("[name=function]")) box.disabled = !$("own").checked; });
-$("options").addEventListener("submit", event => { event.preventDefault(); post("search", { options: readOptions() }); });
+$("example").addEventListener("click", () => { complain(""); post("example"); });
+$("options").addEventListener("submit", async event => {
+  event.preventDefault();
+  const options = readOptions();
+  if (await mayLose("Search again")) post("search", { options });
+});
 $("stop").addEventListener("click", () => post("stop"));
-$("forget").addEventListener("click", () => post("forget"));
-$("quit").addEventListener("click", async () => { if (await post("quit")) leave("dynsr has ended; this page can be closed"); });
+$("forget").addEventListener("click", async () => { if (await mayLose("Take other data")) post("forget"); });
+$("quit").addEventListener("click", async () => {
+  if (await mayLose("Quit") && await post("quit")) leave("dynsr has ended; this page can be closed");
+});
+for (const link of document.querySelectorAll("#downloads a[href='report.html'], #downloads a[href='discovery.json']"))
+  link.addEventListener("click", () => { kept = true; });
 $("reset").addEventListener("click", () => { for (const one of sliders) one.put(one.found); redraw(); });
 $("run").addEventListener("change", redraw);
 $("latex").addEventListener("click", async () => {
