@@ -187,6 +187,14 @@ KnownNoise = Annotated[
         rich_help_panel=DATA,
     ),
 ]
+Observed = Annotated[
+    Names,
+    typer.Option(
+        "--observed",
+        help="A column that is a sum of states, of which one has no column: total=S+I.",
+        rich_help_panel=DATA,
+    ),
+]
 Vary = Annotated[
     str | None,
     typer.Option(
@@ -429,16 +437,31 @@ def read_doses(values: Sequence[str] | None) -> dict[str, str] | None:
     >>> read_doses(["x=dose"]), read_doses(None)
     ({'x': 'dose'}, None)
     """
+    return _read_texts(values, "--dose", "a state and a column, such as x=dose")
+
+
+def read_observed(values: Sequence[str] | None) -> dict[str, str] | None:
+    """Read ``total=S+I`` as the sum of states that a column is; None without the option.
+
+    Raises InputError that names what is not such a pair.
+
+    >>> read_observed(["total=S + I"]), read_observed(None)
+    ({'total': 'S + I'}, None)
+    """
+    return _read_texts(values, "--observed", "a column and a sum of states, such as total=S+I")
+
+
+def _read_texts(values: Sequence[str] | None, option: str, what: str) -> dict[str, str] | None:
     from dynsr.errors import InputError
 
-    names = read_names(values, "--dose")
+    names = read_names(values, option)
     if names is None:
         return None
     pairs = {name: name.partition("=") for name in names}
-    for name, (state, _, column) in pairs.items():
-        if not state.strip() or not column.strip():
-            raise InputError(f"--dose {name!r} must be a state and a column, such as x=dose")
-    return {state.strip(): column.strip() for state, _, column in pairs.values()}
+    for name, (left, _, right) in pairs.items():
+        if not left.strip() or not right.strip():
+            raise InputError(f"{option} {name!r} must be {what}")
+    return {left.strip(): right.strip() for left, _, right in pairs.values()}
 
 
 def read_noise(values: Sequence[str] | None) -> dict[str, str] | None:
@@ -449,18 +472,7 @@ def read_noise(values: Sequence[str] | None) -> dict[str, str] | None:
     >>> read_noise(["x=0.1,y=5%"]), read_noise(None)
     ({'x': '0.1', 'y': '5%'}, None)
     """
-    from dynsr.errors import InputError
-
-    names = read_names(values, "--noise")
-    if names is None:
-        return None
-    pairs = {name: name.partition("=") for name in names}
-    for name, (state, _, said) in pairs.items():
-        if not state.strip() or not said.strip():
-            raise InputError(
-                f"--noise {name!r} must be a state and its errors, such as x=0.1, x=5% or x=x_sd"
-            )
-    return {state.strip(): said.strip() for state, _, said in pairs.values()}
+    return _read_texts(values, "--noise", "a state and its errors, such as x=0.1, x=5% or x=x_sd")
 
 
 def read_orders(values: Sequence[str] | None) -> int | dict[str, int]:

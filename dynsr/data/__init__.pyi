@@ -19,9 +19,11 @@ from .reading import (
     take_trajectories,
     write_csv,
 )
+from .reading_sums import read_sums
 from .samples import SCHEMES, Samples, join_samples, make_samples
 from .slopes import SMOOTHERS, SlopeSettings, choose_samples, smooth_column
 from .smoothing import SmoothedTrajectory, estimate_noise, smooth
+from .sums import MeasuredSum
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .temporary import is_part, open_part, own_folder, remove_stale
 from .times import check_time_unit
@@ -52,6 +54,7 @@ __all__ = [
     "Forced",
     "Hold",
     "KnownNoise",
+    "MeasuredSum",
     "OddSettings",
     "Oddity",
     "RunRows",
@@ -97,6 +100,7 @@ __all__ = [
     "open_part",
     "own_folder",
     "read_names_only",
+    "read_sums",
     "read_trajectories",
     "remove_stale",
     "robust_scale",

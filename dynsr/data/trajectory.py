@@ -20,6 +20,7 @@ from dynsr.data.holding import (
     holds_its_value,
 )
 from dynsr.data.known_noise import KnownNoise
+from dynsr.data.sums import MeasuredSum
 from dynsr.data.times import check_time_unit, count_times
 from dynsr.errors import InputError, one_line
 from dynsr.expression import check_name
@@ -144,6 +145,8 @@ class Trajectory:
         "linear" or "smooth"; for inputs that are not named its values tell, see :attr:`holds`.
     noise : state -> its measurement errors, where they are known; see
         :class:`dynsr.data.KnownNoise`. Those of other columns go.
+    sums : state that nobody measured alone -> the sum in which it was measured; see
+        :class:`dynsr.data.MeasuredSum`. Those of other columns go.
     unmeasured : (n, k) cells that were not measured, whatever ``x`` holds there; by default those
         that are NaN. Empty where every cell was measured.
 
@@ -163,6 +166,7 @@ class Trajectory:
     hold: Mapping[str, Hold] = field(default_factory=dict)
     unmeasured: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=bool))
     noise: Mapping[str, KnownNoise] = field(default_factory=dict)
+    sums: Mapping[str, MeasuredSum] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Bring the fields to float64 and check them."""
@@ -192,6 +196,8 @@ class Trajectory:
             if own.sd.shape != t.shape:
                 raise InputError(f"noise {own.sd.shape} of {state!r} does not fit t {t.shape}")
         object.__setattr__(self, "noise", known)
+        sums = {s: own for s, own in self.sums.items() if {s, *own.others} <= set(states)}
+        object.__setattr__(self, "sums", sums)
         for key, value in (("t", t), ("x", x), ("inputs", u), ("states", states)):
             object.__setattr__(self, key, value)
         object.__setattr__(self, "input_names", input_names)
@@ -369,6 +375,7 @@ class Trajectory:
         check_rows(rows, len(self))
         gaps = self.unmeasured[rows] if self.unmeasured.size else self.unmeasured
         noise = {state: own.select(rows) for state, own in self.noise.items()}
+        sums = {state: own.select(rows) for state, own in self.sums.items()}
         return replace(
             self,
             t=self.t[rows],
@@ -376,6 +383,7 @@ class Trajectory:
             inputs=self.inputs[rows],
             unmeasured=gaps,
             noise=noise,
+            sums=sums,
         )
 
 

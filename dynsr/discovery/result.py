@@ -25,6 +25,7 @@ from dynsr.data import (
     choose_samples,
     cut_at_doses,
     in_unit,
+    read_sums,
     sample_input,
     settle_hold,
     take_trajectories,
@@ -1258,6 +1259,9 @@ class Discovery:
     def _read(self, data: Any) -> list[Trajectory]:
         """Read other data, cut at doses as those of the discovery were."""
         runs, given = self._take(data), self.settings.get("doses")
+        observed = self.settings.get("observed")
+        if isinstance(observed, Mapping) and set(observed) <= set(runs[0].states):
+            runs = read_sums(runs, observed)
         # Trajectories of the discovery itself are cut already.
         if isinstance(given, Mapping) and set(given.values()) <= set(runs[0].names):
             return cut_at_doses(runs, given)

@@ -12,7 +12,7 @@ import numpy as np
 import sympy
 from threadpoolctl import threadpool_limits
 
-from dynsr.data import Trajectory, take_trajectories
+from dynsr.data import Trajectory, read_sums, take_trajectories
 from dynsr.discovery.apart import check_vary, search_apart
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.problem import DISCOVERY
@@ -88,8 +88,10 @@ class Units:
         units = np.array([float(self.columns[name]) for name in run.names])
         columns, k = run.columns / units, len(run.states)
         t = run.t / float(self.time)
-        noise = {s: own.in_units(float(self.columns[s])) for s, own in run.noise.items()}
-        return replace(run, t=t, x=columns[:, :k], inputs=columns[:, k:], noise=noise)
+        sizes = {name: float(unit) for name, unit in self.columns.items()}
+        noise = {s: own.in_units(sizes[s]) for s, own in run.noise.items()}
+        sums = {s: own.in_units(sizes[s], sizes) for s, own in run.sums.items()}
+        return replace(run, t=t, x=columns[:, :k], inputs=columns[:, k:], noise=noise, sums=sums)
 
     def apply_value(self, name: str, expr: sympy.Expr) -> sympy.Expr:
         """Give an expression for a column in these units."""
@@ -190,6 +192,7 @@ def in_fitting_units(search: Search) -> Search:
         asked |= {n: settings.pop(n, None) for n in ("doses", "noise")}
         asked["hold"] = settings.get("hold")
         runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), **asked)
+        runs = read_sums(runs, observed := settings.pop("observed", None))
         seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
         vary = check_vary(settings.pop("vary", False), runs, discrete)
@@ -207,7 +210,7 @@ def in_fitting_units(search: Search) -> Search:
                     found = search_apart(one_search, runs, settings, vary)
                 else:
                     found = _search_in(units, runs, settings)
-                found = with_told(found, runs)
+                found = with_told(found, runs, observed)
                 found = finish_by(until, lambda: confirm(found), lambda: found)[0]
                 profiling = settings.get("settings", DISCOVERY).profile
                 sure, late = finish_by(

@@ -133,6 +133,7 @@ def discover(
     hold: Mapping[str, str] | str | None = None,
     doses: Mapping[str, str] | None = None,
     noise: Mapping[str, Any] | None = None,
+    observed: Mapping[str, str | sympy.Expr] | None = None,
     known: Mapping[str, str | sympy.Expr] | None = None,
     seed: int = 0,
     jobs: int = -1,
@@ -188,6 +189,9 @@ def discover(
         its value such as "5 %", a column of errors, or a value for each row. They weight the rows
         and are not estimated. A column such as x_sd that is not named here gives relative errors,
         whose size is estimated.
+    observed : column -> the linear combination of states that it is, such as {"total": "S + I"}.
+        A state in it that has no column was not measured alone: it takes the place of the column.
+        Each such state needs one sum.
     known : state -> the given part of its equation; the rest is searched.
     seed : the source of all randomness; the result does not depend on ``jobs``.
     jobs : the number of searches at a time; -1 uses every core.

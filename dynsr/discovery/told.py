@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from dynsr.data import Trajectory
 from dynsr.discovery.result import Discovery
 
 
-def with_told(found: Discovery, runs: Sequence[Trajectory]) -> Discovery:
+def with_told(
+    found: Discovery, runs: Sequence[Trajectory], observed: Mapping[str, Any] | None = None
+) -> Discovery:
     """Give a discovery that knows how its columns were read, the unit of its time, and misfits.
 
     Parameters
     ----------
     found : the discovery.
-    runs : the data; what was read from them stands in their origin.
+    runs : the data; what was read from them is in their origin.
+    observed : column -> the sum of states that it is.
     """
     told = {
         name: runs[0].origin.get(name)
         for name in ("columns", "table", "time_unit", "doses", "said_noise")
     }
     known = {name: words for name, words in told.items() if words}
+    known |= {"observed": {n: str(e) for n, e in observed.items()}} if observed else {}
     found = replace(found, settings={**found.settings, **known})
     if "column_units" not in found.settings:
         return found

@@ -25,6 +25,7 @@ from scipy.linalg import LinAlgError, lapack
 
 from dynsr.data import (
     Forced,
+    KnownNoise,
     Samples,
     SmoothedTrajectory,
     Trajectory,
@@ -77,6 +78,8 @@ class Mesh:
     driven : (d, n + m) driven columns at the rows, then in the middle of the intervals.
     states, driven_names : names of the columns; the last driven one is ``t``.
     known : (k,) whether the noise of a state is known; by default it is an estimate.
+    mix : (k, k) what was measured in the place of each state, as a combination of all of them; None
+        where each was measured itself.
     """
 
     t: np.ndarray
@@ -88,6 +91,11 @@ class Mesh:
     states: tuple[str, ...]
     driven_names: tuple[str, ...]
     known: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=bool))
+    mix: np.ndarray | None = None
+
+    def seen(self, states: np.ndarray) -> np.ndarray:
+        """Give what is measured (k, n) of states (k, n)."""
+        return states if self.mix is None else self.mix @ states
 
     @cached_property
     def h(self) -> np.ndarray:
@@ -480,7 +488,7 @@ class Collocation:
         x, weights, _ = self.mesh.by_state
         with np.errstate(all="ignore"):
             defects = self._defects(states, constants)
-            misses = (states - x) * weights
+            misses = (self.mesh.seen(states) - x) * weights
             cost = float(np.vdot(misses, misses) + stiffness * np.vdot(defects, defects))
         return cost if np.isfinite(cost) else np.inf
 
@@ -563,7 +571,7 @@ class Collocation:
     def _missed(self, states: np.ndarray) -> np.ndarray:
         """(k, n) states minus measured ones in units of the noise."""
         x, weights, _ = self.mesh.by_state
-        missed: np.ndarray = (states - x) * weights
+        missed: np.ndarray = (self.mesh.seen(states) - x) * weights
         return missed
 
     def _unresolved(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
@@ -655,9 +663,14 @@ class Collocation:
         (k, n), (left, right) = states.shape, self.mesh.ends
         low, high, by_c, defects = point.by_left, point.by_right, point.by_constant, point.defects
         x, weights, _ = self.mesh.by_state
-        own, squared, misses = np.arange(k), weights**2, states - x
+        own, squared, misses = np.arange(k), weights**2, self.mesh.seen(states) - x
         diagonal, beside = np.zeros((k, k, n)), np.zeros((k, k, n))
-        diagonal[own, own] = squared
+        pulled = squared * misses
+        if self.mesh.mix is None:
+            diagonal[own, own] = squared
+        else:
+            diagonal += np.einsum("ca,cb,cn->abn", self.mesh.mix, self.mesh.mix, squared)
+            pulled = self.mesh.mix.T @ pulled
         diagonal[..., left] += stiffness * _products(low, low)
         diagonal[..., right] += stiffness * _products(high, high)
         beside[..., left] = stiffness * _products(low, high)
@@ -665,7 +678,7 @@ class Collocation:
         pulls = np.concatenate([defects[:, None], by_c], axis=1)
         count = by_c.shape[1]
         border = np.zeros((k, 1 + count, n))
-        border[:, 0] = squared * misses
+        border[:, 0] = pulled
         border[..., left] += stiffness * _products(low, pulls)
         border[..., right] += stiffness * _products(high, pulls)
         sides = np.ascontiguousarray(border.transpose(1, 2, 0)).reshape(1 + count, n * k)
@@ -766,6 +779,8 @@ class Measurements:
     derived : state -> its slope, a column that was made from it and is not measured itself.
     finest : share of a state's spread below which no noise is believed.
     fineness : times as many parts between rows as noise asks for.
+    sums : (n, k) noise of what was measured in the place of states, for each run; nothing where
+        each was measured itself.
     """
 
     runs: Sequence[Trajectory]
@@ -774,6 +789,7 @@ class Measurements:
     derived: Mapping[str, sympy.Symbol] = field(default_factory=dict)
     finest: float = 1e-5
     fineness: int = 1
+    sums: Sequence[np.ndarray] = ()
 
     @classmethod
     def of(
@@ -802,7 +818,7 @@ class Measurements:
         smoothed = [
             smooth(run, noise, forced=part) for run, part in zip(thinned, parts, strict=True)
         ]
-        return cls(thinned, inputs, smoothed, derived or {})
+        return cls(thinned, inputs, smoothed, derived or {}, sums=_noise_of_sums(thinned, smoothed))
 
     def known(self, states: Sequence[str]) -> np.ndarray:
         """(k,) whether the noise of states is known as it stands, and no estimate.
@@ -811,7 +827,7 @@ class Measurements:
         ----------
         states : the k of them.
         """
-        said = [[run.noise.get(state) for run in self.runs] for state in states]
+        said = [[_told_noise(run, state) for run in self.runs] for state in states]
         return np.array([all(own is not None and own.sure for own in each) for each in said])
 
     @cached_property
@@ -826,7 +842,8 @@ class Measurements:
         made = {str(slope) for slope in self.derived.values()}
         hidden = [state in made for state in self.runs[0].states]
         lowest = np.maximum(self.finest * spread, 1e-300)
-        return [np.where(hidden, np.inf, np.maximum(s.noise, lowest)) for s in self.smoothed]
+        noise = self.sums or [s.noise for s in self.smoothed]
+        return [np.where(hidden, np.inf, np.maximum(own, lowest)) for own in noise]
 
     @cached_property
     def noise_share(self) -> float:
@@ -954,7 +971,9 @@ class Measurements:
             for column in noise.T:
                 column[np.flatnonzero(np.isfinite(column))[1 - which :: 2]] = np.inf
             halved.append(replace(smoothed, noise=noise))
-        return replace(self, smoothed=halved)
+        pairs = zip(self.sums, halved, strict=False)
+        sums = [np.where(np.isfinite(half.noise), own, np.inf) for own, half in pairs]
+        return replace(self, smoothed=halved, sums=sums)
 
     def with_noise(self, shares: Mapping[str, float]) -> Measurements:
         """Give the same data with other noise.
@@ -965,7 +984,7 @@ class Measurements:
         """
         factors = np.array([shares.get(state, 1.0) for state in self.runs[0].states])
         smoothed = [replace(own, noise=own.noise * factors) for own in self.smoothed]
-        return replace(self, smoothed=smoothed)
+        return replace(self, smoothed=smoothed, sums=[own * factors for own in self.sums])
 
     def along(self, states: np.ndarray, names: Sequence[str]) -> Measurements:
         """Give the same data with other smoothed states: those of a system that follows them.
@@ -1024,6 +1043,12 @@ class Measurements:
             driven = np.concatenate([curve[beside], read])
             x, weights = np.zeros((2, len(t), len(own)))
             x[rows], weights[rows] = run.x[:, own], 1 / deviation[:, own]
+            for place, state in enumerate(states):
+                if state in run.sums:
+                    summed = run.sums[state]
+                    apart = [s for s in summed.others if s not in states]
+                    seen = summed.without({s: smoothed.x[:, run.index(s)] for s in apart})
+                    x[rows, place] = np.where(run.measured[:, own[place]], seen, 0.0)
             pieces.append(
                 (
                     t,
@@ -1047,7 +1072,49 @@ class Measurements:
             tuple(states),
             (*others, *inputs, "t"),
             self.known(states),
+            _mix(self.runs[0], states),
         )
+
+
+def _told_noise(run: Trajectory, state: str) -> KnownNoise | None:
+    """Give the errors that are known of what was measured of a state."""
+    return run.sums[state].noise if state in run.sums else run.noise.get(state)
+
+
+def _mix(run: Trajectory, states: Sequence[str]) -> np.ndarray | None:
+    """(k, k) what was measured in the place of states; None where each was measured itself."""
+    if not set(run.sums) & set(states):
+        return None
+    found = np.eye(len(states))
+    for place, state in enumerate(states):
+        own = run.sums[state].others if state in run.sums else {}
+        found[place] += [own.get(name, 0.0) for name in states]
+    return found
+
+
+def _noise_of_sums(
+    runs: Sequence[Trajectory], smoothed: Sequence[SmoothedTrajectory]
+) -> list[np.ndarray]:
+    """(n, k) noise of what was measured in the place of states; nothing without sums."""
+    if not runs[0].sums:
+        return []
+    seen = []
+    for run in runs:
+        x, noise = run.x.copy(), dict(run.noise)
+        for state, own in run.sums.items():
+            place = run.index(state)
+            rest = sum(f * run.x[:, run.index(s)] for s, f in own.others.items())
+            x[:, place] = np.where(np.isfinite(own.values), own.values, run.x[:, place] + rest)
+            noise |= {} if own.noise is None else {state: own.noise}
+        seen.append(replace(run, x=x, noise=noise, sums={}))
+    size = estimate_noise(seen)
+    found = []
+    places = [runs[0].index(state) for state in runs[0].sums]
+    for run, curves in zip(seen, smoothed, strict=True):
+        noise_there = curves.noise.copy()
+        noise_there[:, places] = smooth(run, size).noise[:, places]
+        found.append(noise_there)
+    return found
 
 
 def _slopes_at(nodes: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
