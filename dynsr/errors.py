@@ -14,8 +14,10 @@
 from __future__ import annotations
 
 import errno
+import json
 import re
 from collections.abc import Callable
+from functools import cache
 from importlib.util import find_spec
 from unicodedata import category
 
@@ -148,7 +150,7 @@ def need(module: str, extra: str, user: str) -> None:
     >>> need("no_such_package", "all", "a wonder")
     Traceback (most recent call last):
     ...
-    dynsr.errors.MissingExtra: a wonder needs no_such_package: pip install "dynsr[all]"
+    dynsr.errors.MissingExtra: a wonder needs no_such_package: pip install "...[all]"...
     """
     try:
         there = find_spec(module) is not None
@@ -156,4 +158,39 @@ def need(module: str, extra: str, user: str) -> None:
     except (ImportError, ValueError):
         there = False
     if not there:
-        raise MissingExtra(f'{user} needs {module}: pip install "dynsr[{extra}]"')
+        raise MissingExtra(f"{user} needs {module}: {say_install(extra)}")
+
+
+def say_install(extra: str) -> str:
+    """Give the command that adds an extra to this dynsr, from where it was installed.
+
+    Parameters
+    ----------
+    extra : the extra of dynsr.
+
+    >>> say_install("torch")
+    'pip install "...[torch]"...'
+    """
+    source = _installed_from()
+    if source is None:
+        return f'pip install "dynsr[{extra}]"'
+    if source.startswith("file:"):
+        return f'pip install ".[{extra}]" in the checkout of dynsr'
+    return f'pip install "dynsr[{extra}] @ {source}"'
+
+
+@cache
+def _installed_from() -> str | None:
+    """Give the address that dynsr was installed from; None where it came from an index by name.
+
+    pip writes it down (PEP 610). What nobody installed runs from its checkout.
+    """
+    from importlib.metadata import PackageNotFoundError, distribution
+
+    try:
+        text = distribution("dynsr").read_text("direct_url.json")
+    except PackageNotFoundError:
+        return "file:"
+    found = json.loads(text) if text else {}
+    system = found.get("vcs_info", {}).get("vcs", "")
+    return f"{system}+{found['url']}" if system else found.get("url")

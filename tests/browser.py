@@ -18,10 +18,9 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pytest
-from typing_extensions import Self
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _SWITCHES = (

@@ -23,6 +23,7 @@ from served_page import Page, PageHere, rabbits
 import dynsr
 from dynsr.app.work import FILES, Live, Work, read_options
 from dynsr.data.reading import read_trajectories
+from dynsr.errors import say_install
 from dynsr.jobs import Step
 
 pytest.importorskip("tornado", reason="the extra app is not installed")
@@ -633,7 +634,7 @@ def test_without_its_library_the_command_says_what_to_install():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (
         2,
-        'error: the page needs tornado: pip install "dynsr[app]"\n',
+        f"error: the page needs tornado: {say_install('app')}\n",
     )
 
 

@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 from dynsr.cli.app import app
 from dynsr.cli.group import CommandGroup
 from dynsr.data.reading import read_trajectories
+from dynsr.errors import say_install
 
 COMMAND = typer.main.get_command(app)
 NAMES = sorted(COMMAND.commands)
@@ -408,7 +409,7 @@ def test_julia_without_julia_is_one_line():
         child = spawn(*words, "--engine", "julia")
         out, errors = child.communicate()
         assert child.returncode == 2 and out == "" and errors.count("\n") == 1
-        assert "pip install 'dynsr[julia]'" in errors
+        assert f"run {say_install('julia')}" in errors
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     # The time of the processor, since the machine may have other things to do.
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 3 * 2.0

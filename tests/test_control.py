@@ -1,5 +1,6 @@
 """Equations as systems of CasADi, python-control and do-mpc: as text, and as objects at once."""
 
+import re
 import subprocess
 import sys
 
@@ -12,7 +13,7 @@ from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.prediction import predict
 from dynsr.discovery.result import Discovery
-from dynsr.errors import MissingExtra
+from dynsr.errors import MissingExtra, say_install
 from dynsr.export.formats import write_format
 from dynsr.export.objects import make_casadi, make_control, make_do_mpc
 from dynsr.export.source import Source
@@ -163,6 +164,6 @@ def test_an_object_of_python_control_is_simulated_alike():
 def test_what_is_not_installed_is_named(monkeypatch, driven, module, make):
     """Without the tool one line says how to get it; the text needs none of it."""
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtra, match=r'pip install "dynsr\[control\]"'):
+    with pytest.raises(MissingExtra, match=re.escape(say_install("control"))):
         getattr(driven, make)()
     assert driven.export("control") and driven.export("casadi")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -20,7 +21,7 @@ from dynsr.engines import registry
 from dynsr.engines.julia import setup as julia_setup
 from dynsr.engines.registry import find_engine, share_engine
 from dynsr.engines.testing import RecordingEngine
-from dynsr.errors import EngineUnavailable, InputError
+from dynsr.errors import EngineUnavailable, InputError, say_install
 from dynsr.methods.genetic import GeneticAlgorithm
 from dynsr.methods.sindy import SINDy
 
@@ -67,7 +68,7 @@ def test_an_unknown_engine_is_refused_before_any_work(tmp_path):
 
 def test_an_absent_engine_is_refused_before_any_work(no_julia, tmp_path):
     """Without Julia there is no discovery that says it used it; the remedy is named."""
-    with pytest.raises(EngineUnavailable, match=r"run pip install 'dynsr\[julia\]'"):
+    with pytest.raises(EngineUnavailable, match=re.escape(f"run {say_install('julia')}")):
         discover("no such file.csv", engine="julia", out=tmp_path / "kept")
     with pytest.raises(EngineUnavailable, match="dynsr"):
         discover(decay(), method=SINDy(engine="julia"), out=tmp_path / "kept")

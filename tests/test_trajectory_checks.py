@@ -1,3 +1,4 @@
+import re
 import sys
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from dynsr.engines.base import Integration, SparseProblem
 from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.engines.julia import diffeqpy
 from dynsr.engines.julia.diffeqpy import DiffeqpyEngine
-from dynsr.errors import EngineError, EngineUnavailable
+from dynsr.errors import EngineError, EngineUnavailable, say_install
 from dynsr.paper.protocol import PAPER_NAMES
 from dynsr.paper.reference import trajectory_record
 
@@ -106,7 +107,7 @@ def test_without_diffeqpy_its_rows_are_absent(monkeypatch):
     """Asked for and not installed: one absent row a system, with the remedy."""
     monkeypatch.setattr(diffeqpy.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr("dynsr.checks.crosschecks._start_program", lambda name: PROGRAMS[name]())
-    with pytest.raises(EngineUnavailable, match=r"pip install 'dynsr\[diffeqpy\]'"):
+    with pytest.raises(EngineUnavailable, match=re.escape(say_install("diffeqpy"))):
         DiffeqpyEngine()
     rows = crosscheck(["pendulum", "cart-pole"], [], extra=["diffeqpy"])
     assert [(row.verdict, row.system) for row in rows] == [

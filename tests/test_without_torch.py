@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from dynsr.errors import say_install
+
 # A finder that refuses torch, as if it were not installed; then the lines of one test.
 _BLOCKED = """
 import sys
@@ -76,7 +78,7 @@ def test_the_default_methods_run_without_torch(said):
 def test_a_search_that_did_without_its_network_says_so(said):
     """The explanation names the stages that did not run, and the command that brings them."""
     assert "symmetry, separability, compositionality" in said["without"]
-    line = 'did not run: the network of DynAIFeynman needs torch: pip install "dynsr[torch]"'
+    line = f"did not run: the network of DynAIFeynman needs torch: {say_install('torch')}"
     assert line in said["without"]
 
 
@@ -86,4 +88,4 @@ def test_a_search_that_did_without_its_network_says_so(said):
 )
 def test_what_needs_torch_gives_one_line_with_the_command(said, user):
     """Asking for what only torch can do ends in one line that says how to install it."""
-    assert said["refused"][user] == f'{user} needs torch: pip install "dynsr[torch]"'
+    assert said["refused"][user] == f"{user} needs torch: {say_install('torch')}"

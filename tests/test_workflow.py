@@ -16,10 +16,14 @@ COMMANDS = [step["run"] for job in JOBS.values() for step in job["steps"] if "ru
 
 
 def test_every_python_that_is_promised_is_tested_on_three_systems():
-    """The matrix is the versions of the package's own metadata."""
-    promised = re.findall(r'Python :: (3\.\d+)"', (ROOT / "pyproject.toml").read_text())
+    """The matrix, README, home page and set-up name the versions of the package's own metadata."""
+    project = (ROOT / "pyproject.toml").read_text()
+    promised = re.findall(r'Python :: (3\.\d+)"', project)
     matrix = JOBS["tests"]["strategy"]["matrix"]
-    assert matrix["python"] == promised and min(promised, key=lambda v: int(v[2:])) == "3.10"
+    assert matrix["python"] == promised == ["3.11", "3.12", "3.13", "3.14"]
+    assert f'requires-python = ">={promised[0]}"' in project
+    for page in ("README.md", "docs/index.md", "scripts/environment"):
+        assert f"{promised[0]} to {promised[-1]}" in (ROOT / page).read_text(), page
     assert [name.split("-")[0] for name in matrix["os"]] == ["ubuntu", "macos", "windows"]
 
 

@@ -23,7 +23,7 @@ from dynsr.engines import (
     note_julia,
 )
 from dynsr.engines import install as install_julia
-from dynsr.errors import EngineError, EngineUnavailable
+from dynsr.errors import EngineError, EngineUnavailable, say_install
 
 # Extras that build and test dynsr; using it needs none of their packages.
 _WORKSHOP = ("dev", "docs")
@@ -115,8 +115,7 @@ def _examine_packages() -> Iterator[Check]:
 
 def _examine_package(requirement: Requirement, extra: str) -> Check:
     name, required = requirement.name, not extra
-    package = f"dynsr[{extra}]" if extra else f"{name}{requirement.specifier}"
-    remedy = f"pip install '{package}'"
+    remedy = say_install(extra) if extra else f'pip install "{name}{requirement.specifier}"'
     try:
         version = metadata.version(name)
     except metadata.PackageNotFoundError:

@@ -10,10 +10,9 @@ import sys
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import typer
-from typing_extensions import Self
 
 from dynsr.errors import DynsrWarning, one_line, printable
 from dynsr.jobs import Screen, printing

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from rich.markup import escape
-from typing_extensions import Self
 
 from dynsr.cli.output import console, note
 from dynsr.errors import printable
@@ -16,6 +15,19 @@ if TYPE_CHECKING:
 _SECONDS_BETWEEN_LINES = 2.0
 # Running tasks are told of after so many seconds, then twice as many, up to the longest gap.
 _FIRST_GAP, _LONGEST_GAP = 10.0, 80.0
+_LONGEST_FORMULA = 72
+
+
+def _short(found: str) -> str:
+    """Cut a long formula, and keep the error that follows it.
+
+    >>> _short("x + " * 30 + "1  (error 0.1)")
+    'x + x + x + x + x + x + x + x + x + x + x + x + x + x + x + x + x + x...  (error 0.1)'
+    """
+    formula, error, tail = found.rpartition("  (error")
+    if len(formula) > _LONGEST_FORMULA:
+        formula = formula[: _LONGEST_FORMULA - 3].rstrip(" +-*/(") + "..."
+    return f"{formula}{error}{tail}"
 
 
 class SearchProgress:
@@ -74,12 +86,12 @@ class SearchProgress:
         where = f"[{step.done}/{step.total}] {clock(step.seconds)}"
         if step.what:
             if step.seconds - self._last >= _SECONDS_BETWEEN_LINES or step.done == step.total:
-                ended = f"{where} {step.what}: {step.found}".rstrip(": ")
+                ended = f"{where} {step.what}: {_short(step.found)}".rstrip(": ")
                 note("; ".join(filter(None, [ended, say_left(step)])))
                 self._last = self._told = step.seconds
         elif step.seconds - self._told >= self._gap:
             for said in step.running:
                 far = f"/{said.total:g}" if said.total else ""
                 stage = f", {said.stage} {said.done:g}{far}" if said.stage else ""
-                note(f"{where} {said.title}{stage}: {said.best}".rstrip(": "))
+                note(f"{where} {said.title}{stage}: {_short(said.best)}".rstrip(": "))
             self._told, self._gap = step.seconds, min(2 * self._gap, _LONGEST_GAP)

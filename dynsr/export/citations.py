@@ -8,7 +8,7 @@ from dynsr import __version__
 
 _DYNSR = """@software{{dynsr,
   title = {{dynsr: the equations of a dynamical system from its trajectories}},
-  author = {{{{The dynsr authors}}}},
+  author = {{{{dynsr contributors}}}},
   version = {{{version}}}
 }}"""
 

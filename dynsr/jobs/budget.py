@@ -25,7 +25,7 @@ from dynsr.errors import InputError
 from dynsr.jobs.interrupts import heard_again
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
 T = TypeVar("T")
 # What answers an end with what it has found so far has this share of its time for that, and at

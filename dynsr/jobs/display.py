@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import io
 import sys
-from typing import Any
+from typing import Any, Self
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.table import Column
-from typing_extensions import Self
 
 from dynsr.jobs.progress import Step
 from dynsr.jobs.screen import Screen

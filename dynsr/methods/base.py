@@ -17,7 +17,7 @@ from dynsr.fit import ParetoFront
 from dynsr.methods.limits import Limits
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
 
 @dataclass(frozen=True)

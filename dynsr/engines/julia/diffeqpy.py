@@ -11,7 +11,7 @@ import importlib.util
 from dynsr.engines.base import SparseProblem, SparseSolution
 from dynsr.engines.julia.engine import START_SECONDS, JuliaEngine, announce_on_stderr
 from dynsr.engines.julia.process import Announce
-from dynsr.errors import EngineError, EngineUnavailable
+from dynsr.errors import EngineError, EngineUnavailable, say_install
 
 
 class DiffeqpyEngine(JuliaEngine):
@@ -30,7 +30,7 @@ class DiffeqpyEngine(JuliaEngine):
         """Check that diffeqpy and Julia are there; they start on the first use."""
         if importlib.util.find_spec("diffeqpy") is None:
             raise EngineUnavailable(
-                "diffeqpy is not installed; run pip install 'dynsr[diffeqpy]', "
+                f"diffeqpy is not installed; run {say_install('diffeqpy')}, "
                 "then dynsr doctor --install"
             )
         super().__init__(start_seconds=start_seconds, announce=announce)

@@ -20,9 +20,9 @@ from functools import cache
 from pathlib import Path
 
 from dynsr.data import own_folder
-from dynsr.errors import EngineError, EngineUnavailable
+from dynsr.errors import EngineError, EngineUnavailable, say_install
 
-INSTALL = "pip install 'dynsr[julia]', then dynsr doctor --install"
+INSTALL = f"{say_install('julia')}, then dynsr doctor --install"
 ENVIRONMENT = {
     # PythonCall needs no conda; with threads it needs Julia's own handling of signals.
     "JULIA_CONDAPKG_BACKEND": "Null",
