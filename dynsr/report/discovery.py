@@ -341,8 +341,11 @@ def _profiles(found: Discovery) -> Iterator[Picture]:
 
 
 def _known(found: Discovery) -> str:
-    """Say which parameters are known where some are not; nothing where all are."""
-    if found.is_map or not any(found.constants.values()):
+    """Say which parameters are known where some are not; nothing where all are.
+
+    Exact data leave no doubt, and to find that out would take longer than many a search.
+    """
+    if not _is_doubtful(found) or not any(found.constants.values()):
         return ""
     try:
         known = found.identifiability()
