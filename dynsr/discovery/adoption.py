@@ -1,8 +1,8 @@
 """Adoption: a formula that follows the data better than the answer becomes the answer.
 
 Alternatives are compared with the answer by a linearised fit. One that seems better there is
-fitted to all data and judged as the answer was: where it is better it takes its place, and where it
-is not, what it takes more is told of it. So no answer stands beside one that is called better.
+fitted to all data and tested as the answer was. Where it is better, it takes its place. Where it
+is not, the bits that it takes more are reported. So no answer has an alternative that is better.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def _doubt(problem: Problem, verdict: Verdict) -> tuple[str, Rival] | None:
 
 
 def _may_be_returned(problem: Problem, rival: Rival) -> bool:
-    """Whether an equation may hold what this one does; the time, only where it is asked for."""
+    """Whether an equation may contain what this one does; the time, only where it is asked for."""
     columns = {*problem.runs[0].names, *(["t"] if problem.form.explicit_time else [])}
     return {str(symbol) for symbol in parse(rival.equation).free_symbols} <= columns
 
@@ -113,7 +113,7 @@ def _formula(found: Discovery, rivals: Rivals | None, state: str, rival: Rival) 
 def _seen_from(
     rivals: Rivals, found: Discovery, other: Discovery, state: str, bits: float
 ) -> Rivals:
-    """Give the alternatives beside another answer, which takes so many bits more."""
+    """Give the alternatives to another answer, which takes so many bits more."""
     shape = skeleton(with_floats(other.equations[state]))
     own = [
         (e, more - bits) for e, more in rivals.get(state, ()) if skeleton(with_floats(e)) != shape
@@ -124,9 +124,9 @@ def _seen_from(
 def _behind(
     problem: Problem, own: tuple[Discovery, Verdict], other: tuple[Discovery, Verdict]
 ) -> float:
-    """Bits that another answer takes more, once it is fitted and judged; inf for a worse level.
+    """Bits that another answer takes more, once it is fitted and tested; inf for a worse level.
 
-    A better level goes before bits, and what is followed for longer is told better.
+    A better level goes before bits, and what is followed for longer is called better.
     """
     ranks = [
         sorted((LEVELS.index(one.level) for one in judged.states.values()), reverse=True)
@@ -140,7 +140,7 @@ def _behind(
 
 
 def _length(problem: Problem, found: Discovery, verdict: Verdict) -> float:
-    """Bits of the misses, of the formulas and of their constants."""
+    """Bits of the residuals, of the formulas and of their constants."""
     rows = sum(map(len, problem.runs))
     bits = 0.0
     for state, expr in found.equations.items():
@@ -155,7 +155,7 @@ def _length(problem: Problem, found: Discovery, verdict: Verdict) -> float:
 def _told(
     problem: Problem, found: Discovery, verdict: Verdict, bits: Mapping[tuple[str, str], float]
 ) -> tuple[Discovery, Verdict, Rivals]:
-    """Judge the same answer again, with what alternatives take more once they were tried."""
+    """Test the same answer again, with what alternatives take more once they were tried."""
     rivals = {
         state: [
             (_formula(found, None, state, one), more)

@@ -1,4 +1,4 @@
-"""By state: what a discovery has of each state, with a clear word on a state that is none."""
+"""By state: what a discovery has of each state; an unknown name is answered with the states."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 class ByState(dict[str, T]):
-    """State -> what there is of it; a name that is no state's is told which there are.
+    """State -> what there is of it; for another name the error lists the states.
 
     >>> ByState({"prey": 1, "hunters": 2})["pray"]
     Traceback (most recent call last):

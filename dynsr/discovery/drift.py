@@ -1,10 +1,10 @@
-"""Drift: what the time, or a column that an equation does not hold, explains of its data.
+"""Drift: what the time, or a column that an equation does not contain, explains of its data.
 
-Terms of an equation times the time, the time itself, and terms of every column are tried beside
-it: a score test (Rao 1948) of what the fitted equation misses says which of them would help. Sums
-that hold the time are tried in its place. What is likely is fitted and compared with the equation
-in bits, those of the misses, of the structure and of the constants: the more terms are tried, the
-longer each of them is to name, so that a find by chance among many pays for them.
+Terms of an equation times the time, the time itself, and terms of every column are tried in
+addition: a score test (Rao 1948) of the residuals of the equation says which of them would help.
+Sums that contain the time are tried in its place. What is likely is fitted and compared with the
+equation in bits, those of the residuals, of the structure and of the constants: the more terms are
+tried, the longer each of them is to name, so that a find by chance among many pays for them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ TIME = sympy.Symbol("t")
 
 @dataclass(frozen=True)
 class DriftSettings:
-    """The numbers that decide which terms are tried; they stand in a discovery's record.
+    """The numbers that decide which terms are tried; a discovery's record contains them.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class DriftSettings:
         shortest first.
     powers : powers of the time that multiply terms.
     inside : constants of functions of the time alone, in units of one over the span of the times.
-    beside : terms that are put beside an equation, at most.
+    beside : terms that are added to an equation, at most.
     more : terms that a sum in its place may have more than it.
     beam : sums of each length that are grown further.
     fitted : likely formulas of each kind that are fitted, at most.
@@ -84,7 +84,7 @@ class Drift:
     expr : the formula.
     bits : the bits that it takes more than the equation: below 0.
     said : what it means, in words.
-    timed : whether it holds the time, and the equation does not.
+    timed : whether it contains the time, and the equation does not.
     """
 
     expr: sympy.Expr
@@ -95,7 +95,7 @@ class Drift:
 
 @dataclass(frozen=True, eq=False)
 class TermsInTime:
-    """Terms that are tried beside an equation or in its place.
+    """Terms that are tried in addition to an equation or in its place.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class TermsInTime:
         expr : the equation.
         columns : name -> (n,) values of what it may hold, of which ``t`` is the time.
         settings : which terms.
-        functions : whether functions of the time alone, of any rate, are among them.
+        functions : whether these include functions of the time alone, of any rate.
         """
         names = [name for name in columns if name != "t"]
         held = [name for name in names if sympy.Symbol(name) in expr.free_symbols]
@@ -153,7 +153,7 @@ class TermsInTime:
 
     @cached_property
     def timed(self) -> np.ndarray:
-        """(p,) whether each holds the time."""
+        """(p,) whether each contains the time."""
         return np.array([TIME in e.free_symbols for e in self.terms])
 
     @cached_property
@@ -167,7 +167,7 @@ class TermsInTime:
 
     @cached_property
     def structure(self) -> np.ndarray:
-        """(p,) bits of each, beside those of constants."""
+        """(p,) bits of each, without those of constants."""
         half = sympy.Float(0.5)
         return np.array([shape_bits(half * e) + unusual_bits(e, ("t",)) for e in self.terms])
 
@@ -253,7 +253,7 @@ class Lines:
         library: TermsInTime,
         settings: DriftSettings,
     ) -> list[sympy.Expr]:
-        """Give what is likely to stand beside an equation that leaves a rest."""
+        """Give the terms that are likely to be missing in an equation."""
         own = self.design[:, : len(library.terms)]
         left = own - basis @ (basis.T @ own)
         # What the constants of the equation can do already is no news.
@@ -274,7 +274,7 @@ class Lines:
         library: TermsInTime,
         settings: DriftSettings,
     ) -> list[sympy.Expr]:
-        """Give the likely sums of terms of a kind that hold the time."""
+        """Give the likely sums of terms of a kind that contain the time."""
         inside = library.slopes[kind]
         slopes = np.where(inside >= 0, len(kind) + np.cumsum(inside >= 0) - 1, -1)
         design = self.design[:, [*kind, *inside[inside >= 0]]]
@@ -352,7 +352,7 @@ def drift_of_rows(
     ----------
     state, expr : the equation.
     samples : its rows, with what it is to give, and misses.
-    floor : misses below this are none.
+    floor : residuals below this count as 0.
     settings : which terms are tried.
     discrete : whether the equation is a map.
 
@@ -410,7 +410,7 @@ def _slopes_by_constants(
 
 
 def _told_by_size(expr: sympy.Expr, samples: Samples) -> float:
-    """Give the share of what constants beside the time seem to tell, where chance changes its size.
+    """Give the share of what constants with the time seem to say, where chance changes its size.
 
     Chance that grows along the record pulls them more than its mean size says: the share is that of
     the Wald statistics with the covariance of White (1980) and with that of one size, 1 at most.
@@ -443,7 +443,7 @@ def is_alike(expr: sympy.Expr, other: sympy.Expr) -> bool:
 
 
 def is_timed(expr: sympy.Expr, own: sympy.Expr) -> bool:
-    """Whether a formula holds the time and the equation does not.
+    """Whether a formula contains the time and the equation does not.
 
     Parameters
     ----------
@@ -461,7 +461,7 @@ def say(
     *,
     discrete: bool = False,
 ) -> str:
-    """Say in words what a formula with the time or more terms means beside an equation.
+    """Say in words what a formula with the time or more terms means for an equation.
 
     Parameters
     ----------

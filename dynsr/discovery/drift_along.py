@@ -50,7 +50,7 @@ class _Compared:
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """Equations that were followed along trajectories, beside which others are tried.
+    """Equations that were followed along trajectories, against which others are tried.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Along:
         Parameters
         ----------
         states : those that are looked at.
-        weak : those of them whose equation is so far off that lines along it tell little.
+        weak : those of them whose equation is so far off that slopes along it say little.
         """
         found: dict[str, Drift] = {}
         asked = [state for state in self.equations if state in states]
@@ -339,17 +339,17 @@ def _follow(
 
 
 def _total(followed: Followed) -> float:
-    """Sum of the squares of misses, of which those far off count little."""
+    """Sum of the squares of residuals, of which those far off count little."""
     return float(sum(np.sum(_FAR**2 * np.log1p((z / _FAR) ** 2)) for z in followed.misses))
 
 
 def _squares(followed: Followed) -> np.ndarray:
-    """(k,) mean size of the squares of misses, of which those far off count little."""
+    """(k,) mean size of the squares of residuals, of which those far off count little."""
     total = sum(np.sum(_FAR**2 * np.log1p((z / _FAR) ** 2), axis=(0, 2)) for z in followed.misses)
     return np.asarray(total / np.maximum(followed.counts, 1))
 
 
 def _rows(followed: Followed) -> np.ndarray:
-    """(k,) independent rows of the misses."""
+    """(k,) independent rows of the residuals."""
     lanes = [followed.lanes(place) for place in range(len(followed.counts))]
     return np.array([sum(independent_rows(z[:, None])[0] for z in own) for own in lanes])

@@ -91,7 +91,7 @@ def open_constants(
 
 
 def _split(term: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr]:
-    """Give what stands above and below the line; a number alone below it belongs to the term."""
+    """Give numerator and denominator; a denominator that is a number belongs to the term."""
     top, bottom = sympy.fraction(sympy.together(term), exact=True)
     return (top, bottom) if bottom.free_symbols else (term, sympy.S.One)
 
@@ -117,7 +117,7 @@ class Course:
         state was not measured.
     states : the k states that are followed; other columns are read from the data.
     inputs : input name -> expression in ``t`` where it is known.
-    thinned : how many measurements of the data stand behind one here.
+    thinned : how many measurements of the data one here replaces.
     """
 
     runs: tuple[Trajectory, ...]
@@ -157,7 +157,7 @@ class Course:
         return Flow(dict(equations), driven, tuple(constants))
 
     def shoot(self, flow: Flow, length: int, most: int) -> list[Shooting]:
-        """Give the misses of a flow over windows of ``length``; shorter runs are whole."""
+        """Give the residuals of a flow over windows of ``length``; shorter runs are whole."""
         found = []
         for size in sorted({min(length, len(run) - 1) for run in self.runs}):
             some = [i for i, run in enumerate(self.runs) if min(length, len(run) - 1) == size]
@@ -196,7 +196,7 @@ class Followed:
         return all(bool(np.all(np.isfinite(z))) for z in self.misses)
 
     def sizes(self) -> np.ndarray:
-        """(k,) mean squared miss of every state, in units of its noise."""
+        """(k,) mean squared residual of every state, in units of its noise."""
         total = sum(np.sum(z**2, axis=(0, 2)) for z in self.misses)
         found: np.ndarray = total / np.maximum(self.counts, 1)
         return found
@@ -212,7 +212,7 @@ class Followed:
         return np.concatenate([s.told.transpose(2, 0, 1).reshape(-1) for s in self.shootings])
 
     def lanes(self, place: int) -> list[np.ndarray]:
-        """Give the misses of one state (rows, W) at its measurements, window by window.
+        """Give the residuals of one state (rows, W) at its measurements, window by window.
 
         Parameters
         ----------
@@ -228,7 +228,7 @@ class Followed:
     def linearise(self, rows: slice | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Misses (N,), their slopes by constants and all starts (N, P + k W), states (N,).
 
-        Only measurements are among them.
+        Only measurements count.
         """
         count, lanes = len(self.constants), [s.shape[1] for s in self.starts]
         k = len(self.misses[0][0])

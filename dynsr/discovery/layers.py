@@ -1,4 +1,4 @@
-"""Layers: what is missed across jumps that no fixed step can follow, integrated adaptively.
+"""Layers: residuals across jumps that no fixed step can follow, integrated adaptively.
 
 Relaxation oscillations and other stiff systems move in layers of a few rows. Their equations are
 integrated implicitly from the first row of each run, and again without each of their terms.
@@ -90,7 +90,7 @@ def _gaps(
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
 ) -> list[np.ndarray] | None:
-    """Give what is missed of each run, (n, k)."""
+    """Give the residuals of each run, (n, k)."""
     gaps = []
     for run in runs:
         x = run.x[:, [run.index(state) for state in equations]]

@@ -1,8 +1,8 @@
 """Verdict on maps: whether x[n+1] = f(x[n]) is a law of the data, an approximation, or not found.
 
-The judges are one step, from every measured row, and free runs of a few steps. What a step misses
-may be chance, but nothing that the row tells; free runs may miss by what the misses of single steps
-add up to, and no more.
+Two tests decide: one step, from every measured row, and free runs of a few steps. Residuals of a
+step may be chance, but may not depend on the row. Those of free runs may be what the residuals of
+single steps add up to, and no more.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ def judge_map(
 ) -> Verdict:
     """Say of every equation of a map whether it is a law of the data.
 
-    In the verdict of a state R2 is that of one step, the noise is the size of one step's misses,
-    the forecast the miss of a step in the held-back end, and chi-square the squared miss of free
-    runs in units of what the misses of single steps add up to; these are given by medians.
+    In the verdict of a state R2 is that of one step, the noise is the size of one step's residuals,
+    the forecast the error of a step in the held-back end, and chi-square the squared residual of
+    free runs in units of what the residuals of single steps add up to, both by medians.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class _Step:
 
     @property
     def size(self) -> float:
-        """Standard deviation of the misses of one step."""
+        """Standard deviation of the residuals of one step."""
         freedom = max(len(self.misses) - len(self.places), 1)
         return math.sqrt(float(self.misses @ self.misses) / freedom)
 
@@ -195,7 +195,7 @@ class _Step:
         return math.sqrt(float(np.mean(left**2))), float(np.mean(left**2 / expected))
 
     def has_pattern(self) -> bool:
-        """Say whether the columns tell something of the misses.
+        """Say whether the residuals depend on the columns.
 
         Either near rows are missed by the same (see :func:`dynsr.data.near_rows_leave_open`), or
         products of the columns explain some of it (Fisher's test).
@@ -206,7 +206,7 @@ class _Step:
         return left < _OPEN or self._follows_products()
 
     def is_odd(self) -> bool:
-        """Say whether a wave of a column that is no angle, or the like, stands in the equation."""
+        """Say whether a wave of a column that is no angle, or the like, is in the equation."""
         pairs = self.samples.columns.items()
         angles = [name for name, column in pairs if column.min() < 0 < column.max()]
         return plausibility_bits(self.expr, angles) > 0
@@ -242,9 +242,9 @@ def _compare_free_runs(
     steps: Mapping[str, _Step],
     settings: VerdictSettings,
 ) -> dict[str, float]:
-    """Give the squared miss of free runs in units of what misses of single steps add up to.
+    """Give the squared residual of free runs in units of what those of single steps add up to.
 
-    For that the same runs are iterated with misses drawn from those of single steps.
+    For that the same runs are iterated with residuals drawn from those of single steps.
     """
     states = [runs[0].index(state) for state in equations]
     names = [n for n in runs[0].names if n not in equations]

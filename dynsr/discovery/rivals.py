@@ -1,8 +1,9 @@
-"""Rivals: how much worse different formulas would follow the trajectories than the one found.
+"""Alternatives: how much worse different formulas would follow the trajectories than the one found.
 
-A rival is first fitted to the slopes of the equation found, along the trajectory that this gives:
-one that can be the same function is none. What still differs is followed through the system by its
-sensitivities, in one integration for all rivals; constants and starts may make up for it.
+An alternative is first fitted to the slopes of the equation found, along the trajectory that this
+gives: one that can be the same function does not count. What still differs is followed through the
+system by its sensitivities, in one integration for all alternatives; constants and starts may make
+up for it.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def compare_rivals(
     most : formulas a state that are compared.
     different : rms difference, in shares of the slopes' spread, of formulas that are different.
 
-    The bits are those of the misses in the linearised fit, of the formula, and of its constants.
+    The bits are those of the residuals in the linearised fit, of the formula, and of its constants.
     """
     columns = columns_along(followed.shootings, followed.misses)
     chosen = [
@@ -100,7 +101,7 @@ def columns_along(
 
 
 def count_constants(expr: sympy.Expr) -> int:
-    """Count the constants of a formula, coefficients of 1 among them.
+    """Count the constants of a formula, coefficients of 1 included.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def _bits_above(
     places: Mapping[sympy.Symbol, Place],
     course: Course,
 ) -> np.ndarray:
-    """(R,) bits by which the misses of each rival are larger, its constants and starts adapted."""
+    """(R,) bits by which residuals of each alternative are larger, constants and starts adapted."""
     states, first = list(equations), len(followed.constants)
     probes, groups = _make_probes(equations, chosen, first)
     symbols = [sympy.Symbol(f"probe {i}") for i in range(len(probes))]
@@ -181,9 +182,9 @@ def _bits_above(
 def _make_probes(
     equations: Mapping[str, sympy.Expr], chosen: Sequence[tuple[str, sympy.Expr]], first: int
 ) -> tuple[list[tuple[int, sympy.Expr]], list[tuple[int, list[int]]]]:
-    """Give a probe for each rival's difference and for its slopes by its constants.
+    """Give a probe for each alternative's difference and for its slopes by its constants.
 
-    And for each rival the columns of these, which follow the ``first`` ones.
+    And for each alternative the columns of these, which follow the ``first`` ones.
     """
     states = list(equations)
     probes: list[tuple[int, sympy.Expr]] = []

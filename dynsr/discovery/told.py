@@ -1,4 +1,4 @@
-"""Told: what the data said of themselves stands with what was found in them."""
+"""Properties: what the data said of themselves is kept with what was found in them."""
 
 from __future__ import annotations
 
