@@ -18,6 +18,7 @@ import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, TypeVar, get_args, get_origin
+from warnings import warn
 
 from dynsr.errors import DynsrError, InputError, one_line
 
@@ -67,6 +68,33 @@ def checked(door: T) -> T:
             inner = _guarded(member.__func__, f"{door.__name__}.{name}")
             setattr(door, name, type(member)(inner))
     return door
+
+
+class Renamed:
+    """A public name of before, which gives what has another name now, and says so.
+
+    Parameters
+    ----------
+    new : the name now.
+    """
+
+    def __init__(self, new: str) -> None:
+        self.new = new
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """Note the name of before."""
+        self.old = name
+
+    def __get__(self, found: Any, owner: type) -> Any:
+        """Give what the new name gives; warns of the old one."""
+        if found is None:
+            return self
+        warn(
+            f"{owner.__name__}.{self.old} is now {self.new}; the old name ends next release",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return getattr(found, self.new)
 
 
 def _guarded(function: Callable[..., Any], name: str) -> Callable[..., Any]:

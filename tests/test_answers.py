@@ -76,12 +76,12 @@ def test_what_is_shorter_and_better_becomes_the_answer(noise):
     problem = pose(spring(noise))
     found = answer(problem, WRONG, {"x": ["v"], "v": ["-0.41*v - 0.51*x**3 - 1.98*x", "-2.5*x"]})
     verdict = problem.judge(found, None)
-    assert verdict.level == "approximation" and verdict.rivals["v"][0].bits < 0
+    assert verdict.level == "approximation" and verdict.alternatives["v"][0].bits < 0
     better, judged = adopt_better(problem, found, verdict, None)
     assert judged.level == "law" and len(better.equations["v"].args) == 3
     assert better.explanation["v"] == " Found by sindy. A note."
     assert "takes" in better.details["v"] and "Abs(v)" in better.details["v"]
-    assert better.errors["v"] and all(one.bits > 8 for one in judged.rivals["v"])
+    assert better.errors["v"] and all(one.bits > 8 for one in judged.alternatives["v"])
 
 
 @pytest.mark.slow
@@ -94,7 +94,7 @@ def test_what_only_seems_better_is_tried_and_not_called_so():
     assert "fits them better" in verdict.states["v"].reason
     same, judged = adopt_better(problem, found, verdict, rivals)
     assert same.equations == found.equations and "better" not in judged.reason
-    assert "-2.9*x" not in [one.equation for one in judged.rivals["v"]]
+    assert "-2.9*x" not in [one.equation for one in judged.alternatives["v"]]
 
 
 def test_what_the_user_forbids_is_not_adopted():
@@ -105,7 +105,7 @@ def test_what_the_user_forbids_is_not_adopted():
     same, judged = adopt_better(problem, found, problem.judge(found, rivals), rivals)
     assert same.equations == found.equations
     assert "better" not in judged.reason
-    assert all(one.bits >= 0 for one in judged.rivals["v"])
+    assert all(one.bits >= 0 for one in judged.alternatives["v"])
 
 
 def test_a_map_gives_way_to_a_better_one():
@@ -118,7 +118,7 @@ def test_a_map_gives_way_to_a_better_one():
     fronts = {"x": ["0.66", "3.7*x - 3.7*x**2"]}
     found = answer(problem, {"x": "3.5*x - 3.4*x**2 - 0.1*x**3"}, fronts)
     verdict = problem.judge(found, None)
-    others = [one.equation for one in verdict.rivals["x"]]
+    others = [one.equation for one in verdict.alternatives["x"]]
     assert "-3.7*x**2 + 3.7*x" in others and "0.66" not in others
     better, judged = adopt_better(problem, found, verdict, None)
     assert better.equations["x"] == parse(fronts["x"][1]) and judged.level == "law"

@@ -44,7 +44,7 @@ def test_an_exact_map_whose_parameter_drifts_is_no_law_and_its_drift_is_named():
     found = judge_map(equations(x="3.7*x - 3.7*x**2"), [data])
     assert found.level != "law"
     assert "its constants change along the record: x's coefficient from 3.5 to 3.9" in found.reason
-    assert "t*x" in found.rivals["x"][0].equation and found.rivals["x"][0].bits < -1000
+    assert "t*x" in found.alternatives["x"][0].equation and found.alternatives["x"][0].bits < -1000
 
 
 def test_a_drift_within_chance_in_the_motion_is_found():

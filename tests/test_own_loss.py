@@ -65,7 +65,7 @@ def test_constants_have_the_least_absolute_misses() -> None:
     )
     assert (slope, level) == pytest.approx(tuple(best.x[:2]), abs=1e-4)
     assert judged.loss is not None
-    assert np.mean(judged.misses(slope * X[:, 0] + level) ** 2) == pytest.approx(best.fun / n)
+    assert np.mean(judged.residuals(slope * X[:, 0] + level) ** 2) == pytest.approx(best.fun / n)
 
 
 @pytest.mark.parametrize("name", ["huber", "cauchy"])

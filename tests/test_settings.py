@@ -233,7 +233,7 @@ def test_settings_change_results_in_noise():
         return dynsr.discover(data, settings=settings, **QUICK)
 
     far = with_selection(comparison=replace(usual.comparison, apart=50.0))
-    assert plain.verdict.rivals["x"] and not far.verdict.rivals["x"]
+    assert plain.verdict.alternatives["x"] and not far.verdict.alternatives["x"]
     short = CollocationSettings(stiffness=(1.0,), steps=1)
     assert with_selection(fit=replace(usual.fit, along=short)).fitted != plain.fitted
     blind = with_selection(look=LookSettings(most=1, kept=1))

@@ -145,3 +145,29 @@ def test_a_keyword_that_is_misspelt_is_told_the_nearest():
         dynsr.System.from_strings({"x": "-x"}, begin=[1.0])
     with pytest.raises(InputError, match=r"no setting 'treshold' \(did you mean 'thresholds'\?\)"):
         dynsr.make_method("sindy", treshold=0.1)
+
+
+@pytest.mark.parametrize(
+    ("make", "old", "new"),
+    [
+        (lambda: Verdict("law", "it follows"), "rivals", "alternatives"),
+        (
+            lambda: dynsr.Trajectory(np.arange(3.0), np.ones((3, 1)), ("x",)),
+            "told_rows",
+            "known_rows",
+        ),
+        (lambda: dynsr.make_samples(decaying(), "x"), "misses", "residuals"),
+    ],
+)
+def test_a_name_of_before_still_works_and_says_what_it_is_now(make, old, new):
+    """For one release the old name gives the same, with a warning that names the new one."""
+    one = make()
+    with pytest.warns(DeprecationWarning, match=rf"\.{old} is now {new}"):
+        before = getattr(one, old)
+    assert before == getattr(one, new)
+
+
+def decaying():
+    """Give a trajectory."""
+    t = np.linspace(0, 2, 30)
+    return dynsr.Trajectory(t, np.exp(-t)[:, None], ("x",))

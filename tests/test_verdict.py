@@ -137,7 +137,7 @@ def test_a_formula_that_can_be_the_same_function_is_no_rival():
     same = ["-2.0*log(exp(x)) - 0.3*y", "-2.0*x - 0.3*y + 0.01*x*y"]
     front = {"y": ParetoFront([Candidate(parse(f), 0.1 / i, i) for i, f in enumerate(same, 1)])}
     found = judge(OSCILLATOR, [data], front=front)
-    assert found.level == "law" and found.rivals["y"] == ()
+    assert found.level == "law" and found.alternatives["y"] == ()
 
 
 def test_chaos_is_followed_for_as_long_as_errors_allow():

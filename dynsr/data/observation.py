@@ -65,7 +65,7 @@ def told_rows(runs: Sequence[Trajectory], state: str) -> list[np.ndarray]:
     runs : trajectories of the same columns.
     state : the state.
     """
-    told = [run.told_rows(state) for run in runs]
+    told = [run.known_rows(state) for run in runs]
     return told if sum(map(len, told)) >= FEWEST_ROWS else [run.own_rows(state) for run in runs]
 
 

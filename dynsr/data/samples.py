@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynsr.arguments import checked
+from dynsr.arguments import Renamed, checked
 from dynsr.data.trajectory import Trajectory, check_rows
 from dynsr.errors import InputError
 
@@ -56,8 +56,10 @@ class Samples:
         """Every column of ``X`` by name."""
         return {name: self.X[:, j] for j, name in enumerate(self.names)}
 
-    def misses(self, predicted: np.ndarray) -> np.ndarray:
-        """Give (n,) misses whose squares are the loss: y - f(X), unless there is a loss of its own.
+    misses = Renamed("residuals")
+
+    def residuals(self, predicted: np.ndarray) -> np.ndarray:
+        """Give (n,) residuals whose squares are the loss: y - f(X), unless there is an own loss.
 
         Parameters
         ----------

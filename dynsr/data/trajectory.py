@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.arguments import checked
+from dynsr.arguments import Renamed, checked
 from dynsr.data.holding import (
     Hold,
     check_hold,
@@ -271,7 +271,9 @@ class Trajectory:
         """
         return np.flatnonzero(self.measured[:, self.index(state)])
 
-    def told_rows(self, state: str) -> np.ndarray:
+    told_rows = Renamed("known_rows")
+
+    def known_rows(self, state: str) -> np.ndarray:
         """Give the rows at which a state was measured and all others are known from their curves.
 
         Before its first and after its last row nothing is known of a state.
@@ -281,7 +283,7 @@ class Trajectory:
         state : the state.
 
         >>> x = [[1.0, np.nan], [1.0, 2.0], [np.nan, 3.0], [1.0, 4.0]]
-        >>> Trajectory(np.arange(4.0), x, ("x", "y")).told_rows("x").tolist()
+        >>> Trajectory(np.arange(4.0), x, ("x", "y")).known_rows("x").tolist()
         [1, 3]
         """
         begun = np.maximum.accumulate(self.measured, axis=0)

@@ -16,6 +16,7 @@ import numpy as np
 import sympy
 from scipy.special import chdtrc
 
+from dynsr.arguments import Renamed
 from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose
 from dynsr.discovery.by_state import ByState
 from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
@@ -177,6 +178,11 @@ class StateVerdict:
         """Check the level; raises InputError."""
         _check_level(self.level)
 
+    @property
+    def alternatives(self) -> tuple[Rival, ...]:
+        """Different formulas that were compared, the closest first."""
+        return self.rivals
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -210,10 +216,12 @@ class Verdict:
         """Whether the equations were tested at all."""
         return self.level != NOT_JUDGED
 
+    rivals = Renamed("alternatives")
+
     @property
-    def rivals(self) -> dict[str, tuple[Rival, ...]]:
+    def alternatives(self) -> dict[str, tuple[Rival, ...]]:
         """State -> different formulas that were compared, the closest first."""
-        return ByState({state: own.rivals for state, own in self.states.items()})
+        return ByState({state: own.alternatives for state, own in self.states.items()})
 
 
 # The verdict of nobody.

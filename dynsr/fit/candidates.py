@@ -66,7 +66,7 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
     predicted = evaluate(expr, samples.columns)
     missed = rmse(predicted, samples.y)
     if samples.loss is not None:
-        missed = rmse(samples.misses(predicted), np.zeros(len(samples)))
+        missed = rmse(samples.residuals(predicted), np.zeros(len(samples)))
     return Candidate(expr, missed, complexity(expr), source)
 
 

@@ -93,7 +93,7 @@ def is_exact(samples: Samples) -> bool:
 
 def residuals(candidate: Candidate, samples: Samples) -> np.ndarray:
     """(n,) y - f(X), or what their own loss makes of it."""
-    return samples.misses(evaluate(candidate.expr, samples.columns))
+    return samples.residuals(evaluate(candidate.expr, samples.columns))
 
 
 def noise_of(candidates: Iterable[Candidate], samples: Samples) -> Noise:
