@@ -1,8 +1,9 @@
 from .by_run import RunParameters
 from .cut_short import beside_data, keep_formulas
 from .estimator import DynsrRegressor
+from .hybrid import HybridModel
 from .identifying import Identifiability, IdentifiabilitySettings, identifiability
-from .intervals import write_interval
+from .intervals import Constant, write_interval
 from .maps import inputs_in, iterate, pair_rows, write_map_latex, write_map_mathml
 from .orders import write_lines
 from .parameters import Parameter, Parameters, ParametricSystem
@@ -10,7 +11,7 @@ from .prediction import predict
 from .problem import DISCOVERY, DiscoverySettings
 from .profile import Profile
 from .records import RECORD, is_own_record
-from .result import Discovery, keep, load
+from .result import Discovery, Inclusion, keep, load
 from .scoring import (
     Score,
     equation_rmse,
@@ -23,27 +24,32 @@ from .suggesting import Alternative, Experiment, Suggestion, SuggestionSettings
 from .trajectory_estimator import TrajectoryRegressor
 from .uncertainty import bootstrap
 from .varying import VarySettings
-from .verdict import StateVerdict, Verdict, VerdictSettings
+from .verdict import Rival, StateVerdict, TermCertainty, Verdict, VerdictSettings
 
 __all__ = [
     "DISCOVERY",
     "RECORD",
     "Alternative",
+    "Constant",
     "Discovery",
     "DiscoverySettings",
     "DynsrRegressor",
     "Experiment",
+    "HybridModel",
     "Identifiability",
     "IdentifiabilitySettings",
+    "Inclusion",
     "Parameter",
     "Parameters",
     "ParametricSystem",
     "Profile",
+    "Rival",
     "RunParameters",
     "Score",
     "StateVerdict",
     "Suggestion",
     "SuggestionSettings",
+    "TermCertainty",
     "TrajectoryRegressor",
     "VarySettings",
     "Verdict",

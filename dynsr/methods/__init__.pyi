@@ -1,7 +1,7 @@
 from .asked import AskedMethod, fit_quadratics
 from .base import AbstractMethod, Progress, Report, silent
 from .demands import Constraints, Demands, Must, read_demands
-from .feynman.search import DynAIFeynman
+from .feynman.search import STAGES, DynAIFeynman
 from .genetic import GeneticAlgorithm
 from .library import Library, polynomials, trigonometrics
 from .limits import Limits
@@ -27,6 +27,7 @@ __all__ = [
     "METHODS",
     "PAPER_METHODS",
     "PRESETS",
+    "STAGES",
     "AbstractKeeper",
     "AbstractMethod",
     "AskedMethod",
