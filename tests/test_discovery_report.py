@@ -12,6 +12,7 @@ from dynsr.data.trajectory import Trajectory
 from dynsr.discovery import DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
+from dynsr.expression import shown
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.jobs import to_plain
@@ -83,6 +84,30 @@ def test_the_page_holds_equations_pictures_and_fronts(page):
     assert page.count('<svg class="picture"') == 7
     assert len(re.findall(r'class="front"', page)) == 2
     assert "1.0001*y" in page
+
+
+def test_the_page_of_a_map_speaks_of_next_values():
+    """No slope and no derivative is on it: formulas, pictures and headings are of x[n+1]."""
+    n = np.arange(40.0)
+    x = [0.3]
+    for _ in n[1:]:
+        x.append(3.7 * x[-1] * (1 - x[-1]))
+    expr = parse("3.7*x*(1 - x)")
+    front = ParetoFront([Candidate(expr, 1e-9, 20.0), Candidate(parse("x"), 0.1, 1.0)])
+    run = Trajectory(n, np.array(x)[:, None], ("x",))
+    settings = {"seed": 0, "kind": "map"}
+    errors = {"x": ((3.7, 1e-3), (-3.7, 1e-3))}
+    found = Discovery({"x": expr}, errors, {"x": front}, {}, (run,), settings=settings)
+    page = html.unescape(render_discovery(found))
+    assert found.is_map and f"x[n+1] = {shown(expr)}" in page
+    assert "Next values and their residuals" in page and "residual of next x" in page
+    seen = page.partition('<h2 id="code">')[0]
+    assert (
+        "x' =" not in seen
+        and "x'" not in seen.partition("<table")[2]
+        and "dx/dt" not in seen
+        and "slopes of x" not in seen.lower()
+    )
 
 
 def test_texts_are_escaped(page):

@@ -233,6 +233,8 @@ def render_discovery(found: Discovery) -> str:
         fixed=_fixed_points(found),
         flow=[picture] if (picture := show_flow(found)) else [],
         left_out=max(0, len(found.trajectories) - _MOST_RUNS),
+        left="[n+1]" if found.is_map else "'",
+        targets=_TARGETS[found.is_map],
         slopes=[picture for state in samples for picture in _slopes(found, samples[state])],
         scores=_scores(found),
         exports=[("LaTeX", latex), ("Python", found.to_python()), ("Julia", found.to_julia())],
@@ -365,7 +367,10 @@ def _constants(found: Discovery) -> Table | None:
         for state, e in system.equations.items()
     )
     rows = [
-        (name, value, interval, _fitted(found, found.parameters[name]), error, unit, of)
+        (
+            *(name, value, interval, _fitted(found, found.parameters[name]), error, unit),
+            of.replace("'", left),
+        )
         for name, value, error, interval, unit, of in found.parameters.rows()
     ]
     head = ("Name", "Value", "95 % interval", "Fitted", "Standard error", "Unit", "Constant of")
@@ -403,7 +408,7 @@ def _fitted(found: Discovery, parameter: Parameter) -> str:
         for c in found.constants[parameter.states[0]]
         if c.of == parameter.of and abs(c.value) == abs(parameter.value)
     ]
-    if not same or same[0].fitted_text == f"{same[0].value:.6g}":
+    if not same or "fitted" not in same[0].text:
         return ""
     text = same[0].fitted_text
     return text if same[0].value == parameter.value else text.removeprefix("-")
@@ -559,19 +564,20 @@ def _say_thinned(run: Trajectory, thin: Trajectory, is_map: bool) -> str:
 
 def _slopes(found: Discovery, pair: tuple[Samples, np.ndarray]) -> Iterator[Picture]:
     samples, predicted = pair
-    unit = found.time_unit
+    unit, state = found.time_unit, samples.target
     kind = _TARGETS[found.is_map]
+    label = f"next {state}" if found.is_map else f"d{state}/dt"
+    taken = "in the data" if found.is_map else f"taken from the data by {samples.scheme}"
     count = len(samples.t)
     dense = f" There are {count}: the stronger the colour, the more of them lie there."
     how = dense if count > MOST_DOTS else ""
     yield Picture.of(
-        draw_slopes(samples, predicted, unit),
-        f"The {kind} of {samples.target}, taken from the data by {samples.scheme}, and what the "
-        f"equation says they are.{how}",
+        draw_slopes(samples, predicted, unit, label),
+        f"The {kind} of {state}, {taken}, and what the equation says they are.{how}",
     )
     yield Picture.of(
-        draw_residuals(samples, predicted, unit),
-        f"The residuals of the {kind} of {samples.target}, over time and counted.{how}",
+        draw_residuals(samples, predicted, unit, label),
+        f"The residuals of the {kind} of {state}, over time and counted.{how}",
     )
 
 

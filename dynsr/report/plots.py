@@ -54,7 +54,7 @@ _OPEN = 3.0
 # Points across a picture of a flow, and the colour of its arrows.
 _FLOW_GRID = 41
 # Size in points of a dot of measured values: so much over the root of their number, within limits.
-_DOT_SIZE, _DOT_SIZES = 40.0, (1.5, 4.0)
+_DOT_SIZE, _DOT_SIZES = 40.0, (2.6, 4.5)
 # More dots than these are a picture in the page and no shapes, which take a line of text each.
 _MOST_SHAPES = 500
 _DATA = "#7a7a7a"
@@ -160,7 +160,7 @@ def draw_states(
         axis.plot(true.t, column, label="data", **_look_of(column))
         if found is not None:
             curve = found.x[:, found.index(state)]
-            axis.plot(found.t, curve, color=COLOURS[1], lw=1.4, label="found")
+            axis.plot(found.t, curve, color=COLOURS[1], lw=1.1, label="found")
             if intervals and state in intervals:
                 axis.fill_between(
                     found.t, *intervals[state], color=COLOURS[1], alpha=0.25, label="interval"
@@ -172,7 +172,9 @@ def draw_states(
     return figure
 
 
-def draw_residuals(samples: Samples, predicted: np.ndarray, time_unit: str = "") -> Figure:
+def draw_residuals(
+    samples: Samples, predicted: np.ndarray, time_unit: str = "", label: str = ""
+) -> Figure:
     """Draw the residuals of a formula over time, and how they are distributed.
 
     Parameters
@@ -180,13 +182,16 @@ def draw_residuals(samples: Samples, predicted: np.ndarray, time_unit: str = "")
     samples : the n slopes that it was fitted to; more than MOST_DOTS are drawn as a density.
     predicted : (n,) slopes that it gives there.
     time_unit : what times are counted in; "" where nobody knows.
+    label : what the slopes are called; by default as time derivatives.
     """
     residuals = samples.y - np.asarray(predicted, dtype=float)
     figure, axes = _framed(1, 2, (_WIDTH, 3.2), width_ratios=(4, 1), sharey=True, legend=False)
     over_time, histogram = axes.flat
     _draw_dots(over_time, samples.t, residuals, COLOURS[0], 2.5)
     over_time.axhline(0.0, color="black", lw=0.8)
-    over_time.set(xlabel=_time_label(time_unit), ylabel=f"residual of d{samples.target}/dt")
+    over_time.set(
+        xlabel=_time_label(time_unit), ylabel=f"residual of {label or f'd{samples.target}/dt'}"
+    )
     finite = residuals[np.isfinite(residuals)]
     histogram.hist(
         finite,
@@ -200,7 +205,9 @@ def draw_residuals(samples: Samples, predicted: np.ndarray, time_unit: str = "")
     return figure
 
 
-def draw_slopes(samples: Samples, predicted: np.ndarray, time_unit: str = "") -> Figure:
+def draw_slopes(
+    samples: Samples, predicted: np.ndarray, time_unit: str = "", label: str = ""
+) -> Figure:
     """Draw the slopes of the data over time, as dots, and what a formula gives there.
 
     Parameters
@@ -208,6 +215,7 @@ def draw_slopes(samples: Samples, predicted: np.ndarray, time_unit: str = "") ->
     samples : the n slopes of the data; more than MOST_DOTS are drawn as a density.
     predicted : (n,) slopes of the formula.
     time_unit : what times are counted in; "" where nobody knows.
+    label : what the slopes are called; by default as time derivatives.
     """
     figure, axes = _framed(1, 1, (_WIDTH, 3.2))
     axis = axes.flat[0]
@@ -218,7 +226,7 @@ def draw_slopes(samples: Samples, predicted: np.ndarray, time_unit: str = "") ->
     given[1:][np.diff(t) <= 0] = np.nan
     axis.plot(t, given, color=COLOURS[1], lw=1.2, label="equation")
     _follow(axis, samples.y, [given])
-    axis.set(xlabel=_time_label(time_unit), ylabel=f"d{samples.target}/dt")
+    axis.set(xlabel=_time_label(time_unit), ylabel=label or f"d{samples.target}/dt")
     _legend_below(figure, axis)
     return figure
 
@@ -346,7 +354,7 @@ def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str,
     axis.plot(*whole[0], "s", color="black", ms=7, mfc="none", mew=1.5, label="start")
     if found is not None:
         path = found.x[:, [found.index(across), found.index(up)]]
-        axis.plot(*path.T, color=COLOURS[1], lw=1.4, label="found")
+        axis.plot(*path.T, color=COLOURS[1], lw=1.1, label="found")
         _follow(axis, whole[:, 1], [path[:, 1]])
         low, high = _limits(whole[:, 0], [path[:, 0]])
         axis.set_xlim(low, high)
