@@ -183,7 +183,7 @@ def test_options_reach_the_search(tmp_path, seen):
     ]
     words += ["--complexity", "sin=8", "--loss", "huber", "--must", "x: x*v", "--start", "old"]
     words += ["--units", "x=m,t=s", "--ensemble", "--vary", "x"]
-    words += ["--observed", "v=w + x"]
+    words += ["--observed", "v=w + x", "--delays", "1.5"]
     words += ["--known", "x'=-0.1*x", "--out", tmp_path / "kept", "--json"]
     found = json.loads(run(*words).stdout)
     (data,) = seen.pop("data")
@@ -199,6 +199,7 @@ def test_options_reach_the_search(tmp_path, seen):
         "units": "x=m,t=s",
         "ensemble": True,
         "vary": ["x"],
+        "delays": [1.5],
         "observed": {"v": "w + x"},
         "complexity": {"sin": 8.0},
         "loss": "huber",

@@ -287,6 +287,7 @@ def discover(
     units: options.Units = None,
     time_budget: options.TimeBudget = None,
     vary: options.Vary = None,
+    delays: options.Delays = None,
     ensemble: Annotated[
         bool,
         typer.Option(
@@ -395,6 +396,7 @@ def discover(
                 units=units,
                 time_budget=time_budget,
                 vary=options.read_vary(vary),
+                delays=options.read_delays(delays),
                 ensemble=ensemble,
                 start=start,
                 seed=seed,

@@ -195,6 +195,15 @@ Observed = Annotated[
         rich_help_panel=DATA,
     ),
 ]
+Delays = Annotated[
+    str | None,
+    typer.Option(
+        "--delays",
+        help="Let equations contain states as they were some time before: auto, or about how long.",
+        metavar="auto|TIME,...",
+        rich_help_panel=SEARCH,
+    ),
+]
 Vary = Annotated[
     str | None,
     typer.Option(
@@ -506,3 +515,19 @@ def read_vary(text: str | None) -> bool | list[str]:
     if text is None or text == "all":
         return text is not None
     return [name.strip() for name in text.split(",")]
+
+
+def read_delays(text: str | None) -> bool | list[float]:
+    """Give whether there may be delays, or about how long they are; raises InputError.
+
+    >>> read_delays("auto"), read_delays("1.5,3"), read_delays(None)
+    (True, [1.5, 3.0], False)
+    """
+    from dynsr.errors import InputError
+
+    if text is None or text == "auto":
+        return text is not None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(f"--delays {text!r} must be auto, or times such as 1.5") from None

@@ -1,5 +1,6 @@
 from .by_run import RunParameters
 from .cut_short import beside_data, keep_formulas
+from .delays import Delay, DelaySettings
 from .estimator import DynsrRegressor
 from .hybrid import HybridModel
 from .identifying import Identifiability, IdentifiabilitySettings, identifiability
@@ -31,6 +32,8 @@ __all__ = [
     "RECORD",
     "Alternative",
     "Constant",
+    "Delay",
+    "DelaySettings",
     "Discovery",
     "DiscoverySettings",
     "DynsrRegressor",

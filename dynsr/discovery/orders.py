@@ -202,6 +202,9 @@ def write_lines(
     velocities = form_of(settings).velocities
     owners = {velocity: state for state, velocity in velocities.items()}
     primes = {sympy.Symbol(v): sympy.Symbol(f"{s}'") for v, s in owners.items()}
+    delays = settings.get("delays", {})
+    if isinstance(delays, Mapping):
+        primes |= {sympy.Symbol(str(n)): sympy.Symbol(str(text)) for n, text in delays.items()}
     written = {
         f"{owners[s]}'" if s in owners else s: tidy(e).xreplace(primes)
         for s, e in equations.items()

@@ -47,6 +47,7 @@ def predict(
     inputs: Mapping[str, Any] | None = None,
     engine: str | AbstractEngine = DEFAULT_ENGINE,
     hold: Mapping[str, str] | str | None = None,
+    size: float | None = None,
 ) -> Trajectory:
     """Integrate equations from ``x0`` at ``t[0]`` and give the states at every ``t``.
 
@@ -63,6 +64,8 @@ def predict(
     engine : "embedded", "julia" or an engine.
     hold : input -> what it does between its values, "previous", "linear" or "smooth", or one word
         for all; by default what the values tell.
+    size : usual size of the states, of which the absolute error is a share; by default that of the
+        start.
 
     Every integration is adaptive, with a relative error of 1e-8 a step, and implicit where the
     explicit method needs too many steps. Raises InputError when a state or input is missing, a time
@@ -87,7 +90,7 @@ def predict(
     start = np.asarray(x0, dtype=float)
     if start.shape != (len(equations),):
         raise InputError(f"x0 must be {len(equations)} numbers, one a state; it is {x0!r}")
-    abstol = _ABSTOL * _size(start)
+    abstol = _ABSTOL * (size or _size(start))
     if measured:
         return _follow_measured(equations, start, times, exact, measured, abstol, chosen)
     system = System(

@@ -22,6 +22,7 @@ from dynsr.discovery.asking import (
     Shares,
 )
 from dynsr.discovery.conservation import conserve
+from dynsr.discovery.delays import DelaySettings
 from dynsr.discovery.map_verdict import judge_map
 from dynsr.discovery.maps import keep_within, measure_step_errors
 from dynsr.discovery.orders import Form, explain_velocity
@@ -112,6 +113,7 @@ class DiscoverySettings:
     followers : how sums of terms are chosen for their integration where no law is found.
     profile : where intervals of constants in noise come from profile likelihoods, and how.
     vary : which constants differ from run to run, where that is asked.
+    delays : which delay it is, where delays are asked.
 
     >>> DiscoverySettings(rows=2000).selection.compared
     5
@@ -125,6 +127,7 @@ class DiscoverySettings:
     followers: FollowerSettings = FollowerSettings()
     profile: ProfileSettings = ProfileSettings()
     vary: VarySettings = VarySettings()
+    delays: DelaySettings = DelaySettings()
 
     def without_snapping(self) -> DiscoverySettings:
         """Give the same settings for constants that stay as fitted."""

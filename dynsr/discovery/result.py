@@ -32,6 +32,7 @@ from dynsr.data import (
 )
 from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.by_state import ByState
+from dynsr.discovery.delays import Delay, follow, read_history
 from dynsr.discovery.identifying import Identifiability, identify, with_data
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
 from dynsr.discovery.map_verdict import judge_map
@@ -179,6 +180,7 @@ class Discovery:
     summary : what is known of the data where they are not there, as after :meth:`load`.
     by_run : the parameters that differ from run to run, see :meth:`vary`. Equations contain them as
         inputs that are constant in each run.
+    delays : input -> the state and delay that it is, where ``discover`` was given ``delays``.
 
     >>> x = sympy.Symbol("x")
     >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
@@ -204,6 +206,7 @@ class Discovery:
     profiled: Mapping[str, tuple[Ends | None, ...]] = field(default_factory=dict)
     summary: DataSummary | None = None
     by_run: RunParameters = RunParameters()
+    delays: Mapping[str, Delay] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Have a name that is no state's answered with those there are."""
@@ -932,10 +935,12 @@ class Discovery:
         engine: str | AbstractEngine | None = None,
         hold: Mapping[str, str] | str | None = None,
         doses: Mapping[str, Any] | None = None,
+        history: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> Trajectory:
         """Integrate the equations; by default from the start and at the times of the data.
 
-        A map is iterated, once for every time after the first.
+        A map is iterated, once for every time after the first. Equations with delays are followed
+        by the method of steps.
 
         Parameters
         ----------
@@ -947,6 +952,8 @@ class Discovery:
         hold : input -> what it does between the values that are given, "previous", "linear" or
             "smooth", or one word for all; by default what it did in the data.
         doses : state -> (n,) amounts by which it jumps right after each time; none by default.
+        history : of equations with delays, the states (k, n) at n times before the first; by
+            default those of the data, or ``x0`` at all times where that is given.
 
         Raises InputError when something is missing or a map is given an engine other than the
         embedded one, EngineUnavailable when the engine is absent, EngineError when the solution
@@ -955,6 +962,12 @@ class Discovery:
         if (x0 is None or t is None) and not self.trajectories:
             raise InputError("the data are not here; give x0 and t")
         times = self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
+        if self.delays:
+            if hold is not None or doses is not None:
+                raise InputError("equations with delays are followed without hold and doses")
+            return self._follow(x0, times, {**self.inputs_of(), **(inputs or {})}, engine, history)
+        if history is not None:
+            raise InputError("the equations have no delays; leave history out")
         if x0 is None:
             x0 = self.carried[0].x[0][self._positions()]
         if self.is_map:
@@ -971,6 +984,30 @@ class Discovery:
                 given[name] = Measured(name, times, values, self.hold[name])
         chosen = engine or self.engine
         return predict_with_doses(self.equations, x0, times, doses, given, chosen, hold)
+
+    def _follow(
+        self,
+        x0: Sequence[float] | np.ndarray | None,
+        times: np.ndarray,
+        inputs: Mapping[str, Any],
+        engine: str | AbstractEngine | None,
+        history: Callable[[np.ndarray], np.ndarray] | None,
+        run: Trajectory | None = None,
+    ) -> Trajectory:
+        """Follow equations with delays from a history, that of a run by default."""
+        count = len(self.equations)
+        if history is None and x0 is None:
+            history = read_history(run or self.carried[0], tuple(self.equations), self.delays)
+        start = np.zeros(count) if x0 is None else np.asarray(x0, dtype=float)
+        if start.shape != (count,):
+            raise InputError(f"x0 has shape {start.shape}; give {count} start states")
+
+        def before(t: np.ndarray) -> np.ndarray:
+            given = start[:, None] if history is None else history(t)
+            return np.broadcast_to(np.asarray(given, dtype=float), (count, len(t)))
+
+        others = {name: value for name, value in inputs.items() if name not in self.delays}
+        return follow(self.equations, self.delays, before, times, others, engine or self.engine)
 
     @cached_property
     def carried(self) -> tuple[Trajectory, ...]:
@@ -1270,6 +1307,8 @@ class Discovery:
     def _whole(self, run: Trajectory, engine: AbstractEngine) -> np.ndarray:
         start = [run.x[0, run.index(state)] for state in self.equations]
         try:
+            if self.delays:
+                return self._follow(None, run.t, self.inputs_of(run), engine, None, run).x
             return predict(self.equations, start, run.t, self.inputs_of(run), engine).x
         except EngineUnavailable:
             raise
@@ -1503,6 +1542,7 @@ class Discovery:
             **({"profiled": to_plain(self.profiled)} if self.profiled else {}),
             **({"summary": to_plain(kept)} if (kept := self._summarise()) else {}),
             **({"by_run": to_plain(self.by_run)} if self.by_run.runs else {}),
+            **({"delays": to_plain(self.delays)} if self.delays else {}),
         }
 
     @classmethod
@@ -1520,6 +1560,7 @@ class Discovery:
             "profiled": dict[str, tuple[Ends | None, ...]],
             "summary": DataSummary,
             "by_run": RunParameters,
+            "delays": dict[str, Delay],
         }
         fields = read_discovery(Path(path), **further, verdict=Verdict | None)
         return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY})

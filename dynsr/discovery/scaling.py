@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from dynsr.data import Trajectory, read_sums, take_trajectories
 from dynsr.discovery.apart import check_vary, search_apart
 from dynsr.discovery.confirmation import confirm
+from dynsr.discovery.delayed import check_delays, search_delayed
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery, with_profiles
 from dynsr.discovery.start import Start
@@ -195,6 +196,7 @@ def in_fitting_units(search: Search) -> Search:
         runs = read_sums(runs, observed := settings.pop("observed", None))
         seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
+        delays = settings.pop("delays", False)
         vary = check_vary(settings.pop("vary", False), runs, discrete)
         units = Units.of(runs)
         bits = read_own_bits(settings.get("complexity"))
@@ -206,7 +208,11 @@ def in_fitting_units(search: Search) -> Search:
         # Its arrays are small: more threads than one only wait for each other.
         with counting(bits):
             with threadpool_limits(1):
-                if vary:
+                if delays is not False:
+                    asked_delays = check_delays(delays, runs, settings)
+                    drives = settings["inputs"]
+                    found = search_delayed(one_search, runs, settings, asked_delays, drives)
+                elif vary:
                     found = search_apart(one_search, runs, settings, vary)
                 else:
                     found = _search_in(units, runs, settings)

@@ -159,6 +159,7 @@ def discover(
     units: Mapping[str, str] | str | None = None,
     time_budget: float | None = None,
     vary: bool | str | Sequence[str] = False,
+    delays: bool | float | Sequence[float] = False,
     ensemble: bool | int = False,
     start: Discovery | Start | str | Path | None = None,
 ) -> Discovery:
@@ -244,6 +245,9 @@ def discover(
     vary : True if constants may differ from run to run. Some runs are searched alone, all are
         fitted together, and the description length decides which constants are shared. A state,
         or several, allows it in their equations only. See :meth:`Discovery.vary`.
+    delays : True if equations may contain states as they were some time before, such as
+        ``x(t - 1.6)``. The data determine the delay, one for all states. A number, or several, is
+        where its fit starts. ``found.delays`` has it with its interval.
     ensemble : True, or a number of draws: how often each term is kept, and the interval of its
         coefficient, in fits to data drawn with replacement (:func:`dynsr.bootstrap`). The result
         is in ``found.ensemble``, in the report and in the shell's output.

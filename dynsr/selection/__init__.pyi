@@ -1,4 +1,11 @@
-from .comparison import ComparisonSettings, SystemComparison, SystemFit, may_be_exact, noise_shown
+from .comparison import (
+    ComparisonSettings,
+    SystemComparison,
+    SystemFit,
+    may_be_exact,
+    most_of_noise,
+    noise_shown,
+)
 from .costs import bodies_of, shape_bits, unusual_bits
 from .first_look import Look, look, look_again
 from .followers import Follower, FollowerSettings, Trail, find_followers
@@ -55,6 +62,7 @@ __all__ = [
     "look",
     "look_again",
     "may_be_exact",
+    "most_of_noise",
     "move_inside",
     "noise_shown",
     "pick_equation",

@@ -1,0 +1,209 @@
+"""Delayed: equations are searched with states as they were some time before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+import sympy
+
+from dynsr.data import Trajectory
+from dynsr.discovery.delays import Delayed, DelayFit
+from dynsr.discovery.problem import DISCOVERY
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.verdict import LAW, LEVELS, NOT_FOUND, explain, judge
+from dynsr.errors import InputError
+from dynsr.selection import ComparisonSettings
+
+# Share of the variance of the states that equations explain with their own delayed states.
+_LEAST = DISCOVERY.verdict.r2
+Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
+
+
+def check_delays(
+    asked: Any, runs: Sequence[Trajectory], settings: Mapping[str, Any]
+) -> list[float]:
+    """Give the delays to search with, none for those that the data tell; raises InputError.
+
+    Parameters
+    ----------
+    asked : True, one delay, or several.
+    runs : the data.
+    settings : of the search.
+    """
+    if settings.get("discrete") or settings.get("order", 1) != 1:
+        raise InputError("delays go with equations of first order; leave order and discrete out")
+    if isinstance(asked, bool):
+        return []
+    given = np.atleast_1d(np.asarray(asked, dtype=float)).tolist()
+    share = settings.get("settings", DISCOVERY).delays.longest
+    longest = share * min(float(np.ptp(run.t)) for run in runs)
+    for delay in given:
+        if not 0 < delay <= longest:
+            raise InputError(
+                f"a delay of {delay:g} is not between 0 and {share:.0%} of the shortest "
+                f"trajectory, {longest:g}; give another, or longer trajectories"
+            )
+    return given
+
+
+def search_delayed(
+    search: Search,
+    runs: Sequence[Trajectory],
+    settings: dict[str, Any],
+    asked: Sequence[float],
+    inputs: Mapping[str, sympy.Expr],
+) -> Discovery:
+    """Search equations that may contain states as they were some time before.
+
+    Parameters
+    ----------
+    search : finds equations of trajectories.
+    runs : the data.
+    settings : of the search.
+    asked : delays where the fits start; none for those that the data tell.
+    inputs : input name -> expression in ``t`` where it is known.
+    """
+    began, details = monotonic(), settings.get("settings", DISCOVERY)
+    delayed = Delayed.of(runs, details.delays)
+    comparison = details.selection.comparison
+    most = len(asked) or details.delays.searched
+    begun = _begin(delayed, comparison, inputs, most, asked)
+    begun = begun or [_Begun(delay, delayed) for delay in asked]
+    answers: list[Discovery] = []
+    out, budget = settings.get("out"), settings.get("time_budget")
+    apart = begun[:most]
+    own = dict(settings)
+    if budget is not None:
+        own["time_budget"] = budget / max(2 * len(apart), 1)
+    for number, first in enumerate(apart, start=1):
+        delay = first.delay
+        own["out"] = None if out is None else Path(out) / f"delay-{number}"
+        found = search(first.delayed.columns(delay, delay), {**own, **first.start})
+        if not found.complete:
+            return found
+        fit = delayed.fit(found.equations, delay, comparison)
+        if fit is not None:
+            again = {**own, "out": None, "start": found}
+            near = search(fit.delayed.columns(fit.delay, fit.delay), again)
+            fit = delayed.fit(near.equations, fit.delay, comparison) or fit
+            found = near
+        # Errors of a delayed state look like further terms: a short sum may take fewer bits.
+        short = delayed.fit(first.equations, delay, comparison) if first.equations else None
+        if short is not None and (fit is None or short.bits < fit.bits):
+            found, fit = _as_found(found, short, inputs), short
+        answers.append(_with_delays(delayed, found, fit, delay, inputs))
+        if answers[-1].verdict.level == LAW:
+            break
+    if not answers or not answers[-1].delays:
+        answers.append(search(runs, dict(settings)))
+    best = min(answers, key=lambda found: LEVELS.index(found.verdict.level))
+    return replace(best, seconds=monotonic() - began)
+
+
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """A delay that is searched with: the curves, and the sum that it was fitted with."""
+
+    delay: float
+    delayed: Delayed
+    equations: Mapping[str, sympy.Expr] = field(default_factory=dict)
+
+    @property
+    def start(self) -> dict[str, Discovery]:
+        """What a search begins with: a short sum that is a law of the data ends it."""
+        if not self.equations:
+            return {}
+        return {"start": Discovery(dict(self.equations), {}, {}, {})}
+
+    def is_apart(self, others: Sequence[_Begun], far: float) -> bool:
+        """Whether a fit of other delays would not move them to this one."""
+        pairs = ((self.delay, other.delay) for other in others)
+        return all(abs(one - other) > far * min(one, other) for one, other in pairs)
+
+
+def _begin(
+    delayed: Delayed,
+    comparison: ComparisonSettings,
+    inputs: Mapping[str, sympy.Expr],
+    most: int,
+    asked: Sequence[float],
+) -> list[_Begun]:
+    """Give delays, and the curves of sums that follow the runs with their own delayed states.
+
+    Of an oscillation a delay longer by a period explains slopes as well, and a very short one too.
+    """
+    found: list[_Begun] = []
+    for fit in delayed.candidates(comparison, asked):
+        one = _Begun(fit.delay, fit.delayed, fit.equations)
+        delays = delayed.delays_in(fit.equations, fit.delay)
+        if delays and one.is_apart(found, delayed.settings.far):
+            if delayed.explained(fit.equations, delays, inputs) > _LEAST:
+                found.append(one)
+        if len(found) == most:
+            break
+    return found
+
+
+def _as_found(found: Discovery, fit: DelayFit, inputs: Mapping[str, sympy.Expr]) -> Discovery:
+    """Give the equations of a fit in the place of those that were found, with their verdict."""
+    runs = fit.delayed.columns(fit.delay, fit.delay)
+    verdict = judge(fit.equations, runs, inputs, front=found.front)
+    return replace(
+        found,
+        equations=fit.equations,
+        errors=dict.fromkeys(fit.equations, ()),
+        fitted={},
+        profiled={},
+        trajectories=tuple(runs),
+        details={},
+        verdict=verdict,
+        explanation=dict.fromkeys(fit.equations, ""),
+    )
+
+
+def _with_delays(
+    delayed: Delayed,
+    found: Discovery,
+    fit: DelayFit | None,
+    delay: float,
+    inputs: Mapping[str, sympy.Expr],
+) -> Discovery:
+    """Give a discovery that knows its delays, with errors of constants that were fitted with it."""
+    delays = delayed.delays_in(found.equations, delay, fit)
+    if not delays:
+        return found
+    errors = dict(found.errors)
+    if fit is not None:
+        sizes = iter(np.sqrt(np.maximum(np.diag(fit.fit.covariance), 0.0))[:-1].tolist())
+        named = fit.errors_of(found.equations, list(sizes))
+        errors = {s: named.get(s, own) for s, own in errors.items()}
+    verdict = found.verdict
+    if verdict.judged and verdict.level != NOT_FOUND:
+        explained = delayed.explained(found.equations, delays, inputs)
+        if not explained > _LEAST:
+            reason = (
+                "integrated with its own delayed values, it does not reproduce the data "
+                f"(R2 {explained:.2g})."
+            )
+            states = {
+                s: replace(own, level=NOT_FOUND, reason=reason) for s, own in verdict.states.items()
+            }
+            verdict = replace(verdict, level=NOT_FOUND, reason=reason, states=states)
+    said = "".join(f" {column} is {own.text}." for column, own in delays.items())
+    text = {column: f"{own.state}(t - {own.value:.6g})" for column, own in delays.items()}
+    return replace(
+        found,
+        errors=errors,
+        verdict=verdict,
+        delays=delays,
+        explanation={
+            s: (explain(s, found.equations[s], verdict.states[s]) if verdict.judged else why) + said
+            for s, why in found.explanation.items()
+        },
+        settings={**found.settings, "delays": text},
+    )

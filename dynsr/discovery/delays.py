@@ -1,0 +1,621 @@
+"""Delays: equations that contain a state as it was some time before.
+
+A delayed state is read off the smoothed curve of its column, so that equations are searched as
+with any other input. Which delay it is is seen by how well short sums of the library's terms
+explain the slopes; the delay is then fitted along the states together with all other constants.
+An equation with a delay is followed by the method of steps: over one delay after the other, the
+delayed state is the solution before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+import sympy
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+from scipy.signal import argrelmin
+
+from dynsr.data import SmoothedTrajectory, Trajectory, estimate_noise, smooth
+from dynsr.discovery.intervals import take_apart, write_interval
+from dynsr.discovery.parameters import name_constants, put_names
+from dynsr.discovery.prediction import Measured, predict
+from dynsr.engines import DEFAULT_ENGINE, AbstractEngine
+from dynsr.errors import EngineError, InputError
+from dynsr.fit import Mixed, MixedFit, MixedMesh, measure_runs, misses_bits, precision_bits
+from dynsr.library import Form, Library, LibrarySettings, Written
+from dynsr.selection import (
+    ComparisonSettings,
+    Subset,
+    SystemComparison,
+    best_subsets,
+    most_of_noise,
+)
+
+_ENDING = "_delayed"
+_TURN = "_delayed_by_delay"
+# The share of the delay in a fit, 1 where it stays as it is.
+_SHARE = "share of the delay"
+
+
+@dataclass(frozen=True)
+class DelaySettings:
+    """The numbers that decide a delay; they are in a discovery's record.
+
+    Parameters
+    ----------
+    grid : delays that are tried, evenly spaced.
+    longest : the longest of them, as a share of the shortest run.
+    rows : rows of a run at most.
+    points : rows of all runs, evenly spaced, at which slopes are explained.
+    terms : terms of the sums that explain slopes.
+    sums : sums for each delay that are fitted.
+    minima : delays, best first, that are fitted.
+    constant_bits : bits of one of their constants.
+    library : the terms.
+    apart : a delay is not tried where the difference of a state and the delayed one explains the
+        slope to within so many of its standard errors: every short delay would do that.
+    sure : smallest ratio of a delay to its standard error.
+    searched : delays with which equations are searched.
+    rounds : fits of the delay at most.
+    close : share by which the delay moves in the last of them.
+    far : share by which a fit may move the delay away from where it was searched.
+    free : delays over which equations are integrated with their own delayed states, to test them.
+    """
+
+    grid: int = 40
+    longest: float = 0.25
+    rows: int = 500
+    points: int = 120
+    terms: int = 3
+    sums: int = 5
+    minima: int = 4
+    constant_bits: float = 5.0
+    library: LibrarySettings = LibrarySettings(degree=2, alone=3, apart=4.0, most=800)
+    apart: float = 5.0
+    sure: float = 4.0
+    searched: int = 2
+    rounds: int = 12
+    close: float = 1e-5
+    far: float = 0.3
+    free: int = 4
+
+
+@dataclass(frozen=True)
+class Delay:
+    """A state as it was some time before.
+
+    Parameters
+    ----------
+    state : the state.
+    value : how long before, in the unit of the times.
+    error : its standard error; inf where the data do not tell.
+    low, high : the ends of its 95 % interval; None where the data do not tell.
+
+    >>> Delay("x", 1.6, 0.01, 1.58, 1.62).text
+    'x(t - 1.6), the delay is 1.58 to 1.62'
+    """
+
+    state: str
+    value: float
+    error: float = math.inf
+    low: float | None = None
+    high: float | None = None
+
+    def __post_init__(self) -> None:
+        """Take ends that are not finite, as a file has those that are unknown, for unknown."""
+        for name in ("low", "high"):
+            end = getattr(self, name)
+            if end is not None and not math.isfinite(end):
+                object.__setattr__(self, name, None)
+        if not (math.isfinite(self.value) and self.value > 0):
+            raise InputError(f"a delay of {self.value!r} is no time; give a number above 0")
+
+    @property
+    def text(self) -> str:
+        """What it is, to be read."""
+        interval = write_interval(self.low, self.high)
+        return f"{self.state}(t - {self.value:.6g}), the delay is {interval}"
+
+
+@dataclass(frozen=True, eq=False)
+class Delayed:
+    """Runs whose states are known before each of their rows, by their smoothed curves.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    curves : each of them smoothed.
+    names : state -> the column of the delayed state.
+    settings : the numbers that decide.
+    """
+
+    runs: Sequence[Trajectory]
+    curves: Sequence[SmoothedTrajectory]
+    names: Mapping[str, str]
+    settings: DelaySettings
+
+    @classmethod
+    def of(cls, runs: Sequence[Trajectory], settings: DelaySettings) -> Delayed:
+        """Smooth runs.
+
+        Parameters
+        ----------
+        runs, settings : the data, and the numbers that decide.
+
+        Raises InputError when a delayed state would have the name of a column.
+        """
+        stride = max(1, -(-max(map(len, runs)) // settings.rows))
+        some = [run.select(run.every(stride)) for run in runs]
+        names = {state: f"{state}{_ENDING}" for state in runs[0].states}
+        if taken := [name for name in names.values() if name in runs[0].names]:
+            raise InputError(f"{taken[0]!r} is a column already; rename it, or leave delays out")
+        noise = estimate_noise(some)
+        return cls(some, [smooth(run, noise) for run in some], names, settings)
+
+    @property
+    def longest(self) -> float:
+        """The longest delay that is tried."""
+        return self.settings.longest * min(float(np.ptp(run.t)) for run in self.runs)
+
+    def columns(self, delay: float, begin: float, slopes: bool = False) -> list[Trajectory]:
+        """Give the runs from some time on, with the delayed states as inputs.
+
+        Parameters
+        ----------
+        delay : how long before.
+        begin : time after the first row from which on rows are kept; the delay at least.
+        slopes : whether the slope of each delayed state times the delay is an input too.
+        """
+        found = []
+        for run, curve in zip(self.runs, self.curves, strict=True):
+            kept = run.select(np.flatnonzero(run.t >= run.t[0] + begin))
+            before = kept.t - delay
+            columns = dict(zip(self.names.values(), curve.curve(before), strict=True))
+            if slopes:
+                spline = CubicSpline(curve.t, curve.x)
+                turns = delay * spline(before, 1).T
+                columns |= {f"{s}{_TURN}": own for s, own in zip(self.names, turns, strict=True)}
+            inputs = np.column_stack([kept.inputs, *columns.values()])
+            found.append(
+                replace(
+                    kept,
+                    inputs=inputs,
+                    input_names=(*kept.input_names, *columns),
+                    hold={**kept.hold, **dict.fromkeys(columns, "smooth")},
+                )
+            )
+        return found
+
+    def candidates(
+        self, comparison: ComparisonSettings, asked: Sequence[float] = ()
+    ) -> list[DelayFit]:
+        """Give delays with the sums that they were fitted with, those of fewest bits first.
+
+        Parameters
+        ----------
+        comparison : how bits are counted.
+        asked : delays near which they are; by default anywhere up to the longest.
+        """
+        settings, scan = self.settings, _Scan.of(self, comparison)
+        shortest = max(float(np.median(np.diff(run.t))) for run in self.runs)
+        if asked:
+            bounds = [(own * (1 - settings.far), own * (1 + settings.far)) for own in asked]
+        else:
+            bounds = self._minima(scan, shortest)
+        begin = max([self.longest, *asked]) * (1 + settings.far)
+        fits = []
+        for pair in bounds:
+            near = float(minimize_scalar(scan.bits, bounds=pair, method="bounded").x)
+            for _, exprs in scan.sums(near):
+                fits.append(self.fit(exprs, near, comparison, begin))
+        sure = (f for f in fits if f is not None and f.delay > settings.sure * f.error)
+        return sorted(sure, key=lambda fit: fit.bits)
+
+    def _minima(self, scan: _Scan, shortest: float) -> list[tuple[float, float]]:
+        """Give (low, high) around each of the delays with which short sums explain slopes best."""
+        grid = np.linspace(shortest, self.longest, self.settings.grid)
+        bits = np.array([scan.bits(delay) for delay in grid])
+        inner = argrelmin(bits)[0]
+        places = inner[np.isfinite(bits[inner])]
+        if not len(places):
+            places = np.flatnonzero(np.isfinite(bits) & (bits == bits.min()))[:1]
+        best = sorted(places.tolist(), key=lambda place: bits[place])[: self.settings.minima]
+        width = grid[1] - grid[0]
+        return [(max(grid[i] - width, shortest), min(grid[i] + width, self.longest)) for i in best]
+
+    def points(self, delay: float) -> tuple[np.ndarray, ...]:
+        """Give states, delayed states, slopes and their errors (k, n), for all delays alike."""
+        parts = []
+        each = -(-self.settings.points // len(self.runs))
+        for run, curve in zip(self.runs, self.curves, strict=True):
+            rows = np.flatnonzero(run.t >= run.t[0] + self.longest)
+            rows = rows[np.unique(np.linspace(0, len(rows) - 1, each).astype(int))]
+            before = curve.curve(run.t[rows] - delay)
+            parts.append((curve.x[rows].T, before, curve.slope[rows].T, curve.slope_sd[rows].T))
+        return tuple(np.concatenate(own, axis=1) for own in zip(*parts, strict=True))
+
+    def delays_in(
+        self, equations: Mapping[str, sympy.Expr], delay: float, fit: DelayFit | None = None
+    ) -> dict[str, Delay]:
+        """Give column -> delay of the delayed states that equations contain.
+
+        Parameters
+        ----------
+        equations : state -> right-hand side.
+        delay, fit : the delay, and what gave its interval.
+        """
+        used = {str(s) for e in equations.values() for s in e.free_symbols}
+        return {
+            column: Delay(state, delay) if fit is None else fit.as_delay(state)
+            for state, column in self.names.items()
+            if column in used
+        }
+
+    def explained(
+        self,
+        equations: Mapping[str, sympy.Expr],
+        delays: Mapping[str, Delay],
+        inputs: Mapping[str, sympy.Expr],
+    ) -> float:
+        """Give the least R2 of the states by the method of steps, from many times on.
+
+        Parameters
+        ----------
+        equations : state -> right-hand side in which delayed states are columns.
+        delays : column -> the delay that it is.
+        inputs : input name -> expression in ``t`` where it is known.
+
+        It is -inf where a solution diverges.
+        """
+        delay = max(own.value for own in delays.values())
+        missed, spread = np.zeros((2, len(equations)))
+        for run, curve in zip(self.runs, self.curves, strict=True):
+            places = [run.index(state) for state in equations]
+            given: dict[str, object] = {
+                name: inputs[name] if name in inputs else _measured(run, name)
+                for name in run.input_names
+            }
+            begin = run.t[0] + delay
+            while begin < run.t[-1]:
+                rows = np.flatnonzero(
+                    (run.t > begin) & (run.t <= begin + self.settings.free * delay)
+                )
+                if len(rows):
+                    times = np.append(begin, run.t[rows])
+                    try:
+                        x = follow(
+                            equations,
+                            delays,
+                            _part_of(curve, places),
+                            times,
+                            given,
+                        ).x[1:]
+                    except EngineError:
+                        return -math.inf
+                    seen = run.observed[rows][:, places]
+                    missed += np.nansum((x - seen) ** 2, axis=0)
+                    spread += np.nansum(
+                        (seen - np.nanmean(run.observed[:, places], axis=0)) ** 2, axis=0
+                    )
+                begin += self.settings.free * delay
+        return float(np.min(1 - missed / np.maximum(spread, 1e-300)))
+
+    def fit(
+        self,
+        equations: Mapping[str, sympy.Expr],
+        delay: float,
+        comparison: ComparisonSettings,
+        begin: float | None = None,
+    ) -> DelayFit | None:
+        """Fit a delay and all constants along the states; None where that cannot be done.
+
+        Parameters
+        ----------
+        equations : state -> right-hand side in which delayed states are columns.
+        delay : where the fit starts.
+        comparison : how bits are counted.
+        begin : time after the first row from which on rows are kept.
+        """
+        names = name_constants(equations, self.runs[0].names)
+        named, signed = put_names(equations, names)
+        share = sympy.Symbol(_SHARE)
+        moved = {
+            sympy.Symbol(column): sympy.Symbol(column)
+            - (share - 1) * sympy.Symbol(f"{state}{_TURN}")
+            for state, column in self.names.items()
+        }
+        mixed = Mixed(
+            {s: e.xreplace(moved) for s, e in named.items()}, dict.fromkeys([*signed, _SHARE], (0,))
+        )
+        theta = np.array([*(values[0] for values in signed.values()), 1.0])
+        first = delay
+        begin = delay * (1 + self.settings.far) if begin is None else begin
+        found: MixedFit | None = None
+        for _ in range(self.settings.rounds):
+            data = measure_runs(self.columns(delay, begin, slopes=True), {}, self.settings.rows, {})
+            rows = MixedMesh.of(data, tuple(equations))
+            near = None if found is None else found.found.states
+            found = mixed.fit(rows, theta, near)
+            if found is None or not abs(found.theta[-1] - 1) < self.settings.far:
+                return None
+            delay, theta = delay * float(found.theta[-1]), np.append(found.theta[:-1], 1.0)
+            if delay > begin or not delay > 0 or abs(delay - first) > self.settings.far * first:
+                return None
+            if abs(found.theta[-1] - 1) < self.settings.close:
+                break
+        if found is None:
+            return None
+        numbers = dict(zip(map(sympy.Symbol, signed), map(sympy.Float, theta), strict=False))
+        exprs = {s: e.xreplace(numbers) for s, e in named.items()}
+        mesh = rows.mesh
+        bits = misses_bits(found.mean_squares, mesh.rows, mesh.known)
+        bits += SystemComparison(mesh, comparison).structure(exprs)
+        bits += precision_bits(found.information, found.scales, found.theta)
+        # What follows noisy data is smoother than their smoothed curve.
+        noise = most_of_noise(mesh.rows, comparison)
+        follows = bool(np.all(found.mean_squares <= noise)) and not np.any(rows.least)
+        own = self._along(found, rows) if follows else self
+        return DelayFit(found, delay, exprs, bits, own) if math.isfinite(bits) else None
+
+    def _along(self, found: MixedFit, rows: MixedMesh) -> Delayed:
+        """Give the same runs with the curves of a system that follows them to within the noise."""
+        curves = []
+        for number, curve in enumerate(self.curves):
+            nodes, first = np.unique(rows.mesh.t[rows.run == number], return_index=True)
+            states = found.found.states[rows.run == number][first]
+            spline = CubicSpline(nodes, states)
+            kept = curve.t >= nodes[0]
+            x, slope = curve.x.copy(), curve.slope.copy()
+            x[kept], slope[kept] = spline(curve.t[kept]), spline(curve.t[kept], 1)
+            curves.append(replace(curve, x=x, slope=slope))
+        return replace(self, curves=curves)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scan:
+    """The short sums that explain slopes best, one delay after the other."""
+
+    delayed: Delayed
+    comparison: SystemComparison
+    _costs: dict[tuple[Form, str], float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, delayed: Delayed, settings: ComparisonSettings) -> _Scan:
+        """Prepare the scan; its columns are those of any delay."""
+        begin = delayed.longest
+        data = measure_runs(delayed.columns(begin, begin), {}, delayed.settings.rows, {})
+        return cls(delayed, SystemComparison(data.mesh(tuple(delayed.names)), settings))
+
+    def bits(self, delay: float) -> float:
+        """Bits of the slopes by the best short sums; inf for a delay of a slope."""
+        found = self.sums(delay)
+        return found[0][0] if found else math.inf
+
+    def sums(self, delay: float) -> list[tuple[float, dict[str, sympy.Expr]]]:
+        """Give the best short sums with their bits, best first; none for a delay of a slope."""
+        settings = self.delayed.settings
+        states, delayed, slopes, errors = self.delayed.points(delay)
+        if np.any(_is_slope(states, delayed, slopes, errors, delay) < settings.apart):
+            return []
+        points = np.concatenate([states, delayed])
+        names = [*self.delayed.names, *self.delayed.names.values()]
+        library = Library.of(names, points, settings=settings.library)
+        with np.errstate(all="ignore"):
+            values = library.both(points)[0]
+            sizes = np.linalg.norm(values, axis=1)
+        fine = np.flatnonzero(np.isfinite(sizes) & (sizes > 0))
+        terms = values[fine] / sizes[fine, None]
+        forms = [library.forms[owner] for owner in library.owners[fine]]
+        inside = [library.constants[row].tolist() for row in fine]
+        gram = terms @ terms.T
+
+        def write(own: Subset) -> sympy.Expr:
+            parts = zip(own.coefficients, own.places, strict=True)
+            return sympy.Add(
+                *(
+                    sympy.Float(factor / sizes[fine[i]]) * forms[i].write(names, inside[i])
+                    for factor, i in parts
+                )
+            )
+
+        each = []
+        for state, slope in zip(self.delayed.names, slopes, strict=True):
+            costs = [self._cost(f, c, names, state) for f, c in zip(forms, inside, strict=True)]
+            each.append(
+                best_subsets(
+                    gram,
+                    terms @ slope,
+                    float(slope @ slope),
+                    np.array(costs),
+                    len(slope),
+                    most=settings.terms,
+                    keep=settings.sums,
+                )
+            )
+        # The best sums of all states together, then the second best, ...
+        return [
+            (
+                sum(own.bits for own in some),
+                dict(zip(self.delayed.names, map(write, some), strict=True)),
+            )
+            for some in zip(*each, strict=False)
+        ]
+
+    def _cost(self, form: Form, inside: Sequence[float], names: Sequence[str], state: str) -> float:
+        """Bits of a term, as textbooks have it, and of its constants."""
+        key = form, state
+        if key not in self._costs:
+            body = form.write(names, inside)
+            constants = self.delayed.settings.constant_bits * (1 + form.constants)
+            self._costs[key] = constants + self.comparison.term_bits(body, state, Written())
+        return self._costs[key]
+
+
+def _part_of(
+    curve: SmoothedTrajectory, places: Sequence[int]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Give some states (k, n) of a curve at n times."""
+
+    def part(times: np.ndarray) -> np.ndarray:
+        found: np.ndarray = curve.curve(times)[list(places)]
+        return found
+
+    return part
+
+
+def _measured(run: Trajectory, name: str) -> Measured:
+    place = run.input_names.index(name)
+    return Measured(name, run.t, run.inputs[:, place], run.held(name))
+
+
+def _is_slope(
+    states: np.ndarray,
+    delayed: np.ndarray,
+    slopes: np.ndarray,
+    errors: np.ndarray,
+    delay: float,
+) -> np.ndarray:
+    """(k,) how far differences over a delay are off the slopes, in standard errors of these."""
+    apart = slopes - (states - delayed) / delay
+    sizes = np.sqrt(np.mean(errors**2, axis=1))
+    found: np.ndarray = np.sqrt(np.mean(apart**2, axis=1)) / np.maximum(sizes, 1e-300)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class DelayFit:
+    """A delay that was fitted together with the other constants.
+
+    Parameters
+    ----------
+    fit : the fit; its last number is the share of the delay.
+    delay : the delay.
+    equations : state -> right-hand side with the fitted constants.
+    bits : of residuals, structure and constants.
+    delayed : the runs with the curves that delayed states were read off.
+    """
+
+    fit: MixedFit
+    delay: float
+    equations: dict[str, sympy.Expr]
+    bits: float
+    delayed: Delayed
+
+    @property
+    def error(self) -> float:
+        """The standard error of the delay; inf where the data do not tell."""
+        return self.delay * math.sqrt(float(self.fit.covariance[-1, -1]))
+
+    def errors_of(
+        self, equations: Mapping[str, sympy.Expr], sizes: Sequence[float]
+    ) -> dict[str, tuple[tuple[float, float], ...]]:
+        """Give state -> (value, standard error) of constants, whose errors count that of the delay.
+
+        Parameters
+        ----------
+        equations : the equations, which may have simpler numbers in the places of the fitted ones.
+        sizes : standard errors of the fitted numbers, in their order.
+        """
+        fitted = self.fit.theta[:-1]
+        found = {}
+        for state, expr in equations.items():
+            values = np.array(list(take_apart(expr)[1].values()))
+            near = [int(np.argmin(np.abs(np.abs(v) - np.abs(fitted)))) for v in values]
+            found[state] = tuple(zip(values.tolist(), [sizes[i] for i in near], strict=True))
+        return found
+
+    def as_delay(self, state: str) -> Delay:
+        """Give the delay of a state with its interval."""
+        beside = self.fit.reach * self.error
+        return Delay(state, self.delay, self.error, self.delay - beside, self.delay + beside)
+
+
+def follow(
+    equations: Mapping[str, sympy.Expr],
+    delays: Mapping[str, Delay],
+    history: Callable[[np.ndarray], np.ndarray],
+    t: np.ndarray,
+    inputs: Mapping[str, object],
+    engine: str | AbstractEngine = DEFAULT_ENGINE,
+    nodes: int = 40,
+) -> Trajectory:
+    """Integrate equations with delays by the method of steps.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side; delayed states are inputs.
+    delays : input -> the delay that it is.
+    history : gives the states (k, n) at n times up to the first one of ``t``.
+    t : (m,) increasing times.
+    inputs : all other inputs, as :func:`dynsr.discovery.predict` takes them.
+    engine : what integrates.
+    nodes : times of one step at which the solution is kept for the next one, at least.
+
+    Raises InputError and EngineError where :func:`dynsr.discovery.predict` does.
+    """
+    states = list(equations)
+    step = min(delay.value for delay in delays.values())
+    ends = np.append(np.arange(t[0], t[-1], step), t[-1])
+    solved: list[tuple[np.ndarray, np.ndarray]] = []
+    start = history(t[:1])[:, 0]
+    size = float(np.max(np.abs(history(np.linspace(t[0] - step, t[0], nodes)))))
+
+    def before(times: np.ndarray, place: int) -> np.ndarray:
+        own = history(np.minimum(times, t[0]))[place]
+        if not solved:
+            return own
+        known = np.concatenate([part[0] for part in solved])
+        values = np.concatenate([part[1][:, place] for part in solved])
+        known, first = np.unique(known, return_index=True)
+        curve = CubicSpline(known, values[first])
+        return np.where(times < t[0], own, curve(np.clip(times, known[0], known[-1])))
+
+    for low, high in pairwise(ends):
+        inside = t[(t >= low) & (t <= high)]
+        times = np.unique(np.concatenate([np.linspace(low, high, nodes), inside]))
+        given = dict(inputs)
+        for name, delay in delays.items():
+            values = before(times - delay.value, states.index(delay.state))
+            given[name] = Measured(name, times, values, "smooth")
+        x = predict(equations, start, times, given, engine, size=size).x
+        size = max(size, float(np.max(np.abs(x))))
+        solved.append((times, x))
+        start = x[-1]
+    found = np.column_stack([before(t, place) for place in range(len(states))])
+    found[0] = history(t[:1])[:, 0]
+    return Trajectory(t, found, tuple(states))
+
+
+def read_history(
+    run: Trajectory, states: Sequence[str], delays: Mapping[str, Delay]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Give the states (k, n) at n times up to the first of a run, from its delayed columns.
+
+    Parameters
+    ----------
+    run : the run.
+    states : the k states.
+    delays : column -> the delay that it is.
+    """
+    columns = {own.state: (name, own.value) for name, own in delays.items()}
+    curves = {
+        state: CubicSpline(run.t - value, run.inputs[:, run.input_names.index(name)])
+        for state, (name, value) in columns.items()
+    }
+
+    def history(times: np.ndarray) -> np.ndarray:
+        return np.array(
+            [
+                curves[state](times)
+                if state in curves
+                else np.full(len(times), run.x[0, run.index(state)])
+                for state in states
+            ]
+        )
+
+    return history

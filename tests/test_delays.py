@@ -1,0 +1,116 @@
+"""Delays: equations that contain a state as it was some time before."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import sympy
+
+from dynsr import Discovery, InputError, Trajectory, discover, load
+from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow
+from dynsr.selection import ComparisonSettings
+from tests.command_line import run
+
+X, BEFORE = sympy.symbols("x x_delayed")
+
+
+def solve(slope, delay, start, end, step):
+    """Give times and states of x' = slope(x, x(t - delay)) by Runge and Kutta's method."""
+    back, count = round(delay / step), round(end / step)
+    x = np.full(count + 1, start)
+
+    def past(place):
+        return start if place < 0 else x[place]
+
+    for i in range(count):
+        first, last = past(i - back), past(i + 1 - back)
+        middle = (first + last) / 2
+        a = slope(x[i], first)
+        b = slope(x[i] + step / 2 * a, middle)
+        c = slope(x[i] + step / 2 * b, middle)
+        d = slope(x[i] + step * c, last)
+        x[i + 1] = x[i] + step / 6 * (a + 2 * b + 2 * c + d)
+    return np.linspace(0, end, count + 1), x
+
+
+def hutchinson(noise=0.0, seed=0):
+    """Give the delayed logistic equation x' = 1.2 x (1 - x(t - 1.6) / 2) at 401 rows."""
+    t, x = solve(lambda x, before: 1.2 * x * (1 - before / 2), 1.6, 0.5, 40, 0.01)
+    t, x = t[::10], x[::10]
+    return t, x + noise * x.std() * np.random.default_rng(seed).normal(size=len(x))
+
+
+def as_run(pair):
+    """Give times and states as a trajectory."""
+    return Trajectory(pair[0], pair[1][:, None], ("x",))
+
+
+def test_the_method_of_steps_solves_an_equation_that_can_be_solved_by_hand():
+    """x' = -x(t - 1), 1 before: 1 - t until 1, then 1 - t + (t - 1)^2 / 2."""
+    t = np.linspace(0, 2, 21)
+    found = follow(
+        {"x": -BEFORE}, {"x_delayed": Delay("x", 1.0)}, lambda s: np.ones((1, len(s))), t, {}
+    )
+    truth = np.where(t <= 1, 1 - t, 1 - t + (t - 1) ** 2 / 2)
+    assert found.x[:, 0] == pytest.approx(truth, abs=1e-6)
+
+
+def test_a_delay_is_fitted_with_the_other_constants():
+    """From a delay 6 % off, in 1 % noise: the interval holds 1.6, and the constants are right."""
+    delayed = Delayed.of([as_run(hutchinson(0.01))], DelaySettings())
+    fit = delayed.fit({"x": -0.5 * X * BEFORE + 1.1 * X}, 1.7, ComparisonSettings())
+    own = fit.as_delay("x")
+    assert own.low < 1.6 < own.high
+    assert own.error < 0.005
+    numbers = sorted(float(c) for c in fit.equations["x"].atoms(sympy.Float))
+    assert numbers == pytest.approx([-0.6, 1.2], rel=0.01)
+
+
+@pytest.mark.slow
+def test_hutchinsons_delay_is_found_in_exact_data(tmp_path):
+    """The law, its delay, and its solution from other starts, from the data alone and saved."""
+    found = discover(hutchinson(), delays=True, jobs=1)
+    assert found.verdict.level == "law"
+    assert found.delays["x_delayed"].value == pytest.approx(1.6, rel=1e-4)
+    assert found.equations["x"].coeff(X * BEFORE) == pytest.approx(-0.6, rel=1e-3)
+    assert "x(t - 1.6" in str(found)
+    t, x = hutchinson()
+    own = found.simulate()
+    assert own.x[:, 0] == pytest.approx(np.interp(own.t, t, x), abs=1e-3 * x.max())
+    found.save(tmp_path / "found.json")
+    again = load(tmp_path / "found.json")
+    assert again.delays == found.delays
+    assert again.simulate([0.5], t[:100]).x[:, 0] == pytest.approx(x[:100], abs=2e-3 * x.max())
+
+
+@pytest.mark.slow
+def test_mackey_and_glass_are_found_in_exact_data():
+    """x' = 0.2 x(t - 17) / (1 + x(t - 17)^10) - 0.1 x on its chaotic attractor."""
+    t, x = solve(lambda x, b: 0.2 * b / (1 + b**10) - 0.1 * x, 17, 0.9, 300, 0.05)
+    found = discover((t[::15], x[::15, None]), delays=17.5, jobs=1)
+    assert found.delays["x_delayed"].value == pytest.approx(17, rel=1e-3)
+    truth = 0.2 * BEFORE / (1 + BEFORE**10) - 0.1 * X
+    apart = sympy.lambdify((X, BEFORE), found.equations["x"] - truth)
+    values = np.linspace(0.4, 1.3, 10)
+    assert np.max(np.abs(apart(values, values[::-1]))) < 1e-3
+
+
+def test_what_has_no_delay_is_refused_in_one_line(tmp_path):
+    """Delays that are no times, other orders, histories of equations without a delay."""
+    data = hutchinson()
+    with pytest.raises(
+        InputError, match="a delay of -1 is not between 0 and 25% of the shortest trajectory"
+    ):
+        discover(data, delays=-1.0)
+    with pytest.raises(InputError, match="delays go with equations of first order"):
+        discover(data, delays=True, order=2)
+    with pytest.raises(InputError, match="'x_delayed' is a column already"):
+        Delayed.of([Trajectory(data[0], np.ones((401, 2)), ("x", "x_delayed"))], DelaySettings())
+    with pytest.raises(InputError, match="a delay of nan is no time"):
+        Delay("x", np.nan)
+    plain = Discovery({"x": -X}, {}, {}, {})
+    with pytest.raises(InputError, match="no delays; leave history out"):
+        plain.simulate([1.0], [0.0, 1.0], history=np.sin)
+    table = tmp_path / "x.csv"
+    np.savetxt(table, np.column_stack(data), header="t,x", delimiter=",", comments="")
+    assert "must be auto" in run("discover", table, "--delays", "soon", code=2).output
