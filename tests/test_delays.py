@@ -8,6 +8,7 @@ import sympy
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow
+from dynsr.fit import ParetoFront
 from dynsr.selection import ComparisonSettings
 from tests.command_line import run
 
@@ -64,6 +65,20 @@ def test_a_delay_is_fitted_with_the_other_constants():
     assert own.error < 0.005
     numbers = sorted(float(c) for c in fit.equations["x"].atoms(sympy.Float))
     assert numbers == pytest.approx([-0.6, 1.2], rel=0.01)
+
+
+def test_the_same_table_is_scored_and_reported_without_a_column_of_the_delayed_state(tmp_path):
+    """Scores and the report read the delayed state off the data themselves."""
+    (own,) = Delayed.of([as_run(hutchinson(0.01))], DelaySettings()).columns(1.6, 1.6)
+    equations = {"x": 1.2 * X - 0.6 * X * BEFORE}
+    delays = {"x_delayed": Delay("x", 1.6, 0.01, 1.58, 1.62)}
+    front = {"x": ParetoFront()}
+    found = Discovery(equations, {"x": ()}, front, {}, (own,), delays=delays)
+    scores = found.score(hutchinson(0.01))
+    assert scores["x"]["trajectory_rmse"] < 0.1 * np.std(own.x)
+    assert scores["x"] == pytest.approx(found.score()["x"], rel=0.05)
+    page = found.report(tmp_path / "page.html").read_text("utf-8")
+    assert "x_delayed" in page
 
 
 @pytest.mark.slow

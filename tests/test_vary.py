@@ -228,6 +228,7 @@ def test_equations_of_one_run_have_its_numbers():
     assert any(p.value == pytest.approx(own[1].value) for p in one.parameters.values())
     assert one.simulate().x[-1, 0] == pytest.approx(found.trajectories[1].x[-1, 0], rel=0.05)
     assert name not in one.system.inputs
+    assert not one.front["x"]
 
 
 def test_a_discovery_whose_constants_differ_is_saved_and_read(tmp_path):

@@ -32,7 +32,7 @@ from dynsr.data import (
 )
 from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.by_state import ByState
-from dynsr.discovery.delays import Delay, follow, read_history
+from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow, read_history
 from dynsr.discovery.identifying import Identifiability, identify, with_data
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
 from dynsr.discovery.map_verdict import judge_map
@@ -759,7 +759,7 @@ class Discovery:
             equations={s: e.xreplace(put) for s, e in self.equations.items()},
             errors={s: (*known, *pairs) for s, known in self.errors.items()},
             fitted={},
-            front={},
+            front={state: ParetoFront() for state in self.equations},
             trajectories=self.trajectories[place : place + 1],
             summary=None,
             by_run=RunParameters(),
@@ -1249,7 +1249,14 @@ class Discovery:
         return self._by_name(in_unit(settle_hold(runs, {**own, **asked}), self.time_unit))
 
     def _by_name(self, runs: list[Trajectory]) -> list[Trajectory]:
-        """Give runs of the names that the data had what the parameters that differ were there."""
+        """Give runs the delayed states, and what parameters that differ were in runs of their name.
+
+        Raises InputError where parameters differ and runs have other names.
+        """
+        if self.delays and not set(self.delays) <= set(runs[0].names):
+            delay = max(own.value for own in self.delays.values())
+            settings = self._settings(DelaySettings, "delays")
+            runs = Delayed.of(runs, settings).columns(delay, delay)
         own = self.by_run
         if not own.constants or set(own.constants) <= set(runs[0].names):
             return runs
