@@ -99,6 +99,15 @@ def test_hutchinsons_delay_is_found_in_exact_data(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_shell_takes_and_shows_delays(tmp_path):
+    """`--delays 1.5` finds 1.6, and prints it with its interval."""
+    table = tmp_path / "x.csv"
+    np.savetxt(table, np.column_stack(hutchinson()), header="t,x", delimiter=",", comments="")
+    said = run("discover", table, "--delays", "1.5", "-j", "1", "-o", tmp_path / "out").output
+    assert "x(t - 1.6), the delay is 1.59999" in said
+
+
+@pytest.mark.slow
 def test_mackey_and_glass_are_found_in_exact_data():
     """x' = 0.2 x(t - 17) / (1 + x(t - 17)^10) - 0.1 x on its chaotic attractor."""
     t, x = solve(lambda x, b: 0.2 * b / (1 + b**10) - 0.1 * x, 17, 0.9, 300, 0.05)

@@ -127,6 +127,7 @@ class Found:
     details = {}
     ensemble = {}
     by_run = RunParameters()
+    delays = {}
     further = {}
 
     def __init__(self, settings):
@@ -528,6 +529,7 @@ def test_a_reason_is_printed_once(monkeypatch, capsys):
         constants={},
         ensemble={},
         by_run=RunParameters(),
+        delays={},
         details={},
         settings={},
     )

@@ -72,9 +72,11 @@ def show_reasons(
         said = words.strip() if details or not found.verdict.judged else _doubt(found, state)
         if said:
             _say(said if said.startswith(f"{state}' =") else f"{state}: {said}")
+    for own in found.delays.values():
+        _say(f"{own.text}.")
     _print_constants(found, details)
-    for state, own in found.ensemble.items():
-        _say(f"{state}', ensemble: " + "; ".join(one.text for one in own))
+    for state, kept in found.ensemble.items():
+        _say(f"{state}', ensemble: " + "; ".join(one.text for one in kept))
     for words in found.details.values() if details else ():
         _say(words)
     if scores:

@@ -89,6 +89,7 @@ def summarise(found: Discovery) -> dict[str, Any]:
         "details": found.details,
         "ensemble": found.ensemble,
         **({"by_run": found.by_run} if found.by_run.runs else {}),
+        **({"delays": found.delays} if found.delays else {}),
         "inputs": found.inputs,
         "settings": found.settings,
         "seconds": found.seconds,
