@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 from dynsr.expression import evaluate
-from dynsr.library import Form, Library, LibrarySettings
+from dynsr.library import MOST_INSIDE, Form, Library, LibrarySettings
 from dynsr.library.atoms import ATOMS
 from dynsr.library.forms import Factor
 
@@ -32,11 +32,14 @@ def test_the_slope_of_an_atom_is_that_of_a_small_step(name: str) -> None:
     atom, points = ATOMS[name], _columns(np.random.default_rng(2))
     form = Form(((1, 1),), (Factor(atom, (0, 1)[: atom.columns]),))
     here = np.array([0.7, 1.1])[: form.constants]
+    around = np.stack([here / 2, 2 * here])
+    library = Library(("x", "y"), (form,), (around,))
     slopes = form.both(["x", "y"], points, here[None])[1][0]
-    for step, slope in zip(1e-6 * np.eye(len(here)), slopes, strict=True):
-        up, down = (form.moved(here, way * step)[None] for way in (1, -1))
-        difference = form.both(["x", "y"], points, up)[0] - form.both(["x", "y"], points, down)[0]
-        np.testing.assert_allclose(difference[0] / 2e-6, slope, rtol=1e-5, atol=1e-8)
+    padded = np.append(here, np.zeros(MOST_INSIDE - len(here)))
+    for step, slope in zip(1e-6 * np.eye(MOST_INSIDE), slopes, strict=False):
+        up, down = (library.moved(np.array(0), padded, way * step)[: len(here)] for way in (1, -1))
+        ends = [form.both(["x", "y"], points, end[None])[0] for end in (up, down)]
+        np.testing.assert_allclose((ends[0] - ends[1])[0] / 2e-6, slope, rtol=1e-5, atol=1e-8)
 
 
 def test_a_library_holds_no_more_rows_than_it_may() -> None:

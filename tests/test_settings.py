@@ -15,6 +15,7 @@ from dynsr.discovery.verdict import Rival, StateVerdict, VerdictSettings, explai
 from dynsr.expression import parse
 from dynsr.fit import CollocationSettings, ProfileSettings
 from dynsr.jobs import to_plain
+from dynsr.library import LibrarySettings
 from dynsr.selection.first_look import LookSettings, look
 from dynsr.selection.parts import Parts
 
@@ -25,6 +26,9 @@ SAID = {"demands", "vocabulary", "must", "loss"}
 # Read only in data that are steep, chaotic, dense or of one column, or whose law is missed in some
 # way.
 SELDOM = {
+    "delays.library.alone",
+    *(f"vary.{name}" for name in ("joint", "near", "step", "structures")),
+    *(f"vary.library.{field.name}" for field in fields(LibrarySettings)),
     "profile.first",
     "profile.halvings",
     "slopes.calm",
@@ -145,6 +149,14 @@ def two_waves():
     return {"t": t, "x": np.sin(t) * np.exp(-0.02 * t) + 0.3 * np.sin(2.2 * t)}
 
 
+def delayed_growth():
+    """Give growth that is limited by what was there 1.6 before, at 160 rows."""
+    step, rows = 0.02, [0.5] * 81
+    for _ in range(1600):
+        rows.append(rows[-1] * (1 + step * 1.2 * (1 - rows[-81] / 2)))
+    return dynsr.Trajectory(np.arange(160) * 0.2, np.array(rows[81::10])[:, None], ("x",))
+
+
 # Small discoveries that together pass through every part of a discovery.
 DISCOVERIES = [
     (rabbits(200), {}),
@@ -154,6 +166,8 @@ DISCOVERIES = [
     (logistic_map(), {"discrete": True}),
     (growth(), {}),
     (two_waves(), {"time_budget": 300.0}),
+    (delayed_growth(), {"delays": True}),
+    ([rabbits(80), rabbits(80)], {"vary": True}),
 ]
 
 

@@ -8,7 +8,7 @@ from measured_systems import measured, run
 from dynsr.data import choose_samples
 from dynsr.expression import evaluate, parse
 from dynsr.methods import read_demands
-from dynsr.selection import look_again
+from dynsr.selection import look
 from dynsr.selection.alone import Alone
 from dynsr.selection.comparison import COMPARISON
 
@@ -76,7 +76,7 @@ def test_exact_slopes_show_functions_of_several_constants(name):
     laws, data = integrated(*LAWS[name])
     state = next(iter(laws))
     samples = choose_samples([data], state)
-    seen = look_again(samples, {}, wide=True)
+    seen = look(samples)
     beside = {s: 0.9 * np.roll(x, 20 * i) for i, (s, x) in enumerate(samples.columns.items())}
     assert seen.final
     assert evaluate(seen.candidates[0].expr, beside) == pytest.approx(
@@ -119,5 +119,5 @@ def test_a_user_who_forbids_functions_is_given_none():
     _, clean = integrated(DRAG, (12.0, 15.0), 3.0, 150)
     samples = choose_samples([clean], "u")
     demands = read_demands(("u", "v"), ("u", "v"), functions=[])
-    seen = look_again(samples, {}, limits=demands.limits("u"))
+    seen = look(samples, demands.limits("u"))
     assert not any(c.expr.has(sympy.exp, sympy.Abs) for c in seen.candidates)

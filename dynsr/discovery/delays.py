@@ -18,7 +18,6 @@ import numpy as np
 import sympy
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
-from scipy.signal import argrelmin
 
 from dynsr.data import SmoothedTrajectory, Trajectory, estimate_noise, smooth
 from dynsr.discovery.intervals import take_apart, write_interval
@@ -220,6 +219,9 @@ class Delayed:
         """Give (low, high) around each of the delays with which short sums explain slopes best."""
         grid = np.linspace(shortest, self.longest, self.settings.grid)
         bits = np.array([scan.bits(delay) for delay in grid])
+        # scipy.signal loads scipy.stats, which no other discovery needs.
+        from scipy.signal import argrelmin
+
         inner = argrelmin(bits)[0]
         places = inner[np.isfinite(bits[inner])]
         if not len(places):

@@ -674,7 +674,7 @@ class _Steps:
         tasks = look_tasks(samples, demands, settings, self.key)
         # Workers take longer to start than all of it.
         found = self._take(watch, tasks, "searches", _late_in(samples))
-        ended: list[str] | None = None
+        ended: list[str] = []
         for source in (name for name in MORE_LOOKS if name in self.first):
             before, ended = ended, [f.target for f in found if f.final]
             tasks = look_again_tasks(samples, found, demands, settings, source, self.key)

@@ -50,7 +50,6 @@ from dynsr.selection import (
     explains_all,
     explore,
     look,
-    look_again,
     pick_equation,
     rank_by_length,
     trivial_candidates,
@@ -251,9 +250,7 @@ def look_again_one(
     """Look again beside what is known of other states; keep what was found before."""
     began = time.monotonic()
     before = [c.expr for c in earlier.candidates]
-    # Wide terms are the same at every look.
-    wide = source == MORE_LOOKS[0]
-    seen = look_again(samples, known, before, limits, settings.look, settings.fit, wide=wide)
+    seen = look(samples, limits, settings.look, settings.fit, known, before)
     candidates = tuple({c.expr: c for c in (*seen.candidates, *earlier.candidates)}.values())
     report(Progress(source, 0, None, ParetoFront(candidates)))
     taken = time.monotonic() - began

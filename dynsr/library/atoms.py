@@ -76,18 +76,10 @@ class Inside:
             return np.asarray(sizes ** self.units[0] * scale)
         return np.array(self.starts) * float(usual[0]) ** self.units[0] * scale
 
-    def moved(self, value: float, step: float) -> float:
-        """Give the value after a step in the direction of the slope that an atom gives.
-
-        Parameters
-        ----------
-        value, step : the value, and a step of the logarithm of a size or of a number.
-        """
-        return value * float(np.exp(self._sign * step)) if self.units else value + step
-
     @property
-    def _sign(self) -> int:
-        return next(filter(None, self.units))
+    def sign(self) -> int:
+        """The sign with which a step along its slope moves a size's logarithm; 0 of a number."""
+        return next(filter(None, self.units), 0)
 
     def slope(self, formula: sympy.Expr, symbol: sympy.Symbol) -> sympy.Expr:
         """Give the slope of a formula by it; of a size, by the logarithm of what it stands for.
@@ -97,7 +89,7 @@ class Inside:
         formula, symbol : the formula, and its name in it.
         """
         by = differentiate(formula, symbol)
-        return by * self._sign * symbol if self.units else by
+        return by * self.sign * symbol if self.sign else by
 
 
 @dataclass(frozen=True)
@@ -190,6 +182,7 @@ class Atom:
 # Starts of a constant beside another one, as multiples of a usual size.
 _FEW = (0.3, 1.0, 3.0)
 _SIZE, _RATE = Inside((1,)), Inside((-1,))
+_POWER_APART = Inside((), (0.75, 1.25, 1.75))
 _STEEP = Inside((-1,), (1.0, 2.5, 6.0), of_spread=True)
 _MIDDLE = Inside(at=(0.1, 0.3, 0.5, 0.7, 0.9))
 
@@ -217,11 +210,12 @@ _TABLE = (
     Atom("power", V**K, Domain.POSITIVE, (Inside((), (-1.5, -0.5, 0.35, 0.7, 1.5, 2.5)),)),
     *map(_saturates, (1, 2, 3, 4)),
     *map(_inhibits, (1, 2, 3, 4)),
-    Atom("decay", sympy.exp(-K * V), inside=(_RATE,)),
+    Atom("decay", sympy.exp(-K * V), inside=(_RATE,), most=2),
     Atom("growth", sympy.exp(K * V), inside=(_RATE,)),
     Atom("activation", sympy.exp(-K / V), Domain.AWAY_FROM_0, (_SIZE,)),
     Atom("bump", sympy.exp(-K * V**2), inside=(Inside((-2,)),)),
     Atom("tanh", sympy.tanh(K * V), inside=(_RATE,)),
+    Atom("levels off", V / sympy.sqrt(V**2 + K), inside=(Inside((2,)),)),
     Atom("rise", 1 / (1 + sympy.exp(L - K * V)), inside=(_STEEP, _MIDDLE)),
     Atom("fall", 1 / (1 + sympy.exp(K * V - L)), inside=(_STEEP, _MIDDLE)),
     Atom(
@@ -239,6 +233,7 @@ _TABLE = (
     Atom("tanh of both", sympy.tanh(K * V + L * W), inside=(_RATE, Inside((0, -1), (-1.0, 1.0)))),
     Atom("distance", sympy.Abs(V - W), Domain.APART_BOTH_SIGNS),
     Atom("root apart", sympy.sqrt(V - W), Domain.APART_POSITIVE),
+    Atom("power apart", (V - W) ** K, Domain.APART_POSITIVE, (_POWER_APART,), most=0),
     Atom("cube apart", (V - W) ** 3, most=0),
     Atom("length", sympy.sqrt(V**2 + W**2)),
     Atom("attraction", (V**2 + W**2) ** sympy.Rational(-3, 2), Domain.FAR_FROM_0),

@@ -40,6 +40,7 @@ class LibrarySettings:
     low, beyond : sizes at which a function may bend: from half of that quantile of its column's own
         sizes, up to that multiple of the largest,
     widest, apart : so far from each other at most, and so many times each the one before.
+    roam : times as far as where they are begun sizes may be moved.
     functions : whether there are others than products of the columns.
     most : rows of values at most; of more, those of the forms with fewest factors are kept.
     """
@@ -52,6 +53,7 @@ class LibrarySettings:
     beyond: float = 3.0
     widest: float = 100.0
     apart: float = 1.9
+    roam: float = 10.0
     functions: bool = True
     most: int = 12_000
 
@@ -128,12 +130,6 @@ class Form:
             values = values * value
         return values, np.stack(slopes, axis=1) if slopes else np.zeros((count, 0, len(plain)))
 
-    def moved(self, constants: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Give the constants inside (c,) after steps (c,) along their slopes."""
-        inside = [one for f in self.factors for one in f.atom.inside]
-        pairs = zip(inside, constants.tolist(), steps.tolist(), strict=True)
-        return np.array([one.moved(value, step) for one, value, step in pairs])
-
 
 @dataclass(frozen=True, eq=False)
 class Library:
@@ -144,11 +140,13 @@ class Library:
     names : the columns.
     forms : the forms.
     starts : (g, c) constants of each.
+    roam : times as far as where they are begun sizes may be moved.
     """
 
     names: tuple[str, ...]
     forms: tuple[Form, ...]
     starts: tuple[np.ndarray, ...] = field(repr=False)
+    roam: float = 1.0
 
     @classmethod
     def of(
@@ -186,7 +184,7 @@ class Library:
                 break
             forms.append(form)
             starts.append(begun)
-        return cls((*names, *beside), tuple(forms), tuple(starts))
+        return cls((*names, *beside), tuple(forms), tuple(starts), settings.roam)
 
     @cached_property
     def owners(self) -> np.ndarray:
@@ -211,20 +209,40 @@ class Library:
             slopes[at : at + len(value), : slope.shape[1]] = slope
         return values, slopes
 
-    def moved(self, place: int, constants: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Give the constants inside a form (c,) after steps (c,), where the columns see them.
+    @cached_property
+    def inside(self) -> np.ndarray:
+        """(forms,) how many constants are inside each."""
+        return np.array([form.constants for form in self.forms])
+
+    def moved(self, places: np.ndarray, constants: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Give the constants inside forms after steps along their slopes, where columns see them.
 
         Parameters
         ----------
-        place : of the form.
-        constants, steps : the constants, and steps along their slopes.
+        places : (...) of the forms.
+        constants, steps : (..., 2) the constants, and steps along their slopes; of those that a
+            form does not have, any.
         """
-        low, high = self._limits[place]
-        return np.clip(self.forms[place].moved(constants, steps), low, high)
+        signs, low, high = (own[places] for own in self._moves)
+        moved = np.where(signs == 0, constants + steps, constants * np.exp(signs * steps))
+        return np.clip(moved, low, high)
 
     @cached_property
-    def _limits(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [(own.min(axis=0), own.max(axis=0)) for own in self.starts]
+    def _moves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(forms, 2) sign of the step of each constant's logarithm, 0 for a number; least; most."""
+        signs, low, high = (np.zeros((len(self.forms), MOST_INSIDE)) for _ in range(3))
+        for i, (form, own) in enumerate(zip(self.forms, self.starts, strict=True)):
+            inside = [one for factor in form.factors for one in factor.atom.inside]
+            count = own.shape[1]
+            signs[i, : len(inside)] = [one.sign for one in inside]
+            low[i, :count], high[i, :count] = own.min(axis=0), own.max(axis=0)
+        further = np.where(signs == 0, 1.0, self.roam)
+        return signs, low / further, high * further
+
+    def padded(self, row: int) -> np.ndarray:
+        """Give the constants (2,) of a row of values; 0 for those that its form does not have."""
+        own = self.constants[row]
+        return np.concatenate([own, np.zeros(MOST_INSIDE - len(own))])
 
     @cached_property
     def first(self) -> np.ndarray:

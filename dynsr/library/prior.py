@@ -60,7 +60,7 @@ class Factor:
     @property
     def plain(self) -> bool:
         """Whether it is a power of one column."""
-        return re.fullmatch(r"v0(\*\*.*)?|1/v0", self.template) is not None
+        return re.fullmatch(r"v0(\*\*(\d+|c|\([-\d/]+\)))?|1/v0", self.template) is not None
 
     @property
     def roles(self) -> str:

@@ -7,7 +7,7 @@ from .comparison import (
     noise_shown,
 )
 from .costs import bodies_of, shape_bits, unusual_bits
-from .first_look import Look, look, look_again
+from .first_look import Look, look
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
     Pick,
@@ -60,7 +60,6 @@ __all__ = [
     "is_left_open",
     "lead_with",
     "look",
-    "look_again",
     "may_be_exact",
     "most_of_noise",
     "move_inside",

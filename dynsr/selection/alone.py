@@ -34,7 +34,6 @@ from dynsr.selection.comparison import (
     SystemFit,
 )
 from dynsr.selection.evidence import Evidence
-from dynsr.selection.renewal import propose
 from dynsr.selection.subsets import best_subsets, solve_scaled
 from dynsr.selection.terms import Joint, weighted_sum
 from dynsr.selection.twins import exchanged
@@ -117,7 +116,7 @@ class Alone:
         evidence = self._evidence()
         if not own or not others or evidence is None:
             return own
-        sums = propose(self.comparison, self.state, evidence, others, functions=False)
+        sums = self.comparison.propose(self.state, evidence, others, functions=False)
         return self.lead(sums[: self.comparison.settings.sums], others)
 
     def lead_twins(
@@ -198,8 +197,9 @@ class Alone:
 
     def _evidence(self) -> Evidence | None:
         """Give a view of the equation; None where the data do not tell."""
-        settings, columns = self.comparison.settings.proposals, self.comparison.columns
-        return Evidence.of(self._still, columns, self.rows, settings.softness, settings.nodes)
+        settings, columns = self.comparison.settings, self.comparison.columns
+        nodes = settings.proposals.nodes
+        return Evidence.of(self._still, columns, self.rows, settings.alone_softness, nodes)
 
     @cached_property
     def _points(self) -> np.ndarray:
@@ -244,7 +244,7 @@ class Alone:
         if evidence is None:
             return []
         others = [sympy.Symbol(name) for name in self.comparison.names if name != self.state]
-        return [sympy.S.Zero, *others, *propose(self.comparison, self.state, evidence)]
+        return [sympy.S.Zero, *others, *self.comparison.propose(self.state, evidence)]
 
     def rank_sums(self) -> list[sympy.Expr]:
         """Give sums of terms of the library, fewest bits first."""

@@ -8,7 +8,7 @@ textbooks has it (:class:`dynsr.library.Prior`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -29,12 +29,13 @@ from dynsr.fit import (
     skeleton,
     told_bits,
 )
-from dynsr.library import Place, Written, read_body, read_equation, textbooks
+from dynsr.library import Place, Written, read_equation, textbooks
 from dynsr.methods import Demands, recalled
 from dynsr.selection.costs import saturating
+from dynsr.selection.evidence import Evidence
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
-from dynsr.selection.propose import ProposalSettings
+from dynsr.selection.propose import ProposalSettings, propose, term_bits
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.terms import Terms, TermSettings, find_turning
 from dynsr.selection.twins import with_twins
@@ -69,6 +70,8 @@ class ComparisonSettings:
         more strictly in units of the spread.
     alone : formulas of each state that are fitted with the other states read off their curves.
     sums : sums of terms of other equations, and of what hangs from a joint, that are fitted alone.
+    alone_softness : weight of the defects along smoothed states, which are not quite those of a
+        system.
     softness : weight of the defects along a system that misses its data, and where whole
         polynomials and what hangs from a joint are begun.
     pruned : of these, how many lose the terms that do not pay.
@@ -109,6 +112,7 @@ class ComparisonSettings:
     alone: int = 40
     proposals: ProposalSettings = ProposalSettings()
     sums: int = 15
+    alone_softness: float = 1000.0
     softness: float = 100.0
     pruned: int = 12
     again: int = 2
@@ -417,8 +421,29 @@ class SystemComparison:
         state : whose equation it stands in.
         written : what other equations have.
         """
-        own = added_bits(sympy.Float(0.5) * term) if bits_in_force() else 0.0
-        return textbooks().term_bits(read_body(term), self._place(state), written) + own
+        return term_bits(term, self._place(state), written)
+
+    def propose(
+        self,
+        state: str,
+        evidence: Evidence,
+        others: Sequence[tuple[str, sympy.Expr]] = (),
+        *,
+        functions: bool = True,
+    ) -> list[sympy.Expr]:
+        """Give the sums of terms of the library that are expected to take the fewest bits.
+
+        Parameters
+        ----------
+        state : whose equation is sought.
+        evidence : what the data say of it.
+        others : states and equations of theirs; what stands in these costs less.
+        functions : whether others than their terms and products of the columns are terms.
+        """
+        demands, settings = self.settings.demands, self.settings.proposals
+        place, allow = self._place(state), demands.limits(state).allow
+        offered = demands.offered
+        return propose(evidence, place, allow, offered, others, settings, functions=functions)
 
     def _has_pole(self, fit: CollocationFit) -> bool:
         """Whether a fraction line passes through 0 where the columns are."""

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError
 
+from dynsr.data import Samples
 from dynsr.expression import evaluate
 from dynsr.fit import Collocation, CollocationFit, Mesh, Probes, free_constants
 from dynsr.selection.subsets import without
@@ -30,7 +31,7 @@ class Evidence:
     names : the columns, the time the last.
     points : (names, n) their values where a right-hand side is asked for.
     y : (r,) what its mapped values are to be.
-    maps : (r, n) how values at the points are mapped.
+    maps : (r, n) how values at the points are mapped; (n,) where each is only weighted.
     beside : sum of squares that is left whatever they are, in units of the noise.
     rows : rows of the data.
     """
@@ -66,6 +67,19 @@ class Evidence:
             return None
         points = still.points(mesh.start, np.zeros(0))[:, places]
         return cls._of_gram(names, points, normal.gram, rows)
+
+    @classmethod
+    def of_slopes(cls, samples: Samples, errors: np.ndarray) -> Evidence:
+        """Take slopes that are known at the points themselves.
+
+        Parameters
+        ----------
+        samples : the slopes.
+        errors : (n,) of each.
+        """
+        points = np.column_stack([samples.X, samples.t]).T
+        rows = float(len(samples))
+        return cls((*samples.names, "t"), points, samples.y / errors, 1 / errors, rows, rows)
 
     @classmethod
     def in_place(
@@ -129,7 +143,7 @@ class Evidence:
 
     def mapped(self, values: np.ndarray) -> np.ndarray:
         """(..., r) what values (..., n) at the points are mapped to."""
-        return np.asarray(values @ self.maps.T)
+        return np.asarray(values * self.maps if self.maps.ndim == 1 else values @ self.maps.T)
 
     def misses(self, left: np.ndarray | float) -> np.ndarray:
         """Bits of the misses where so much of the target is left, as a sum of squares."""

@@ -7,17 +7,19 @@ terms comes near, or all of its constants are simple numbers to many more digits
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations_with_replacement, islice
 from itertools import count as counting
+from types import MappingProxyType
 
 import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import ByText, compile_columns, evaluate
+from dynsr.expression import compile_columns, evaluate, number_bits
 from dynsr.fit import (
     FIT,
     Candidate,
@@ -25,7 +27,6 @@ from dynsr.fit import (
     constant_bits,
     eliminate,
     fit_ratio,
-    one_of_each_shape,
     refit,
     score_candidate,
     simplest_form,
@@ -33,12 +34,12 @@ from dynsr.fit import (
     structure_bits,
     with_floats,
 )
+from dynsr.library import Place, exact_bits
 from dynsr.methods import Limits
-from dynsr.selection.costs import bodies_of, shape_bits, unusual_bits
-from dynsr.selection.few import FewTerms
-from dynsr.selection.likeness import Likeness, cited_terms, fit_to
+from dynsr.selection.costs import shape_bits, unusual_bits
+from dynsr.selection.evidence import Evidence
 from dynsr.selection.parts import Parts
-from dynsr.selection.profiles import sums_beside
+from dynsr.selection.propose import EXACT, ProposalSettings, cited_terms, propose
 from dynsr.selection.relations import is_left_open
 from dynsr.selection.several import SeveralInside
 from dynsr.selection.subsets import best_subsets
@@ -47,10 +48,10 @@ from dynsr.selection.terms import (
     Terms,
     TermSettings,
     find_angles,
+    find_turning,
     products,
 )
 from dynsr.selection.twins import exchanged
-from dynsr.selection.wide import WideTerms
 
 SOURCE = "the first look"
 # Of more columns none is surely left out by chance; steps that are looked at; rounds of a fit.
@@ -60,26 +61,18 @@ _ASIDE = 0.5
 # Share that different writings of one function differ by there at most.
 _SAME = 1e-6
 # Of those that leave nothing, how many are written in simple numbers.
-_WRITTEN = 6
+_WRITTEN = 12
 # Shares of their size that exact slopes err by, whatever they say of themselves: those of states
 # of a strict solver, and of a loose one.
 _STRICT, _LOOSE = 1e-8, 1e-6
 # Share of themselves to which constants of exact slopes are sure where all are simple at once.
 _TOGETHER = 5e-5
-# The same share for single rows, that rest where others move.
-_ROW = 0.1
 # Constants of a formula to each that is no simple number.
 _TO_AN_ODD_ONE = 4
 # Bits of saying whose twin an equation is, and which names change places.
 _SAID = 8.0
-# Rows at which wide terms are looked at; misses, as shares of the spread, below which sums of them
-# are alike, with how many are fitted; and how many are fitted again, to all rows.
-_THIN, _FEW, _ALIKE, _CLOSE = 200, 80, ((0.01, 32), (0.001, 16), (1e-5, 16)), 6
-# Exact slopes tell more terms apart: those whose constants move, as many times those that are
-# given, and those without any that may stand beside others.
-_DRAFTED, _FIXED = 20, 200
-# Terms of each column beside its products that stand alone there.
-_OTHERS = 4
+# Rows at which functions of several constants are fitted.
+_FEW = 80
 # Times the median miss beyond which a row may be one where differences fail.
 _FAR = 10.0
 
@@ -101,6 +94,7 @@ class LookSettings:
     alike : misses up to so many times the least of all are as good where slopes are rough.
     sparse : rows up to which data that look noisy may be exact ones far apart.
     stands_out : how many times larger the misses of every other choice of terms must be.
+    proposals : of the sums of terms of the library.
     parts : which parts of the search take part.
 
     >>> LookSettings().below
@@ -117,6 +111,7 @@ class LookSettings:
     alike: float = 4.0
     sparse: int = 300
     stands_out: float = 30.0
+    proposals: ProposalSettings = EXACT
     parts: Parts = Parts()
 
 
@@ -136,6 +131,8 @@ def look(
     limits: Limits | None = None,
     settings: LookSettings = LOOK,
     fit: FitSettings = FIT,
+    known: Mapping[str, sympy.Expr] = MappingProxyType({}),
+    earlier: Sequence[sympy.Expr] = (),
 ) -> Look:
     """Look for the equation among sums and ratios of a few terms.
 
@@ -145,6 +142,9 @@ def look(
     limits : what the user allows.
     settings : the numbers that decide.
     fit : how simple numbers are taken, and whether any are written.
+    known : equations of other states. What flows from one state to another stands in the equations
+        of both, and what is of one kind obeys one law.
+    earlier : what was found for it before.
 
     >>> x = np.linspace(0.2, 3.0, 200)
     >>> s = Samples(x[:, None], 2 * x / (x + 0.5), ("x",), "x", "given", x)
@@ -155,78 +155,28 @@ def look(
     if len(samples) < 2 * settings.most or not np.all(np.isfinite(samples.y)):
         return Look()
     with np.errstate(all="ignore"):
-        allowed = limits or Limits()
-        search = _Search.of(samples, allowed, settings, fit)
+        allowed, parts = limits or Limits(), settings.parts
+        others = {s: _in_floats(expr) for s, expr in known.items()}
+        search = _Search.of(samples, allowed, settings, fit, others)
         found = [one for kind in search.kinds() for one in search.choose(kind)]
+        twins = search.twins(others) if parts.has("look-twins") else []
+        found += search.take([*earlier, *search.refitted(twins)], allowed)
+        # Said by whose twin it is, one with the same constants is shorter than whatever else it is.
+        found += [replace(one, cost=_SAID) for one in search.take(twins, allowed)]
         seen = search.conclude(found)
         for angle in find_angles(samples.names, samples.X.T):
-            if not seen.final and settings.parts.has("look-angles"):
+            if not seen.final and not known and parts.has("look-angles"):
                 swings = _Search.around(angle, samples, allowed, settings, fit)
                 again = swings.conclude(list(swings.choose(np.arange(len(swings.exprs)))))
                 seen = again if again.final else seen
         # What is written in simple numbers is the law, whatever else comes near.
-        if not (seen.final and _is_simple(seen.candidates[0].expr)) and settings.parts.has(
-            "look-beside"
-        ):
-            beside = list(search.choose_beside(allowed))
-            again = search.conclude([*found, *beside]) if beside else seen
-            seen = again if again.final or not seen.final else seen
-        return seen
-
-
-def look_again(
-    samples: Samples,
-    known: Mapping[str, sympy.Expr],
-    earlier: Sequence[sympy.Expr] = (),
-    limits: Limits | None = None,
-    settings: LookSettings = LOOK,
-    fit: FitSettings = FIT,
-    *,
-    wide: bool = True,
-) -> Look:
-    """Look for an exact equation among wide terms, and beside the equations of other states.
-
-    What flows from one state to another stands in the equations of both, and what is of one kind
-    obeys one law.
-
-    Parameters
-    ----------
-    samples : of the state whose equation is sought.
-    known : equations of other states.
-    earlier : what was found for it before.
-    limits : what the user allows.
-    settings : the numbers that decide.
-    fit : how simple numbers are taken, and whether any are written.
-    wide : whether wide terms are looked at.
-
-    >>> from dynsr.expression import parse
-    >>> t = np.linspace(0.0, 3.0, 200)
-    >>> s, p = 3 * np.exp(-t), 0.5 + np.sin(t)
-    >>> rates = 0.8 - 1.3 * s / (s + 0.4) - 0.7 * s * p / (p + 1.1)
-    >>> own = Samples(np.stack([s, p], 1), rates, ("s", "p"), "s", "given", t)
-    >>> law = parse("0.4*s/(s + 0.4) + 0.2*p*s/(p + 1.1) - 0.3*p")
-    >>> look_again(own, {"p": law}).candidates[0].expr
-    -7*p*s/(10*(p + 11/10)) - 13*s/(10*(s + 2/5)) + 4/5
-    """
-    if len(samples) < 2 * settings.most or not np.all(np.isfinite(samples.y)):
-        return Look()
-    allowed = limits or Limits()
-    others = {s: _in_floats(expr) for s, expr in known.items()}
-    with np.errstate(all="ignore"):
-        search = _Search.of(samples, allowed, settings, fit, others)
-        if not search.is_exact:
-            return Look()
-        found = [one for kind in search.kinds() for one in search.choose(kind)]
-        twins = search.twins(others) if settings.parts.has("look-twins") else []
-        found += search.take([*earlier, *search.closest(twins)], allowed)
-        # Said by whose twin it is, one with the same constants is shorter than whatever else it is.
-        found += [replace(one, cost=_SAID) for one in search.take(twins, allowed)]
-        seen = search.conclude(found)
-        for sums in search.further_sums(allowed) if wide and not seen.final else ():
-            found += search.take(sums, allowed)
-            seen = search.conclude(found)
-            if seen.final:
-                break
+        if search.is_exact and not (seen.final and _is_simple(seen.candidates[0].expr)):
+            for sums in (search.proposed, search.several):
+                found += search.take(sums(allowed, others), allowed)
+                again = search.conclude(found)
+                seen = again if again.final or not seen.final else seen
+                if again.final:
+                    break
         return seen
 
 
@@ -293,8 +243,7 @@ class _Search:
     ) -> _Search:
         names = samples.names
         angles = find_angles(names, samples.X.T)
-        written = [body for expr in (known or {}).values() for body in bodies_of(expr)]
-        cited = cited_terms(written, names, products(names, 2))
+        cited = cited_terms((known or {}).values(), samples.target)
         own = (*limits.terms, *cited)
         terms = Terms.grow(names, samples.X.T, settings.terms, angles, own)
         under = _factors(names, angles, settings.below)
@@ -403,23 +352,6 @@ class _Search:
             if one is not None:
                 yield one
 
-    def choose_beside(self, limits: Limits) -> Iterator[_Choice]:
-        """Give sums with a function that has a constant inside.
-
-        Parameters
-        ----------
-        limits : what the user allows.
-        """
-        if not self.is_exact:
-            return
-        own = self.samples
-        errors = np.full(len(own), self.error) if own.slope_sd is None else own.slope_sd
-        found: list[sympy.Expr] = []
-        for share in (_STRICT, _LOOSE):
-            least = np.maximum(errors, _ROW * share * self.size)
-            found = found or sums_beside(own, least, self.settings.within, self.settings.most)
-        yield from self.take(found, limits)
-
     @cached_property
     def _thinned(self) -> Samples:
         """Some of the rows that are sure, as many where the states move as where they rest."""
@@ -428,7 +360,7 @@ class _Search:
         moved = np.abs(np.diff(points, axis=0)) / np.maximum(np.ptp(points, axis=0), 1e-300)
         way = np.concatenate([[0.0], np.cumsum(moved.sum(axis=1))])
         way = way / max(way[-1], 1e-300) + np.linspace(0.0, 1.0, len(sure))
-        at = np.linspace(0.0, way[-1], min(len(sure), _THIN))
+        at = np.linspace(0.0, way[-1], min(len(sure), self.settings.proposals.nodes))
         rows = np.unique(np.searchsorted(way, at).clip(max=len(sure) - 1))
         return self.samples.select(sure[rows])
 
@@ -447,83 +379,54 @@ class _Search:
             for expr in exchanged(other, state, own.target, own.names)
         ]
 
-    def further_sums(self, limits: Limits) -> Iterator[list[sympy.Expr]]:
-        """Give sums of few terms, of functions with constants inside, and then of wide terms.
+    def proposed(self, limits: Limits, known: Mapping[str, sympy.Expr]) -> list[sympy.Expr]:
+        """Give the sums of terms of the library that are expected to take the fewest bits.
 
         Parameters
         ----------
         limits : what the user allows.
+        known : equations of other states.
         """
-        own, names = sympy.Symbol(self.samples.target), self.samples.names
-        plain = [sympy.S.One, *products(names, self.settings.terms.degree)]
-        cited = [] if self.cited is None else [self.exprs[i] for i in np.flatnonzero(self.cited)]
-        plain.sort(key=lambda e: sympy.total_degree(e) - e.has(own))
-        # Roots and logarithms have no constant inside that would move.
-        cheapest = (self.exprs[i] for i in np.argsort(self.costs[: self.above]))
-        others = [e for e in cheapest if e.has(sympy.log) or _has_root(e)]
-        plain += sorted(others, key=lambda e: e.free_symbols != {own})[: _OTHERS * len(names)]
+        if not self.settings.parts.has("look-library"):
+            return []
+        few, names = self._thinned, self.samples.names
+        angles = find_turning(names, self.samples.X.T)
+        place = Place(few.target, names, names, angles)
+        sure = self.error if few.slope_sd is None else np.maximum(few.slope_sd, self.error)
+        evidence = Evidence.of_slopes(few, sure * np.ones(len(few)))
+        others, given = list(known.items()), self._given(limits)
+        sums = propose(evidence, place, limits.allow, given, others, self.settings.proposals)
+        # The others show whether the best of them is alone.
+        kept = self.settings.kept
+        return [*self.refitted(sums[:kept]), *sums[kept:]]
+
+    def several(self, limits: Limits, known: Mapping[str, sympy.Expr]) -> list[sympy.Expr]:
+        """Give sums with functions of several constants that are none of the library.
+
+        Parameters
+        ----------
+        limits : what the user allows.
+        known : equations of other states; where there are any, these sums were looked at before.
+        """
+        if known or not self.settings.parts.has("look-several-inside"):
+            return []
         rows = np.unique(np.linspace(0, len(self._thinned) - 1, _FEW).astype(int))
-        given = [term.as_coeff_Mul()[1] for term in limits.terms]
-        # What is in the equations of others is likelier than products of more columns.
-        first = 1 + len(names)
-        every = dict.fromkeys([*plain[:first], *given, *cited, *plain[first:]])
-        few = FewTerms.of(self._thinned.select(rows), list(every), limits.allow)
         most = self.settings.within * max(self.error, _LOOSE * self.size)
-        parts = self.settings.parts
-        if parts.has("look-plain-sums"):
-            yield self._refitted(few.plain_sums(most))
-        if parts.has("look-one-inside"):
-            yield self._refitted(few.with_one(most))
-        if parts.has("look-several-inside"):
-            several = SeveralInside.of(few.samples, limits.allow)
-            yield self._refitted(several.sums([self.settings.within * self.error, most]))
-        if parts.has("look-two-inside"):
-            yield self._refitted(few.with_two(most, self.settings.within * self.error))
-        if parts.has("look-wide"):
-            yield self.wide_sums(limits)
+        own = SeveralInside.of(self._thinned.select(rows), limits.allow)
+        return self.refitted(own.sums([self.settings.within * self.error, most]))
 
-    def _refitted(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
-        """Fit formulas to all rows."""
-        return [refit(expr, self.samples, self.error) for expr in exprs]
+    @staticmethod
+    def _given(limits: Limits) -> list[sympy.Expr]:
+        return [term.as_coeff_Mul()[1] for term in limits.terms]
 
-    def wide_sums(self, limits: Limits) -> list[sympy.Expr]:
-        """Give the sums with a wide term that miss least.
-
-        Parameters
-        ----------
-        limits : what the user allows.
-        """
-        few = self._thinned
-        points, angles = few.X.T, find_angles(few.names, self.samples.X.T)
-        terms = Terms.grow(few.names, points, self.settings.terms, angles, limits.terms)
-        wide = WideTerms.of(few.names, points, angles, powers=True)
-        each = constant_bits(len(self.samples))
-        like = Likeness(
-            terms,
-            wide,
-            few.names,
-            points,
-            each,
-            limits.allow,
-            alike=_ALIKE,
-            drafted=_DRAFTED,
-            fixed=_FIXED,
-        )
-        return self.closest(e for e, _ in like.wide_sums(wide.values(points), few.y, np.inf))
-
-    def closest(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
-        """Fit formulas, those of one shape once, and give the ones that miss least.
+    def refitted(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
+        """Fit formulas to all rows.
 
         Parameters
         ----------
         exprs : the formulas.
         """
-        few = self._thinned
-        fitted = [fit_to(expr, few.columns, few.y) for expr in one_of_each_shape(exprs)]
-        left = [float(np.mean((evaluate(e, few.columns) - few.y) ** 2)) for e in fitted]
-        ranked = sorted(zip(left, map(ByText, fitted), strict=True))
-        likest = [text.expr for miss, text in ranked if np.isfinite(miss)][:_CLOSE]
-        return self._refitted(likest)
+        return [refit(expr, self.samples, self.error) for expr in exprs]
 
     def take(self, exprs: Sequence[sympy.Expr], limits: Limits) -> Iterator[_Choice]:
         """Take formulas for what is chosen, where the user allows them.
@@ -600,6 +503,16 @@ class _Search:
             float(np.median(misses)) / self.size,
             float(np.quantile(misses, wild)) / self.size,
         )
+
+    def _bits_as_written(self, pair: tuple[_Choice, sympy.Expr]) -> float:
+        """Bits of a choice whose constants are simple numbers."""
+        choice, simple = pair
+        powers = {p.exp for p in simple.atoms(sympy.Pow) if p.exp.is_Rational}
+        inside = sum(number_bits(one) for one in powers if not one.is_Integer)
+        # A constant that is no simple number is known to as many bits as the slopes are exact.
+        measured = len(simple.atoms(sympy.Float)) * math.log2(self.size / self.error)
+        shape = choice.cost - len(choice.places) * constant_bits(len(self.samples))
+        return shape + exact_bits(simple) + inside + measured
 
     def _is_open(self, choice: _Choice) -> bool:
         """Whether a choice is one of many that are the same along the data."""
@@ -679,7 +592,8 @@ class _Search:
             written = [(c, self._simplest(c, most)) for c in ranked[: min(len(good), _WRITTEN)]]
             simply = self.settings.parts.has("end-simple")
             sure = [(c, e) for c, e in written if e is not None and _is_simple(e) and simply]
-            best, simple = (sure or written)[0]
+            # Of several that are written in simple numbers it is the shortest as written.
+            best, simple = min(sure, key=self._bits_as_written) if sure else written[0]
             if simple is not None:
                 plain = simplest_form(best.expr, self.samples.columns, self.fit)
                 exprs.append(simple if self.fit.snap else plain)
@@ -703,10 +617,6 @@ def _is_simple(expr: sympy.Expr) -> bool:
     written = expr.replace(lambda e: e.is_Pow and e.exp.is_Integer, lambda e: e.base)
     numbers = [a for a in sympy.preorder_traversal(written) if a.is_Number and abs(a) != 1]
     return len(numbers) >= _TO_AN_ODD_ONE * sum(a.is_Float for a in numbers)
-
-
-def _has_root(expr: sympy.Expr) -> bool:
-    return any(power.exp == sympy.S.Half for power in expr.atoms(sympy.Pow))
 
 
 def _factors(names: Sequence[str], angles: Sequence[str], degree: int) -> list[sympy.Expr]:

@@ -8,18 +8,30 @@ it grows further, and terms that no longer pay are left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 import sympy
 
-from dynsr.library import Library, LibrarySettings
+from dynsr.expression import added_bits, bits_in_force
+from dynsr.fit import one_of_each_shape, precision_bits
+from dynsr.library import (
+    MOST_INSIDE,
+    Library,
+    LibrarySettings,
+    Place,
+    Written,
+    read_body,
+    textbooks,
+    write_down,
+)
+from dynsr.selection.costs import bodies_of, wide_factors
 from dynsr.selection.evidence import Evidence
 
 # Square of what is left of a unit column from which on it is rounding.
-_NOTHING = 1e-8
+_NOTHING = 1e-13
 # Share of the misses by which two sums of as many terms differ that are two functions.
 _SAME = 1e-7
 
@@ -31,10 +43,12 @@ class ProposalSettings:
     Parameters
     ----------
     nodes : points of a view of the data at most.
-    softness : weight of the defects in it: smoothed states are not quite those of a system.
     beam : sums of each length that are grown further.
     singles : single terms that are grown further; half as many pairs, and so on to the beam.
     parents : shorter sums from which the same one is reached at most.
+    fitted : times as many are fitted as are grown further.
+    whole : how many of the cheapest terms without a constant inside are thinned from all of them.
+    kinds : numbers of constants inside for each of which as many sums are grown further.
     terms : terms of a sum at most.
     steps : steps of the constants inside a new sum.
     reach : step of a constant inside, in logarithms of a size, up to which a linear fit of it is
@@ -49,10 +63,12 @@ class ProposalSettings:
     """
 
     nodes: int = 240
-    softness: float = 1000.0
     beam: int = 40
     singles: int = 160
     parents: int = 2
+    fitted: int = 2
+    whole: tuple[int, ...] = ()
+    kinds: int = 4
     terms: int = 6
     steps: int = 5
     reach: float = 0.7
@@ -67,6 +83,8 @@ class ProposalSettings:
 
 
 PROPOSALS = ProposalSettings()
+# Exact values tell more sums apart.
+EXACT = ProposalSettings(beam=80, singles=320, steps=12, fitted=4, whole=(16,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,38 +113,74 @@ class Sum:
     Parameters
     ----------
     places : of its forms in the library, in order.
-    constants : of each form, those inside.
+    constants : (s, 2) those inside each form; 0 for those that it does not have.
     weights : (s,) coefficients.
-    basis : (s, r) orthonormal rows that span its mapped terms.
-    rest : (r,) what is left of the target.
-    left : its sum of squares.
-    cost : bits of its terms and constants.
+    left : sum of squares that is left of the target.
     bits : all bits.
     """
 
     places: tuple[int, ...]
-    constants: tuple[np.ndarray, ...]
+    constants: np.ndarray
     weights: np.ndarray
-    basis: np.ndarray
-    rest: np.ndarray
     left: float
-    cost: float
     bits: float
-
-    def without(self, place: int) -> tuple[tuple[int, ...], tuple[np.ndarray, ...]]:
-        """Give its forms and their constants without those of one of them."""
-        before, behind = slice(place), slice(place + 1, None)
-        return (
-            (*self.places[before], *self.places[behind]),
-            (*self.constants[before], *self.constants[behind]),
-        )
 
     def write(self, library: Library) -> sympy.Expr:
         """Write it as a formula."""
         forms = (library.forms[place] for place in self.places)
-        written = (f.write(library.names, c) for f, c in zip(forms, self.constants, strict=True))
+        written = (
+            f.write(library.names, own[: f.constants])
+            for f, own in zip(forms, self.constants, strict=True)
+        )
         pairs = zip(self.weights.tolist(), written, strict=True)
         return sympy.Add(*[sympy.Float(weight) * expr for weight, expr in pairs])
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """Sums of equally many forms, all fitted at once.
+
+    Parameters
+    ----------
+    places, constants : (b, s) their forms in order, and (b, s, 2) the constants inside.
+    weights : (b, s) coefficients.
+    slopes : (b, s, 2, r) mapped slopes of the forms by their constants.
+    basis : (b, s, r) orthonormal rows that span the mapped forms.
+    rest : (b, r) what is left of the target.
+    left : (b,) its sum of squares; infinite where the forms are not finite or not independent.
+    """
+
+    places: np.ndarray
+    constants: np.ndarray
+    weights: np.ndarray
+    slopes: np.ndarray
+    basis: np.ndarray
+    rest: np.ndarray
+    left: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def some(self, rows: np.ndarray) -> _Layer:
+        """Give some of them."""
+        return _Layer(*(getattr(self, own.name)[rows] for own in fields(self)))
+
+    def put(self, rows: np.ndarray, others: _Layer) -> None:
+        """Put others in the place of some of them."""
+        for own in fields(self):
+            getattr(self, own.name)[rows] = getattr(others, own.name)
+
+
+def _joined(layers: Sequence[_Layer]) -> _Layer:
+    """Give the sums of several layers, each choice of forms once."""
+    parts = (
+        np.concatenate([getattr(layer, own.name) for layer in layers]) for own in fields(_Layer)
+    )
+    whole = _Layer(*parts)
+    kept: dict[tuple[int, ...], int] = {}
+    for i in np.argsort(whole.left, kind="stable"):
+        kept.setdefault(tuple(whole.places[i].tolist()), int(i))
+    return whole.some(np.sort(np.array(list(kept.values()))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +204,10 @@ class Proposer:
         """Give the best sums, those of the fewest bits first."""
         found: dict[tuple[int, ...], Sum] = {}
         with np.errstate(all="ignore"):
+            before: list[_Layer] = []
             for tier in self._tiers():
-                self._grow_from_nothing(tier, found)
+                before = self._grow_from_nothing(tier, before, found)
+            self._thin_whole(found)
             for _ in range(self.settings.rounds):
                 if not self._exchange(found):
                     break
@@ -159,17 +215,63 @@ class Proposer:
                 self._thin(one, found)
         return self._front_first(found)
 
-    def _grow_from_nothing(self, tier: np.ndarray, found: dict[tuple[int, ...], Sum]) -> None:
-        """Grow sums by one form at a time until two more gain less than a bit."""
-        layer, least, idle = [self._nothing], math.inf, 0
-        for _ in range(self.settings.terms):
+    def _grow_from_nothing(
+        self, tier: np.ndarray, before: Sequence[_Layer], found: dict[tuple[int, ...], Sum]
+    ) -> list[_Layer]:
+        """Grow sums by one form at a time until two more gain less than a bit.
+
+        Those of the cheapest forms are grown further by dearer ones too.
+        """
+        layer, least, idle, layers = self._nothing, math.inf, 0, list(before)
+        for length in range(self.settings.terms):
             layer = self._grow(layer, tier)
-            found |= {one.places: one for one in layer if _is_better(one, found)}
-            best = min((one.bits for one in layer), default=math.inf)
+            if not len(layer):
+                break
+            best = min(one.bits for one in self._note(layer, found))
             idle = 0 if best < least - 1 else idle + 1
             if idle == 2:
-                return
+                break
             least = min(least, best)
+            if length < len(layers):
+                layer = layers[length] = _joined([layers[length], layer])
+            else:
+                layers.append(layer)
+        return layers
+
+    def _note(self, layer: _Layer, found: dict[tuple[int, ...], Sum]) -> list[Sum]:
+        """Put sums beside those that were found, where they are better."""
+        bits = self._bits(layer)
+        sums = [
+            Sum(
+                tuple(layer.places[i].tolist()),
+                layer.constants[i],
+                layer.weights[i],
+                float(layer.left[i]),
+                float(bits[i]),
+            )
+            for i in range(len(layer))
+        ]
+        for one in sums:
+            if one.places not in found or one.bits < found[one.places].bits:
+                found[one.places] = one
+        return sums
+
+    def _thin_whole(self, found: dict[tuple[int, ...], Sum]) -> None:
+        """Thin the sums of the cheapest terms, and these with one and two forms more.
+
+        Of many terms none may tell anything before most of the others are there.
+        """
+        order = np.argsort(self.costs, kind="stable")
+        plain = order[np.isfinite(self.costs[order]) & (self.library.inside[order] == 0)]
+        every = np.flatnonzero(np.isfinite(self.costs))
+        for most in self.settings.whole:
+            places = np.sort(plain[: min(most, len(self.evidence.y) // 4)])[None]
+            layer = self._fit(places, np.zeros((*places.shape, MOST_INSIDE)))
+            for _ in range(3):
+                sums = sorted(self._note(layer, {}), key=lambda one: one.bits)
+                for one in sums[: self.settings.exchanged]:
+                    self._thin(one, found)
+                layer = self._grow(layer, every)
 
     def _tiers(self) -> Iterator[np.ndarray]:
         """Give the forms that sums are grown of, the cheapest few first, and all at last.
@@ -202,17 +304,23 @@ class Proposer:
 
     def _exchange(self, found: dict[tuple[int, ...], Sum]) -> bool:
         """Put other forms in the place of one, in the best sums; says whether any is better."""
-        before = self._ranked(found)
-        shorter: dict[tuple[int, ...], Sum] = {}
-        for one in before[: self.settings.exchanged]:
+        before = self._ranked(found)[: self.settings.exchanged]
+        for length in {len(one.places) for one in before}:
+            shorter = self._shortened([one for one in before if len(one.places) == length])
+            grown = self._grow(self._fit(*shorter), np.flatnonzero(np.isfinite(self.costs)))
+            self._note(grown, found)
+        return self._ranked(found)[: self.settings.exchanged] != before
+
+    def _shortened(self, sums: Sequence[Sum]) -> tuple[np.ndarray, np.ndarray]:
+        """Give forms and constants of equally long sums without each one of their forms, once."""
+        shorter: dict[tuple[int, ...], np.ndarray] = {}
+        for one in sums:
             for i in range(len(one.places)):
-                places, constants = one.without(i)
-                less = shorter.get(places) or self._fit(places, constants)
-                if less is not None:
-                    shorter[places] = less
-        grown = self._grow(list(shorter.values()), np.flatnonzero(np.isfinite(self.costs)))
-        found |= {one.places: one for one in grown if _is_better(one, found)}
-        return self._ranked(found)[: self.settings.exchanged] != before[: self.settings.exchanged]
+                less = (*one.places[:i], *one.places[i + 1 :])
+                shorter.setdefault(less, np.delete(one.constants, i, axis=0))
+        shape = len(shorter), len(sums[0].places) - 1
+        places = np.array(list(shorter), dtype=int).reshape(shape)
+        return places, np.array(list(shorter.values())).reshape(*shape, MOST_INSIDE)
 
     def _apart(self, ranked: Iterable[Sum]) -> list[Sum]:
         """Leave out sums that are the same function as one that takes fewer bits.
@@ -232,60 +340,89 @@ class Proposer:
         turned = (_unit(self.evidence.mapped(own)) for own in slopes.swapaxes(0, 1))
         return _unit(self.evidence.mapped(values)), tuple(turned)
 
-    def _grow(self, layer: Sequence[Sum], tier: np.ndarray) -> list[Sum]:
-        """Give the best sums with one form more, each form with the best of its constants."""
-        if not layer:
-            return []
+    def _bits(self, layer: _Layer) -> np.ndarray:
+        """(b,) all bits of sums."""
+        return self.evidence.misses(layer.left) + self.costs[layer.places].sum(axis=1)
+
+    def _grow(self, layer: _Layer, tier: np.ndarray) -> _Layer:
+        """Give the best sums with one form more.
+
+        Each form is put beside each sum with the best of its constants, and what is expected to
+        take the fewest bits is fitted.
+        """
+        if not len(layer):
+            return layer
         places = np.flatnonzero(np.isin(self.library.owners, tier))
         first = np.searchsorted(self.library.owners[places], tier)
         units, turned = self._rows
         gains = self._gains(layer, units.some(places), [own.some(places) for own in turned])
-        most = np.maximum.reduceat(gains, first, axis=0)
-        left = np.array([one.left for one in layer]) - most
-        bits = self.evidence.misses(np.maximum(left, 1e-9 * layer[0].left))
-        bits = bits + np.array([one.cost for one in layer]) + self.costs[tier, None]
-        bits[~(np.isfinite(bits) & (most > 0))] = np.inf
+        best = np.maximum.reduceat(gains, first, axis=0)
+        # What is expected below nothing at all is not expected to be better for it.
+        left = np.maximum(layer.left - best, 1e-9 * layer.left.max())
+        bits = self.evidence.misses(left) + self.costs[layer.places].sum(axis=1)
+        bits = bits + self.costs[tier, None]
+        bits[~(np.isfinite(bits) & (best > 0))] = np.inf
         # What tells nothing alone may tell all together, and the fewer forms, the more so.
-        width = max(self.settings.beam, self.settings.singles // 2 ** len(layer[0].places))
-        chosen: dict[tuple[int, ...], list[tuple[int, int]]] = {}
+        width = max(self.settings.beam, self.settings.singles // 2 ** layer.places.shape[1])
+        chosen: dict[tuple[int, ...], list[tuple[int, int, int]]] = {}
+        inside = self.library.inside[layer.places].sum(axis=1) + self.library.inside[tier, None]
+        room = self._room(self.settings.fitted * width)
         for flat in np.argsort(bits, axis=None, kind="stable"):
             row, parent = divmod(int(flat), len(layer))
-            if len(chosen) == width or not bits[row, parent] < np.inf:
+            if not bits[row, parent] < np.inf or not any(room):
                 break
-            form = int(tier[row])
-            key = tuple(sorted((*layer[parent].places, form)))
+            kind = min(int(inside[row, parent]), len(room) - 1)
+            form, own = int(tier[row]), layer.places[parent].tolist()
+            key = tuple(sorted((*own, form)))
+            if form in own or (key not in chosen and not room[kind]):
+                continue
+            room[kind] -= key not in chosen
+            ways = chosen.setdefault(key, [])
             # From the constants of another parent a sum may end elsewhere.
-            if (
-                form not in layer[parent].places
-                and len(chosen.get(key, ())) < self.settings.parents
-            ):
-                chosen.setdefault(key, []).append((form, parent))
-        grown = []
-        for ways in chosen.values():
-            ends = []
-            for form, parent in ways:
-                own = np.flatnonzero(self.library.owners[places] == form)
-                row = int(places[own[np.argmax(gains[own, parent])]])
-                ends.append(self._extend(layer[parent], form, self.library.constants[row]))
-            fine = [end for end in ends if end is not None]
-            grown += [min(fine, key=lambda end: end.bits)] if fine else []
-        return grown
+            if len(ways) < self.settings.parents:
+                end = first[row + 1] if row + 1 < len(first) else len(places)
+                start = first[row] + int(np.argmax(gains[first[row] : end, parent]))
+                ways.append((form, parent, int(places[start])))
+        ways = [way for own in chosen.values() for way in own]
+        if not ways:
+            return layer.some(np.zeros(0, dtype=int))
+        forms, parents, rows = np.array(ways).T
+        begun = np.array([self.library.padded(row) for row in rows])
+        together = np.column_stack([layer.places[parents], forms])
+        constants = np.concatenate([layer.constants[parents], begun[:, None]], axis=1)
+        order = np.argsort(together, axis=1, kind="stable")
+        together = np.take_along_axis(together, order, axis=1)
+        constants = np.take_along_axis(constants, order[:, :, None], axis=1)
+        return self._best_of_each(self._settle(together, constants, self.settings.steps), width)
 
-    def _gains(self, layer: Sequence[Sum], units: _Units, turned: Sequence[_Units]) -> np.ndarray:
-        """(P, layer) squares that each row takes off, its constants inside set free."""
+    def _best_of_each(self, layer: _Layer, width: int) -> _Layer:
+        """Give the best sums, each choice of forms once."""
+        bits = self._bits(layer)
+        kept: dict[tuple[int, ...], int] = {}
+        inside, room = self.library.inside[layer.places].sum(axis=1), self._room(width)
+        for i in np.argsort(bits, kind="stable"):
+            kind, key = min(int(inside[i]), len(room) - 1), tuple(layer.places[i].tolist())
+            if np.isfinite(bits[i]) and key not in kept and room[kind]:
+                kept[key] = int(i)
+                room[kind] -= 1
+        return layer.some(np.array(list(kept.values()), dtype=int))
+
+    def _room(self, width: int) -> list[int]:
+        """Give how many sums of each number of constants inside are kept, the last of more."""
+        kinds = self.settings.kinds
+        return [-(-width // kinds)] * kinds
+
+    def _gains(self, layer: _Layer, units: _Units, turned: Sequence[_Units]) -> np.ndarray:
+        """(P, b) squares that each row takes off, its constants inside set free."""
         first, second = turned
-        rest = np.array([one.rest for one in layer])
         rows = [units.rows, first.rows, second.rows]
-        pulls = [own @ rest.T for own in rows]
+        pulls = [own @ layer.rest.T for own in rows]
         pairs = [(i, j) for i in range(3) for j in range(i, 3)]
         products = {
             (i, j): np.tile(np.sum(rows[i] * rows[j], axis=1)[:, None], len(layer))
             for i, j in pairs
         }
-        for place in range(max(len(one.basis) for one in layer)):
-            basis = np.array(
-                [one.basis[place] if place < len(one.basis) else 0 * one.rest for one in layer]
-            )
+        for basis in layer.basis.swapaxes(0, 1):
             said = [own @ basis.T for own in rows]
             for i, j in pairs:
                 products[i, j] -= said[i] * said[j]
@@ -311,121 +448,176 @@ class Proposer:
         free = (own > _NOTHING) & (area > _NOTHING * own) & (reach <= self.settings.reach)
         return np.where(free, weight * pull + move * turn + more * last, alone)
 
-    def _extend(self, one: Sum, form: int, best: np.ndarray) -> Sum | None:
-        order = int(np.searchsorted(one.places, form))
-        places = (*one.places[:order], form, *one.places[order:])
-        constants = (*one.constants[:order], best, *one.constants[order:])
-        return self._settle(places, constants, self.settings.steps)
-
-    def _settle(
-        self, places: tuple[int, ...], constants: tuple[np.ndarray, ...], steps: int
-    ) -> Sum | None:
-        """Fit a sum, and move the constants inside while that is better."""
+    def _settle(self, places: np.ndarray, constants: np.ndarray, steps: int) -> _Layer:
+        """Fit sums, and move the constants inside while that is better."""
         best = self._fit(places, constants)
-        if best is None or not any(map(len, constants)):
-            return best
+        moving = np.flatnonzero(np.isfinite(best.left) & self.library.inside[places].any(axis=1))
         for _ in range(steps):
-            moved = self._move(best)
-            if moved is None:
+            if not len(moving):
                 break
-            better = moved.left + self.evidence.beside < (1 - self.settings.better) * (
-                best.left + self.evidence.beside
-            )
-            if moved.left < best.left:
-                best = moved
-            if not better:
-                break
+            before = best.left[moving] + self.evidence.beside
+            self._move(best, moving)
+            after = best.left[moving] + self.evidence.beside
+            moving = moving[after < (1 - self.settings.better) * before]
         return best
 
-    def _plain(self, place: int) -> np.ndarray:
-        """Mapped values of a form without a constant."""
-        own, row = self._rows[0], int(self.library.first[place])
-        return np.asarray(own.rows[row] * own.sizes[row])
+    def _move(self, best: _Layer, moving: np.ndarray) -> None:
+        """Take a step of the constants inside of some sums, or half of one, where it is better."""
+        steps, far = self._steps(best.some(moving)), self.settings.farthest
+        for scale in (1.0, 0.5):
+            own = best.some(moving)
+            ahead = np.clip(scale * steps, -far, far)
+            moved = self._fit(own.places, self.library.moved(own.places, own.constants, ahead))
+            better = moved.left < own.left
+            best.put(moving[better], moved.some(better))
+            moving, steps = moving[~better], steps[~better]
+            if not len(moving):
+                return
 
-    def _mapped(self, place: int, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        form = self.library.forms[place]
-        values, slopes = form.both(self.library.names, self.evidence.points, constants[None])
-        return self.evidence.mapped(values[0]), self.evidence.mapped(slopes[0])
+    def _steps(self, layer: _Layer) -> np.ndarray:
+        """(b, s, 2) steps of the constants inside; the coefficients follow."""
+        count, terms, _, width = layer.slopes.shape
+        slopes = layer.weights[:, :, None, None] * layer.slopes
+        slopes = np.nan_to_num(slopes, posinf=0.0, neginf=0.0).reshape(count, -1, width)
+        # What the coefficients can do is taken out of the slopes.
+        slopes = slopes - (slopes @ layer.basis.swapaxes(1, 2)) @ layer.basis
+        units = _unit(slopes.reshape(-1, width))
+        rows = units.rows.reshape(slopes.shape)
+        gram = rows @ rows.swapaxes(1, 2) + 1e-9 * np.eye(rows.shape[1])
+        pull = rows @ layer.rest[:, :, None]
+        steps = np.linalg.solve(gram, pull)[:, :, 0] / units.sizes.reshape(count, -1)
+        return steps.reshape(count, terms, MOST_INSIDE)
+
+    def _mapped(self, places: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Give mapped values (k, r) of forms, and slopes (k, 2, r) by the constants inside."""
+        starts, points = self._rows[0], self.evidence.points
+        first = self.library.first[places]
+        values = starts.rows[first] * starts.sizes[first, None]
+        slopes = np.zeros((len(places), MOST_INSIDE, values.shape[1]))
+        inside = np.flatnonzero(self.library.inside[places])
+        if not len(inside):
+            return values, slopes
+        inside = inside[np.argsort(places[inside], kind="stable")]
+        kinds, begin = np.unique(places[inside], return_index=True)
+        raw = np.empty((len(inside), points.shape[1]))
+        turned = np.zeros((len(inside), MOST_INSIDE, points.shape[1]))
+        for place, at, end in zip(kinds, begin, [*begin[1:], len(inside)], strict=True):
+            form = self.library.forms[place]
+            own = constants[inside[at:end], : form.constants]
+            raw[at:end], turned[at:end, : form.constants] = form.both(
+                self.library.names, points, own
+            )
+        values[inside] = self.evidence.mapped(raw)
+        slopes[inside] = self.evidence.mapped(turned)
+        return values, slopes
 
     @property
-    def _nothing(self) -> Sum:
+    def _nothing(self) -> _Layer:
         """The sum of no forms."""
-        y = self.evidence.y
-        left, none = float(y @ y), np.zeros((0, len(y)))
-        return Sum((), (), np.zeros(0), none, y, left, 0.0, float(self.evidence.misses(left)))
+        return self._fit(np.zeros((1, 0), dtype=int), np.zeros((1, 0, MOST_INSIDE)))
 
-    def _fit(self, places: tuple[int, ...], constants: tuple[np.ndarray, ...]) -> Sum | None:
-        """Fit the coefficients; None where the terms are not finite or not independent."""
-        y = self.evidence.y
-        if not places:
-            return self._nothing
-        rows = np.array(
-            [
-                self._mapped(place, own)[0] if len(own) else self._plain(place)
-                for place, own in zip(places, constants, strict=True)
-            ]
-        )
-        if not np.all(np.isfinite(rows)):
-            return None
-        sizes = np.linalg.norm(rows, axis=1)
-        if not np.all((sizes > 1e-150) & (sizes < 1e150)):
-            return None
-        q, r = np.linalg.qr((rows / sizes[:, None]).T)
-        if np.min(np.abs(np.diag(r))) ** 2 <= _NOTHING:
-            return None
-        inner = q.T @ y
-        rest = y - q @ inner
-        weights = np.linalg.solve(r, inner) / sizes
-        left = float(rest @ rest)
-        cost = float(self.costs[list(places)].sum())
-        bits = float(self.evidence.misses(left)) + cost
-        return Sum(places, constants, weights, q.T, rest, left, cost, bits)
-
-    def _move(self, one: Sum) -> Sum | None:
-        """Take a step of the constants inside."""
-        columns = []
-        for place, own, weight in zip(one.places, one.constants, one.weights, strict=True):
-            if len(own):
-                columns += list(weight * self._mapped(place, own)[1])
-        slopes = np.array(columns)
-        if not np.all(np.isfinite(slopes)):
-            return None
-        # The coefficients follow: what they can do is taken out of the slopes.
-        units = _unit(slopes - (slopes @ one.basis.T) @ one.basis)
-        gram = units.rows @ units.rows.T + 1e-9 * np.eye(len(slopes))
-        steps = np.linalg.solve(gram, units.rows @ one.rest) / units.sizes
-        far = self.settings.farthest
-        for scale in (1.0, 0.5):
-            left = np.clip(scale * steps, -far, far).tolist()
-            constants = []
-            for place, own in zip(one.places, one.constants, strict=True):
-                mine, left = np.array(left[: len(own)]), left[len(own) :]
-                constants.append(self.library.moved(place, own, mine) if len(own) else own)
-            moved = self._fit(one.places, tuple(constants))
-            if moved is not None and moved.left < one.left:
-                return moved
-        return None
+    def _fit(self, places: np.ndarray, constants: np.ndarray) -> _Layer:
+        """Fit the coefficients of sums."""
+        (count, terms), y = places.shape, self.evidence.y
+        values, slopes = self._mapped(places.ravel(), constants.reshape(-1, MOST_INSIDE))
+        rows = values.reshape(count, terms, len(y))
+        sizes = np.linalg.norm(rows, axis=2)
+        fine = np.all((sizes > 1e-150) & (sizes < 1e150), axis=1)
+        sizes[~fine] = 1.0
+        rows[~fine] = 0.0
+        q, r = np.linalg.qr((rows / sizes[:, :, None]).swapaxes(1, 2))
+        apart = np.abs(np.diagonal(r, axis1=1, axis2=2))
+        fine &= np.all(apart**2 > _NOTHING, axis=1)
+        r[~fine] = np.eye(terms)
+        basis = q.swapaxes(1, 2)
+        inner = basis @ y
+        rest = y - np.einsum("bsr,bs->br", basis, inner)
+        weights = np.linalg.solve(r, inner[:, :, None])[:, :, 0] / sizes
+        left = np.where(fine, np.sum(rest**2, axis=1), np.inf)
+        slopes = slopes.reshape(count, terms, MOST_INSIDE, len(y))
+        return _Layer(places, constants, weights, slopes, basis, rest, left)
 
     def _thin(self, one: Sum, found: dict[tuple[int, ...], Sum]) -> None:
         """Leave out terms, that which is missed least first, and keep what that gives."""
         while len(one.places) > 1:
-            shorter: list[Sum] = []
-            for i in range(len(one.places)):
-                places, constants = one.without(i)
-                less = found.get(places) or self._settle(places, constants, 1)
-                if less is not None:
-                    shorter.append(less)
-            best = min(shorter, key=lambda s: s.bits, default=None)
-            if best is None or best.bits >= one.bits:
+            shorter = self._note(self._settle(*self._shortened([one]), 1), {})
+            best = min((found.get(s.places, s) for s in shorter), key=lambda s: s.bits)
+            if best.bits >= one.bits:
                 return
             found.setdefault(best.places, best)
             one = best
 
 
-def _is_better(one: Sum, found: Mapping[tuple[int, ...], Sum]) -> bool:
-    return one.places not in found or one.bits < found[one.places].bits
+def propose(
+    evidence: Evidence,
+    place: Place,
+    allow: Callable[[sympy.Expr], bool],
+    offered: Sequence[sympy.Expr] = (),
+    others: Sequence[tuple[str, sympy.Expr]] = (),
+    settings: ProposalSettings = PROPOSALS,
+    *,
+    functions: bool = True,
+) -> list[sympy.Expr]:
+    """Give the sums of terms of the library that are expected to take the fewest bits.
+
+    Parameters
+    ----------
+    evidence : what the data say of the equation.
+    place : whose equation it is, and of which columns.
+    allow : whether a term may be one.
+    offered : more terms.
+    others : states and equations of theirs; what stands in these costs less.
+    settings : the numbers that decide.
+    functions : whether others than the terms that are offered, those of the other equations and
+        products of the columns are terms.
+    """
+    names = place.columns
+    own = (*offered, *cited_terms((expr for _, expr in others), place.state))
+    kinds = replace(settings.library, functions=functions)
+    beside = evidence.names[len(names) :]
+    library = Library.of(names, evidence.points, place.angles or (), own, kinds, beside)
+    written = write_down(others)
+    # Of what the whole slope is worth in the data, a constant has about that precision.
+    each = precision_bits(np.array([[evidence.y @ evidence.y]]), np.ones(1))
+    costs = np.full(len(library.forms), np.inf)
+    for i, (form, starts) in enumerate(zip(library.forms, library.starts, strict=True)):
+        body = form.write(evidence.names, starts[0])
+        if allow(body):
+            inside = len(body.atoms(sympy.Float)) if form.own is not None else form.constants
+            costs[i] = term_bits(body, place, written) + each * (1 + inside)
+    best = Proposer(evidence, library, costs, settings).best()
+    return list(dict.fromkeys(one.write(library) for one in best))
 
 
-def write_all(sums: Iterable[Sum], library: Library) -> list[sympy.Expr]:
-    """Write sums as formulas, each once."""
-    return list(dict.fromkeys(one.write(library) for one in sums))
+def term_bits(body: sympy.Expr, place: Place, written: Written) -> float:
+    """Bits of one term without its constants.
+
+    Parameters
+    ----------
+    body : a product.
+    place : whose equation it stands in.
+    written : what other equations have.
+    """
+    own = added_bits(sympy.Float(0.5) * body) if bits_in_force() else 0.0
+    return textbooks().term_bits(read_body(body), place, written) + own
+
+
+def cited_terms(exprs: Iterable[sympy.Expr], state: str) -> list[sympy.Expr]:
+    """Give the terms of equations, which cost less in another one.
+
+    Beside the terms themselves that is what slows this state down as it does another one, such as a
+    speed.
+
+    Parameters
+    ----------
+    exprs : the equations.
+    state : whose equation is proposed.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> [str(term) for term in cited_terms([0.5 * x - 0.3 * x * sympy.Abs(x - y)], "y")]
+    ['x', 'x*Abs(x - y)', 'y*Abs(x - y)']
+    """
+    bodies = [body for expr in exprs for body in bodies_of(expr) if body.free_symbols]
+    own = sympy.Symbol(state)
+    wide = [f * own for body in bodies for f in sympy.Mul.make_args(body) if wide_factors(f)]
+    return one_of_each_shape([*bodies, *wide])

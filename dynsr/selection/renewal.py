@@ -8,60 +8,19 @@ up for no errors of theirs. A term that another equation has costs no more than 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 
-import numpy as np
 import sympy
 
-from dynsr.fit import one_of_each_shape, precision_bits, skeleton
-from dynsr.library import Library, write_down
+from dynsr.fit import skeleton
 from dynsr.selection.changes import climb_while_better, prune
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise
-from dynsr.selection.costs import bodies_of, is_plain, wide_factors
+from dynsr.selection.costs import is_plain
 from dynsr.selection.evidence import Evidence
-from dynsr.selection.propose import Proposer, write_all
 from dynsr.selection.twins import exchanged
 
 # Degree of a short polynomial that is good enough where it leaves only noise.
 _DEGREE = 2
-
-
-def propose(
-    comparison: SystemComparison,
-    state: str,
-    evidence: Evidence,
-    others: Sequence[tuple[str, sympy.Expr]] = (),
-    *,
-    functions: bool = True,
-) -> list[sympy.Expr]:
-    """Give the sums of terms of the library that are expected to take the fewest bits.
-
-    Parameters
-    ----------
-    comparison : its settings, and which columns may be angles.
-    state : whose equation is sought.
-    evidence : what the data say of it.
-    others : states and equations of theirs; what stands in these costs less.
-    functions : whether others than their terms and products of the columns are terms.
-    """
-    settings, demands = comparison.settings.proposals, comparison.settings.demands
-    names, angles = comparison.names, comparison.angles
-    cited = cited_terms((expr for _, expr in others), state)
-    offered, beside = (*demands.offered, *cited), evidence.names[len(names) :]
-    kinds = replace(settings.library, functions=functions)
-    library = Library.of(names, evidence.points, angles, offered, kinds, beside)
-    written = write_down(others)
-    # Of what the whole slope is worth in the data, a constant has about that precision.
-    each = precision_bits(np.array([[evidence.y @ evidence.y]]), np.ones(1))
-    allow = demands.limits(state).allow
-    costs = np.full(len(library.forms), np.inf)
-    for i, (form, own) in enumerate(zip(library.forms, library.starts, strict=True)):
-        body = form.write(evidence.names, own[0])
-        if allow(body):
-            inside = len(body.atoms(sympy.Float)) if form.own is not None else form.constants
-            costs[i] = comparison.term_bits(body, state, written) + each * (1 + inside)
-    return write_all(Proposer(evidence, library, costs, settings).best(), library)
 
 
 def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
@@ -81,28 +40,7 @@ def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[s
     if evidence is None:
         return []
     others = [(s, expr) for s, expr in fit.exprs.items() if s != state]
-    return propose(comparison, state, evidence, others)
-
-
-def cited_terms(exprs: Iterable[sympy.Expr], state: str) -> list[sympy.Expr]:
-    """Give the terms of equations, which cost less in another one.
-
-    Beside the terms themselves that is what slows this state down as it does another one, such as a
-    speed.
-
-    Parameters
-    ----------
-    exprs : the equations.
-    state : whose equation is proposed.
-
-    >>> x, y = sympy.symbols("x y")
-    >>> [str(term) for term in cited_terms([0.5 * x - 0.3 * x * sympy.Abs(x - y)], "y")]
-    ['x', 'x*Abs(x - y)', 'y*Abs(x - y)']
-    """
-    bodies = [body for expr in exprs for body in bodies_of(expr) if body.free_symbols]
-    own = sympy.Symbol(state)
-    wide = [f * own for body in bodies for f in sympy.Mul.make_args(body) if wide_factors(f)]
-    return one_of_each_shape([*bodies, *wide])
+    return comparison.propose(state, evidence, others)
 
 
 def renew(

@@ -19,11 +19,12 @@ import sympy
 from dynsr.data import Samples
 from dynsr.expression import compile_columns
 from dynsr.fit import solve_each
-from dynsr.selection.profiles import write_sum
-from dynsr.selection.terms import never_negative, products
+from dynsr.selection.terms import never_negative, products, weighted_sum
 
 # A function written once: of NumPy or SymPy, of columns and of constants.
 Written = Callable[..., Any]
+# Size of a term, in that of the slopes, from which on terms only cancel each other.
+_CANCELLED = 100.0
 # Middles of a step, in spreads from the mean, and its widths in spreads.
 _MIDDLES, _WIDTHS = (-1.5, -0.75, 0.0, 0.75, 1.5), (0.15, 0.4, 1.0)
 # Half-saturations as multiples of the usual size; powers.
@@ -647,3 +648,26 @@ class _End:
         columns = search.columns(self.inside[None])[0][self.chosen]
         values = np.linalg.lstsq(columns.T, own.y, rcond=None)[0]
         return write_sum(values, [terms[i] for i in self.chosen], columns, own.y)
+
+
+def write_sum(
+    coefficients: np.ndarray, terms: Sequence[sympy.Expr], values: np.ndarray, y: np.ndarray
+) -> sympy.Expr | None:
+    """Write a sum; None where its terms only cancel each other.
+
+    Parameters
+    ----------
+    coefficients, terms : (c,) those of the sum.
+    values : (c, n) what the terms are worth.
+    y : (n,) the slopes.
+
+    >>> x, row = sympy.Symbol("x"), np.ones(3)
+    >>> write_sum(np.array([2.0]), [x], row[None], row)
+    2.0*x
+    >>> write_sum(np.array([500.0, -499.0]), [x, x**2], np.array([row, row]), row) is None
+    True
+    """
+    sizes = np.abs(coefficients) * np.max(np.abs(values), axis=1)
+    if np.max(sizes) > _CANCELLED * np.max(np.abs(y)):
+        return None
+    return weighted_sum(coefficients, terms)
