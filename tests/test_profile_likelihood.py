@@ -251,10 +251,13 @@ def test_the_report_draws_profiles_and_says_whose_interval_it_is(tmp_path):
     A discovery that was found in exact data has none.
     """
     page = enzyme(0.05).with_profiles().report(tmp_path / "report.html").read_text("utf-8")
-    assert "How far to trust the constants" in page and "that of the profile likelihood" in page
+    assert (
+        "The profile likelihood of each constant" in page
+        and "that of the profile likelihood" in page
+    )
     t, x = solved(lambda _, s: SPEED * s / (HALF + s), [0.5], 8.0, 60)
     exact = found_in(t, x, x=ENZYME).report(tmp_path / "exact.html").read_text("utf-8")
-    assert "How far to trust the constants" not in exact
+    assert "The profile likelihood of each constant" not in exact
 
 
 def test_a_picture_shows_the_profile_and_its_parabola():

@@ -265,7 +265,7 @@ def test_what_is_not_installed_is_one_line(tmp_path, monkeypatch, name, module):
     """It names the extra that brings it."""
     (tmp_path / name).write_bytes(b"something")
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtra, match=rf"reading '{name}' needs {module}.*dynsr\[tables\]"):
+    with pytest.raises(MissingExtra, match=rf"reading '{name}' needs {module}.*\[tables\]"):
         load_columns(tmp_path / name)
 
 

@@ -649,8 +649,8 @@ class Discovery:
         >>> found = Discovery({"x": -0.7 * x}, {}, {}, {}, runs)
         >>> found.vary().by_run
         run  k1   95 % interval
-        1    0.5  0.49998 to 0.50002
-        2    0.9  0.89998 to 0.90002
+        1    0.5  0.4999... to 0.5000...
+        2    0.9  0.8999... to 0.9000...
         """
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its constants do not differ")

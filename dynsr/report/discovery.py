@@ -690,8 +690,10 @@ def _settings(found: Discovery) -> list[tuple[str, str]]:
     return [(name, _read(value)) for name, value in (*of_call.items(), *changed)]
 
 
-def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Give the values of nested mappings, each by its path."""
+def _flat(values: object, before: str = "") -> Iterator[tuple[str, Any]]:
+    """Give the values of nested mappings, each by its path; a damaged record may have none."""
+    if not isinstance(values, Mapping):
+        return
     for name, value in values.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{before}{name}.")
