@@ -1,7 +1,6 @@
 """Workers that die, forks, signals and closed streams end in an answer or one line."""
 
 import json
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -84,21 +83,34 @@ def _with_siblings(parent):
     return _children(parent)
 
 
-def _spread_in_fork(queue):
+TWO_JOBS_IN_A_FORK = """
+import multiprocessing
+from dynsr.jobs.pool import spread
+
+def in_the_fork(queue):
     queue.put(dict(spread(pow, [(2, 3), (2, 5)], 2)))
 
-
-@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks here")
-def test_two_jobs_in_a_forked_process_end():
-    """A fork of multiprocessing waits for its children, so that its workers must end before it."""
+if __name__ == "__main__":
     fork = multiprocessing.get_context("fork")
     queue = fork.Queue()
-    child = fork.Process(target=_spread_in_fork, args=(queue,))
+    child = fork.Process(target=in_the_fork, args=(queue,))
     child.start()
     assert queue.get(timeout=120) == {0: 8, 1: 32}
     child.join(timeout=120)
     assert child.exitcode == 0
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks here")
+def test_two_jobs_in_a_forked_process_end(tmp_path):
+    """A fork of multiprocessing waits for its children, so that its workers must end before it.
+
+    The program runs by itself: other tests load JAX, which warns of any fork after it.
+    """
+    program = tmp_path / "fork.py"
+    program.write_text(TWO_JOBS_IN_A_FORK, encoding="utf-8")
+    run = subprocess.run([sys.executable, program], capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr
 
 
 @pytest.fixture
