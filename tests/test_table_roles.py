@@ -333,8 +333,8 @@ def test_what_may_be_quantities_is_said():
     assert len(table.trajectories) == 2
     assert any("--quantity mode" in note for note in table.notes)
     assert states(long_table("mode", ["fast", "slow"]), quantity="mode") == ("fast", "slow")
-    own = long_table("variable", ["S", "P"])
-    own.loc[own["variable"] == "P", "hours"] += 0.1
+    own = long_table("mode", ["fast", "slow"])
+    own.loc[own["mode"] == "slow", "hours"] += 0.1
     assert len(read_trajectories(own).trajectories) == 2
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import dynsr
+from dynsr.errors import InputError
 
 pytestmark = pytest.mark.filterwarnings("ignore::dynsr.errors.DynsrWarning")
 N = 24
@@ -146,6 +147,67 @@ FORMS = {
         + rows(lambda k: f"{at(k, '%Y-%m-%d %H:%M:%S', minutes=6)},{k / 10:.1f},{FALL[k]:.3f}"),
         {"states": ["x"]},
     ),
+    "minutes and seconds.csv": (
+        "elapsed (min:s),x\n" + rows(lambda k: f"{k // 2}:{k % 2 * 30:02d},{FALL[k]:.3f}"),
+        {"unit": "s", "states": ["x"], "to": 30.0 * (N - 1), "note": "minutes and seconds"},
+    ),
+    "hours and minutes.csv": (
+        "time,x\n" + rows(lambda k: f"{k // 2}:{k % 2 * 30:02d},{FALL[k]:.3f}"),
+        {"unit": "min", "states": ["x"], "to": 30.0 * (N - 1), "note": "hours and minutes"},
+    ),
+    "days with a word.csv": (
+        "time,x\n" + rows(lambda k: f"Day {k},{FALL[k]:.3f}"),
+        {"time": ("time", "days"), "states": ["x"], "to": N - 1.0},
+    ),
+    "numbered moments.csv": (
+        "timepoint,x\n" + rows(lambda k: f"T{2 * k},{FALL[k]:.3f}"),
+        {"time": ("timepoint", ""), "states": ["x"], "to": 2.0 * (N - 1)},
+    ),
+    "minutes, then hours.csv": (
+        "time,x\n" + rows(lambda k: f"{30 * k} min,{FALL[k]:.3f}" if k < 4 else f"{k / 2} h,1.5"),
+        {"time": ("time", "min"), "states": ["x"], "to": 30.0 * (N - 1)},
+    ),
+    "weeks of a year.csv": (
+        "week,x\n" + rows(lambda k: f"2021-W{k + 1:02d},{FALL[k]:.3f}"),
+        {"time": ("week", "days"), "states": ["x"], "to": 7.0 * (N - 1)},
+    ),
+    "years and quarters.csv": (
+        "year,quarter,x\n" + rows(lambda k: f"{2000 + k // 4},Q{k % 4 + 1},{FALL[k]:.3f}"),
+        {"time": ("year, quarter", "days"), "states": ["x"], "runs": 1, "rows": N},
+    ),
+    "days and hours.csv": (
+        "day,hour,x\n" + rows(lambda k: f"{k // 8 + 1},{k % 8 * 3},{FALL[k]:.3f}"),
+        {"time": ("day, hour", "h"), "states": ["x"], "runs": 1, "to": 24 + 3.0 * (N - 1)},
+    ),
+    "a long table whose quantities have their own times.csv": (
+        "time,analyte,value\n"
+        + rows(lambda k: f"{k},sugar,{FALL[k]:.3f}")
+        + rows(lambda k: f"{k + 0.5},cells,{RISE[k]:.4f}"),
+        {"states": ["sugar", "cells"], "runs": 1, "rows": 2 * N},
+    ),
+    "numbers that name patients.csv": (
+        "Patient no.,t,x\n"
+        + "".join(
+            rows(lambda k, i=i: f"{i},{k},{i * FALL[k]:.3f}", range(12)) for i in (12, 7, 33)
+        ),
+        {"states": ["x"], "runs": 3},
+    ),
+    "a row of groups above the names.csv": (
+        "Time,Rep 1,,Rep 2,\nh,cells,sugar,cells,sugar\n"
+        + rows(lambda k: f"{k},{RISE[k]:.3f},{FALL[k]:.3f},{2 * RISE[k]:.3f},{FALL[k] + 1:.3f}"),
+        {"time": ("Time [h]", "h"), "states": ["cells", "sugar"], "runs": 2},
+    ),
+    "replicates with letters.csv": (
+        "t,OD A,OD B,OD C\n"
+        + rows(
+            lambda k: f"{k}," + ",".join(f"{RISE[k] + EACH[0, k, r] / 50:.4f}" for r in range(3))
+        ),
+        {"states": ["OD"], "runs": 3},
+    ),
+    "rows written twice.csv": (
+        "t,x\n" + rows(lambda k: f"{k},{FALL[k]:.3f}" + f"\n{k},{FALL[k]:.3f}" * (k in (5, 9))),
+        {"states": ["x"], "rows": N, "note": "2 rows are copies"},
+    ),
     "a valve.csv": (
         "t,level,valve [V]\n" + rows(lambda k: f"{k},{FALL[k]:.3f},{(0, 5, 2.5)[k // 8]}"),
         {"states": ["level"], "inputs": {"valve": "previous"}},
@@ -176,3 +238,30 @@ def test_a_table_is_read_as_it_is_meant(name, tmp_path):
     assert all(said["left_out"].values())
     assert right.get("units", {}).items() <= said["units"].items()
     assert any(right.get("note", "") in note for note in [*said["notes"], ""])
+
+
+def test_copies_of_rows_say_nothing_of_the_noise(tmp_path):
+    """A row that is there twice is left out; it does not mean that there is no noise."""
+    path = tmp_path / "twice.csv"
+    path.write_text(FORMS["rows written twice.csv"][0], "utf-8")
+    assert "noise" not in dynsr.data.read_trajectories(path).trajectories[0].origin
+
+
+def test_dates_in_two_forms_are_refused_with_both(tmp_path):
+    """The message shows a date of each form, with its row."""
+    path = tmp_path / "mixed.csv"
+    form = ("%d.%m.%Y", "%Y-%m-%d")
+    path.write_text("date,x\n" + rows(lambda k: f"{at(k, form[k > 15], days=1)},{FALL[k]:.3f}"))
+    with pytest.raises(InputError) as caught:
+        dynsr.describe(path)
+    assert "'04.11.2023' in row 1 and '2023-11-20' in row 17" in str(caught.value)
+
+
+def test_numbers_of_runs_that_are_taken_for_a_parameter_can_be_named(tmp_path):
+    """The description shows the option that says that they only name the runs."""
+    path = tmp_path / "dose.csv"
+    runs = "".join(rows(lambda k, d=d: f"{d},{k},{d * FALL[k]:.3f}", range(12)) for d in (2, 5, 9))
+    path.write_text("dose,t,x\n" + runs, "utf-8")
+    found = dynsr.describe(path)
+    assert found.parameters == ("dose",) and "--trajectory dose" in found.options
+    assert dynsr.describe(path, trajectory="dose").parameters == ()

@@ -13,6 +13,7 @@ from dynsr.data.columns import Columns, bare_name
 # Part of a date -> names of columns that hold it.
 _PARTS = {
     "year": r"years?|yyyy|yr|jahr|ann[ée]e|a[ñn]o",
+    "quarter": r"quarters?|qtr|q|quartal|trimestre",
     "month": r"months?|mon|monat|mois|mes",
     "day": r"days?|dd|dom|tag|jour|d[ií]a",
     "of_year": r"doy|day.?of.?year|julian.?day|jday|yday|tag.?im.?jahr",
@@ -22,6 +23,7 @@ _PARTS = {
 }
 _RANGES = {
     "year": (1700, 2300),
+    "quarter": (1, 4),
     "month": (1, 12),
     "day": (1, 31),
     "of_year": (0, 367),
@@ -29,7 +31,10 @@ _RANGES = {
     "minute": (0, 60),
     "second": (0, 61),
 }
-_WHOLE = ("year", "month", "day")
+_WHOLE = ("year", "quarter", "month", "day")
+_DATE = ("year", "month", "day")
+_SCALES = {"day": 86400, "hour": 3600, "minute": 60, "second": 1}
+_QUARTER = re.compile(r"\s*q?\s*([1-4])\s*", re.IGNORECASE)
 
 
 def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
@@ -40,8 +45,9 @@ def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
     columns : the columns of the source.
     said : names that the caller gave a role; such a part is left as it is.
 
-    There must be a year, and a month or the day of the year; days, hours, minutes and seconds are
-    added where they are there. Gives the columns as they are where no dates come of it.
+    There must be a year, and a quarter, a month or the day of the year; days, hours, minutes and
+    seconds are added where they are there. Days and hours without a year are counted from day 0.
+    Gives the columns as they are where no times come of it.
 
     >>> parts = {"Year": [2023.0] * 2, "Month": [1.0, 1.0], "Day": [30.0, 31.0], "x": [1.0, 2.0]}
     >>> columns = Columns(tuple(parts), tuple(map(np.array, parts.values())), "the mapping")
@@ -49,9 +55,13 @@ def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
     ('Year, Month, Day', 'x')
     """
     parts = _find_parts(columns, said)
-    if "year" not in parts or not {"month", "of_year"} & set(parts):
+    found = {part: _numbers(columns, name, part) for part, name in parts.items()}
+    if "year" in parts and {"quarter", "month", "of_year"} & set(parts):
+        stamps = _put_together(found)
+    elif {"day", "hour"} <= set(parts) and not {"year", "month", "quarter"} & set(parts):
+        stamps = _count_days(found)
+    else:
         return columns
-    stamps = _put_together({part: _values(columns, name) for part, name in parts.items()})
     if stamps is None or len(np.unique(stamps)) < 2:
         return columns
     used = list(parts.values())
@@ -67,22 +77,35 @@ def _values(columns: Columns, name: str) -> np.ndarray:
     return columns.values[columns.names.index(name)]
 
 
+def _numbers(columns: Columns, name: str, part: str) -> np.ndarray:
+    """Give a column as numbers; a quarter may be written as Q1."""
+    values = _values(columns, name)
+    if values.dtype.kind == "f" or part != "quarter":
+        return values
+    found = [_QUARTER.fullmatch(cell) if isinstance(cell, str) else None for cell in values]
+    return np.array([np.nan if match is None else float(match[1]) for match in found])
+
+
 def _find_parts(columns: Columns, said: Collection[str]) -> dict[str, str]:
     """Give part -> its column, in the order of the parts."""
     found: dict[str, str] = {}
     for name in columns.names:
-        values = _values(columns, name)
+        part = _part(bare_name(name), found)
+        values = _numbers(columns, name, part)
         if name in said or values.dtype.kind != "f" or not np.isfinite(values).all():
             continue
-        part = _part(bare_name(name), found)
         low, high = _RANGES.get(part, (0, 0))
+        if part == "day" and "year" not in found and "month" not in found:
+            low, high = 0, 10_000  # days of an experiment
         whole = part not in _WHOLE or bool(np.all(values % 1 == 0))
         if part and part not in found and whole and low <= values.min() <= values.max() <= high:
             found[part] = name
+    if {"month", "of_year"} & set(found):
+        found.pop("quarter", None)
     parts = [p for p in _PARTS if p in found and not (p in ("month", "day") and "of_year" in found)]
     # An hour without a day is none of a date.
     if not {"day", "of_year"} & set(parts):
-        parts = [p for p in parts if p in ("year", "month")]
+        parts = [p for p in parts if p in ("year", "quarter", "month")]
     return {part: found[part] for part in parts}
 
 
@@ -98,15 +121,31 @@ def _put_together(parts: Mapping[str, np.ndarray]) -> np.ndarray | None:
     import pandas
 
     ones = np.ones(len(parts["year"]))
-    date = {part: parts.get(part, ones) for part in _WHOLE}
+    if "quarter" in parts:
+        parts = {**parts, "month": 3 * parts["quarter"] - 2}
+    date = {part: parts.get(part, ones) for part in _DATE}
     try:
         stamps = pandas.to_datetime(date).to_numpy().astype("datetime64[ms]")
     except ValueError:  # such as the 31st of April
         return None
     days = parts["of_year"] - 1 if "of_year" in parts else 0.0
     seconds = 86400.0 * days + sum(
-        scale * parts.get(part, 0.0)
-        for part, scale in (("hour", 3600), ("minute", 60), ("second", 1))
+        scale * parts.get(part, 0.0) for part, scale in _SCALES.items() if part != "day"
     )
     more: np.ndarray = np.round(1e3 * seconds * ones).astype("timedelta64[ms]")
     return np.asarray(stamps + more)
+
+
+def _count_days(parts: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Give (n,) durations of numbered days and hours; None where these are no one time.
+
+    Hours of the day rise within each day, and begin again on the next.
+    """
+    seconds = sum((scale * parts[part] for part, scale in _SCALES.items() if part in parts), 0.0)
+    same = np.diff(parts["day"]) == 0
+    steps = np.diff(np.asarray(seconds))
+    if not same.any() or same.all() or 2 * np.sum(steps > 0) <= len(steps):
+        return None
+    if np.any(parts["hour"] >= 24) or np.any(steps[same] < 0):
+        return None
+    return np.asarray(np.round(1e3 * np.asarray(seconds)).astype("timedelta64[ms]"))

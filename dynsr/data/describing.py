@@ -14,7 +14,7 @@ from dynsr.data.description import Description
 from dynsr.data.names import RENAMED
 from dynsr.data.oddities import OddSettings, merge_places, odd_states, odd_times, odd_values
 from dynsr.data.reading import MAX_ROWS, Table, read_trajectories
-from dynsr.data.trajectory import columns_of
+from dynsr.data.trajectory import FEWEST_ROWS, columns_of
 from dynsr.errors import DynsrWarning, one_line
 
 _SETTINGS = OddSettings()
@@ -107,7 +107,10 @@ def _odd(table: Table, settings: OddSettings) -> Iterator[str]:
             for odd in odd_values(run.t, run.observed[:, run.index(state)], each)
         ]
         yield from merge_places(seen, state, count == 1)
-    together = columns_of([run.select(np.all(run.measured, axis=1)) for run in table.trajectories])
+    full = [run.select(np.all(run.measured, axis=1)) for run in table.trajectories]
+    if sum(map(len, full)) < FEWEST_ROWS:  # the states were measured at times of their own
+        return
+    together = columns_of(full)
     for _, sentence in odd_states({state: together[state] for state in found.states}, settings):
         yield (
             f"{sentence}, so that its equation follows from the others'; leave it out, or say that "

@@ -308,6 +308,8 @@ def _options(found: Description) -> Iterator[tuple[str, str]]:
             yield f"--hold {name}=previous", f"{name} keeps its value until the next row"
     for name in found.states[-1:] if len(found.states) > 1 else ():
         yield f"--inputs {','.join([*columns, name])}", f"{name} is an input, without an equation"
+    for name in found.parameters if not found.named_by else ():
+        yield f"--trajectory {name}", f"{name} only names the trajectories, and is in no equation"
     if found.labels and found.named_by:
         both = ",".join(map(clean_name, (*found.named_by, *found.labels)))
         yield f"--trajectory {both}", "these columns together name the trajectories"

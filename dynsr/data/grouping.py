@@ -16,13 +16,14 @@ _RUN = (
     r"traj(ectory)?|run|trial|episode|exp(eriment)?|series|rep(lica(te)?|eat|l)?|sample|group|"
     r"lauf|versuch|wiederholung|essai|r[ée]p[ée]tition|r[ée]plicat|ensayo|r[ée]plica"
 )
-_NAMED = re.compile(rf"({_RUN})([ _.-]?(id|no|nr|number|name))?|id", re.IGNORECASE)
+_ENDING = r"([ _.-]?(id|n[ro]\.?|num(ber)?|name|code|#))?"
+_NAMED = re.compile(rf"({_RUN}){_ENDING}|id", re.IGNORECASE)
 # Names of what is watched, which as numbers may count it too.
 _SUBJECT = re.compile(
-    r"(wells?|subjects?|mouse|mice|rat|animals?|patients?|plants?|specimen|individuals?|participants?|"
-    r"person|cage|batch|colony|culture|device|tank|plot|station|unit|cell|fish|bird|flask|tube|vial|"
-    r"dish|plate|bottle|pot|pond|chamber|block|site|donor|clone|line|strain|probe|kolben|platte)"
-    r"(_?(id|no|nr|number|name))?|\w+_id",
+    r"(id[ _.-])?(wells?|subjects?|mouse|mice|rat|animals?|patients?|plants?|specimen|individuals?|"
+    r"participants?|person|cage|batch|colony|culture|device|tank|plot|station|unit|cell|fish|bird|flask|tube|vial|"
+    r"dish|plate|bottle|pot|pond|chamber|block|site|donor|clone|line|strain|probe|kolben|platte|"
+    rf"tier|maus|proband(en)?|patienten|pflanze|souris|sujet){_ENDING}|\w+[ _]id",
     re.IGNORECASE,
 )
 _ROWS_EACH = 5

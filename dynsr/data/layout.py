@@ -203,7 +203,8 @@ def _find_head(rows: Sequence[Row], numeric: Sequence[int], width: int) -> list[
         # R names the rows in a column without a name.
         short = not head and not other and numeric[:1] == [1] and row.width == width - 1
         short = short and set(row.kinds) == {TEXT}
-        if fits and (short or _is_head(row, numeric) or _as_units(row) is not None):
+        names = short or _is_head(row, numeric) or _as_units(row) is not None
+        if fits and (names or _names_groups(row, head)):
             head.append(row)
             if short:
                 return head
@@ -216,9 +217,17 @@ def _find_head(rows: Sequence[Row], numeric: Sequence[int], width: int) -> list[
         if len(head) > _ENOUGH:
             break
     head.reverse()
-    while head and not _is_head(head[0], numeric):
+    while head and not _is_head(head[0], numeric) and not _names_groups(head[0], head[:0:-1]):
         head.pop(0)
     return head
+
+
+def _names_groups(row: Row, below: Sequence[Row]) -> bool:
+    """Whether a row names groups of columns: those of the row below have the same names again."""
+    if not below or row.comment or not set(row.kinds) <= {TEXT, NONE}:
+        return False
+    lower = [cell_text(cell) for cell in below[-1].cells]
+    return not _distinct(lower) and _distinct(_join([cell_text(c) for c in row.cells], lower))
 
 
 def _arrange(rows: Sequence[Row], first: int, head: list[Row]) -> Layout:
@@ -279,11 +288,19 @@ def _choose_names(rows: Sequence[Row]) -> tuple[list[str], list[Row]]:
 
 
 def _join(upper: Sequence[str], lower: Sequence[str]) -> list[str]:
-    """Put the name of a group of columns behind each of its columns' names."""
+    """Put the name of a group of columns behind each of its columns' names.
+
+    A unit below the name of a single column is its unit.
+    """
     group, joined = "", []
     for j, name in enumerate(lower):
-        group = (upper[j] if j < len(upper) else "") or group
-        joined.append("_".join(filter(None, (name, group))))
+        own = upper[j] if j < len(upper) else ""
+        group = own or group
+        alone = bool(own) and (j + 1 >= len(upper) or bool(upper[j + 1]))
+        if alone and (is_unit(name) or _BRACKETED.fullmatch(name)):
+            joined.append(f"{own} [{name.strip('[]()<> ')}]")
+        else:
+            joined.append("_".join(filter(None, (name, group))))
     return joined
 
 

@@ -164,6 +164,10 @@ def widen(columns: Columns, time: Times, long: Long) -> tuple[Columns, np.ndarra
         np.column_stack([repeat, index]), axis=0, return_index=True, return_inverse=True
     )
     order = np.argsort(first)
+    if not repeat.any() and not time.daily:
+        # The quantities of one run, whose times may differ, stand below each other.
+        runs = look.runs(long.labels)
+        order = np.lexsort([time.values[first], runs[first]])
     place = np.argsort(order)[place.reshape(-1)]
     rows = first[order]
     dropped = {long.quantity, *long.values, *([long.unit] if long.unit else [])}
@@ -212,6 +216,8 @@ class _Look:
         found = [n for n in names if self.values(n).dtype.kind == "f"]
         _, index = self.moments(labels)
         first = np.unique(index, return_index=True)[1][index]
+        if len(set(index.tolist())) == len(index):  # no two quantities share a moment
+            return found
         return [n for n in found if np.any(self.values(n) != self.values(n)[first])]
 
     def unit_of(self, quantity: str, texts: Sequence[str]) -> str | None:
@@ -246,6 +252,12 @@ class _Look:
         names = list(dict.fromkeys(own))
         place = {name: i for i, name in enumerate(names)}
         return names, np.array([place[name] for name in own])
+
+    def runs(self, labels: Sequence[str]) -> np.ndarray:
+        """Number the runs that labels name, in order of appearance."""
+        names = list(zip(*(self.keys(name) for name in labels), strict=True)) if labels else []
+        place = {name: i for i, name in enumerate(dict.fromkeys(names))}
+        return np.array([place[name] for name in names] or [0] * len(self._time.values))
 
     def share_times(self, quantity: str, labels: Sequence[str]) -> bool:
         """Whether every value of a column is there once at every moment of every run."""

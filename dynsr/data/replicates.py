@@ -23,6 +23,7 @@ _BEFORE = re.compile(
     re.IGNORECASE,
 )
 _NUMBERED = re.compile(r"(?P<stem>.*[^\W\d_])[\s_.-]*(?P<which>\d+)")
+_LETTERED = re.compile(r"(?P<stem>.+?)[\s_.-]+[\[(]?(?P<which>[a-l])[\])]?", re.IGNORECASE)
 _FEWEST = 8
 # Copies differ by less than this share of how far they move, and the difference of one row tells
 # little of the next: half its mean squared step over its variance is 1 for independent values.
@@ -65,15 +66,19 @@ def find_replicates(columns: Columns, names: Sequence[str]) -> SideBySide | None
     names : those that may be so.
 
     Each run must have the same quantities. Names with a word such as rep, run or trial and a number
-    say it; with a number alone they do where the columns are copies of each other within noise.
+    say it; with a number or a letter alone they do where the columns are copies of each other
+    within noise.
     """
     numbers = [n for n in names if columns.values[columns.names.index(n)].dtype.kind == "f"]
     for pattern in (_BEHIND, _BEFORE):
         found = _arrange(numbers, pattern)
         if found is not None:
             return found
-    found = _arrange(numbers, _NUMBERED)
-    return found if found is not None and _are_copies(columns, found) else None
+    for pattern in (_NUMBERED, _LETTERED):
+        found = _arrange(numbers, pattern)
+        if found is not None and _are_copies(columns, found):
+            return found
+    return None
 
 
 def _arrange(names: Sequence[str], pattern: re.Pattern[str]) -> SideBySide | None:

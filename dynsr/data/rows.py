@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -85,6 +85,8 @@ def order_rows(
         notes.append(f"{which} were put in order of {time!r}.")
     if repeated:
         notes += _tell_repeats(grouping, t, runs, values, states, time)
+        if not any(pooled_noise(runs, states).values()):
+            runs = [replace(run, spreads={}) for run in runs]
     return runs, notes
 
 
@@ -164,11 +166,19 @@ def _tell_repeats(
     time: str,
 ) -> list[str]:
     noise = pooled_noise(runs, states)
-    spread = ", ".join(f"{name} {size:.3g}" for name, size in noise.items())
     often = sum(len(rows) for _, rows in grouping.rows()) - sum(len(run.t) for run in runs)
+    rows, were = ("1 row", "was") if often == 1 else (f"{often} rows", "were")
+    place = f" ({_first_repeated(grouping, t):g})" if often == 1 else ""
+    if not any(noise.values()):
+        return [
+            f"{rows} {'is a copy' if often == 1 else 'are copies'} of the row of the same time"
+            f"{place} and {were} left out."
+        ]
+    spread = ", ".join(f"{name} {size:.3g}" for name, size in noise.items())
     notes = [
-        f"{often} rows repeat a time of {time!r} and were averaged with it as replicates of one "
-        f"moment; their standard deviation is the noise: {spread}."
+        f"{rows} {'repeats' if often == 1 else 'repeat'} a time of {time!r}{place} and {were} "
+        f"averaged with it as replicates of one moment; their standard deviation is the noise: "
+        f"{spread}."
     ]
     ordered = [name for name in states if _is_ordered(grouping, t, values[name])]
     if ordered and any(noise.values()):
@@ -178,6 +188,13 @@ def _tell_repeats(
             "(--trajectory); where the clock is only coarse, give finer times."
         )
     return notes
+
+
+def _first_repeated(grouping: Grouping, t: np.ndarray) -> float:
+    """Give the first time that is there twice in a trajectory."""
+    order = np.lexsort([t, grouping.codes])
+    again = (np.diff(t[order]) == 0) & (np.diff(grouping.codes[order]) == 0)
+    return float(t[order][1:][again][0])
 
 
 def pooled_noise(runs: Sequence[Run], names: Sequence[str]) -> dict[str, float]:

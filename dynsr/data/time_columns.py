@@ -15,6 +15,7 @@ from dynsr.data.times import (
     Moments,
     count_seconds,
     is_time_name,
+    read_counted,
     read_nanoseconds,
     read_numbers_as_dates,
     read_times,
@@ -154,7 +155,7 @@ class _Look:
             elif values.dtype.kind == "m" and np.datetime_data(values.dtype)[0] in "YM":
                 self._read[name] = None  # years and months are of no fixed length
             else:
-                found = read_times(values)
+                found = read_times(values, name)
                 found = read_nanoseconds(values, name) if found is None else found
                 if found is None and (numbers := _as_numbers(values)) is not None:
                     found = read_numbers_as_dates(numbers, name)
@@ -180,7 +181,13 @@ class _Look:
                 notes=notes,
             )
         numbers = self._numbers(name)
-        return None if numbers is None else Times(name, numbers, unit_in_name(name))
+        if numbers is not None:
+            return Times(name, numbers, unit_in_name(name))
+        values = self._values(name)
+        counted = read_counted(values) if values.dtype.kind == "O" else None
+        if counted is None or len(set(counted[1])) > 1:
+            return None
+        return Times(name, counted[0], counted[1][0] or unit_in_name(name))
 
     def named(self, time: str | Sequence[str]) -> Times:
         """Give the times that the caller named."""
@@ -209,6 +216,15 @@ class _Look:
     def _refuse(self, name: str) -> None:
         self._columns.check_usable([name])
         values = self._values(name)
+        rows = _first_of_each_form(values)
+        if len(rows) > 1 and all(read_times(values[[i]], name) is not None for i in rows):
+            first = rows[0]
+            other = next((i for i in rows if read_times(values[[first, i]], name) is None), rows[1])
+            raise InputError(
+                f"time {name!r} of {self._columns.label} is written in two ways: "
+                f"{str(values[first])[:40]!r} in row {first + 1} and {str(values[other])[:40]!r} "
+                f"in row {other + 1}; write all dates in one way, such as 2024-12-31"
+            )
         row = next(
             (i for i, cell in enumerate(values) if _as_numbers(values[i : i + 1]) is None), 0
         )
@@ -377,6 +393,14 @@ def _as_numbers(values: np.ndarray) -> np.ndarray | None:
         return as_floats([np.nan if cell is None else float(cell) for cell in values], "t")
     except (TypeError, ValueError, OverflowError, InputError):
         return None
+
+
+def _first_of_each_form(values: np.ndarray) -> list[int]:
+    """Give the first row of each pattern of digits and letters that the cells of a column have."""
+    found: dict[str, int] = {}
+    for row, cell in enumerate(values):
+        found.setdefault(re.sub(r"[^\W\d_]", "a", re.sub(r"\d", "9", str(cell))), row)
+    return sorted(found.values())
 
 
 def _moves(t: np.ndarray) -> bool:

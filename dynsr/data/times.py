@@ -31,7 +31,7 @@ _WORDS = {
 _SHORTEST = 3
 _DAY = 86400.0
 _NAMES = (
-    r"t|(?:unix|epoch|posix).?(?:time|timestamp|seconds)?|times?|timestamps?|time.?stamps?|date.{0,3}time|dates?|elapsed.*|secs?|seconds?|zeit|datum|"
+    r"t|(?:unix|epoch|posix).?(?:time|timestamp|seconds)?|times?|timestamps?|time.?stamps?|time.?points?|date.{0,3}time|dates?|elapsed.*|secs?|seconds?|zeit|datum|"
     r"uhrzeit|zeitpunkt|zeitstempel|tiempo|fecha|hora|temps|heure|tempo|ora|tijd|tijdstip|czas|"
     r"время|дата|时间|時間|日期|日時"
 )
@@ -59,6 +59,15 @@ _CLOCK = (
 )
 _ZONE = r"\s*(?P<zone>Z|UTC|GMT|[+-]\d\d:?\d\d)?"
 _TIME_OF_DAY = re.compile(_CLOCK + _ZONE)
+# A name that says minutes and seconds, such as "elapsed (min:s)" or "time mm:ss".
+_STOPWATCH = re.compile(r"\b(m{1,2}|min)\s*:\s*(s{1,2}|sec)\b", re.IGNORECASE)
+# A word and a number in every cell, such as "Day 3", "week_2", "T12" or "t=0.5 h".
+_COUNTED = re.compile(
+    r"(?P<word>[^\W\d_]*)[\s_.=:#-]*(?P<number>\d+(?:[.,]\d+)?)\s*(?P<unit>[^\W\d_]*)"
+)
+_COUNTING = ("", "t", "tp", "time", "timepoint", "point", "zeit", "zeitpunkt")
+_QUARTER = re.compile(r"(?P<year>\d{4})[\s./-]*Q(?P<quarter>[1-4])", re.IGNORECASE)
+_WEEK = re.compile(r"(?P<year>\d{4})[\s-]*W(?P<week>\d\d)(?:-?(?P<day>[1-7]))?", re.IGNORECASE)
 _STAMP = re.compile(
     r"(?:[^\W\d]{2,10}\.?,?\s+)?(?P<a>\d{1,4})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<c>\d{2,4})\.?"
     rf"(?:[\s,T_]+{_CLOCK})?{_ZONE}"
@@ -276,8 +285,53 @@ def check_time_unit(text: object) -> str:
     return str(text) if text in _WORDS else ""
 
 
-def read_times(cells: np.ndarray) -> Moments | None:
+def read_counted(cells: np.ndarray) -> tuple[np.ndarray, list[str]] | None:
+    """Read cells of a word and a number, such as "Day 3" or "T12"; None where they are not.
+
+    Parameters
+    ----------
+    cells : (n,) objects; empty ones are NaN.
+
+    Gives the (n,) numbers, and the unit of each cell that is not empty, "" where the word is no
+    unit.
+
+    >>> read_counted(np.array(["Day 0", "Day 7", "Day 14"], dtype=object))
+    (array([ 0.,  7., 14.]), ['days', 'days', 'days'])
+    """
+    found = [
+        None if _is_missing(cell) else _COUNTED.fullmatch(cell.strip())
+        for cell in cells
+        if _is_missing(cell) or isinstance(cell, str)
+    ]
+    there = [match for match in found if match is not None]
+    empty = sum(map(_is_missing, cells))
+    if not there or len(there) + empty < len(cells):
+        return None
+    units = []
+    for match in there:
+        before, after = _unit_of_word(match["word"]), _unit_of_word(match["unit"])
+        plain = match["word"].lower() in _COUNTING
+        if (match["unit"] and not after) or not (plain or before) or (before and after):
+            return None
+        units.append(before or after)
+    values = np.full(len(cells), np.nan)
+    values[[not _is_missing(cell) for cell in cells]] = [
+        float(match["number"].replace(",", ".")) for match in there
+    ]
+    return values, units
+
+
+def _unit_of_word(word: str) -> str:
+    return next((u for u, words in _WORDS.items() if re.fullmatch(words, word, re.IGNORECASE)), "")
+
+
+def read_times(cells: np.ndarray, name: str = "") -> Moments | None:
     """Read cells that are dates or durations, as text or objects; None where they are not.
+
+    Parameters
+    ----------
+    cells : (n,) objects.
+    name : that of the column, which may say that a clock shows minutes and seconds.
 
     ISO 8601 is read; dates of numbers between points, slashes or hyphens, whose day and month are
     distinguished by all of them together; names of months; clocks of 12 or 24 hours, alone or after
@@ -295,7 +349,7 @@ def read_times(cells: np.ndarray) -> Moments | None:
         return Moments(np.array([_or_nat(c, "m") for c in cells], dtype="timedelta64[ns]"))
     if all(isinstance(cell, clock_time) for cell in there):
         texts = [None if _is_missing(cell) else cell.isoformat() for cell in cells]
-        return _read_clocks(texts)
+        return _read_clocks(texts, name)
     if all(isinstance(cell, date) for cell in there):
         import pandas
 
@@ -304,7 +358,7 @@ def read_times(cells: np.ndarray) -> Moments | None:
     if not all(isinstance(cell, str) for cell in there) or not any(map(str.isdigit, there[0])):
         return None
     texts = [None if _is_missing(cell) else cell.strip() for cell in cells]
-    return _read_text(texts)
+    return _read_text(texts, name)
 
 
 def _is_missing(cell: Any) -> bool:
@@ -315,8 +369,8 @@ def _or_nat(cell: Any, kind: str) -> Any:
     return np.timedelta64("NaT") if _is_missing(cell) else np.timedelta64(cell)
 
 
-def _read_text(texts: list[str | None]) -> Moments | None:
-    found = _read_clocks(texts)
+def _read_text(texts: list[str | None], name: str) -> Moments | None:
+    found = _read_clocks(texts, name)
     if found is not None:
         return found
     import pandas
@@ -326,7 +380,16 @@ def _read_text(texts: list[str | None]) -> Moments | None:
         full = [c if c is None or c.count(":") != 1 else f"{c}:00" for c in texts]
         read = _attempt(lambda: pandas.to_timedelta(full).to_numpy())
         return None if read is None else Moments(read)
+    counted = read_counted(np.array(texts, dtype=object))
+    if counted is not None and len(set(counted[1])) > 1 and set(counted[1]) <= set(_SECONDS):
+        values = np.full(len(texts), np.timedelta64("NaT"), dtype="timedelta64[ns]")
+        there = np.isfinite(counted[0])
+        sizes = np.array([_SECONDS[unit] for unit in counted[1]])
+        values[there] = np.round(counted[0][there] * sizes * 1e9).astype("int64")
+        return Moments(values)
     stamps = _read_stamps(texts)
+    if stamps is None:
+        stamps = _read_parts_of_years(texts)
     if stamps is None:
         stamps = _attempt(
             lambda: pandas.to_datetime(texts, format="ISO8601", utc=True).tz_localize(None)
@@ -350,7 +413,32 @@ def _has_month(text: str) -> bool:
     return any(word[:3] in _MONTHS for word in map(str.lower, _MONTH.findall(text)))
 
 
-def _read_clocks(texts: Sequence[str | None]) -> Moments | None:
+def _read_parts_of_years(texts: Sequence[str | None]) -> np.ndarray | None:
+    """Read quarters and weeks of years, such as 2021-Q3 and 2021-W07, as the day they begin."""
+    for pattern in (_QUARTER, _WEEK):
+        found = [None if text is None else pattern.fullmatch(text) for text in texts]
+        if any(t is not None and m is None for t, m in zip(texts, found, strict=True)):
+            continue
+        days: list[date | None] = []
+        for match in found:
+            if match is None:
+                days.append(None)
+            elif pattern is _QUARTER:
+                days.append(date(int(match["year"]), 3 * int(match["quarter"]) - 2, 1))
+            else:
+                try:
+                    days.append(
+                        date.fromisocalendar(
+                            int(match["year"]), int(match["week"]), int(match["day"] or 1)
+                        )
+                    )
+                except ValueError:  # there is no such week
+                    return None
+        return np.array(days, dtype="datetime64[D]").astype("datetime64[ms]")
+    return None
+
+
+def _read_clocks(texts: Sequence[str | None], name: str = "") -> Moments | None:
     """Read times of the day, or of a stopwatch: 14:05, 2:05 PM, 0:31.25."""
     found = [None if text is None else _TIME_OF_DAY.fullmatch(text) for text in texts]
     if any(text is not None and match is None for text, match in zip(texts, found, strict=True)):
@@ -358,11 +446,20 @@ def _read_clocks(texts: Sequence[str | None]) -> Moments | None:
     seconds = [np.nan if match is None else _seconds_of(match) for match in found]
     if any(np.isinf(seconds)):
         return None
+    two = all(m is None or (m["s"] is None and not m["f"] and not m["half"]) for m in found)
+    minutes = two and _STOPWATCH.search(name) is not None
+    if minutes:
+        seconds = [second / 60.0 for second in seconds]
     values = np.full(len(seconds), np.timedelta64("NaT"), dtype="timedelta64[ns]")
     there = np.isfinite(seconds)
     values[there] = np.round(np.array(seconds)[there] * 1e9).astype("int64")
     within = bool(np.all(np.array(seconds)[there] < _DAY))
-    return Moments(values, clock=within)
+    if minutes:
+        return Moments(values, "minutes and seconds")
+    # A count from 0:00, or beyond a day, may be one of minutes and seconds too.
+    elapsed = two and (not within or np.array(seconds)[there][0] == 0)
+    written = "hours and minutes; if these are minutes and seconds, call it 'time (min:s)'"
+    return Moments(values, written if elapsed else "", clock=within)
 
 
 def _seconds_of(match: re.Match[str]) -> float:

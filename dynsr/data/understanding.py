@@ -196,7 +196,7 @@ def _below_each_other(
     stacked, rows, label = stack_replicates(columns, found)
     first = found.columns[0]
     note = (
-        f"Columns such as {first!r} hold {', '.join(found.stems[:6])} of {len(found.members)} runs "
+        f"Columns such as {first!r} are {', '.join(found.stems[:6])} of {len(found.members)} runs "
         f"side by side, called {label} {', '.join(list(found.members)[:6])}; --states "
         f"{','.join(map(clean_name, found.columns[:2]))},... takes them for states of one run."
     )
