@@ -269,6 +269,30 @@ def test_columns_are_guessed_and_corrected(page):
     assert parts["table"]["error"] == both
 
 
+def test_how_an_input_goes_on_between_rows_is_chosen(page):
+    """The page shows what an input does between rows, and takes another choice."""
+    text = "t,x,u\n" + "\n".join(f"{k},{k**1.5:.4f},{k // 4 % 2}" for k in range(24))
+    table = page.drop(text)["table"]
+    assert {c["name"]: c["way"] for c in table["columns"]} == {"t": "", "x": "", "u": "previous"}
+    roles = {c["name"]: c["role"] for c in table["columns"]}
+    assert page.post("columns", roles=roles, units={}, ways={"u": "linear"}) == (200, "")
+    table = page.wait(lambda parts: not parts["busy"])["table"]
+    assert [c["way"] for c in table["columns"]] == ["", "", "linear"]
+    assert "u (linear)" in table["guess"]
+
+
+def test_a_column_of_doses_is_chosen(page):
+    """A column of amounts is given to a state, and the search follows no jump."""
+    x = [8 * 0.8 ** (k % 12) for k in range(36)]
+    lines = [f"{k},{x[k] if k % 12 else x[k - 1] * 0.8},{8 * (k % 12 == 0)}" for k in range(36)]
+    table = page.drop("t,x,dose\n" + "\n".join(lines))["table"]
+    roles = {c["name"]: c["role"] for c in table["columns"]} | {"dose": "dose"}
+    page.post("columns", roles=roles, units={}, ways={"dose": "x"})
+    table = page.wait(lambda parts: not parts["busy"])["table"]
+    assert "x jumps by dose" in table["guess"] and table["error"] == ""
+    assert table["columns"][2]["way"] == "x"
+
+
 @pytest.mark.parametrize(
     ("head", "rows", "roles", "states", "runs"),
     [

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import dynsr
-from dynsr.data import Trajectory, choose_samples, cut_at_doses
-from dynsr.errors import DynsrWarning
+from dynsr.data import Trajectory, choose_samples, cut_at_doses, take_trajectories
+from dynsr.errors import DynsrWarning, InputError
 
 RATE = 0.6
 
@@ -117,3 +117,74 @@ def test_the_law_of_noisy_doses_is_found() -> None:
     assert abs(two.value) == pytest.approx(2.0, rel=0.05)
     assert three.value == pytest.approx(3.0, rel=0.05)
     assert three.low <= 3.0 <= three.high
+
+
+def given_at(times, given):
+    """Give a concentration that falls by 0.3 per hour, with these doses of 10 in it already."""
+    return sum(np.where(times >= at, 10 * np.exp(-0.3 * (times - at)), 0.0) for at in given)
+
+
+def write_doses(path, empty):
+    """Write a table with doses at 0, 8 and 16, each measured before it; other cells are empty."""
+    t = np.arange(0, 24.5, 0.5)
+    x = given_at(t - 1e-9, (0, 8, 16))
+    cells = [f"{a},{b:.5f},{10 if a in (0, 8, 16) else empty}" for a, b in zip(t, x, strict=True)]
+    path.write_text("\n".join(["time,conc,dose", *cells]))
+    return path
+
+
+def test_amounts_that_nobody_explained_are_refused(tmp_path):
+    """A column of amounts with empty cells elsewhere is no input: the message shows the option."""
+    path = write_doses(tmp_path / "doses.csv", "")
+    with pytest.raises(InputError) as caught:
+        dynsr.describe(path)
+    assert "amounts in 3 rows of 49" in str(caught.value)
+    assert "--dose conc=dose" in str(caught.value) and "--states conc" in str(caught.value)
+    assert dynsr.describe(path, states=["conc"]).inputs == ()
+
+
+def test_amounts_with_zeros_elsewhere_are_an_input_and_it_is_said(tmp_path):
+    """A pulse may be an input or a dose: the note and the options show both."""
+    found = dynsr.describe(write_doses(tmp_path / "doses.csv", "0"))
+    assert found.inputs == ("dose",) and "--dose conc=dose" in found.options
+    assert any("'dose' is 0 but in 3 rows" in note for note in found.notes)
+
+
+def test_doses_are_described(tmp_path):
+    """A description shows which state jumps, by which column and how often; JSON has it."""
+    path = write_doses(tmp_path / "doses.csv", "")
+    found = dynsr.describe(path, doses={"conc": "dose"})
+    assert found.states == ("conc",) and found.inputs == ()
+    assert "conc jumps by dose after 3 rows" in str(found)
+    assert found.to_dict()["doses"] == {"conc": "dose"}
+    shell = command_line.run("describe", str(path), "--dose", "conc=dose").stdout
+    assert "conc jumps by dose after 3 rows" in shell
+
+
+def test_a_table_of_nonmem_is_cut_at_its_doses(tmp_path):
+    """Codes are left out, and a measurement written below a dose of its time is one after it."""
+    t = np.arange(0, 24.5, 0.5)
+    lines = ["ID,TIME,AMT,DV,EVID"]
+    for run in (1, 2):
+        for a, x in zip(t, given_at(t, (0, 8, 16)), strict=True):
+            lines += [f"{run},{a},10,.,1"] if a in (0, 8, 16) else []
+            lines.append(f"{run},{a},.,{run * x:.5f},0")
+    path = tmp_path / "pk.csv"
+    path.write_text("\n".join(lines))
+    found = dynsr.describe(path, doses={"DV": "AMT"})
+    assert set(found.left_out) == {"EVID"}
+    assert [run.rows for run in found.trajectories] == [16, 16, 17] * 2
+    assert [run.first for run in found.trajectories] == [0, 8, 16] * 2
+    parts, _ = take_trajectories(path, doses={"DV": "AMT"})
+    for part in parts:
+        slopes = np.diff(np.log(part.x[:, 0])) / np.diff(part.t)
+        assert np.all(slopes < 0)  # no part has a jump inside
+
+
+def test_doses_that_other_columns_repeat_are_refused(tmp_path):
+    """A column of further doses cannot be left out without a word."""
+    path = tmp_path / "pk.csv"
+    rows = "\n".join(f"{a},{10 if a == 0 else '.'},{20 - a},{1 - (a > 0)},5" for a in range(12))
+    path.write_text(f"TIME,AMT,DV,EVID,ADDL\n{rows}")
+    with pytest.raises(InputError, match=r"'ADDL' of pk\.csv is 5 in row 1"):
+        dynsr.describe(path, doses={"DV": "AMT"})

@@ -146,14 +146,22 @@ class Desk:
         self._go_on()
         return ended
 
-    def ask_again(self, roles: Mapping[str, str], units: Mapping[str, str]) -> None:
+    def ask_again(
+        self, roles: Mapping[str, str], units: Mapping[str, str], ways: Mapping[str, str]
+    ) -> None:
         """Have the file read with other roles and units of its columns.
+
+        Parameters
+        ----------
+        roles, units, ways : as for :meth:`dynsr.app.work.Work.read`.
 
         Raises InputError when there is none, or while a search runs.
         """
         if self._source is None:
             raise InputError("there are no data; drop a file first")
-        self.ask(READ, **{**self._source, "roles": dict(roles), "units": dict(units)})
+        self.ask(
+            READ, **{**self._source, "roles": dict(roles), "units": dict(units), "ways": dict(ways)}
+        )
 
     def place_for(self, name: str) -> Path:
         """Give a path for a file that comes in; :meth:`read` or :meth:`drop` it in the end."""

@@ -284,7 +284,8 @@ class _Wish(_Guarded):
         """Do what a button of the page is for."""
         given = self._read()
         if wish == "columns":
-            self.desk.ask_again(_words(given, "roles"), _words(given, "units"))
+            ways = _words(given, "ways") if "ways" in given else {}
+            self.desk.ask_again(_words(given, "roles"), _words(given, "units"), ways)
         elif wish == "search":
             self.desk.ask(SEARCH, options=_mapping(given, "options"))
         elif wish == "redraw":

@@ -19,6 +19,7 @@ from dynsr.data import (
     Columns,
     bracketed_unit,
     column_units,
+    cut_at_doses,
     describe_table,
     in_unit,
     load_columns,
@@ -54,7 +55,7 @@ REPORT, CODE, RECORD = FILES = ("report.html", "model.py", "discovery.json")
 # What was found, for a process that takes the place of one that was ended by force.
 _KEPT = "kept.json"
 TIME, TRAJECTORY, QUANTITY = "time", "trajectory", "quantity"
-STATE, INPUT, UNUSED = "state", "input", "unused"
+STATE, INPUT, DOSE, UNUSED = "state", "input", "dose", "unused"
 _PREVIEW_ROWS = 8
 _LONGEST_CELL = 40
 # A picture of more rows shows no more, and more columns are no preview.
@@ -89,6 +90,7 @@ class Work:
         self._runs: list[Trajectory] = []
         self._names: list[str] = []
         self._units: dict[str, str] = {}
+        self._doses: dict[str, str] = {}
         self._found: Discovery | None = None
 
     def offer(self) -> None:
@@ -103,6 +105,7 @@ class Work:
         path: str,
         roles: Mapping[str, str] | None = None,
         units: Mapping[str, str] | None = None,
+        ways: Mapping[str, str] | None = None,
     ) -> None:
         """Read a file and show its columns, with the roles that are guessed or given.
 
@@ -111,6 +114,7 @@ class Work:
         path : the file.
         roles : column -> its role; guessed by default.
         units : column -> its unit; by default that in its name.
+        ways : input -> what it does between rows; column of doses -> the state that jumps by them.
 
         Columns are shown also where they cannot be used, with the reason. Raises InputError where
         not even columns can be distinguished.
@@ -125,10 +129,10 @@ class Work:
         given = {n: u for n, u in (units or {}).items() if n in columns.names and u.strip()}
         with _heard() as notes:
             try:
-                view = self._understand(columns, roles, given)
+                view = self._understand(columns, roles, given, ways or {})
             except InputError as error:
                 guessed = roles or {n: STATE for n in columns.names if _is_number(columns, n)}
-                view = {**_describe(columns, guessed, given), "error": one_line(error)}
+                view = {**_describe(columns, guessed, given, ways or {}), "error": one_line(error)}
         self._say("table", {**view, "notes": list(dict.fromkeys([*notes, *view["seen"]]))})
         self._say("preview", self._preview() if self._runs else None)
 
@@ -142,7 +146,11 @@ class Work:
         return {"svg": svg, "said": " ".join(filter(None, (which, some)))}
 
     def _understand(
-        self, columns: Columns, roles: Mapping[str, str] | None, units: Mapping[str, str]
+        self,
+        columns: Columns,
+        roles: Mapping[str, str] | None,
+        units: Mapping[str, str],
+        ways: Mapping[str, str],
     ) -> dict[str, Any]:
         if roles is None:
             table = read_trajectories(columns)
@@ -161,12 +169,15 @@ class Work:
                 of[INPUT],
                 of[TRAJECTORY] or None,
                 quantity=next(iter(of[QUANTITY]), "none"),
+                hold={n: ways[n] for n in of[INPUT] if ways.get(n)} or None,
+                doses=_given_to(of[DOSE], of[STATE], ways),
             )
         found = table.roles
         assert found is not None
         if roles is None:
             named = dict.fromkeys((found.time, found.clock), TIME)
             named |= dict.fromkeys(found.inputs, INPUT)
+            named |= dict.fromkeys(found.doses.values(), DOSE)
             named |= dict.fromkeys(found.trajectory, TRAJECTORY)
             named |= dict.fromkeys((*found.states, *found.reshaped), STATE)
             named[found.quantity] = QUANTITY
@@ -182,8 +193,11 @@ class Work:
         }
         described = describe_table(table)
         self._names = [run.name for run in described.trajectories]
+        self._doses = dict(described.doses)
+        ways = {n: described.hold.get(found.renamed.get(n, ""), "") for n in found.inputs}
+        ways |= {column: state for state, column in found.doses.items()}
         return {
-            **_describe(columns, roles, units),
+            **_describe(columns, roles, units, ways),
             "guess": table.guess,
             "seen": _seen(described),
             "states": list(self._runs[0].states),
@@ -205,7 +219,13 @@ class Work:
         settings = self._read_options(options)
         watch = Live(self._runs[0].states, self._say)
         with _heard() as notes:
-            found = discover(list(self._runs), jobs=self._jobs, progress=watch, **settings)
+            found = discover(
+                list(self._runs),
+                jobs=self._jobs,
+                progress=watch,
+                doses=self._doses or None,
+                **settings,
+            )
         self._take(found, notes)
         self.redraw({}, 0)
 
@@ -221,12 +241,16 @@ class Work:
         asked |= {"column_units": asked["units"]} if "units" in asked else {}
         known = {n: asked[n] for n in _OF_RECORD if n in asked}
         exprs = {state: parse(text) for state, text in formulas.items()}
-        self._take(keep_formulas(exprs, self._runs, **known), [])
+        self._take(keep_formulas(exprs, self._parts(), **known), [])
 
     def restore(self) -> None:
         """Take again what was found by a process that was ended by force later."""
-        found = beside_data(Discovery.load(self._folder / _KEPT), self._runs)
+        found = beside_data(Discovery.load(self._folder / _KEPT), self._parts())
         self._take(found, [])
+
+    def _parts(self) -> list[Trajectory]:
+        """Give the trajectories as a search has them: cut where doses are given."""
+        return cut_at_doses(self._runs, self._doses or None)
 
     def _read_options(self, options: Mapping[str, Any]) -> dict[str, Any]:
         settings = read_options(options, self._runs[0].states)
@@ -239,7 +263,9 @@ class Work:
     def _take(self, found: Discovery, notes: Sequence[str]) -> None:
         self._found = found
         found.save(self._folder / _KEPT)
-        more = {"notes": list(dict.fromkeys(notes)), "runs": self._names}
+        count = len(found.carried)
+        names = self._names if len(self._names) == count else [str(i + 1) for i in range(count)]
+        more = {"notes": list(dict.fromkeys(notes)), "runs": names}
         self._say("found", {**show_found(found), **more})
 
     def write(self, name: str) -> None:
@@ -291,7 +317,22 @@ class Work:
         self._say("picture", content)
 
 
-_ROLES = (TIME, TRAJECTORY, QUANTITY, STATE, INPUT, UNUSED)
+_ROLES = (TIME, TRAJECTORY, QUANTITY, STATE, INPUT, DOSE, UNUSED)
+
+
+def _given_to(
+    columns: Sequence[str], states: Sequence[str], ways: Mapping[str, str]
+) -> dict[str, str] | None:
+    """Give state -> column of its doses; the first state where the page named none."""
+    found: dict[str, str] = {}
+    for name in columns:
+        state = ways.get(name) or next(iter(states), "")
+        if state in found:
+            raise InputError(
+                f"columns {found[state]!r} and {name!r} are both doses of {state!r}; add them up"
+            )
+        found[state] = name
+    return found or None
 
 
 @contextmanager
@@ -334,7 +375,10 @@ def _counted_in(runs: Sequence[Trajectory], unit: str) -> list[Trajectory]:
 
 
 def _describe(
-    columns: Columns, roles: Mapping[str, str], units: Mapping[str, str]
+    columns: Columns,
+    roles: Mapping[str, str],
+    units: Mapping[str, str],
+    ways: Mapping[str, str],
 ) -> dict[str, Any]:
     """Give what the page shows of columns: names, roles, units and the first rows."""
     shown_names = columns.names[:_MOST_COLUMNS]
@@ -348,6 +392,7 @@ def _describe(
                 "kind": kinds.get(values.dtype.kind, "text"),
                 "role": roles.get(name, UNUSED),
                 "unit": units.get(name, ""),
+                "way": ways.get(name, ""),
                 "cells": [_cell(value) for value in values[:_PREVIEW_ROWS]],
             }
             for name, values in zip(shown_names, columns.values, strict=False)

@@ -32,6 +32,7 @@ def load_table(
     decimal: str | None = None,
     say: Callable[[str], None] = output.note,
     noise: options.Names = None,
+    doses: options.Names = None,
 ) -> list[Trajectory]:
     """Read the trajectories of files and say how their columns were understood."""
     from dynsr.data import read_trajectories
@@ -48,6 +49,7 @@ def load_table(
             decimal=decimal,
             hold=options.read_hold(hold),
             noise=options.read_noise(noise),
+            doses=options.read_doses(doses),
         )
     warned = {str(warning.message) for warning in caught}
     for own in caught:
@@ -158,6 +160,7 @@ def describe(
     decimal: options.Decimal = None,
     hold: options.Hold = None,
     noise: options.KnownNoise = None,
+    doses: options.Doses = None,
     json: options.Json = False,
 ) -> None:
     """Show how a table is understood and what looks odd in it, without a search.
@@ -180,6 +183,7 @@ def describe(
         decimal=decimal,
         hold=options.read_hold(hold),
         noise=options.read_noise(noise),
+        doses=options.read_doses(doses),
     )
     if json:
         output.print_json(found.to_dict())

@@ -363,6 +363,7 @@ def discover(
                 decimal,
                 notes.say,
                 noise,
+                doses,
             )
         else:
             given = [*(columns or []), *formulas]

@@ -32,6 +32,7 @@ def describe(
     decimal: str | None = None,
     hold: Mapping[str, str] | str | None = None,
     noise: Mapping[str, Any] | None = None,
+    doses: Mapping[str, str] | None = None,
     max_rows: int = MAX_ROWS,
     settings: OddSettings = _SETTINGS,
 ) -> Description:
@@ -43,7 +44,7 @@ def describe(
     ----------
     source : what :func:`dynsr.data.read_trajectories` reads: a file, a frame, a mapping of columns,
         arrays, a Trajectory, or a list of these.
-    time, states, inputs, trajectory, quantity, decimal, hold, noise, max_rows : as for
+    time, states, inputs, trajectory, quantity, decimal, hold, noise, doses, max_rows : as for
         :func:`dynsr.data.read_trajectories`.
     settings : the numbers that decide what looks odd.
 
@@ -67,6 +68,7 @@ def describe(
             decimal=decimal,
             hold=hold,
             noise=noise,
+            doses=doses,
             max_rows=max_rows,
         )
     heard = [one_line(w.message) for w in caught if issubclass(w.category, DynsrWarning)]

@@ -98,6 +98,8 @@ class Description:
     units : column -> its unit, where the source says one.
     renamed : column of the source -> its name in formulas, where the two differ.
     noise : state -> the column of its measurement errors.
+    doses : state -> the column of the amounts by which it jumps.
+    given : state -> how many rows have such an amount.
     labels : columns that only distinguish trajectories.
     left_out : column that is not used -> why.
     notes : sentences on what was noticed, assumed, or looks odd.
@@ -120,6 +122,8 @@ class Description:
     left_out: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     options: Mapping[str, str] = field(default_factory=dict)
+    doses: Mapping[str, str] = field(default_factory=dict)
+    given: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:
@@ -145,6 +149,7 @@ class Description:
         ]
         if inputs:
             clauses.append(f"inputs {', '.join(inputs)}")
+        clauses += [f"{state} jumps by {column}" for state, column in self.doses.items()]
         if self.parameters:
             names = ", ".join(self.parameters)
             clauses.append(f"constant within each trajectory, so taken for parameters: {names}")
@@ -186,6 +191,7 @@ class Description:
             "units": dict(self.units),
             "renamed": dict(self.renamed),
             "noise": dict(self.noise),
+            "doses": dict(self.doses),
             "labels": list(self.labels),
             "left_out": dict(self.left_out),
             "notes": list(self.notes),
@@ -222,6 +228,15 @@ class Description:
         parameters = ", ".join(map(self._named, self.parameters))
         yield "parameters", [parameters] if parameters else []
         yield "noise", [f"of {state}: {column!r}" for state, column in self.noise.items()]
+        yield (
+            "doses",
+            [
+                f"{state} jumps by {column} after {_count_rows(self.given[state])}"
+                if self.given[state]
+                else f"{state} jumps by {column} where a trajectory begins"
+                for state, column in self.doses.items()
+            ],
+        )
         yield "labels", [", ".join(map(repr, self.labels))] if self.labels else []
         yield "left out", [f"{column!r}: {why}" for column, why in self.left_out.items()]
         yield "notes", list(self.notes)
@@ -240,6 +255,18 @@ class Description:
         ]
         hidden = len(self.trajectories) - _MOST_RUNS
         return [*lines, f"and {hidden} more"] if hidden > 0 else lines
+
+
+def _count_rows(count: int) -> str:
+    return "1 row" if count == 1 else f"{count} rows"
+
+
+def _count_given(runs: Sequence[Trajectory], doses: Mapping[str, str]) -> dict[str, int]:
+    """State -> in how many rows an amount is given to it."""
+    return {
+        state: sum(int(np.sum(run.by_name[column] != 0)) for run in runs)
+        for state, column in doses.items()
+    }
 
 
 def describe_runs(
@@ -270,7 +297,9 @@ def describe_runs(
     )
     used = {name: roles.renamed[name] for name in (*roles.states, *roles.inputs)}
     parameters = tuple(used[name] for name in roles.parameters)
-    inputs = tuple(used[name] for name in roles.inputs if name not in roles.parameters)
+    doses = {used[state]: used[column] for state, column in roles.doses.items()}
+    apart = {*roles.parameters, *roles.doses.values()}
+    inputs = tuple(used[name] for name in roles.inputs if name not in apart)
     found = Description(
         source,
         time,
@@ -287,8 +316,11 @@ def describe_runs(
         roles.labels,
         dict(left_out),
         tuple(notes),
+        doses=doses,
+        given=_count_given(runs, doses),
     )
-    return replace(found, options=dict(_options(found)))
+    amounts = [used[name] for name in roles.amounts]
+    return replace(found, options=dict(_options(found, amounts)))
 
 
 def _rows_of(run: Trajectory, number: int) -> RunRows:
@@ -296,9 +328,12 @@ def _rows_of(run: Trajectory, number: int) -> RunRows:
     return RunRows(name, len(run), float(run.t[0]), float(run.t[-1]))
 
 
-def _options(found: Description) -> Iterator[tuple[str, str]]:
+def _options(found: Description, amounts: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Give the options that would change a description, with what comes of each."""
     columns = [name for name in found.inputs if name not in found.formulas]
+    for name in amounts:
+        for state in found.states[:2]:
+            yield f"--dose {state}={name}", f"{state} jumps by {name}, right after such a row"
     for name in columns:
         yield f"--states {','.join([*found.states, name])}", f"{name} is a state too"
     for name in columns:
@@ -338,7 +373,9 @@ def join_descriptions(
         for name, run in zip(names, runs, strict=True)
     ]
     notes = [*([joined] if joined else []), *(note for part in parts for note in part.notes)]
-    inputs = [n for n in runs[0].input_names if not any(n in part.parameters for part in parts)]
+    doses = {state: column for part in parts for state, column in part.doses.items()}
+    apart = {*doses.values(), *(name for part in parts for name in part.parameters)}
+    inputs = [name for name in runs[0].input_names if name not in apart]
     formulas = {name: text for part in parts for name, text in part.formulas.items()}
     return replace(
         first,
@@ -361,6 +398,8 @@ def join_descriptions(
         labels=tuple(dict.fromkeys(name for part in parts for name in part.labels)),
         left_out={name: why for part in parts for name, why in part.left_out.items()},
         notes=tuple(dict.fromkeys(notes)),
+        doses=doses,
+        given=_count_given(runs, doses),
     )
 
 

@@ -19,7 +19,7 @@ import sympy
 
 from dynsr.data.columns import Columns, beside, load_columns, names_of_states, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
-from dynsr.data.dosing import cut_at_doses
+from dynsr.data.dosing import cut_at_doses, read_doses
 from dynsr.data.grouping import find_restarts
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
@@ -67,6 +67,7 @@ def read_trajectories(
     decimal: str | None = None,
     hold: Mapping[str, str] | str | None = None,
     noise: Mapping[str, Any] | None = None,
+    doses: Mapping[str, str] | None = None,
     max_rows: int = MAX_ROWS,
 ) -> Table:
     """Read one or many trajectories from a table, a file of one, or a list of such sources.
@@ -94,6 +95,8 @@ def read_trajectories(
     noise : state -> its measurement errors: a standard deviation in its units, a share of its size
         such as "5 %", or the column of them. By default they are estimated; those of a column that
         is called so, such as x_sd, then say how rows differ.
+    doses : state -> column of the amounts by which it jumps right after a row; an empty cell is 0.
+        The trajectories keep the column as an input, at which ``dynsr.discover`` cuts them.
     max_rows : more rows than this are thinned evenly, with a DynsrWarning.
 
     Times may be uneven, and rows may be in any order where it is known which belong together.
@@ -117,10 +120,21 @@ def read_trajectories(
         _chosen(quantity),
         errors,
         max_rows,
+        read_doses(doses),
     )
     if isinstance(source, list):
         return _read_list(
-            source, time, states, inputs, trajectory, quantity, decimal, hold, noise, max_rows
+            source,
+            time,
+            states,
+            inputs,
+            trajectory,
+            quantity,
+            decimal,
+            hold,
+            noise,
+            asked.doses,
+            max_rows,
         )
     times = None if time is None or _is_named(time, source) else time
     name: Any = time if times is None else "t"
@@ -212,6 +226,7 @@ def _read_list(
     decimal: str | None,
     hold: Mapping[str, str] | str | None,
     noise: Mapping[str, Any] | None,
+    doses: Mapping[str, str],
     max_rows: int,
 ) -> Table:
     if not sources:
@@ -231,6 +246,7 @@ def _read_list(
                 quantity=quantity,
                 decimal=decimal,
                 noise=errors,
+                doses=_doses_of(source, decimal, doses),
                 max_rows=share,
             )
         )
@@ -287,6 +303,17 @@ def _those_of(
         kept = [name for name in known if name in names]
         inputs = [*kept, *(f"{name}={text}" for name, text in formulas.items())]
     return own, inputs, {state: own for state, own in errors.items() if state in names}
+
+
+def _doses_of(source: Any, decimal: str | None, doses: Mapping[str, str]) -> dict[str, str] | None:
+    """Give the doses whose columns one of several sources has."""
+    if not doses:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        columns = load_columns(source, decimal)
+    names = {*columns.names, *map(clean_name, columns.names)}
+    return {state: column for state, column in doses.items() if column in names} or None
 
 
 def _refuse_twice(sources: Sequence[Any]) -> None:
@@ -533,25 +560,29 @@ def take_trajectories(
     """
     columns, named = _sort_inputs(inputs)
     errors = find_columns(noise)
+    given = read_doses(doses)
     if any(own is not None for own in (time, states, trajectory, quantity, decimal)):
-        runs = _read_columns(data, columns, time, states, trajectory, quantity, decimal, errors)
+        runs = _read_columns(
+            data, columns, time, states, trajectory, quantity, decimal, errors, given or None
+        )
     else:
-        runs = _read(data, columns, errors)
+        runs = _read(data, columns, errors, given or None)
     runs = [_as_inputs(run, columns or []) for run in runs]
     if not runs:
         raise InputError("there is no trajectory in the data; give at least one")
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
-    runs = cut_at_doses(say_noise(runs, noise, {}), doses)
+    named_so = {clean_name(state): clean_name(own) for state, own in given.items()}
+    runs = cut_at_doses(say_noise(runs, noise, {}), named_so or None)
     short = min(runs, key=len)
     if len(short) < FEWEST_ROWS:
         raise InputError(
             f"{len(short)} rows are too few to find equations in; "
             f"give at least {FEWEST_ROWS} a trajectory"
         )
-    given = {name: value for name, value in named.items() if not _is_formula(value)}
-    drives = {check_name(n, "input"): parse(e, ["t"]) for n, e in named.items() if n not in given}
-    runs = [_with_values(run, given, i, len(runs)) for i, run in enumerate(runs)]
+    values = {name: value for name, value in named.items() if not _is_formula(value)}
+    drives = {check_name(n, "input"): parse(e, ["t"]) for n, e in named.items() if n not in values}
+    runs = [_with_values(run, values, i, len(runs)) for i, run in enumerate(runs)]
     known = [name for name in drives if isinstance(hold, Mapping) and name in hold]
     if known:
         raise InputError(
@@ -573,7 +604,10 @@ def _is_formula(value: Any) -> bool:
 
 
 def _read(
-    data: Any, inputs: Sequence[str] | None, noise: Mapping[str, str] | None = None
+    data: Any,
+    inputs: Sequence[str] | None,
+    noise: Mapping[str, str] | None = None,
+    doses: Mapping[str, str] | None = None,
 ) -> list[Trajectory]:
     if isinstance(data, Table):
         return data.trajectories
@@ -590,7 +624,7 @@ def _read(
     data = list(data) if isinstance(data, tuple) and data else data
     if isinstance(data, list) and data and all(map(_is_pair, data)):
         return _in_one_unit([_from_arrays(*pair) for pair in data])
-    return read_trajectories(data, inputs=inputs, noise=noise).trajectories
+    return read_trajectories(data, inputs=inputs, noise=noise, doses=doses).trajectories
 
 
 def _read_columns(
@@ -602,6 +636,7 @@ def _read_columns(
     quantity: str | None,
     decimal: str | None,
     noise: Mapping[str, str] | None = None,
+    doses: Mapping[str, str] | None = None,
 ) -> list[Trajectory]:
     """Read trajectories whose columns the caller names."""
     data = data.trajectories if isinstance(data, Table) else data
@@ -609,7 +644,15 @@ def _read_columns(
     if apart and states is None and isinstance(data, np.ndarray) and not data.dtype.names:
         return [_from_arrays(time, data)]
     return read_trajectories(
-        data, time, states, inputs, trajectory, quantity=quantity, decimal=decimal, noise=noise
+        data,
+        time,
+        states,
+        inputs,
+        trajectory,
+        quantity=quantity,
+        decimal=decimal,
+        noise=noise,
+        doses=doses,
     ).trajectories
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dynsr.data.columns import Columns, bare_name, bracketed_unit
+from dynsr.data.dosing import find_amounts, refuse_amounts
 from dynsr.data.grouping import Grouping, is_text
 from dynsr.data.lines import is_second_time, numbers_rows
 from dynsr.data.measurement_errors import find_measured
@@ -34,6 +35,8 @@ class Roles:
     addition to ``trajectory``, the columns whose values together name one; ``noise`` maps a state
     to the column of its measurement errors; ``clock`` is the column of the time of the day where
     ``time`` has only the date, and ``quantity`` the column whose values became states or inputs;
+    ``doses`` maps a state to the column of the amounts by which it jumps, one of the inputs;
+    ``amounts`` are inputs that may be such amounts, where the caller did not say it;
     ``held`` are inputs that were taken for such since they keep their value and step;
     ``left_out`` gives each column that is not used with the reason; ``reshaped`` are columns of the
     source whose cells went into others: the values of quantities, or runs side by side.
@@ -53,6 +56,8 @@ class Roles:
     held: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
     reshaped: tuple[str, ...] = ()
+    doses: Mapping[str, str] = field(default_factory=dict)
+    amounts: tuple[str, ...] = ()
 
 
 # Numbers of cells may be of any size; what overflows is no evidence of anything.
@@ -66,6 +71,7 @@ def guess_roles(
     formulas: Mapping[str, str],
     quantity: str | None = None,
     errors: Mapping[str, str] | None = None,
+    doses: Mapping[str, str] | None = None,
 ) -> Roles:
     """Give each column its role: as the caller said, or else by its values and its name.
 
@@ -78,6 +84,7 @@ def guess_roles(
     formulas : inputs that are expressions in ``t``, by name.
     quantity : the column whose values were given columns of their own.
     errors : state -> the column of its measurement errors, where the caller says it.
+    doses : state -> the column of the amounts by which it jumps, where the caller says it.
 
     Raises InputError that lists the columns when one that was named is not there, or when no column
     is left for a state.
@@ -88,18 +95,21 @@ def guess_roles(
     taken = {*time.columns, *grouping.trajectory, *grouping.labels, *(known or []), *(chosen or [])}
     left_out = dict(time.left_out)
     said = _find_errors(errors or {}, columns)
-    taken |= set(said.values())
     left_out |= {own: f"is the noise of {state!r}" for state, own in said.items()}
+    given = _find_doses(doses or {}, columns)
+    taken |= {*said.values(), *given.values()}
     free = [n for n in columns.names if n not in taken and n not in left_out]
     for name in free:
         if clean_name(name) in formulas:
             left_out[name] = "is given as a formula"
     free = [n for n in free if n not in left_out]
+    amounts = find_amounts(columns, free, grouping.codes)
     apart = [n for n in (*grouping.parameters,) if n not in (known or ())]
     parameters: list[str] = []
     held: list[str] = []
     if chosen is None:
-        left_out |= look.redundant([n for n in free if n not in apart], known or [])
+        unsaid = [n for n in free if n not in (*apart, *amounts)]
+        left_out |= look.redundant(unsaid, known or [])
     moving = [n for n in free if n not in left_out and n not in apart]
     noise = look.noise_beside(chosen, moving, said)
     left_out |= {own: f"is the noise of {state!r}" for state, own in noise.items()}
@@ -107,7 +117,7 @@ def guess_roles(
     if known is None:
         known = _guess_inputs([n for n in free if n not in apart], columns, chosen)
         rest = [n for n in free if n not in (*known, *apart, *(chosen or []))]
-        held = [n for n in rest if look.is_held(n)]
+        held = look.held(rest, amounts, chosen is None)
         if chosen is None and len(held) == len(rest):
             held = []
         known += held
@@ -120,7 +130,10 @@ def guess_roles(
         if len(still) < len(chosen):
             left_out |= still
             chosen = [n for n in chosen if n not in still]
-    _check_roles(time, chosen, known, columns)
+    if states is None:
+        refuse_amounts(columns, [n for n in amounts if n in held], chosen, columns.label)
+    known += [n for n in given.values() if n not in known]
+    _check_roles(time, chosen, known, columns, given)
     if states is None and len(chosen) + len(known) > _MANY:
         warnings.warn(
             f"{columns.label} has {len(chosen)} states, and a search grows with the square of "
@@ -146,8 +159,10 @@ def guess_roles(
         {state: own for state, own in {**noise, **said}.items() if state in chosen},
         time.clock,
         quantity,
-        tuple(held),
+        tuple(n for n in held if n not in amounts),
         left_out,
+        doses=given,
+        amounts=tuple(n for n in amounts if n in held),
     )
 
 
@@ -159,8 +174,20 @@ def _find_errors(errors: Mapping[str, str], columns: Columns) -> dict[str, str]:
     }
 
 
+def _find_doses(doses: Mapping[str, str], columns: Columns) -> dict[str, str]:
+    """Give the columns of amounts that the caller named, by the states that jump."""
+    return {
+        find_column(state, columns, "state"): find_column(own, columns, "dose")
+        for state, own in doses.items()
+    }
+
+
 def _check_roles(
-    time: Times, states: Sequence[str], inputs: Sequence[str], columns: Columns
+    time: Times,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    columns: Columns,
+    doses: Mapping[str, str],
 ) -> None:
     both = [name for name in states if name in inputs or name in time.columns]
     if both:
@@ -173,6 +200,12 @@ def _check_roles(
         raise InputError(
             f"{columns.label} has no column left for a state (columns: "
             f"{list_names(columns.names)}); give a time column and at least one state"
+        )
+    odd = [state for state in doses if state not in states]
+    if odd:
+        raise InputError(
+            f"doses are given to a state, and {odd[0]!r} is no state; the states are: "
+            f"{', '.join(map(clean_name, states))}"
         )
 
 
@@ -263,6 +296,14 @@ class _Look:
             for state, own in found.items()
             if state not in said and own not in states and (chosen is None or state in states)
         }
+
+    def held(self, names: Sequence[str], amounts: Sequence[str], guessed: bool) -> list[str]:
+        """Give the columns that hold their value and step, and amounts where states are guessed.
+
+        Where the caller named the states, amounts with empty cells have no role.
+        """
+        known = [n for n in amounts if guessed or np.isfinite(self._values(n)).all()]
+        return [n for n in names if n in known or (n not in amounts and self.is_held(n))]
 
     def is_held(self, name: str) -> bool:
         """Whether a column holds its value and steps."""

@@ -49,6 +49,7 @@ def order_rows(
     states: Sequence[str],
     time: str,
     label: str,
+    summed: Sequence[str] = (),
 ) -> tuple[list[Run], list[str]]:
     """Give the rows of each trajectory in order of time, and sentences on what was done.
 
@@ -59,6 +60,7 @@ def order_rows(
     values : column -> (n,) numbers, NaN where there is none.
     states : the columns that move on their own.
     time, label : what a message calls the times and the source.
+    summed : columns whose rows of one time are added up, as amounts are.
 
     Rows of the same time are averaged. Raises InputError where a single time is wrong, and where
     rows out of order may be those of several trajectories.
@@ -77,7 +79,7 @@ def order_rows(
             moved += 1
         run = Run(name, rows, t[rows], {n: own[rows] for n, own in values.items()})
         if np.any(np.diff(run.t) == 0):
-            run = _average(run)
+            run = _average(run, summed)
             repeated += 1
         runs.append(run)
     if moved:
@@ -138,14 +140,18 @@ def _check_together(
     )
 
 
-def _average(run: Run) -> Run:
-    """Average rows of the same time, with their spread."""
+def _average(run: Run, summed: Sequence[str]) -> Run:
+    """Average rows of the same time, with their spread; amounts are added up."""
     times, index = np.unique(run.t, return_inverse=True)
-    values, spreads = {}, {}
+    values: dict[str, np.ndarray] = {}
+    spreads: dict[str, tuple[float, int]] = {}
     for name, own in run.values.items():
         there = np.isfinite(own)
         number = np.bincount(index[there], minlength=len(times))
         sums = np.bincount(index[there], own[there], minlength=len(times))
+        if name in summed:
+            values[name] = sums.astype(float)
+            continue
         with np.errstate(invalid="ignore", divide="ignore"):
             means = sums / number
         freedom = int(np.sum(np.maximum(number - 1, 0)))

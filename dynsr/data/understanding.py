@@ -9,7 +9,9 @@ import numpy as np
 
 from dynsr.data.calendars import join_calendar
 from dynsr.data.columns import Columns, bracketed_unit
+from dynsr.data.dosing import find_nonmem, split_after_doses
 from dynsr.data.grouping import Grouping, guess_grouping
+from dynsr.data.holding import HOLDS
 from dynsr.data.known_noise import KnownNoise, check_noise
 from dynsr.data.long_tables import describe_long, find_quantity, widen
 from dynsr.data.names import clean_name, find_column
@@ -34,6 +36,7 @@ class Asked:
     formulas : inputs that are expressions in ``t``, by name.
     quantity : the column of a long table that says which quantity a row is of; "" for none.
     errors : state -> the column of its measurement errors.
+    doses : state -> the column of the amounts by which it jumps.
     max_rows : more rows than this are thinned.
     """
 
@@ -44,6 +47,7 @@ class Asked:
     quantity: str | None = None
     errors: Mapping[str, str] = field(default_factory=dict)
     max_rows: int = 200_000
+    doses: Mapping[str, str] = field(default_factory=dict)
 
     def keeping(self, states: Sequence[str], inputs: Sequence[str]) -> Asked:
         """Give what was asked of a source whose columns have their roles."""
@@ -85,7 +89,7 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     Cells of states that are empty stay so: the state was not measured there.
     """
     notes = list(columns.notes)
-    columns = _with_numbers(columns)
+    columns = _without_kinds(_with_numbers(columns), asked)
     if time is None:
         said = [*(asked.states or ()), *(asked.inputs or ()), *(asked.trajectory or ())]
         columns = join_calendar(columns, _named(said, columns))
@@ -111,9 +115,12 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
         asked.formulas,
         quantity,
         asked.errors,
+        asked.doses,
     )
     gone = tuple(n for n in source if n not in columns.names and n != quantity)
     roles = replace(roles, reshaped=gone)
+    grouping, said = _after_doses(columns, times, grouping, roles)
+    notes += said
     runs, said = _order(columns, times, grouping, roles)
     notes += said
     if roles.held:
@@ -122,11 +129,30 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
         keeps = keeps if len(roles.held) == 1 else "keep their values over rows and step"
         what = "an input" if len(roles.held) == 1 else "inputs"
         notes.append(f"{listed} {keeps}, so taken for {what}; --states says otherwise.")
+    for name in roles.amounts:
+        count = sum(int(np.sum(run.values[name] != 0)) for run in runs)
+        state, own = roles.renamed[roles.states[0]], roles.renamed[name]
+        notes.append(
+            f"{name!r} is 0 but in {count} {'row' if count == 1 else 'rows'}, and was taken for an "
+            f"input that acts until the next row; if a state jumps by it, say which: --dose "
+            f"{state}={own}."
+        )
     trajectories = _make(columns, times, grouping, roles, runs, asked)
     notes += [note for note in _midnight(times, grouping) if note]
     return Understood(
         trajectories, roles, {**columns.left_out, **roles.left_out}, tuple(dict.fromkeys(notes))
     )
+
+
+def _without_kinds(columns: Columns, asked: Asked) -> Columns:
+    """Leave columns of NONMEM out that only say what kind a row is."""
+    asked_for = [*(asked.states or ()), *(asked.inputs or ()), *(asked.trajectory or ())]
+    said = _named(asked_for, columns)
+    kinds = {n: why for n, why in find_nonmem(columns, columns.label).items() if n not in said}
+    if not kinds:
+        return columns
+    kept = columns.only([name for name in columns.names if name not in kinds])
+    return replace(kept, left_out={**columns.left_out, **kinds})
 
 
 def _at(columns: Columns, rows: np.ndarray) -> Columns:
@@ -264,6 +290,38 @@ def _interleaved(times: Times, grouping: Grouping) -> list[str]:
     ]
 
 
+def _after_doses(
+    columns: Columns, times: Times, grouping: Grouping, roles: Roles
+) -> tuple[Grouping, list[str]]:
+    """Begin a trajectory where a measurement is written below a dose of its time."""
+    if not roles.doses:
+        return grouping, []
+    by_name = dict(zip(columns.names, columns.values, strict=True))
+    amounts = np.sum(
+        [np.abs(np.nan_to_num(by_name[name].astype(float))) for name in roles.doses.values()],
+        axis=0,
+    )
+    cells = [to_numbers(by_name[name], name, columns.label) for name in roles.states]
+    measured = np.any(np.isfinite(cells), axis=0)
+    t = times.within(grouping.codes)
+    part, given = split_after_doses(grouping.codes, t, amounts, measured)
+    if not given.any():
+        return grouping, []
+    pairs = np.column_stack([grouping.codes, part])[~given]
+    every, codes = np.unique(pairs, axis=0, return_inverse=True)
+    found = np.full(len(t), -1)
+    found[~given] = codes.reshape(-1)
+    names = [
+        grouping.names[run] + (f", {number + 1}" if part.any() else "")
+        for run, number in every.tolist()
+    ]
+    rows = "1 row" if given.sum() == 1 else f"{given.sum()} rows"
+    return replace(grouping, codes=found, names=tuple(names)), [
+        f"{rows} of doses {'is' if given.sum() == 1 else 'are'} above a measurement of the "
+        "same time, which was taken for one after the dose; a trajectory begins there."
+    ]
+
+
 def _order(
     columns: Columns, times: Times, grouping: Grouping, roles: Roles
 ) -> tuple[list[Run], list[str]]:
@@ -280,7 +338,10 @@ def _order(
             f"{columns.label} has {len(t)} row{'s' * (len(t) != 1)}, which cannot show an "
             f"equation; give at least {FEWEST_ROWS}"
         )
-    runs, notes = order_rows(grouping, t, values, roles.states, times.name, columns.label)
+    given = tuple(roles.doses.values())
+    # An empty cell says that nothing was given, and doses of one time are given together.
+    values |= {name: np.nan_to_num(values[name]) for name in given}
+    runs, notes = order_rows(grouping, t, values, roles.states, times.name, columns.label, given)
     runs = _held(runs, roles)
     runs, said = _observed(runs, roles, columns.label)
     notes += said
@@ -293,7 +354,8 @@ def _held(runs: Sequence[Run], roles: Roles) -> list[Run]:
     noted = [
         name
         for name in roles.inputs
-        if is_noted_at_changes(name, [run.values[name] for run in runs], FEWEST_ROWS)
+        if name not in roles.doses.values()
+        and is_noted_at_changes(name, [run.values[name] for run in runs], FEWEST_ROWS)
     ]
     return [
         replace(run, values={**run.values, **{n: hold_on(run.values[n]) for n in noted}})
@@ -356,6 +418,8 @@ def _with_inputs(run: Run, roles: Roles) -> Run:
 def _rows_told(run: Run, roles: Roles) -> np.ndarray:
     """Give the rows where a state has a value; with inputs, those between two such rows too."""
     there = np.any([np.isfinite(run.values[name]) for name in roles.states], axis=0)
+    for name in roles.doses.values():
+        there |= run.values[name] != 0
     known = np.all([np.isfinite(run.values[name]) for name in roles.inputs], axis=0)
     own = np.flatnonzero(there & known)
     if not roles.inputs or not len(own):
@@ -416,6 +480,7 @@ def _make(
     said = {roles.renamed[state]: own for state, own in roles.noise.items()}
     if said:
         origin["said_noise"] = said
+    held = dict.fromkeys((roles.renamed[n] for n in roles.doses.values()), HOLDS[0])
     names = [roles.renamed[name] for name in wanted]
     count = len(roles.states)
     found = []
@@ -432,6 +497,7 @@ def _make(
             (*names[count:], *asked.formulas),
             {**origin, "name": run.name, **_label(run.name, grouping.trajectory)},
             noise=_read_errors(run, roles, asked),
+            hold=held,
         )
         # A state that is measured seldom keeps its rows.
         some = whole.every(rows.step or 1) if whole.unmeasured.size else rows

@@ -62,7 +62,8 @@ const upload = async file => {
     if (!answer.ok) complain((await answer.json().catch(() => ({}))).error || "the file was refused");
   } catch { complain("the file could not be sent; is dynsr still running?"); }
 };
-const ROLES = { time: "time", state: "state", input: "input", trajectory: "names the run", quantity: "names the quantity", unused: "not used" };
+const ROLES = { time: "time", state: "state", input: "input", dose: "doses of a state", trajectory: "names the run", quantity: "names the quantity", unused: "not used" };
+const HOLDS = { previous: "keeps its value between rows", linear: "straight between rows", smooth: "smooth between rows" };
 
 const showTable = table => {
   show("table", table);
@@ -72,9 +73,9 @@ const showTable = table => {
   list("notes", [...table.loaded, ...table.notes.filter(note => !table.loaded.includes(note))]);
   const focused = document.activeElement && document.activeElement.id;
   const changed = () => {
-    const roles = {}, units = {};
-    for (const column of table.columns) { roles[column.name] = column.role; units[column.name] = column.unit; }
-    post("columns", { roles, units });
+    const roles = {}, units = {}, ways = {};
+    for (const column of table.columns) { roles[column.name] = column.role; units[column.name] = column.unit; ways[column.name] = column.way; }
+    post("columns", { roles, units, ways });
   };
   const heads = table.columns.map((column, j) => {
     const role = make("select", { id: `role-${j}`, ariaLabel: `Role of ${column.name}` },
@@ -84,6 +85,7 @@ const showTable = table => {
       // There is one time, and one column that names quantities; several may name the runs.
       for (const other of table.columns) if (other.role === role.value && ["time", "quantity"].includes(role.value)) other.role = "unused";
       column.role = role.value;
+      column.way = "";
       changed();
     });
     const unit = make("input", { id: `unit-${j}`, value: column.unit, placeholder: "unit", ariaLabel: `Unit of ${column.name}`, maxLength: 40 });
@@ -92,8 +94,17 @@ const showTable = table => {
       column.unit = unit.value.trim();
       changed();
     });
-    unit.hidden = ["unused", "trajectory", "quantity"].includes(column.role);
-    return make("th", { className: column.role, scope: "col" }, column.name, role, unit);
+    unit.hidden = ["unused", "trajectory", "quantity", "dose"].includes(column.role);
+    const states = table.columns.filter(other => other.role === "state").map(other => [other.name, `added to ${other.name}`]);
+    const ways = { input: Object.entries(HOLDS), dose: states }[column.role] || [];
+    const way = make("select", { id: `way-${j}`, className: "way", ariaLabel: `${column.role === "dose" ? "State of the doses" : "Between rows"}: ${column.name}`, hidden: !ways.length },
+      ...ways.map(([value, words]) => make("option", { value, selected: value === column.way }, words)));
+    way.addEventListener("change", async () => {
+      if (!await mayLose("Change the column")) { way.value = column.way; return; }
+      column.way = way.value;
+      changed();
+    });
+    return make("th", { className: column.role, scope: "col" }, column.name, role, unit, ...(ways.length ? [way] : []));
   });
   $("columns").tHead.replaceChildren(make("tr", {}, ...heads));
   const count = Math.max(0, ...table.columns.map(column => column.cells.length));
