@@ -2,6 +2,7 @@
 
 import datetime
 import gzip
+import json
 import sys
 import zipfile
 
@@ -13,7 +14,7 @@ import pytest
 import scipy.io
 import xarray as xr
 
-from dynsr.data import assembling, read_trajectories, text
+from dynsr.data import assembling, describe, read_trajectories, text
 from dynsr.data.columns import load_columns, read_names_only
 from dynsr.errors import DynsrWarning, InputError, MissingExtra
 
@@ -63,6 +64,49 @@ def test_of_several_sheets_the_first_with_a_table_is_read_and_told(tmp_path):
     columns = load_columns(write_book(tmp_path / "d.xlsx", **sheets))
     check(columns)
     assert any("sheet 'First' of d.xlsx was read, not" in note for note in columns.notes)
+
+
+def test_a_sheet_is_chosen_behind_a_colon(tmp_path):
+    """book.xlsx:Name is one sheet; the sheets of a book are runs where each is given."""
+    path = tmp_path / "book.xlsx"
+    t = np.arange(0.0, 12.0)
+    with pd.ExcelWriter(path) as book:
+        for name, start in (("run 1", 1.0), ("run 2", 3.0)):
+            frame = pd.DataFrame({"t": t, "x": start * np.exp(-t / 5)})
+            frame.to_excel(book, sheet_name=name, index=False)
+    assert load_columns(f"{path}:run 2").values[1][0] == 3.0
+    both = describe([f"{path}:run 1", f"{path}:run 2"])
+    assert [run.name for run in both.trajectories] == ["book.xlsx:run 1", "book.xlsx:run 2"]
+    assert any("'book.xlsx:run 2' is read as one more run" in n for n in describe(path).notes)
+    with pytest.raises(InputError, match="no sheet 'run 3'; the sheets are: run 1, run 2"):
+        describe(f"{path}:run 3")
+
+
+@pytest.mark.parametrize("form", ["rows", "columns", "lines", "pandas"])
+def test_tables_in_json_are_read(tmp_path, form):
+    """JSON holds columns by name, or an object for each row or line."""
+    frame = pd.DataFrame({"t": np.arange(0.0, 12.0), "x": np.arange(12.0) ** 2})
+    path = tmp_path / ("table.jsonl" if form == "lines" else "table.json")
+    text = {
+        "rows": frame.to_json(orient="records"),
+        "columns": frame.to_json(orient="columns"),
+        "lines": frame.to_json(orient="records", lines=True),
+        "pandas": json.dumps({n: frame[n].tolist() for n in frame}),
+    }[form]
+    path.write_text(text)
+    found = describe(path)
+    assert found.states == ("x",) and found.rows == 12
+
+
+def test_json_without_a_table_and_stata_files(tmp_path):
+    """What is no table is refused in one line; a file of Stata is read."""
+    path = tmp_path / "list.json"
+    path.write_text("[1, 2, 3]")
+    with pytest.raises(InputError, match="has no table"):
+        describe(path)
+    frame = pd.DataFrame({"t": np.arange(0.0, 12.0), "x": np.arange(12.0) ** 2})
+    frame.to_stata(tmp_path / "table.dta", write_index=False)
+    assert describe(tmp_path / "table.dta").states == ("x",)
 
 
 def test_cells_of_a_workbook_have_their_kinds(tmp_path):

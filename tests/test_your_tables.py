@@ -208,6 +208,39 @@ FORMS = {
         "t,x\n" + rows(lambda k: f"{k},{FALL[k]:.3f}" + f"\n{k},{FALL[k]:.3f}" * (k in (5, 9))),
         {"states": ["x"], "rows": N, "note": "2 rows are copies"},
     ),
+    "times from left to right.csv": (
+        "time,"
+        + ",".join(map(str, K))
+        + "\n"
+        + "cells,"
+        + ",".join(f"{v:.4f}" for v in RISE)
+        + "\n"
+        + "sugar,"
+        + ",".join(f"{v:.3f}" for v in FALL)
+        + "\n",
+        {"states": ["cells", "sugar"], "rows": N, "to": N - 1.0, "note": "the table was turned"},
+    ),
+    "dates from left to right.csv": (
+        "country,"
+        + ",".join(at(k, "%m/%d/%y", days=1) for k in K)
+        + "\n"
+        + "Chile,"
+        + ",".join(f"{v:.4f}" for v in RISE)
+        + "\n"
+        + "Peru,"
+        + ",".join(f"{v:.3f}" for v in FALL)
+        + "\n",
+        {"unit": "days", "states": ["Chile", "Peru"], "rows": N, "note": "the table was turned"},
+    ),
+    "sensors called T1 to T8.csv": (
+        "when,"
+        + ",".join(f"T{k}" for k in range(1, 9))
+        + "\n"
+        + rows(lambda k: at(k, "%Y-%m-%d %H:%M", minutes=5) + f",{FALL[k]:.3f}" * 8).replace(
+            ",5.", ",5.1"
+        ),
+        {"time": ("when", "min"), "states": [f"T{k}" for k in range(1, 9)], "rows": N},
+    ),
     "a valve.csv": (
         "t,level,valve [V]\n" + rows(lambda k: f"{k},{FALL[k]:.3f},{(0, 5, 2.5)[k // 8]}"),
         {"states": ["level"], "inputs": {"valve": "previous"}},

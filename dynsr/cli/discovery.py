@@ -195,8 +195,9 @@ def discover(
         list[Path] | None,
         typer.Argument(
             metavar="[FILE]...",
-            help="Text (CSV), Excel, Parquet, .mat, .h5, .nc, .npz. Several files are several "
-            "runs, or one experiment if they share no state. Cells may be empty.",
+            help="Text (CSV), Excel (book.xlsx:Sheet), Parquet, JSON, .mat, .h5, .nc, .npz. "
+            "Several files are several runs, or one experiment if they share no state. Cells may "
+            "be empty.",
         ),
     ] = None,
     system: Annotated[

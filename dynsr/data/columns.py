@@ -43,8 +43,9 @@ def load_columns(source: Any, decimal: str | None = None) -> Columns:
     """Load the columns of a file, a frame, a mapping of arrays, a Trajectory or a 2-D array.
 
     Files are recognised by their suffix: Excel and its kin (``.xlsx``, ``.xls``, ``.ods``), MATLAB
-    (``.mat``), HDF5 (``.h5``, ``.hdf5``), NetCDF (``.nc``), Parquet, ``.npz``, ``.npy``; anything
-    else is delimited text. Frames are those that narwhals knows, such as pandas, polars and
+    (``.mat``), HDF5 (``.h5``, ``.hdf5``), NetCDF (``.nc``), Parquet, JSON, Stata (``.dta``),
+    ``.npz``, ``.npy``; anything else is delimited text. ``book.xlsx:Sheet 2`` is one
+    sheet of a spreadsheet. Frames are those that narwhals knows, such as pandas, polars and
     pyarrow, and those of xarray. An array has the time as its first column; a pair ``(t, x)`` is
     taken apart. What cells say is read (:func:`dynsr.data.cells.read_columns`); columns without a
     value are left out.
@@ -108,10 +109,10 @@ def read_names_only(path: Path) -> tuple[str, ...]:
 
     Raises InputError when it cannot be read.
     """
-    from dynsr.data.formats import READERS
+    from dynsr.data.formats import READERS, split_sheet
     from dynsr.data.text import read_header
 
-    if path.suffix.lower() in READERS:
+    if split_sheet(path)[0].suffix.lower() in READERS:
         return load_columns(path).names
     _check_file(path)
     return read_header(path)
@@ -136,10 +137,13 @@ def _is_frame(source: Any) -> bool:
 
 
 def _load_file(path: Path, decimal: str | None) -> Columns:
-    from dynsr.data.formats import READERS
+    from dynsr.data.formats import READERS, load_excel, split_sheet
     from dynsr.data.text import load_delimited
 
-    _check_file(path)
+    file, sheet = split_sheet(path)
+    _check_file(file)
+    if sheet:
+        return load_excel(file, decimal, sheet)
     reader = READERS.get(path.suffix.lower())
     return load_delimited(path, decimal) if reader is None else reader(path, decimal)
 

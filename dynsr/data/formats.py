@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -72,8 +73,22 @@ def _array_size(file: Any, size: int) -> int:
     return promised
 
 
-def load_excel(path: Path, decimal: str | None = None) -> Columns:
-    """Load the first sheet of a spreadsheet that has a table."""
+_BOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+
+
+def split_sheet(path: Path) -> tuple[Path, str]:
+    """Give the file and the sheet that ``book.xlsx:Sheet 2`` names; "" where it names none.
+
+    >>> split_sheet(Path("data/book.xlsx:Sheet 2"))[1], split_sheet(Path("book.xlsx"))[1]
+    ('Sheet 2', '')
+    """
+    file, colon, sheet = path.name.partition(":")
+    named = bool(colon) and Path(file).suffix.lower() in _BOOKS and not path.exists()
+    return (path.with_name(file), sheet) if named else (path, "")
+
+
+def load_excel(path: Path, decimal: str | None = None, sheet: str = "") -> Columns:
+    """Load a sheet of a spreadsheet; by default the first one that has a table."""
     need("python_calamine", "tables", f"reading {path.name!r}")
     import python_calamine
 
@@ -81,21 +96,35 @@ def load_excel(path: Path, decimal: str | None = None) -> Columns:
         if zipfile.is_zipfile(path):
             check_size(path, _zip_size(path))
         with python_calamine.CalamineWorkbook.from_path(path) as book:
-            sheets = {name: book.get_sheet_by_name(name).to_python() for name in book.sheet_names}
+            names = list(book.sheet_names)
+            if sheet and sheet not in names:
+                raise InputError(
+                    f"{path.name!r} has no sheet {sheet!r}; the sheets are: {', '.join(names)}"
+                )
+            wanted = [sheet] if sheet else names
+            sheets = {name: book.get_sheet_by_name(name).to_python() for name in wanted}
     except InputError:
         raise
     except Exception as error:  # zip, XML and calamine each have their own
         raise unreadable(path, "spreadsheet", error) from None
     tables = {name: found for name, rows in sheets.items() if (found := _sheet(rows)) is not None}
     if not tables:
-        raise InputError(f"no sheet of {path.name!r} contains a table; it needs times and states")
+        which = f"sheet {sheet!r} of {path.name!r} does not contain" if sheet else ""
+        which = which or f"no sheet of {path.name!r} contains"
+        raise InputError(f"{which} a table; it needs times and states")
     large = [name for name, (_, rows) in tables.items() if len(rows) >= _FEWEST]
     chosen = large[0] if large else max(tables, key=lambda name: len(tables[name][1]))
     layout, rows = tables[chosen]
     notes = []
     if len(tables) > 1:
         others = ", ".join(repr(name) for name in tables if name != chosen)
-        notes.append(f"sheet {chosen!r} of {path.name} was read, not {others}")
+        own = [n for n, (found, _) in tables.items() if n != chosen and found.names == layout.names]
+        other = own[0] if own else next(name for name in tables if name != chosen)
+        again = "read as one more run" if own else "read"
+        notes.append(
+            f"sheet {chosen!r} of {path.name} was read, not {others}; {path.name + ':' + other!r} "
+            f"is {again} where it is given as a file"
+        )
     if layout.skipped:
         first, last = layout.skipped[0] + 1, layout.skipped[-1] + 1
         count = f"row {first}" if first == last else f"rows {first} to {last}"
@@ -107,11 +136,12 @@ def load_excel(path: Path, decimal: str | None = None) -> Columns:
     ]
     columns = [column[:-1] for column in columns]
     names = [*layout.names, *[""] * (width - len(layout.names))] if layout.names else []
-    none, said = rows_that_are_none(columns, path.name)
+    label = f"{path.name}:{sheet}" if sheet else path.name
+    none, said = rows_that_are_none(columns, label)
     return assemble(
         names,
         [column[~none] for column in columns],
-        path.name,
+        label,
         units=layout.units,
         notes=(*notes, *said),
         decimal=decimal,
@@ -159,11 +189,51 @@ def load_parquet(path: Path, decimal: str | None = None) -> Columns:
     return load_frame(frame, path.name, decimal)
 
 
+def load_stata(path: Path, decimal: str | None = None) -> Columns:
+    """Load the columns of a Stata file."""
+    import pandas
+
+    try:
+        frame = pandas.read_stata(path, convert_categoricals=False)
+    except Exception as error:  # struct, Unicode and pandas each have their own
+        raise unreadable(path, "Stata file", error) from None
+    return load_frame(frame, path.name, decimal)
+
+
+def load_json(path: Path, decimal: str | None = None) -> Columns:
+    """Load a table in JSON: columns by name, or one object for each row, or for each line."""
+    import pandas
+
+    try:
+        text = path.read_text("utf-8-sig")
+        if path.suffix.lower() in (".jsonl", ".ndjson"):
+            found = [json.loads(line) for line in text.splitlines() if line.strip()]
+        else:
+            found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise unreadable(path, "JSON file", error) from None
+    rows = found if isinstance(found, list) else []
+    if rows and all(isinstance(row, dict) for row in rows):
+        return load_frame(pandas.DataFrame(rows), path.name, decimal)
+    if isinstance(found, dict) and found:
+        parts = list(found.values())
+        if all(isinstance(part, list) for part in parts) and len({*map(len, parts)}) == 1:
+            return load_mapping(found, path.name, decimal)
+        if all(isinstance(part, dict) for part in parts):  # as pandas writes it: column, row, cell
+            return load_frame(pandas.DataFrame(found), path.name, decimal)
+    raise InputError(
+        f"{path.name!r} has no table; give columns of equal length by name, or a list of objects, "
+        "one for each row"
+    )
+
+
 READERS: Mapping[str, Callable[[Path, str | None], Columns]] = {
     **dict.fromkeys((".npz", ".npy"), load_numpy),
-    **dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"), load_excel),
+    **dict.fromkeys(_BOOKS, load_excel),
     ".mat": load_mat,
     **dict.fromkeys((".h5", ".hdf5", ".hdf", ".he5"), load_hdf5),
     **dict.fromkeys((".nc", ".nc4", ".cdf", ".netcdf"), load_netcdf),
     **dict.fromkeys((".parquet", ".pq"), load_parquet),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), load_json),
+    ".dta": load_stata,
 }

@@ -22,6 +22,7 @@ from dynsr.data.steps import between_rows, hold_on, is_noted_at_changes
 from dynsr.data.table_checks import check_infinite, check_values, thin, to_numbers
 from dynsr.data.time_columns import Times, find_time, in_seconds_or_units
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory
+from dynsr.data.turning import turn_rows
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 
@@ -89,7 +90,9 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     Cells of states that are empty stay so: the state was not measured there.
     """
     notes = list(columns.notes)
-    columns = _without_kinds(_with_numbers(columns), asked)
+    columns, said = turn_rows(_with_numbers(columns))
+    notes += said
+    columns = _without_kinds(columns, asked)
     if time is None:
         said = [*(asked.states or ()), *(asked.inputs or ()), *(asked.trajectory or ())]
         columns = join_calendar(columns, _named(said, columns))

@@ -1,0 +1,138 @@
+"""Turning: tables whose times run from left to right are turned, so that rows are times."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dynsr.data.columns import Columns
+from dynsr.data.grouping import is_label_name, is_text, label_of
+from dynsr.data.times import read_counted, read_times
+from dynsr.data.trajectory import FEWEST_ROWS
+
+_BLANK = re.compile(r"|unnamed: \d+|column \d+", re.IGNORECASE)
+
+
+def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
+    """Turn a table around whose columns are moments; other tables stay as they are.
+
+    Parameters
+    ----------
+    columns : the columns of the source.
+
+    The names of most columns, or the cells of its first row, are then times that rise, and each of
+    those columns holds numbers. One column before them names the quantity, or the run, of each row.
+    Further ones name runs. Gives the columns and a sentence on what was done.
+
+    >>> names = ("species", *(f"t{k}" for k in range(8)))
+    >>> cells = [np.array([1.0, 2.0])] * 8
+    >>> columns = Columns(names, (np.array(["prey", "cats"], dtype=object), *cells), "it")
+    >>> turn_rows(columns)[0].names
+    ('time', 'prey', 'cats')
+    """
+    named = _with_head(columns)
+    first = next(
+        (j for j, name in enumerate(named.names) if _is_moment(name) and _is_moment_kind(named, j)),
+        len(named.names),
+    )
+    moments = named.names[first:]
+    labels = named.names[:first]
+    own = dict(zip(named.names, named.values, strict=True))
+    if len(moments) < FEWEST_ROWS or any(_may_be_time(name, own[name]) for name in labels):
+        return columns, []
+    times = _read_moments(moments)
+    numbers = [values.dtype.kind == "f" for values in named.values[first:]]
+    names = [name for name in labels if is_text(own[name]) or is_label_name(name)]
+    if times is None or not all(numbers) or not names:
+        return columns, []
+    table = np.column_stack(named.values[first:])
+    said = (
+        f"Columns such as {moments[0]!r} and {moments[-1]!r} are times, so the table was turned: "
+        f"its rows are named by {', '.join(map(repr, names))}."
+    )
+    return _turn(named, times, table, names), [said]
+
+
+def _turn(
+    columns: Columns, times: tuple[np.ndarray, str], table: np.ndarray, labels: Sequence[str]
+) -> Columns:
+    by_name = dict(zip(columns.names, columns.values, strict=True))
+    keys = [[label_of(cell) for cell in by_name[name].tolist()] for name in labels]
+    t, unit = times
+    alone = len(labels) == 1 and len(set(keys[0])) == len(table) and not is_label_name(labels[0])
+    if alone:
+        return replace(
+            columns,
+            names=("time", *keys[0]),
+            values=(t, *table),
+            units={"time": unit} if unit else {},
+            inputs=(),
+            time_unit=unit,
+            named=True,
+        )
+    rows = len(table)
+    count = len(t)
+    values = [np.repeat(by_name[name], count) for name in labels]
+    values += [np.tile(t, rows), table.reshape(-1)]
+    return replace(
+        columns,
+        names=(*labels, "time", "value"),
+        values=tuple(values),
+        units={"time": unit} if unit else {},
+        inputs=(),
+        named=True,
+    )
+
+
+def _with_head(columns: Columns) -> Columns:
+    """Take the first row for the names of the columns where it names the first one."""
+    cells = [values[0] if len(values) else None for values in columns.values]
+    if columns.named or len(columns.values[0]) < 2 or not isinstance(cells[0], str):
+        return columns
+    rest = tuple(_as_numbers(values[1:]) for values in columns.values)
+    return replace(columns, names=tuple(map(label_of, cells)), values=rest, named=True)
+
+
+def _as_numbers(values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind != "O":
+        return values
+    try:
+        return np.array([np.nan if cell is None else float(cell) for cell in values])
+    except (TypeError, ValueError):
+        return values
+
+
+def _may_be_time(name: str, values: np.ndarray) -> bool:
+    """Whether a column before the moments is itself a time, so that the others are measured."""
+    if values.dtype.kind in "mM" or read_times(values, name) is not None:
+        return True
+    return values.dtype.kind == "f" and not is_label_name(name)
+
+
+def _is_moment(name: str) -> bool:
+    return any(map(str.isdigit, name)) and not _BLANK.fullmatch(name)
+
+
+def _is_moment_kind(columns: Columns, place: int) -> bool:
+    """Whether all names from a place on are times that rise."""
+    return _read_moments(columns.names[place:]) is not None
+
+
+def _read_moments(names: Sequence[str]) -> tuple[np.ndarray, str] | None:
+    """Give the times that names of columns say, and their unit; None where they do not rise."""
+    cells = np.array(list(names), dtype=object)
+    try:
+        found: tuple[np.ndarray, str] | None = (np.array([float(n) for n in names]), "")
+    except ValueError:
+        counted = read_counted(cells)
+        found = None
+        if counted is not None and len(set(counted[1])) == 1:
+            found = counted[0], counted[1][0]
+        elif counted is None and (moments := read_times(cells)) is not None:
+            found = moments.values, ""
+    if found is None or np.any(found[0] != found[0]):
+        return None
+    return found if np.all(found[0][1:] > found[0][:-1]) else None
