@@ -128,6 +128,8 @@ def test_what_has_no_delay_is_refused_in_one_line(tmp_path):
         discover(data, delays=-1.0)
     with pytest.raises(InputError, match="delays go with equations of first order"):
         discover(data, delays=True, order=2)
+    with pytest.raises(InputError, match="leave vary out, or search each trajectory alone"):
+        discover([data, data], delays=True, vary=True)
     with pytest.raises(InputError, match="'x_delayed' is a column already"):
         Delayed.of([Trajectory(data[0], np.ones((401, 2)), ("x", "x_delayed"))], DelaySettings())
     with pytest.raises(InputError, match="a delay of nan is no time"):

@@ -25,7 +25,7 @@ Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
 
 
 def check_delays(
-    asked: Any, runs: Sequence[Trajectory], settings: Mapping[str, Any]
+    asked: Any, runs: Sequence[Trajectory], settings: Mapping[str, Any], varied: bool = False
 ) -> list[float]:
     """Give the delays to search with, none for those that the data tell; raises InputError.
 
@@ -34,7 +34,13 @@ def check_delays(
     asked : True, one delay, or several.
     runs : the data.
     settings : of the search.
+    varied : whether constants may differ from run to run.
     """
+    if varied:
+        raise InputError(
+            "delays go with constants that all trajectories share; leave vary out, or search each "
+            "trajectory alone"
+        )
     if settings.get("discrete") or settings.get("order", 1) != 1:
         raise InputError("delays go with equations of first order; leave order and discrete out")
     if isinstance(asked, bool):

@@ -209,7 +209,7 @@ def in_fitting_units(search: Search) -> Search:
         with counting(bits):
             with threadpool_limits(1):
                 if delays is not False:
-                    asked_delays = check_delays(delays, runs, settings)
+                    asked_delays = check_delays(delays, runs, settings, bool(vary))
                     drives = settings["inputs"]
                     found = search_delayed(one_search, runs, settings, asked_delays, drives)
                 elif vary:
