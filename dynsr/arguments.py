@@ -23,6 +23,7 @@ from warnings import warn
 from dynsr.errors import DynsrError, InputError, one_line
 
 T = TypeVar("T", bound=Callable[..., Any])
+C = TypeVar("C")
 # Of long sequences the first are looked at.
 _MOST = 100
 _SEVERAL = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -95,6 +96,46 @@ class Renamed:
             stacklevel=2,
         )
         return getattr(found, self.new)
+
+
+def renamed(**names: str) -> Callable[[type[C]], type[C]]:
+    """Let a class take arguments by their names of before for one release, with a warning.
+
+    Parameters
+    ----------
+    names : name of before -> the name now.
+
+    >>> @renamed(colour="color")
+    ... class Pen:
+    ...     def __init__(self, color):
+    ...         self.color = color
+    >>> Pen.names_before
+    {'colour': 'color'}
+    """
+
+    def rename(kind: Any) -> Any:
+        begin = kind.__init__
+
+        @functools.wraps(begin)
+        def begun(self: Any, *arguments: Any, **named: Any) -> None:
+            for old in names.keys() & named.keys():
+                warn(
+                    f"{kind.__name__}({old}=) is now {names[old]}=; the old name ends next release",
+                    DeprecationWarning,
+                    stacklevel=2,
+                )
+                named[names[old]] = named.pop(old)
+            begin(self, *arguments, **named)
+
+        kind.__init__ = begun
+        kind.names_before = names
+        for old, new in names.items():
+            alias = Renamed(new)
+            alias.__set_name__(kind, old)
+            setattr(kind, old, alias)
+        return kind
+
+    return rename
 
 
 def _guarded(function: Callable[..., Any], name: str) -> Callable[..., Any]:

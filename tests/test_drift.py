@@ -173,7 +173,8 @@ def test_a_spring_that_stiffens_beats_an_odd_law():
     own = judge(odd, [data]).states["y"]
     assert own.level != "law"
     assert "its constants change along the record: x's coefficient from -1 to -2.2" in own.reason
-    assert own.rivals[0].bits < 0 and "t*x" in own.rivals[0].equation.replace("x*t", "t*x")
+    first = own.alternatives[0]
+    assert first.bits < 0 and "t*x" in first.equation.replace("x*t", "t*x")
     # The formula stands in the reason, and is not said again.
     assert explain("y", odd["y"], own).endswith(
         "change along the record: " + own.reason.split("record: ")[1]

@@ -100,7 +100,7 @@ def test_ctrl_c_while_equations_are_judged_gives_them_unjudged(decay, monkeypatc
     monkeypatch.setattr(Problem, "judge_in_time", interrupt)
     found = discover(decay, method=QUICK, jobs=1)
     assert set(found.equations) == {"x", "y"} and not found.complete
-    assert not found.verdict.judged and found.heading.endswith("No verdict.")
+    assert not found.verdict.tested and found.heading.endswith("No verdict.")
 
 
 def test_a_search_that_was_cut_short_is_not_judged(decay, monkeypatch):
@@ -112,7 +112,7 @@ def test_a_search_that_was_cut_short_is_not_judged(decay, monkeypatch):
     monkeypatch.setattr(Problem, "judge_in_time", judge)
     ctrl_c = Interrupt(lambda step: step.done and has_formula(step))
     found = discover(decay, method=[QUICK, ENDLESS], targets="y", jobs=1, progress=ctrl_c)
-    assert ctrl_c.sent and not found.verdict.judged and "best so far" in found.explanation["y"]
+    assert ctrl_c.sent and not found.verdict.tested and "best so far" in found.explanation["y"]
 
 
 def test_searches_in_threads_stop_too(decay):

@@ -69,7 +69,7 @@ def test_what_was_not_found_gives_way_to_what_follows(prey, followed):
     for state, expr in changed.equations.items():
         assert "closest to the data when it is integrated" in changed.explanation[state]
         assert changed.explanation[state].endswith(" sindy failed.")
-        assert SOURCE in {c.source for c in changed.front[state].leaders}
+        assert SOURCE in {c.source for c in changed.front[state].best_by_source}
         assert len(changed.errors[state]) == len(expr.atoms(type(parse("0.5"))))
 
 

@@ -63,7 +63,7 @@ def test_fewer_rows_than_terms_give_formulas(rows):
     samples = choose_samples(swings(rows, 3), "a")
     for method in choose_methods("auto", "quick").values():
         front = method.search(samples, np.random.default_rng(0))
-        assert front.leaders and all(np.isfinite(one.loss) for one in front.leaders)
+        assert front.best_by_source and all(np.isfinite(one.loss) for one in front.best_by_source)
 
 
 def test_elimination_with_fewer_rows_than_columns_explains_them_all():
@@ -124,7 +124,7 @@ def test_a_choice_made_without_a_failed_method_is_made_again_once_it_succeeds(tm
     assert str(first.equations["x"]) != "-0.5*x"
     assert "failing-once, which failed" in first.explanation["x"]
     assert "failed" not in again.explanation["x"]
-    assert any(c.source == "failing-once" for c in again.front["x"].leaders)
+    assert any(c.source == "failing-once" for c in again.front["x"].best_by_source)
     assert str(again.equations["x"]) == "-0.5*x"
 
 

@@ -45,7 +45,7 @@ def test_of_equals_the_first_by_text_is_kept(names: list[str]):
     """Which of several equal formulas is kept does not depend on the order they came in."""
     equal = [Candidate(sympy.Symbol(name), 1.0, 1.0) for name in names]
     assert [str(c.expr) for c in ParetoFront(equal)] == ["a"]
-    assert [str(c.expr) for c in ParetoFront(equal).leaders] == ["a"]
+    assert [str(c.expr) for c in ParetoFront(equal).best_by_source] == ["a"]
 
 
 def test_only_ties_are_printed():

@@ -214,7 +214,7 @@ def test_every_setting_is_read():
 
 def test_the_words_keep_to_the_bits_of_the_verdict():
     """A formula 20 bits behind does as well where a law must lead by 40, and not where by 8."""
-    own = StateVerdict("law", "it follows.", 1.0, rivals=(Rival("2*x", 20.0),))
+    own = StateVerdict("law", "it follows.", 1.0, alternatives=(Rival("2*x", 20.0),))
     assert explain("x", parse("x"), own).endswith("follows the data clearly worse.")
     strict = VerdictSettings(rival_bits=40.0)
     assert explain("x", parse("x"), own, settings=strict).endswith("does as well.")

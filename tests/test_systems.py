@@ -469,7 +469,7 @@ def test_columns_that_move_as_one_hold_no_law_apart():
         assert own.level == "approximation"
         mine = found.equations[state].free_symbols
         named = other if mine == {sympy.Symbol(state)} else state
-        assert "cannot distinguish it" in own.reason and named in own.rivals[0].equation
+        assert "cannot distinguish it" in own.reason and named in own.alternatives[0].equation
 
 
 def test_what_vanished_from_a_fit_is_no_system():

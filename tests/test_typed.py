@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 
 import dynsr
+from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import StateVerdict, Verdict
+from dynsr.discovery.verdict import Rival, StateVerdict, Verdict
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import ParetoFront
+from dynsr.jobs.store import from_plain, to_plain
+from dynsr.selection import FollowerSettings
 
 SCRIPT = """
 from __future__ import annotations
@@ -103,7 +106,7 @@ def test_there_is_always_a_verdict(tmp_path):
     """Equations that nobody judged say so; in a file it is nothing, as in those of before."""
     found = Discovery({"x": parse("-x")}, {}, {"x": ParetoFront()}, {}, settings={"engine": "x"})
     assert found.verdict == Verdict("not judged", found.verdict.reason)
-    assert not found.verdict.judged and found.heading == "No verdict."
+    assert not found.verdict.tested and found.heading == "No verdict."
     again = Discovery.load(found.save(tmp_path / "found.json"))
     assert again.verdict == found.verdict and found.as_record()["verdict"] is None
 
@@ -150,6 +153,10 @@ def test_a_keyword_that_is_misspelt_is_told_the_nearest():
 @pytest.mark.parametrize(
     ("make", "old", "new"),
     [
+        (lambda: Verdict("law", "it follows"), "judged", "tested"),
+        (lambda: StateVerdict("law", "it follows", 1.0), "rivals", "alternatives"),
+        (lambda: ParetoFront(()), "leaders", "best_by_source"),
+        (DiscoverySettings, "followers", "approximations"),
         (lambda: Verdict("law", "it follows"), "rivals", "alternatives"),
         (
             lambda: dynsr.Trajectory(np.arange(3.0), np.ones((3, 1)), ("x",)),
@@ -171,3 +178,14 @@ def decaying():
     """Give a trajectory."""
     t = np.linspace(0, 2, 30)
     return dynsr.Trajectory(t, np.exp(-t)[:, None], ("x",))
+
+
+def test_arguments_of_before_are_taken_and_records_of_before_are_read():
+    """For one release a renamed setting may be given by its old name; saved verdicts have it."""
+    with pytest.warns(DeprecationWarning, match="followers=.* is now approximations="):
+        old = DiscoverySettings(followers=FollowerSettings())
+    assert old == DiscoverySettings()
+    own = StateVerdict("law", "it follows", 1.0, 1.0, 0.1, alternatives=(Rival("2*x", 20.0),))
+    plain = to_plain(own)
+    plain["rivals"] = plain.pop("alternatives")
+    assert from_plain(StateVerdict, plain) == own

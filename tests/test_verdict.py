@@ -107,9 +107,9 @@ def test_a_different_formula_that_does_as_well_keeps_an_equation_from_being_a_la
         "p": ParetoFront([Candidate(parse("-4.0*q"), 0.1, 9.0), Candidate(PREY["x"], 9.0, 1.0)])
     }
     found = judge(true, [data], front=front).states["p"]
-    assert found.level == "approximation" and found.rivals[0].bits < 8
-    assert "cannot distinguish it from" in found.reason and "*q" in found.rivals[0].equation
-    assert explain("p", true["p"], found).count(found.rivals[0].equation) == 1
+    assert found.level == "approximation" and found.alternatives[0].bits < 8
+    assert "cannot distinguish it from" in found.reason and "*q" in found.alternatives[0].equation
+    assert explain("p", true["p"], found).count(found.alternatives[0].equation) == 1
 
 
 @pytest.mark.slow
@@ -125,7 +125,7 @@ def test_an_answer_that_the_last_fit_loosened_is_no_rival_of_itself():
     own = found.verdict.states["x"]
     assert found.equations["x"].atoms(sympy.Float)
     x = sympy.Symbol("x")
-    ratios = [sympy.fraction(sympy.together(parse(one.equation))) for one in own.rivals]
+    ratios = [sympy.fraction(sympy.together(parse(one.equation))) for one in own.alternatives]
     whole = [ratio for ratio in ratios if all(part.is_polynomial(x) for part in ratio)]
     assert not any([sympy.degree(part, x) for part in ratio] == [1, 1] for ratio in whole)
     assert "cannot distinguish" not in own.reason

@@ -556,7 +556,7 @@ def show_found(found: Discovery) -> dict[str, Any]:
     units = found.coefficient_units() if known else {}
     return {
         "heading": found.heading,
-        "level": found.verdict.level if found.verdict.judged else "",
+        "level": found.verdict.level if found.verdict.tested else "",
         "complete": found.complete,
         "seconds": round(found.seconds, 1),
         "equations": [

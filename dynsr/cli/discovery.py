@@ -69,7 +69,7 @@ def show_reasons(
     and how the columns were understood.
     """
     for state, words in found.explanation.items():
-        said = words.strip() if details or not found.verdict.judged else _doubt(found, state)
+        said = words.strip() if details or not found.verdict.tested else _doubt(found, state)
         if said:
             _say(said if said.startswith(f"{state}' =") else f"{state}: {said}")
     for own in found.delays.values():
@@ -106,7 +106,7 @@ def _print_equations(found: Discovery, lines: Sequence[str]) -> None:
     """Print the verdict and below it the equations, on a terminal in a frame."""
     screen = output.console()
     title, colour = _FRAMES.get(
-        found.verdict.level if found.verdict.judged else "", ("Equations", "blue")
+        found.verdict.level if found.verdict.tested else "", ("Equations", "blue")
     )
     title = title if found.complete else f"{title}, so far"
     _say(found.heading, f"bold {colour}" if screen.is_terminal else "")

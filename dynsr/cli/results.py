@@ -80,7 +80,7 @@ def summarise(found: Discovery) -> dict[str, Any]:
             "span": found.verdict.span,
             "states": found.verdict.states,
         }
-        if found.verdict.judged
+        if found.verdict.tested
         else None,
         "constants": found.constants,
         "errors": found.errors,

@@ -61,7 +61,7 @@ def adopt_better(
     left = {
         (state, one.equation): 0.0
         for state, own in verdict.states.items()
-        for one in own.rivals
+        for one in own.alternatives
         if one.bits < 0 and _may_be_returned(problem, one)
     }
     return _told(problem, found, verdict, left)[:2] if left else (found, verdict)
@@ -90,7 +90,7 @@ def _doubt(problem: Problem, verdict: Verdict) -> tuple[str, Rival] | None:
     better = [
         (state, one)
         for state, own in verdict.states.items()
-        for one in own.rivals
+        for one in own.alternatives
         if own.level != NOT_FOUND and one.bits < 0 and _may_be_returned(problem, one)
     ]
     return min(better, key=lambda pair: pair[1].bits, default=None)
@@ -159,7 +159,7 @@ def _told(
     rivals = {
         state: [
             (_formula(found, None, state, one), more)
-            for one in own.rivals
+            for one in own.alternatives
             if math.isfinite(more := bits.get((state, one.equation), one.bits))
         ]
         for state, own in verdict.states.items()

@@ -42,7 +42,7 @@ def keep_formulas(
     >>> import sympy
     >>> run = Trajectory(t, [[1.0], [2.0], [4.0]], ("x",))
     >>> found = keep_formulas({"x": 2 * sympy.Symbol("x")}, [run], discrete=True)
-    >>> found.complete, found.verdict.judged, found.is_map
+    >>> found.complete, found.verdict.tested, found.is_map
     (False, False, True)
     """
     form = read_form(order, explicit_time, discrete, runs[0], runs[0].states)

@@ -189,7 +189,7 @@ def _with_delays(
         named = fit.errors_of(found.equations, list(sizes))
         errors = {s: named.get(s, own) for s, own in errors.items()}
     verdict = found.verdict
-    if verdict.judged and verdict.level != NOT_FOUND:
+    if verdict.tested and verdict.level != NOT_FOUND:
         explained = delayed.explained(found.equations, delays, inputs)
         if not explained > _LEAST:
             reason = (
@@ -208,7 +208,7 @@ def _with_delays(
         verdict=verdict,
         delays=delays,
         explanation={
-            s: (explain(s, found.equations[s], verdict.states[s]) if verdict.judged else why) + said
+            s: (explain(s, found.equations[s], verdict.states[s]) if verdict.tested else why) + said
             for s, why in found.explanation.items()
         },
         settings={**found.settings, "delays": text},

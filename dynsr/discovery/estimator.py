@@ -134,7 +134,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
             front = ParetoFront([score_candidate(Float(float(np.mean(y))), samples, "the mean")])
             front = self._search(front, samples)
             if loss is not None:
-                pool, samples = judge_by_loss([*front, *front.leaders], samples, loss)
+                pool, samples = judge_by_loss([*front, *front.best_by_source], samples, loss)
                 front = ParetoFront(pool)
             self.expr_, self.front_ = self._choose(front, samples)
         self.equations_ = _list_equations(self.front_)

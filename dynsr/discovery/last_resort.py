@@ -107,7 +107,7 @@ def _closer(judged: Verdict, verdict: Verdict) -> bool:
 def _make_trail(problem: Problem, states: tuple[str, ...]) -> Trail:
     data = problem.measurements
     smoothed = None if data is None or len(data.runs) != len(problem.runs) else data.smoothed
-    return Trail(problem.runs, problem.inputs, states, smoothed, problem.settings.followers)
+    return Trail(problem.runs, problem.inputs, states, smoothed, problem.settings.approximations)
 
 
 def _jumps(problem: Problem) -> bool:

@@ -305,7 +305,7 @@ def _judge_state(
         found,
         forecast=float(f"{missed / step.spread:.6g}"),
         terms=step.terms(),
-        rivals=_compare(step, front, settings),
+        alternatives=_compare(step, front, settings),
     )
     drift = (
         drift_of_rows(state, step.expr, step.samples, step.finest, settings.drift, discrete=True)
@@ -339,7 +339,7 @@ def _with_drift(found: StateVerdict, drift: Drift) -> StateVerdict:
     """Put the formula with the time before others, and say so where something is said."""
     rival = Rival(shown(tidy(drift.expr), 4), float(f"{drift.bits:.6g}"))
     more = f" Besides, {drift.said}." if found.reason else ""
-    return replace(found, rivals=(rival, *found.rivals), reason=found.reason + more)
+    return replace(found, alternatives=(rival, *found.alternatives), reason=found.reason + more)
 
 
 def _doubts(
@@ -360,7 +360,7 @@ def _doubts(
     unsure = dict.fromkeys(t.term for t in found.terms if t.ratio < settings.sure)
     if unsure:
         doubts.append(f"the data leave it open whether it needs {', '.join(unsure)}")
-    near = [r for r in found.rivals if r.bits < settings.rival_bits]
+    near = [r for r in found.alternatives if r.bits < settings.rival_bits]
     if near:
         how = "gives it better" if near[0].bits < -settings.rival_bits else "gives it as well"
         doubts.append(f"{near[0].equation} {how}")

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 import sympy
 
-from dynsr.arguments import checked
+from dynsr.arguments import checked, renamed
 from dynsr.data import (
     Samples,
     SlopeSettings,
@@ -98,10 +98,11 @@ COMPARED = "comparing whole systems with the states"
 _BELIEVED = 3
 
 
+@renamed(followers="approximations")
 @checked
 @dataclass(frozen=True)
 class DiscoverySettings:
-    """The numbers that decide in a discovery outside its methods; they stand in its record.
+    """The numbers that decide in a discovery outside its methods; its record has them.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ class DiscoverySettings:
     selection : how one equation a state is chosen, constants are fitted and systems compared.
     shares : how the steps share a time budget, where there is one.
     verdict : when equations are a law, an approximation, or not found.
-    followers : how sums of terms are chosen for their integration where no law is found.
+    approximations : how sums of terms are chosen for their integration where no law is found.
     profile : where intervals of constants in noise come from profile likelihoods, and how.
     vary : which constants differ from run to run, where that is asked.
     delays : which delay it is, where delays are asked.
@@ -124,7 +125,7 @@ class DiscoverySettings:
     selection: SelectionSettings = SelectionSettings()
     shares: Shares = Shares()
     verdict: VerdictSettings = VerdictSettings()
-    followers: FollowerSettings = FollowerSettings()
+    approximations: FollowerSettings = FollowerSettings()
     profile: ProfileSettings = ProfileSettings()
     vary: VarySettings = VarySettings()
     delays: DelaySettings = DelaySettings()

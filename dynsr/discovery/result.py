@@ -441,7 +441,7 @@ class Discovery:
     def _summarise(self) -> DataSummary | None:
         """Give what a file keeps of the data, with the covariance of what was tested."""
         data = self.data_summary
-        if data is None or not self.trajectories or not self.verdict.judged:
+        if data is None or not self.trajectories or not self.verdict.tested:
             return data
         # What cannot be computed is not kept; the equations are.
         with suppress(DynsrError, ArithmeticError, ValueError, np.linalg.LinAlgError):
@@ -582,7 +582,7 @@ class Discovery:
     def _alternatives(self, state: str) -> list[sympy.Expr]:
         """Other formulas of a state: those that the verdict names, then those of the front."""
         judged = self.verdict.states
-        named = judged[state].rivals if state in judged else ()
+        named = judged[state].alternatives if state in judged else ()
         allowed = count_constants(self.equations[state]) + MORE_CONSTANTS
         front = sorted(self.front.get(state, ()), key=lambda c: c.loss)
         near = [c.expr for c in front if count_constants(c.expr) <= allowed]
@@ -1542,7 +1542,7 @@ class Discovery:
             "settings": dict(self.settings),
             "seconds": self.seconds,
             "complete": self.complete,
-            "verdict": to_plain(self.verdict) if self.verdict.judged else None,
+            "verdict": to_plain(self.verdict) if self.verdict.tested else None,
             "details": dict(self.details),
             **({"ensemble": to_plain(self.ensemble)} if self.ensemble else {}),
             **({"parameter_names": to_plain(self.parameter_names)} if self.parameter_names else {}),
@@ -1610,7 +1610,7 @@ class Discovery:
     def heading(self) -> str:
         """The verdict on the system in one sentence."""
         so_far = "" if self.complete else "The search was interrupted; the best so far. "
-        if not self.verdict.judged:
+        if not self.verdict.tested:
             return f"{so_far}No verdict."
         return f"{so_far}{self.verdict.level.capitalize()}: {self.verdict.reason}"
 
@@ -1642,7 +1642,7 @@ def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
     found : a discovery with its data.
     settings : the numbers that decide.
     """
-    judged = found.verdict.judged and found.verdict.level != NOT_FOUND
+    judged = found.verdict.tested and found.verdict.level != NOT_FOUND
     if (
         found.by_run.runs
         or not (found.complete and judged)

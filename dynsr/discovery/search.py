@@ -426,7 +426,7 @@ def _judge(
     """
     if not found.complete:
         return found
-    if not found.verdict.judged:
+    if not found.verdict.tested:
         try:
             with keeping(parts):
                 verdict = problem.judge_in_time(found, rivals)

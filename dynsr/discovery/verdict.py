@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 from scipy.special import chdtrc
 
-from dynsr.arguments import Renamed
+from dynsr.arguments import Renamed, renamed
 from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose
 from dynsr.discovery.by_state import ByState
 from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
@@ -147,6 +147,7 @@ def _check_level(level: str) -> None:
         raise InputError(f"a verdict is {', '.join(LEVELS)}, not {str(level)[:40]!r}")
 
 
+@renamed(rivals="alternatives")
 @dataclass(frozen=True)
 class StateVerdict:
     """What is to be thought of one equation.
@@ -162,7 +163,7 @@ class StateVerdict:
         a share of the spread; None where it was not tried.
     noise : the noise of the state as a share of its spread.
     terms : how sure each term is.
-    rivals : different formulas, the closest first.
+    alternatives : different formulas that were compared, the closest first.
     """
 
     level: str
@@ -172,16 +173,11 @@ class StateVerdict:
     forecast: float | None = None
     noise: float = 0.0
     terms: tuple[TermCertainty, ...] = field(default=(), repr=False)
-    rivals: tuple[Rival, ...] = field(default=(), repr=False)
+    alternatives: tuple[Rival, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         """Check the level; raises InputError."""
         _check_level(self.level)
-
-    @property
-    def alternatives(self) -> tuple[Rival, ...]:
-        """Different formulas that were compared, the closest first."""
-        return self.rivals
 
 
 @dataclass(frozen=True)
@@ -208,14 +204,15 @@ class Verdict:
     def __post_init__(self) -> None:
         """Check the level; raises InputError."""
         object.__setattr__(self, "states", ByState(self.states))
-        if self.judged:
+        if self.tested:
             _check_level(self.level)
 
     @property
-    def judged(self) -> bool:
+    def tested(self) -> bool:
         """Whether the equations were tested at all."""
         return self.level != NOT_JUDGED
 
+    judged = Renamed("tested")
     rivals = Renamed("alternatives")
 
     @property
@@ -587,7 +584,7 @@ class _Bench:
                 chi_square=_round(evidence.chi_square[place]),
                 forecast=_finite(_round(evidence.forecast[place])),
                 terms=self._terms(state, evidence, followed),
-                rivals=tuple(
+                alternatives=tuple(
                     Rival(shown(tidy(e), 4), _round(bits)) for e, bits in sorted(close, key=_bits)
                 ),
             )
@@ -639,7 +636,7 @@ class _Bench:
                 continue
             if drift.timed:
                 rival = Rival(shown(tidy(drift.expr), 4), _round(drift.bits))
-                told = replace(told, rivals=(rival, *own.rivals))
+                told = replace(told, alternatives=(rival, *own.alternatives))
             found[state] = told
         return found
 
@@ -757,7 +754,7 @@ class _Bench:
         if unsure:
             some = unsure if len(unsure) <= _NAMED else [*unsure[: _NAMED - 1], "others"]
             doubts.append(f"the data leave it open whether it needs {_join(some)}")
-        near = self._doubted_for(found.rivals, self.clean[place])
+        near = self._doubted_for(found.alternatives, self.clean[place])
         if near and near[0].bits < -settings.rival_bits:
             doubts.append(f"{near[0].equation} fits them better")
         elif near:
@@ -949,9 +946,9 @@ def explain(
     """
     left = f"{state}[n+1]" if discrete else f"{state}'"
     said = f"{left} = {shown(tidy(expr))}: {verdict.level}; {verdict.reason}"
-    if not verdict.rivals or verdict.level == NOT_FOUND:
+    if not verdict.alternatives or verdict.level == NOT_FOUND:
         return said
-    rival = verdict.rivals[0]
+    rival = verdict.alternatives[0]
     if rival.equation in verdict.reason:
         return said
     other = rival.equation if len(rival.equation) <= 80 else rival.equation[:77] + "..."

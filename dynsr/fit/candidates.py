@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import sympy
 
-from dynsr.arguments import checked
+from dynsr.arguments import Renamed, checked
 from dynsr.data import Samples
 from dynsr.expression import ByText, complexity, evaluate, shown, to_latex_formula
 
@@ -75,9 +75,9 @@ def score_candidate(expr: sympy.Expr, samples: Samples, source: str = "") -> Can
 class ParetoFront:
     """Candidates of which none is both simpler and better than another, simplest first.
 
-    ``candidates`` are those that it is made of, in any order; ``leaders`` holds the most
-    accurate candidate of every source, those that others beat too, so that it can be seen what
-    each stage of a search came to.
+    ``candidates`` are those that it is made of, in any order; ``best_by_source``
+    has the most accurate candidate of every source, also where others are better, so that the
+    result of each stage of a search can be seen.
 
     >>> a = Candidate(sympy.Symbol("x"), 1.0, 1.0)
     >>> b = Candidate(sympy.Symbol("y"), 2.0, 2.0)
@@ -86,12 +86,14 @@ class ParetoFront:
     """
 
     candidates: tuple[Candidate, ...] = ()
-    leaders: tuple[Candidate, ...] = field(default=(), compare=False, repr=False)
+    best_by_source: tuple[Candidate, ...] = field(default=(), compare=False, repr=False)
+
+    leaders = Renamed("best_by_source")
 
     def __init__(self, candidates: Iterable[Candidate] = ()) -> None:
         """Keep the undominated ones of the candidates; those with loss inf or NaN are dropped."""
         kept: list[Candidate] = []
-        leaders: dict[str, Candidate] = {}
+        best: dict[str, Candidate] = {}
         ordered = sorted(
             (c for c in candidates if math.isfinite(c.loss) and math.isfinite(c.complexity)),
             key=lambda c: (c.complexity, c.loss, ByText(c.expr)),
@@ -99,11 +101,11 @@ class ParetoFront:
         for candidate in ordered:
             if not kept or candidate.loss < kept[-1].loss:
                 kept.append(candidate)
-            leader = leaders.setdefault(candidate.source, candidate)
-            if candidate.loss < leader.loss:
-                leaders[candidate.source] = candidate
+            known = best.setdefault(candidate.source, candidate)
+            if candidate.loss < known.loss:
+                best[candidate.source] = candidate
         object.__setattr__(self, "candidates", tuple(kept))
-        object.__setattr__(self, "leaders", tuple(leaders.values()))
+        object.__setattr__(self, "best_by_source", tuple(best.values()))
 
     def __iter__(self) -> Iterator[Candidate]:
         """Go through the candidates, simplest first."""
@@ -156,11 +158,11 @@ class ParetoFront:
 
     def add(self, *candidates: Candidate) -> ParetoFront:
         """Give the front of these candidates and mine."""
-        return ParetoFront((*self.candidates, *self.leaders, *candidates))
+        return ParetoFront((*self.candidates, *self.best_by_source, *candidates))
 
     def merge(self, other: ParetoFront) -> ParetoFront:
         """Give the front of the candidates of this one and an ``other``."""
-        return self.add(*other.candidates, *other.leaders)
+        return self.add(*other.candidates, *other.best_by_source)
 
     @property
     def best_fit(self) -> Candidate:

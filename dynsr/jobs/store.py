@@ -190,6 +190,10 @@ def from_plain(kind: Any, value: Any) -> Any:
 def _read_dataclass(kind: Any, value: Any) -> Any:
     hints = _hints(kind)
     left_out = {n: None for n, hint in hints.items() if NoneType in get_args(hint)}
+    # Records of the release before have the names of then.
+    before = getattr(kind, "names_before", {})
+    if isinstance(value, dict):
+        value = {before.get(name, name): own for name, own in value.items()}
     if not isinstance(value, dict) or {**left_out, **value}.keys() != hints.keys():
         raise ValueError(f"it does not have the fields of a {kind.__name__}")
     return kind(**{**left_out, **{n: from_plain(hints[n], v) for n, v in value.items()}})

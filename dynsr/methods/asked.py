@@ -57,7 +57,7 @@ class AskedMethod(AbstractMethod):
         found = limited.search(samples, rng, report)
         pool = [
             *found,
-            *found.leaders,
+            *found.best_by_source,
             *fit_terms(self.demands.limits(samples.target).terms, samples),
         ]
         return ParetoFront(self.demands.select(pool, samples, known))

@@ -58,13 +58,13 @@ def describe_stages(
     """
     known = (*getattr(method, "stages", ()), "network")
     names = dict.fromkeys(s for s in ran if s in known and s not in _REFINING)
-    names |= dict.fromkeys(stage_of(leader.source) for leader in front.leaders)
+    names |= dict.fromkeys(stage_of(leader.source) for leader in front.best_by_source)
     return tuple(
         {
             "stage": name,
             "formulas": sum(stage_of(c.source) == name for c in front),
             "best_loss": min(
-                (c.loss for c in front.leaders if stage_of(c.source) == name), default=None
+                (c.loss for c in front.best_by_source if stage_of(c.source) == name), default=None
             ),
         }
         for name in names

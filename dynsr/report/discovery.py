@@ -216,9 +216,9 @@ def render_discovery(found: Discovery) -> str:
     samples, latex = _samples(found), found.latex()
     return render_page(
         "discovery.html.j2",
-        heading=_HEADINGS[found.verdict.level if found.verdict.judged else ""],
+        heading=_HEADINGS[found.verdict.level if found.verdict.tested else ""],
         verdict=found.heading,
-        level=(found.verdict.level if found.verdict.judged else "none").replace(" ", "-"),
+        level=(found.verdict.level if found.verdict.tested else "none").replace(" ", "-"),
         verdicts=_verdicts(found),
         ensemble=_ensemble(found),
         profiles=list(_profiles(found)),
@@ -298,7 +298,7 @@ def _equation(found: Discovery, state: str) -> dict[str, Any]:
 
 def _is_doubtful(found: Discovery) -> bool:
     """Whether noise leaves a doubt of constants and alternatives; exact data leave none."""
-    judged = found.verdict.judged and found.verdict.level != "not found"
+    judged = found.verdict.tested and found.verdict.level != "not found"
     noisy = judged and bool(found.trajectories) and not found.is_map
     return noisy and is_noisy(found.trajectories)
 
@@ -433,7 +433,7 @@ def _ensemble(found: Discovery) -> Table | None:
 
 
 def _verdicts(found: Discovery) -> Table | None:
-    if not found.verdict.judged:
+    if not found.verdict.tested:
         return None
     rows = tuple(
         (state, own.level, own.r2, own.chi_square, own.forecast, own.noise, _surest(own))
