@@ -30,6 +30,7 @@ from .times import check_time_unit
 from .trajectory import Trajectory, columns_of, settle_hold
 from .velocity import add_velocities, choose_second_samples
 from .weak import weak_form
+from .windows import Window, WindowSettings, choose_windows, cut_to_windows
 from .writing import (
     check_new,
     check_replaceable,
@@ -65,6 +66,8 @@ __all__ = [
     "System",
     "TimeColumn",
     "Trajectory",
+    "Window",
+    "WindowSettings",
     "add_velocities",
     "at_own_rows",
     "bracketed_unit",
@@ -76,9 +79,11 @@ __all__ = [
     "choose_hold",
     "choose_samples",
     "choose_second_samples",
+    "choose_windows",
     "column_units",
     "columns_of",
     "cut_at_doses",
+    "cut_to_windows",
     "describe",
     "describe_table",
     "diagnose",

@@ -34,7 +34,7 @@ from dynsr.data.writing import write_new
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name, compile_numpy, parse
 
-MAX_ROWS = 200_000
+MAX_ROWS = 20_000_000
 
 
 @dataclass(frozen=True, eq=False)

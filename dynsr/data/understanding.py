@@ -47,7 +47,7 @@ class Asked:
     trajectory: Sequence[str] | None = None
     quantity: str | None = None
     errors: Mapping[str, str] = field(default_factory=dict)
-    max_rows: int = 200_000
+    max_rows: int = 20_000_000
     doses: Mapping[str, str] = field(default_factory=dict)
 
     def keeping(self, states: Sequence[str], inputs: Sequence[str]) -> Asked:

@@ -15,6 +15,7 @@ from dynsr.data import (
     Samples,
     SlopeSettings,
     Trajectory,
+    WindowSettings,
     columns_of,
     split_held_back,
 )
@@ -115,6 +116,7 @@ class DiscoverySettings:
     profile : where intervals of constants in noise come from profile likelihoods, and how.
     vary : which constants differ from run to run, where that is asked.
     delays : which delay it is, where delays are asked.
+    windows : which rows of long records are searched.
 
     >>> DiscoverySettings(rows=2000).selection.compared
     5
@@ -129,6 +131,7 @@ class DiscoverySettings:
     profile: ProfileSettings = ProfileSettings()
     vary: VarySettings = VarySettings()
     delays: DelaySettings = DelaySettings()
+    windows: WindowSettings = WindowSettings()
 
     def without_snapping(self) -> DiscoverySettings:
         """Give the same settings for constants that stay as fitted."""

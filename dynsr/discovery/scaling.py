@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -16,8 +18,9 @@ from dynsr.data import Trajectory, read_sums, take_trajectories
 from dynsr.discovery.apart import check_vary, search_apart
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.delayed import check_delays, search_delayed
+from dynsr.discovery.every_row import on_every_row, take_windows
 from dynsr.discovery.problem import DISCOVERY
-from dynsr.discovery.result import Discovery, with_profiles
+from dynsr.discovery.result import Discovery, keep, with_profiles
 from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
@@ -198,6 +201,12 @@ def in_fitting_units(search: Search) -> Search:
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
         delays = settings.pop("delays", False)
         vary = check_vary(settings.pop("vary", False), runs, discrete)
+        every, deciding = runs, settings.get("settings", DISCOVERY)
+        # Where runs have constants of their own, a window would be another run.
+        most = math.inf if vary else deciding.windows.above
+        runs, windows, settings["slopes"] = take_windows(
+            runs, deciding.windows, settings.get("slopes"), most
+        )
         units = Units.of(runs)
         bits = read_own_bits(settings.get("complexity"))
         until = Budget(settings.get("time_budget")).until(1.0)
@@ -218,16 +227,18 @@ def in_fitting_units(search: Search) -> Search:
                     found = _search_in(units, runs, settings)
                 found = with_told(found, runs, observed)
                 found = finish_by(until, lambda: confirm(found), lambda: found)[0]
-                profiling = settings.get("settings", DISCOVERY).profile
+                found = finish_by(
+                    until, lambda: on_every_row(found, every, windows, deciding), lambda: found
+                )[0]
                 sure, late = finish_by(
-                    until, lambda: with_profiles(found, profiling), lambda: found
+                    until, lambda: with_profiles(found, deciding.profile), lambda: found
                 )
             whole, cut = finish_by(until, lambda: with_ensemble(sure, members, seed), lambda: sure)
             ended = ["profiles"] * late + ["ensemble"] * bool(members and cut)
             if ended:
                 ended = [*whole.settings.get("ended_by_budget", ()), *ended]
                 whole = replace(whole, settings={**whole.settings, "ended_by_budget": ended})
-            return whole
+            return _keep_fitted(whole, settings.get("out"))
 
     def _search_in(units: Units, runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery:
         if units.usual:
@@ -250,6 +261,15 @@ def in_fitting_units(search: Search) -> Search:
         return units.restore(found, runs, drives)
 
     return cast("Search", scaled)
+
+
+def _keep_fitted(found: Discovery, out: str | Path | None) -> Discovery:
+    """Keep what all rows say in the place of what the windows said, where it is kept at all."""
+    if out is not None and found.settings.get("windows", {}).get("fitted"):
+        # What was found is not lost where it cannot be kept.
+        with suppress(InputError, OSError):
+            keep(found, Path(out))
+    return found
 
 
 def _measured_columns(runs: Sequence[Trajectory]) -> dict[str, list[np.ndarray]]:

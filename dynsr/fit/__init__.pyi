@@ -1,3 +1,4 @@
+from .blocks import RowsFit, fit_blocks
 from .candidates import Candidate, ParetoFront, explained_shares, r_squared, rmse, score_candidate
 from .collocation import (
     Collocation,
@@ -67,6 +68,7 @@ from .simple import simplicity_bits
 from .snapping import one_a_shape, score_snapped, snap_best, tidy
 from .ties import Names, exchanges, pairs_alike, ways_alike
 from .variation import improve, loosen, neighbours, with_floats
+from .whole import interval_reach
 
 __all__ = [
     "FIT",
@@ -95,6 +97,7 @@ __all__ = [
     "ProfileSettings",
     "Profiling",
     "RatioFit",
+    "RowsFit",
     "Shooting",
     "Windows",
     "approach",
@@ -114,11 +117,13 @@ __all__ = [
     "explained_shares",
     "finer_paces",
     "fit_along",
+    "fit_blocks",
     "fit_ratio",
     "fit_robustly",
     "free_constants",
     "improve",
     "independent_rows",
+    "interval_reach",
     "is_noisy",
     "judge_by_loss",
     "linearly_independent",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import sympy
@@ -33,6 +33,25 @@ _BENT = 0.01
 
 Data: TypeAlias = Sequence[Trajectory] | Measurements
 Fit: TypeAlias = StatesFit | AlongFit
+
+
+class Estimate(Protocol):
+    """Constants (P,) with their covariance (P, P), and the equations that contain them."""
+
+    @property
+    def constants(self) -> np.ndarray:
+        """Their values."""
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Their covariance."""
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Their standard errors."""
+
+    def put(self, numbers: Sequence[sympy.Expr]) -> dict[str, sympy.Expr]:
+        """Give the equations with P numbers in the places of the constants."""
 
 
 def polish(
@@ -353,7 +372,39 @@ def _simple_numbers(
     ]
 
 
-def _ties(fit: Fit, held: Sequence[int], settings: FitSettings) -> Ties:
+def simple_numbers(
+    fit: Estimate, simple: Sequence[sympy.Expr | None], settings: FitSettings
+) -> list[sympy.Expr]:
+    """Give each constant its simple number where the covariance allows all of them together.
+
+    Nothing is fitted again: the others are at their mean once those are known.
+
+    Parameters
+    ----------
+    fit : the constants with their covariance.
+    simple : the numbers that constants have already, None for floats. They stay within
+        ``settings.surely_zero`` standard errors.
+    settings : the numbers that decide.
+    """
+    whole = {
+        i: number
+        for i, number in enumerate(simple)
+        if number is not None and _distance(fit, i, number) <= settings.surely_zero
+    }
+    taken = dict(whole)
+    if settings.snap:
+        taken |= _simple_together(fit, whole, _ties(fit, list(whole), settings), settings)
+    values, covariance = fit.constants.copy(), fit.covariance.copy()
+    for i, number in taken.items():
+        values, covariance = _know(values, covariance, i, number)
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return [
+        taken[i] if i in taken else sympy.Float(written_constant(*own))
+        for i, own in enumerate(zip(values, errors, strict=True))
+    ]
+
+
+def _ties(fit: Estimate, held: Sequence[int], settings: FitSettings) -> Ties:
     """Give the constants of a fit that are one; those that are known stand alone."""
     # The space keeps these names apart from any name of a column.
     symbols = [sympy.Symbol(f"constant {i}") for i in range(len(fit.constants))]
@@ -412,13 +463,13 @@ def _places(fit: Fit, numbers: Sequence[sympy.Expr]) -> list[int]:
     return found
 
 
-def _distance(fit: Fit, index: int, number: sympy.Expr) -> float:
+def _distance(fit: Estimate, index: int, number: sympy.Expr) -> float:
     """Standard errors between a number and the fitted constant at ``index``."""
     return abs(float(number) - fit.constants[index]) / max(fit.errors[index], 1e-300)
 
 
 def _simple_together(
-    fit: Fit, whole: Mapping[int, sympy.Expr], ties: Ties, settings: FitSettings
+    fit: Estimate, whole: Mapping[int, sympy.Expr], ties: Ties, settings: FitSettings
 ) -> dict[int, sympy.Expr]:
     """Give the constants that stand for simple numbers, as the linearised fit allows together.
 

@@ -74,6 +74,8 @@ class FitSettings:
     vocabulary : functions and operators that a varied formula may hold; None allows all.
     along : how constants are fitted along noisy states at the end; simple numbers are judged by
         differences of some units in a sum of squares of thousands, so that it takes more steps.
+    strict : the same for a law that is fitted to all rows of long records, which keep to it
+        strictly.
     must : (state, term) that the equation of the state keeps, however unsure its coefficient.
     """
 
@@ -108,6 +110,7 @@ class FitSettings:
     joint: float = 0.95
     vocabulary: Vocabulary | None = None
     along: CollocationSettings = CollocationSettings(steps=40, gain=1e-8)
+    strict: CollocationSettings = CollocationSettings(stiffness=(1e5, 1e7, 1e9))
     must: tuple[tuple[str, sympy.Expr], ...] = ()
 
 
