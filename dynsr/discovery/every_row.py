@@ -120,7 +120,7 @@ def on_every_row(
 
 def _stays(found: Discovery) -> bool:
     """Whether no equation is fitted again: it has a delay, is a map, or was not found."""
-    judged = found.verdict.judged and found.verdict.level != NOT_FOUND
+    judged = found.verdict.tested and found.verdict.level != NOT_FOUND
     return bool(found.delays) or found.is_map or not (found.complete and judged)
 
 
