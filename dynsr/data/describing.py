@@ -107,6 +107,7 @@ def _odd(table: Table, settings: OddSettings) -> Iterator[str]:
             (name, odd)
             for name, run in runs
             for odd in odd_values(run.t, run.observed[:, run.index(state)], each)
+            if odd.kind != "mark"  # that was noted on reading
         ]
         yield from merge_places(seen, state, count == 1)
     full = [run.select(np.all(run.measured, axis=1)) for run in table.trajectories]

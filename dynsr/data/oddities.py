@@ -13,6 +13,7 @@ from math import isclose, sqrt
 import numpy as np
 
 from dynsr.data.noise_model import NoiseSettings, robust_scale
+from dynsr.data.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,31 @@ def odd_values(t: np.ndarray, x: np.ndarray, settings: OddSettings = _SETTINGS) 
     )
     found += [odd for look in looks for odd in look(column, settings)]
     return found
+
+
+def odd_marks(runs: Sequence[Trajectory], settings: OddSettings = _SETTINGS) -> list[str]:
+    """Say which numbers of states are so far from all others that they may stand for no value.
+
+    Parameters
+    ----------
+    runs : trajectories of the same states.
+    settings : the numbers that decide.
+
+    >>> x = np.where(np.arange(30) % 9 == 4, -999.0, np.sin(np.arange(30.0)))
+    >>> odd_marks([Trajectory(np.arange(30.0), x[:, None], ("x",))])[0][:26]
+    'x is -999 in 3 of 30 rows,'
+    """
+    notes = []
+    for place, state in enumerate(runs[0].states):
+        seen = []
+        for number, run in enumerate(runs, start=1):
+            there = np.flatnonzero(run.measured[:, place])
+            x = run.x[:, place]
+            marks = _marks(x[there], settings)
+            name = str(run.origin.get("name", number))
+            seen += [(name, odd) for odd in _marked(x, there[marks], there[~marks])]
+        notes += merge_places(seen, state, len(runs) == 1)
+    return notes
 
 
 def _marked(x: np.ndarray, rows: np.ndarray, others: np.ndarray) -> Iterator[Oddity]:

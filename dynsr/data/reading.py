@@ -24,7 +24,7 @@ from dynsr.data.grouping import find_restarts
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
 from dynsr.data.names import clean_name
-from dynsr.data.oddities import OddSettings
+from dynsr.data.oddities import OddSettings, odd_marks
 from dynsr.data.roles import Roles
 from dynsr.data.steps import between_rows
 from dynsr.data.times import convert_times
@@ -156,6 +156,10 @@ def read_trajectories(
         hold = {**_given(source, found.runs), **(hold or {})}
     if isinstance(source, Trajectory) and [len(run) for run in found.runs] == [len(source)]:
         found = replace(found, runs=[replace(run, noise=source.noise) for run in found.runs])
+    marks = odd_marks(found.runs)
+    for note in marks:
+        warnings.warn(note, DynsrWarning, stacklevel=2)
+    found = replace(found, notes=(*found.notes, *marks))
     runs = settle_hold(say_noise(found.runs, noise, found.roles.renamed), hold)
     understood = describe_runs(
         columns.label, runs, found.roles, asked.formulas, found.left_out, found.notes
