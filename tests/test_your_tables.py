@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dynsr
-from dynsr.errors import InputError
+from dynsr.errors import DynsrWarning, InputError
 
 pytestmark = pytest.mark.filterwarnings("ignore::dynsr.errors.DynsrWarning")
 N = 24
@@ -241,6 +241,24 @@ FORMS = {
         ),
         {"time": ("when", "min"), "states": [f"T{k}" for k in range(1, 9)], "rows": N},
     ),
+    "footnotes behind numbers.csv": (
+        "t,x\n" + rows(lambda k: f"{k},{'~' * (k == 3)}{FALL[k]:.3f}{'*' * (k % 5 == 4)}"),
+        {"states": ["x"], "rows": N, "note": "have a mark ('~30.633') and were read without it"},
+    ),
+    "words for no value.csv": (
+        "t,x,y\n"
+        + rows(
+            lambda k: (
+                f"{k},{'below LOD' if k == 5 else f'{FALL[k]:.3f}'},"
+                f"{'***' if k == 7 else 'not sampled' if k == 9 else f'{RISE[k]:.3f}'}"
+            )
+        ),
+        {"states": ["x", "y"], "rows": N, "note": "cells are empty: 'y' in 2, 'x' in 1"},
+    ),
+    "a code for no value.csv": (
+        "t,x\n" + rows(lambda k: f"{k},{-999 if k % 9 == 4 else round(FALL[k], 3)}"),
+        {"states": ["x"], "note": "x is -999 in 3 of 24 rows"},
+    ),
     "a valve.csv": (
         "t,level,valve [V]\n" + rows(lambda k: f"{k},{FALL[k]:.3f},{(0, 5, 2.5)[k // 8]}"),
         {"states": ["level"], "inputs": {"valve": "previous"}},
@@ -298,3 +316,20 @@ def test_numbers_of_runs_that_are_taken_for_a_parameter_can_be_named(tmp_path):
     found = dynsr.describe(path)
     assert found.parameters == ("dose",) and "--trajectory dose" in found.options
     assert dynsr.describe(path, trajectory="dose").parameters == ()
+
+
+def test_the_date_that_is_counted_from_is_shown(tmp_path):
+    """Whether the day or the month comes first can be seen in the description."""
+    path = tmp_path / "dates.csv"
+    path.write_text("date,x\n" + rows(lambda k: f"{at(k, '%d/%m/%Y', days=1)},{FALL[k]:.3f}"))
+    found = dynsr.describe(path)
+    assert found.time.begins == "2023-11-04" and "in days since 2023-11-04" in str(found)
+    assert found.to_dict()["time"]["begins"] == "2023-11-04"
+
+
+def test_a_code_for_no_value_is_reported_by_every_reading(tmp_path):
+    """Such numbers spoil a search, so that reading warns of them too."""
+    path = tmp_path / "codes.csv"
+    path.write_text(FORMS["a code for no value.csv"][0])
+    with pytest.warns(DynsrWarning, match="x is -999 in 3 of 24 rows"):
+        dynsr.data.read_trajectories(path)

@@ -11,7 +11,8 @@ from typing import Any
 # What people and programs write where there is no value; compared without case.
 _NOTHING = """
 nan n/a na <na> n.a. n.a n.d. n.d nd n.m. k.a. bdl bld b.d.l. lod loq <lod <loq <dl <mdl null none
-nil missing void . .. ... - -- --- \u2013 \u2014 ? ?? * ** #n/a #na #nv #div/0! #value! #ref! #num!
+nil missing void overflow ovrflw overrange
+. .. ... - -- --- \u2013 \u2014 ? ?? * ** *** #n/a #na #nv #div/0! #value! #ref! #num!
 #name? #null! #wert! #zahl! #bezug! -nan nan(ind) -nan(ind) 1.#qnan 1.#ind -1.#ind
 """
 _NO_WORDS = (
@@ -20,6 +21,12 @@ _NO_WORDS = (
     "not measured",
     "not available",
     "below detection limit",
+    "below lod",
+    "below loq",
+    "not sampled",
+    "no sample",
+    "sample lost",
+    "over range",
     "no data",
 )
 MISSING = frozenset(("", *_NO_WORDS, *_NOTHING.split()))
@@ -45,6 +52,7 @@ _UNIT = re.compile(
     rf"(?:1\s*/\s*)?{_BASE}(?:\^?[-\u2212]?[\d²³⁻¹]+)?(?:\s*[/*·.\s]\s*\(?{_BASE}\)?(?:\^?[-\u2212]?[\d²³⁻¹]+)?)*"
 )
 _LONGEST_UNIT = 24
+_MARKED = re.compile(r"\s*[~\u2248]?\s*(?P<number>\S*\d)\s*[*\u2020\u2021\u00a7]{0,3}\s*")
 # A word behind a number that makes it a time of a day or a date.
 _CALENDAR = re.compile(
     r"[ap]\.?\s?m\.?|h\d\d|jan|feb|mar|m[äa]r|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz]",
@@ -127,6 +135,16 @@ class Amount:
         """Give the number where this is the decimal mark; None where it cannot be."""
         text = self.readings[mark] if mark in self.marks else None
         return None if text is None else float(f"{self.sign}{text}{self.power}")
+
+
+def without_marks(cell: str) -> str:
+    """Give a cell without the sign of a footnote behind its number, or of a rounding before it.
+
+    >>> [without_marks(cell) for cell in ("0.96*", "~ 1.2", "3", "*")]
+    ['0.96', '1.2', '3', '*']
+    """
+    found = _MARKED.fullmatch(cell)
+    return found["number"] if found else cell
 
 
 def parse_number(cell: str) -> Amount | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.data.amounts import Amount, is_missing, is_unit, parse_number
+from dynsr.data.amounts import Amount, is_missing, is_unit, parse_number, without_marks
 from dynsr.data.trajectory import as_floats
 from dynsr.errors import InputError
 
@@ -146,6 +146,7 @@ class _Look:
         self.counts = np.bincount(self.codes[self.codes >= 0], minlength=len(self.distinct))
         self.decisive: dict[str, str] = {}
         self.parsed: list[Amount | None] = []
+        self.marked: list[int] = []
         self.numbers = self._all_alike(self.distinct)
         if self.numbers is not None:
             self.there, self.places = self.codes >= 0, np.arange(len(self.distinct))
@@ -170,6 +171,10 @@ class _Look:
     def _parse(self) -> None:
         """Take each text apart as a number, and note which decimal marks are shown."""
         self.parsed = [parse_number(text) for text in self.texts]
+        for j, text in enumerate(self.texts):
+            if self.parsed[j] is None and (plain := without_marks(text)) != text:
+                self.parsed[j] = parse_number(plain)
+                self.marked += [j] if self.parsed[j] is not None else []
         self._drop_odd_units()
         for number in filter(None, self.parsed):
             if len(number.marks) == 1:
@@ -285,6 +290,10 @@ class _Look:
         if beyond := self._count(lambda number: number is not None and number.limit != ""):
             cells = "1 cell is" if beyond == 1 else f"{beyond} cells are"
             notes += (f"{cells} beyond a limit ({self._limits()}) and so without a value",)
+        if self.marked:
+            count = sum(int(self.counts[self.places[j]]) for j in self.marked)
+            cells = "1 cell has" if count == 1 else f"{count} cells have"
+            notes += (f"{cells} a mark ({self.texts[self.marked[0]]!r}) and were read without it",)
         values = self._spread(table, others=True)
         unit = units[0] if units else ""
         if any(isinstance(value, str) for value in table):

@@ -32,12 +32,14 @@ class TimeColumn:
     unit : "s", "min", "h", "days" or such; "" where nothing says it.
     step : the median of the steps, in that unit.
     steps : the shortest and the longest of them.
+    begins : the date that is counted from, where the times are dates; else "".
     """
 
     column: str
     unit: str = ""
     step: float = 0.0
     steps: tuple[float, float] = (0.0, 0.0)
+    begins: str = ""
 
     @property
     def even(self) -> bool:
@@ -48,7 +50,8 @@ class TimeColumn:
     @property
     def counted(self) -> str:
         """How the times are counted, in words that follow the column; "" if unknown."""
-        return f" in {_UNITS.get(self.unit, self.unit)}" if self.unit else ""
+        since = f" since {self.begins}" if self.begins else ""
+        return f" in {_UNITS.get(self.unit, self.unit)}{since}" if self.unit else ""
 
     @property
     def spacing(self) -> str:
@@ -177,6 +180,7 @@ class Description:
                 "unit": self.time.unit,
                 "step": self.time.step,
                 "steps": list(self.time.steps),
+                "begins": self.time.begins,
             },
             "trajectories": [
                 {"name": run.name, "rows": run.rows, "from": run.first, "to": run.last}
@@ -294,6 +298,7 @@ def describe_runs(
         runs[0].time_unit,
         float(np.median(steps)),
         (float(steps.min()), float(steps.max())),
+        _first_date(runs),
     )
     used = {name: roles.renamed[name] for name in (*roles.states, *roles.inputs)}
     parameters = tuple(used[name] for name in roles.parameters)
@@ -321,6 +326,16 @@ def describe_runs(
     )
     amounts = [used[name] for name in roles.amounts]
     return replace(found, options=dict(_options(found, amounts)))
+
+
+def _first_date(runs: Sequence[Trajectory]) -> str:
+    """Give the date that times are counted from, as ISO 8601 writes it; "" where there is none."""
+    kind, seconds = runs[0].origin.get("begins", ("", 0.0))
+    if kind != "date":
+        return ""
+    moment = np.datetime64(0, "s") + np.timedelta64(round(seconds), "s")
+    day, clock = str(moment).split("T")
+    return day if clock == "00:00:00" else f"{day} {clock.removesuffix(':00')}"
 
 
 def _rows_of(run: Trajectory, number: int) -> RunRows:

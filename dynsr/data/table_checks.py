@@ -39,7 +39,7 @@ def to_numbers(values: np.ndarray, name: str, label: str) -> np.ndarray:
         remedy = f", or say --trajectory {name} if it distinguishes trajectories" if many else ""
         raise InputError(
             f"column {name!r} of {label} has the text {str(values[row])[:40]!r} in row "
-            f"{row + 1}; give numbers, or leave the column out{remedy}"
+            f"{row + 1}; give a number or leave the cell empty, or leave the column out{remedy}"
         )
     return np.array(numbers, dtype=float)
 
