@@ -1,5 +1,6 @@
 """Doses: a state jumps by the amount given right after a row, in every fit and integration."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -188,3 +189,15 @@ def test_doses_that_other_columns_repeat_are_refused(tmp_path):
     path.write_text(f"TIME,AMT,DV,EVID,ADDL\n{rows}")
     with pytest.raises(InputError, match=r"'ADDL' of pk\.csv is 5 in row 1"):
         dynsr.describe(path, doses={"DV": "AMT"})
+
+
+@pytest.mark.parametrize("empty", ["", "0"])
+def test_a_result_reads_further_tables_with_their_doses(tmp_path, empty):
+    """Score and export take the same columns for doses as the search did."""
+    path = write_doses(tmp_path / "doses.csv", empty)
+    found = dynsr.discover(path, doses={"conc": "dose"}, preset="quick", jobs=1)
+    assert found.doses == {"conc": "dose"} and found.verdict.level == "law"
+    assert found.score(path)["conc"]["trajectory_rmse"] < 1e-3
+    found.save(tmp_path / "found.json")
+    shell = command_line.run("score", str(tmp_path / "found.json"), str(path), "--json").stdout
+    assert json.loads(shell)["conc"]["trajectory_rmse"] < 1e-3

@@ -143,13 +143,17 @@ def _load_for(
     time_column: str | None,
     states: options.Names,
     inputs: options.Names,
-    how: tuple[Any, ...],
+    how: tuple[Any, Any, Any, Any, Any],
 ) -> list[Trajectory]:
     """Read files with the columns of a discovery, where they have them and no others are named."""
     asked = found.columns_asked if states is None and inputs is None else {}
+    doses = [f"{state}={column}" for state, column in found.doses.items()]
     if asked:
-        with suppress(InputError):  # they are not the same
-            return load_table(files, time_column, asked["states"], asked["inputs"], *how)
+        # Other data may have no doses, or other columns.
+        for given in [doses, None] if doses else [None]:
+            with suppress(InputError):
+                own = (asked["states"], asked["inputs"])
+                return load_table(files, time_column, *own, *how, doses=given)
     return load_table(files, time_column, states, inputs, *how)
 
 
@@ -372,6 +376,7 @@ def export(
     """Write a saved discovery, with named parameters, for another tool."""
     from dataclasses import replace
 
+    from dynsr.data import cut_at_doses
     from dynsr.export import FORMATS, Source, find_format, save_format, write_format
 
     if to is None:
@@ -386,11 +391,9 @@ def export(
     find_format(to)
     found = load_discovery(model)
     if files:
-        asked = found.columns_asked
-        states, inputs = asked.get("states"), asked.get("inputs")
         how = (None, None, None, None, _say_to(json))
-        runs = load_table(files, None, states, inputs, *how)
-        found = replace(found, trajectories=tuple(runs))
+        runs = _load_for(found, files, None, None, None, how)
+        found = replace(found, trajectories=tuple(cut_at_doses(runs, found.doses or None)))
     source = Source.of(found)
     if out is not None:
         written = save_format(source, to, out, force)

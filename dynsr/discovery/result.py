@@ -1289,6 +1289,12 @@ class Discovery:
             "inputs": [str(name) for name in inputs if name not in formulas],
         }
 
+    @property
+    def doses(self) -> dict[str, str]:
+        """State -> the column of the amounts by which it jumped; {} where there were none."""
+        given = self.settings.get("doses")
+        return {str(s): str(own) for s, own in given.items()} if isinstance(given, Mapping) else {}
+
     def _take(self, data: Any) -> list[Trajectory]:
         """Take columns for what they were in the search, where they are the same."""
         asked = self.columns_asked
@@ -1296,18 +1302,22 @@ class Discovery:
         if asked and table and not isinstance(data, Trajectory):
             formulas = [f"{name}={to_text(expr)}" for name, expr in self.inputs.items()]
             inputs = [*asked["inputs"], *formulas]
-            with suppress(InputError):  # they are not the same
-                return take_trajectories(data, inputs, states=asked["states"])[0]
+            # Other data may have no doses, or other columns.
+            for doses in dict.fromkeys((tuple(self.doses.items()), ())):
+                with suppress(InputError):
+                    return take_trajectories(
+                        data, inputs, states=asked["states"], doses=dict(doses) or None
+                    )[0]
         return take_trajectories(data, self.inputs)[0]
 
     def _read(self, data: Any) -> list[Trajectory]:
         """Read other data, cut at doses as those of the discovery were."""
-        runs, given = self._take(data), self.settings.get("doses")
+        runs, given = self._take(data), self.doses
         observed = self.settings.get("observed")
         if isinstance(observed, Mapping) and set(observed) <= set(runs[0].states):
             runs = read_sums(runs, observed)
         # Trajectories of the discovery itself are cut already.
-        if isinstance(given, Mapping) and set(given.values()) <= set(runs[0].names):
+        if given and set(given.values()) <= set(runs[0].names):
             return cut_at_doses(runs, given)
         return runs
 
