@@ -59,7 +59,7 @@ def test_no_step_takes_longer_than_the_budget(monkeypatch, place, step, run):
     found = dynsr.discover(run, jobs=1, time_budget=0.5)
     assert list(found.equations) == ["x"]
     assert found.complete
-    assert found.verdict.judged
+    assert found.verdict.tested
     assert found.settings.get("ended_by_budget") or not HITS
 
 
@@ -73,7 +73,7 @@ def test_a_budget_holds_in_any_thread(monkeypatch):
     thread.start()
     thread.join()
     assert "verdict" in found[0].settings["ended_by_budget"]
-    assert found[0].verdict.judged
+    assert found[0].verdict.tested
     assert "the time budget ended" in found[0].verdict.reason
 
 

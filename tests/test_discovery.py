@@ -242,7 +242,7 @@ def test_other_constants_are_put_in_the_order_of_the_printed_formula():
     assert [c.of for c in found.constants["x"]] == ["x*y", "x"]
     moved = found.with_constants({"x": [-1.5, 0.25]})
     assert same(moved.equations["x"], "0.25*x - 1.5*x*y")
-    assert moved.equations["y"] == found.equations["y"] and not moved.verdict.judged
+    assert moved.equations["y"] == found.equations["y"] and not moved.verdict.tested
     twice = found.with_constants({"y": [2 * c.value for c in found.constants["y"]]})
     assert same(twice.equations["y"], "9*y/(11*x + 15) - 13*x")
     with pytest.raises(InputError, match="are not 2 finite numbers; give one a constant"):
