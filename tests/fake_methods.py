@@ -41,6 +41,21 @@ class Broken(AbstractMethod):
         return ParetoFront()
 
 
+@dataclass(frozen=True)
+class DiesOnce(Guess):
+    """Take the first process down that makes the mark, and draw in all others."""
+
+    mark: str = ""
+
+    def search(self, samples, rng, report=silent):
+        """Die where there is no mark yet."""
+        try:
+            os.close(os.open(self.mark, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return super().search(samples, rng, report)
+        os._exit(9)
+
+
 def make(name, system, quick):
     """Make a fake by its name."""
     if name.startswith("broken-"):

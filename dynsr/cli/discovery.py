@@ -318,6 +318,15 @@ def discover(
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
+    batch: Annotated[
+        bool,
+        typer.Option(
+            "--batch",
+            help="Each file is a system of its own: find the equations of each, and show a table. "
+            "The same command continues; files may be added.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = False,
     details: Annotated[
         bool,
         typer.Option(
@@ -350,6 +359,51 @@ def discover(
     if bool(files) == bool(system):
         raise InputError("give a file of data or --system, one of the two")
     columns, formulas = split_inputs(inputs)
+    asked: dict[str, Any] = {
+        "method": _choose_methods(method, preset, system),
+        "preset": preset,
+        "scheme": scheme,
+        "targets": options.read_names(targets, "--targets") or "all",
+        "observed": options.read_observed(observed),
+        "known": read_equations(known) if known else None,
+        "snap": snap,
+        "order": options.read_orders(order),
+        "explicit_time": explicit_time,
+        "discrete": discrete,
+        "functions": options.read_functions(functions),
+        "max_complexity": max_complexity,
+        "loss": loss,
+        "complexity": options.read_pairs(complexity, "--complexity"),
+        "terms": options.read_names(terms) or (),
+        "must": options.read_names(must),
+        "constraints": options.read_names(constraints),
+        "conserved": options.read_names(conserved) or (),
+        "nonnegative": options.read_names(nonnegative) or (),
+        "units": units,
+        "time_budget": time_budget,
+        "vary": options.read_vary(vary),
+        "delays": options.read_delays(delays),
+        "ensemble": ensemble,
+        "start": start,
+        "seed": seed,
+        "engine": engine,
+    }
+    if batch:
+        if system:
+            raise InputError("--batch goes with files of data; leave --system out")
+        asked |= {
+            "time": time_column,
+            "states": options.read_names(states, "--states"),
+            "inputs": inputs and [*(columns or []), *(f"{n}={e}" for n, e in formulas.items())],
+            "trajectory": trajectory,
+            "hold": options.read_hold(hold),
+            "quantity": quantity,
+            "decimal": decimal,
+            "noise": options.read_noise(noise),
+            "doses": options.read_doses(doses),
+        }
+        _discover_each(files or [], out, asked, jobs, json, quiet)
+        return
     notes = Notes(quiet)
     with notes:
         if files:
@@ -376,36 +430,10 @@ def discover(
                 _folders(out, files[0].stem if files else str(system), json),
                 data,
                 progress,
-                method=_choose_methods(method, preset, system),
-                preset=preset,
-                scheme=scheme,
-                targets=options.read_names(targets, "--targets") or "all",
                 inputs=formulas or None,
                 doses=options.read_doses(doses),
-                observed=options.read_observed(observed),
-                known=read_equations(known) if known else None,
-                snap=snap,
-                order=options.read_orders(order),
-                explicit_time=explicit_time,
-                discrete=discrete,
-                functions=options.read_functions(functions),
-                max_complexity=max_complexity,
-                loss=loss,
-                complexity=options.read_pairs(complexity, "--complexity"),
-                terms=options.read_names(terms) or (),
-                must=options.read_names(must),
-                constraints=options.read_names(constraints),
-                conserved=options.read_names(conserved) or (),
-                nonnegative=options.read_names(nonnegative) or (),
-                units=units,
-                time_budget=time_budget,
-                vary=options.read_vary(vary),
-                delays=options.read_delays(delays),
-                ensemble=ensemble,
-                start=start,
-                seed=seed,
                 jobs=jobs,
-                engine=engine,
+                **asked,
             )
         # What was found is safe before it is shown, which nobody may read to its end; it is shown
         # also where it cannot be saved. The report takes longer than many a search.
@@ -427,6 +455,34 @@ def discover(
         output.note(f"warning: the time budget ended {steps} early; more seconds may find better")
     if not quiet:
         show_files(found, saved, folder)
+
+
+def _discover_each(
+    files: Sequence[Path],
+    out: Path | None,
+    asked: Mapping[str, Any],
+    jobs: int,
+    json: bool,
+    quiet: bool,
+) -> None:
+    """Find the equations of each file, and print a table of them."""
+    from dynsr.discovery import discover_each
+    from dynsr.jobs import to_plain
+
+    folder = out or Path("batch-dynsr")
+    output.make_folder(folder)
+    with SearchProgress(quiet) as progress:
+        rows = discover_each(files, folder, jobs=jobs, progress=progress, **asked)
+    if json:
+        output.print_json([to_plain(row) for row in rows])
+        return
+    cells = [
+        (row.file, row.level, "\n".join(row.equations) or row.reason, f"{row.seconds:.1f}")
+        for row in rows
+    ]
+    output.print_table("Discoveries", ("file", "verdict", "equations", "seconds"), cells)
+    if not quiet:
+        output.note(f"each discovery is kept in {folder / 'each'}")
 
 
 def _refuse_columns(

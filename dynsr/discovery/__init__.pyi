@@ -1,3 +1,4 @@
+from .batch import Discovered, discover_each
 from .by_run import RunParameters
 from .cut_short import beside_data, keep_formulas
 from .delays import Delay, DelaySettings
@@ -34,6 +35,7 @@ __all__ = [
     "Constant",
     "Delay",
     "DelaySettings",
+    "Discovered",
     "Discovery",
     "DiscoverySettings",
     "DynsrRegressor",
@@ -60,6 +62,7 @@ __all__ = [
     "beside_data",
     "bootstrap",
     "discover",
+    "discover_each",
     "equation_rmse",
     "identifiability",
     "inputs_in",

@@ -1,0 +1,157 @@
+"""Batch: one discovery for each of many files, in parallel, and one table of them all."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from joblib import effective_n_jobs
+
+from dynsr import __version__
+from dynsr.discovery.orders import write_lines
+from dynsr.discovery.search import discover
+from dynsr.errors import DynsrError, InputError, one_line
+from dynsr.jobs import RunFolder, Step, Task, Watch, check_jobs, fingerprint, run_tasks, to_plain
+from dynsr.methods import Report
+
+# Level of a file in which nothing could be searched.
+FAILED = "failed"
+# Folder of each file's own discovery, in that of the batch.
+EACH = "each"
+# Rough seconds of a file on one core, from which the time left is first guessed.
+_USUAL = 60.0
+
+
+@dataclass(frozen=True)
+class Discovered:
+    """What was found in one file.
+
+    Parameters
+    ----------
+    file : its path, as it was given.
+    level : that of the verdict; "failed" where nothing could be searched.
+    reason : why, in words.
+    equations : the equations, a line each.
+    seconds : wall time.
+    complete : whether the search came to its end.
+    """
+
+    file: str
+    level: str
+    reason: str
+    equations: tuple[str, ...]
+    seconds: float
+    complete: bool = True
+
+    @property
+    def summary(self) -> str:
+        """What was found, in a few words."""
+        return f"{self.level}: {'; '.join(self.equations) or self.reason}"
+
+    @property
+    def done(self) -> bool:
+        """Whether the same call has nothing more to do."""
+        return self.complete and self.level != FAILED
+
+
+def discover_each(
+    files: Sequence[str | Path],
+    out: str | Path,
+    *,
+    jobs: int = -1,
+    progress: Callable[[Step], None] | None = None,
+    **settings: Any,
+) -> list[Discovered]:
+    """Find the equations of each of many files, which are no runs of one system.
+
+    Parameters
+    ----------
+    files : tables, one system each.
+    out : a folder that keeps what was found in each, by the name of its file in ``each``. The same
+        call on it continues where it stopped; files may be added, and those that have changed are
+        searched again.
+    jobs : files at a time; -1 for one a core. The joblib backend in force is used, so
+        ``joblib.parallel_config("dask")`` spreads them over a cluster.
+    progress : called with a :class:`Step` as files end, and every half second in between.
+    settings : of :func:`discover`, the same for all files.
+
+    Gives one record for each file, in their order. A file that cannot be used has a record that
+    says why, and the others go on. A worker that dies is replaced. Raises InputError when no file
+    is given, one is given twice, or the folder is another batch's.
+
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from dynsr.data import Trajectory, write_csv
+    >>> t = np.linspace(0, 3, 61)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_csv(Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",)), f"{folder}/decay.csv")
+    ...     found = discover_each([f"{folder}/decay.csv"], f"{folder}/out", jobs=1, preset="quick")
+    >>> found[0].level, found[0].equations
+    ('law', ("x' = -0.5*x",))
+    """
+    if not files:
+        raise InputError("no file was given; give at least one")
+    twice = [str(file) for file, often in Counter(map(Path, files)).items() if often > 1]
+    if twice:
+        raise InputError(f"file {twice[0]!r} is given twice; give it once")
+    folder = RunFolder(Path(out).absolute())
+    shared = {"version": __version__, "settings": fingerprint(repr(to_plain(settings)))}
+    folder.claim("batch", shared, alone=(EACH,))
+    assert folder.path is not None
+    tasks = [
+        _make_task(Path(file), name, folder.path / EACH / name, settings)
+        for file, name in zip(files, _names([Path(file) for file in files]), strict=True)
+    ]
+    workers = effective_n_jobs(check_jobs(jobs))
+    with Watch(progress, {task.name: task.seconds for task in tasks}, workers) as watch:
+        return run_tasks(tasks, folder, jobs, watch, finished=lambda record: record.done)
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """Give each file a name of its own: that of the file, with a number where others have it."""
+    seen: Counter[str] = Counter()
+    found = []
+    for file in files:
+        seen[file.stem] += 1
+        found.append(file.stem if seen[file.stem] == 1 else f"{file.stem}-{seen[file.stem]}")
+    return found
+
+
+def _make_task(file: Path, name: str, out: Path, settings: Mapping[str, Any]) -> Task:
+    content = file.read_bytes() if file.is_file() else b""
+    key = fingerprint(content, repr(to_plain(dict(settings))), __version__)
+    arguments = (file, out.with_name(f"{out.name}-{key}"), dict(settings))
+    died = partial(_died, file)
+    return Task(name, str(file), discover_one, arguments, Discovered, key, _USUAL, died)
+
+
+def _died(file: Path, reason: str) -> Discovered:
+    """Give the record of a file whose process died: the others go on."""
+    return Discovered(str(file), FAILED, reason, (), 0.0)
+
+
+def discover_one(file: Path, out: Path, settings: Mapping[str, Any], report: Report) -> Discovered:
+    """Find the equations of one file of a batch.
+
+    Parameters
+    ----------
+    file : the table.
+    out : the folder of its discovery.
+    settings : of :func:`discover`.
+    report : hears of the search.
+    """
+    began = time.monotonic()
+    try:
+        found = discover(file, out=out, jobs=1, progress=False, **settings)
+    except (DynsrError, MemoryError) as error:
+        reason = one_line(error) or type(error).__name__
+        return Discovered(str(file), FAILED, reason, (), time.monotonic() - began)
+    lines = tuple(write_lines(found.equations, found.settings))
+    taken = time.monotonic() - began
+    level, reason = found.verdict.level, found.verdict.reason
+    return Discovered(str(file), level, reason, lines, taken, found.complete)
