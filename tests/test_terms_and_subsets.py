@@ -14,6 +14,7 @@ from dynsr.data.system import CART_POLE
 from dynsr.engines import simulate
 from dynsr.expression import compile_columns, counting, evaluate, parse
 from dynsr.fit import Measurements, skeleton, structure_bits
+from dynsr.library import find_turning
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings
 from dynsr.selection.comparison import SystemComparison
@@ -24,7 +25,7 @@ from dynsr.selection.costs import (
 )
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.systems import explore
-from dynsr.selection.terms import Terms, TermSettings, find_turning
+from dynsr.selection.terms import Terms, TermSettings
 
 X, Y = sympy.symbols("x y")
 RNG = np.random.default_rng(0)

@@ -18,8 +18,9 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.rivals import count_constants
 from dynsr.discovery.verdict import LEVELS, NOT_FOUND, Rival, Verdict
 from dynsr.expression import parse, shown
-from dynsr.fit import ParetoFront, constant_bits, skeleton, structure_bits, tidy, with_floats
+from dynsr.fit import ParetoFront, constant_bits, skeleton, tidy, with_floats
 from dynsr.jobs import finish_by
+from dynsr.library import structure_of
 
 # Misses, squared in units of the noise, below which nothing is told apart.
 _FINEST = 1e-3
@@ -136,18 +137,26 @@ def _behind(
         return math.inf if ranks[1] > ranks[0] else -math.inf
     if other[1].span < own[1].span:
         return math.inf
-    return _length(problem, *other) - _length(problem, *own)
+    rows = {
+        state: max(mine.rows, other[1].states[state].rows) for state, mine in own[1].states.items()
+    }
+    return _length(problem, *other, rows) - _length(problem, *own, rows)
 
 
-def _length(problem: Problem, found: Discovery, verdict: Verdict) -> float:
-    """Bits of the residuals, of the formulas and of their constants."""
+def _length(
+    problem: Problem, found: Discovery, verdict: Verdict, independent: Mapping[str, float]
+) -> float:
+    """Bits of the residuals, of the formulas and of their constants.
+
+    Residuals with a pattern, as those of a solver are, say less than as many random ones.
+    """
     rows = sum(map(len, problem.runs))
-    bits = 0.0
+    written = {s: with_floats(expr) for s, expr in found.equations.items()}
+    bits = structure_of(written, problem.columns)
     for state, expr in found.equations.items():
         own = verdict.states[state]
         square = own.noise**2 if problem.form.discrete else max(own.chi_square, _FINEST)
-        bits += rows / 2 * math.log2(max(square, 1e-300))
-        bits += structure_bits(with_floats(expr))
+        bits += (independent[state] or rows) / 2 * math.log2(max(square, 1e-300))
         bits += count_constants(expr) * constant_bits(rows)
     return bits
 

@@ -30,7 +30,7 @@ from dynsr.discovery.drift import (
 from dynsr.discovery.following import Course, Followed, open_constants
 from dynsr.discovery.rivals import columns_along
 from dynsr.expression import evaluate
-from dynsr.fit import Flow, Shooting, independent_rows
+from dynsr.fit import Flow, Shooting
 from dynsr.methods import recalled
 
 # Robust sizes of misses beyond which one is an outlier.
@@ -117,7 +117,7 @@ class Along:
             return None
         opened, places = open_constants({**self.equations, state: expr})
         numbers = dict(zip(places, map(sympy.Float, fitted.constants), strict=True))
-        rows = _rows(fitted)
+        rows = fitted.independent
         gain = float(rows @ np.log2(_squares(now) / _squares(fitted))) / 2
         most = float(rows.max())
         return _Compared(
@@ -347,9 +347,3 @@ def _squares(followed: Followed) -> np.ndarray:
     """(k,) mean size of the squares of residuals, of which those far off count little."""
     total = sum(np.sum(_FAR**2 * np.log1p((z / _FAR) ** 2), axis=(0, 2)) for z in followed.misses)
     return np.asarray(total / np.maximum(followed.counts, 1))
-
-
-def _rows(followed: Followed) -> np.ndarray:
-    """(k,) independent rows of the residuals."""
-    lanes = [followed.lanes(place) for place in range(len(followed.counts))]
-    return np.array([sum(independent_rows(z[:, None])[0] for z in own) for own in lanes])

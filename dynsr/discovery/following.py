@@ -25,6 +25,7 @@ from dynsr.fit import (
     drives_of,
     finer_paces,
     free_constants,
+    independent_rows,
     loosen,
 )
 
@@ -224,6 +225,12 @@ class Followed:
             parts = [z[rows, place, [lane]][:, None] for lane, rows in enumerate(own.T)]
             found += [z[:, place]] if own.all() else [part for part in parts if len(part)]
         return found
+
+    @cached_property
+    def independent(self) -> np.ndarray:
+        """(k,) independent rows of the residuals of every state."""
+        lanes = [self.lanes(place) for place in range(len(self.counts))]
+        return np.array([sum(independent_rows(z[:, None])[0] for z in own) for own in lanes])
 
     def linearise(self, rows: slice | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Misses (N,), their slopes by constants and all starts (N, P + k W), states (N,).

@@ -23,11 +23,12 @@ from dynsr.fit import (
     Shooting,
     constant_bits,
     free_constants,
+    independent_rows,
     loosen,
     refit,
-    structure_bits,
     with_floats,
 )
+from dynsr.library import structure_of
 
 # Longer formulas are no rivals of shorter ones: what they can do more, the misses tell.
 MORE_CONSTANTS = 2
@@ -67,10 +68,12 @@ def compare_rivals(
     if not chosen:
         return {state: [] for state in equations}
     bits = _bits_above(equations, chosen, followed, places, course)
+    written = {s: with_floats(expr) for s, expr in equations.items()}
+    said = structure_of(written, columns)
     found: dict[str, list[tuple[sympy.Expr, float]]] = {state: [] for state in equations}
     for (state, expr), value in zip(chosen, bits, strict=True):
         more = count_constants(expr) - count_constants(equations[state])
-        cost = structure_bits(expr) - structure_bits(with_floats(equations[state]))
+        cost = structure_of({**written, state: with_floats(expr)}, columns) - said
         rows = float(np.sum(followed.counts)) * course.thinned
         found[state].append((expr, float(value) + cost + more * constant_bits(rows)))
     return {state: sorted(pairs, key=lambda pair: pair[1]) for state, pairs in found.items()}
@@ -165,7 +168,8 @@ def _bits_above(
     )
     with np.errstate(all="ignore"):
         z, slopes, owners = probed.linearise()
-    level = np.array([max(np.mean(z[owners == i] ** 2), 1e-3) for i in range(len(states))])
+    mine = [owners == i for i in range(len(states))]
+    level = np.array([max(np.mean(z[own] ** 2), 1e-3) for own in mine])
     unit = np.sqrt(level)[owners]
     z, slopes = z / unit, slopes / unit[:, None]
     starts = np.arange(first + len(probes), slopes.shape[1])
@@ -175,8 +179,19 @@ def _bits_above(
     for (state, _), (main, inner) in zip(chosen, groups, strict=True):
         others = [i for i in range(first) if owner_of[i] != state]
         left = _left_over(z + slopes[:, main], slopes[:, [*others, *inner, *starts]])
-        found.append((left - own) * course.thinned / (2 * math.log(2)))
-    return np.array(found)
+        # Misses with a pattern, as those of a solver are, say less than as many random ones.
+        more = sum(
+            float(left[rows] @ left[rows] - own[rows] @ own[rows])
+            * max(_independent(left[rows]), _independent(own[rows]))
+            for rows in mine
+        )
+        found.append(more * course.thinned / (2 * math.log(2)))
+    return np.nan_to_num(np.array(found), nan=math.inf)
+
+
+def _independent(misses: np.ndarray) -> float:
+    """Share of the misses that are independent of each other."""
+    return float(independent_rows(misses[:, None, None])[0]) / max(len(misses), 1)
 
 
 def _make_probes(
@@ -200,12 +215,12 @@ def _make_probes(
     return probes, groups
 
 
-def _left_over(z: np.ndarray, columns: np.ndarray) -> float:
-    """Sum of squares of what the columns cannot take from ``z``; inf where they are not finite."""
+def _left_over(z: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """What the columns cannot take from ``z``; NaN where they are not finite."""
     if not (np.all(np.isfinite(columns)) and np.all(np.isfinite(z))):
-        return math.inf
+        return np.full(len(z), np.nan)
     basis = _orthogonal(columns)
-    return float(np.sum((z - basis @ (basis.T @ z)) ** 2))
+    return np.asarray(z - basis @ (basis.T @ z))
 
 
 def _orthogonal(columns: np.ndarray) -> np.ndarray:

@@ -162,6 +162,7 @@ class StateVerdict:
     forecast : rms error at the held-back end, forecast by constants fitted to what comes before, as
         a share of the spread; None where it was not tried.
     noise : the noise of the state as a share of its spread.
+    rows : independent rows of the residuals; 0 where they were not tested.
     terms : how sure each term is.
     alternatives : different formulas that were compared, the closest first.
     """
@@ -172,6 +173,7 @@ class StateVerdict:
     chi_square: float = math.inf
     forecast: float | None = None
     noise: float = 0.0
+    rows: float = field(default=0.0, repr=False)
     terms: tuple[TermCertainty, ...] = field(default=(), repr=False)
     alternatives: tuple[Rival, ...] = field(default=(), repr=False)
 
@@ -583,6 +585,7 @@ class _Bench:
                 found,
                 chi_square=_round(evidence.chi_square[place]),
                 forecast=_finite(_round(evidence.forecast[place])),
+                rows=_round(float(followed.independent[place]) * self.course.thinned),
                 terms=self._terms(state, evidence, followed),
                 alternatives=tuple(
                     Rival(shown(tidy(e), 4), _round(bits)) for e, bits in sorted(close, key=_bits)

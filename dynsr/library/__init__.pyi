@@ -9,6 +9,7 @@ from .prior import (
     textbooks,
     write_down,
 )
+from .structure import find_angles, find_turning, structure_of
 
 __all__ = [
     "MOST_INSIDE",
@@ -19,8 +20,11 @@ __all__ = [
     "Prior",
     "Written",
     "exact_bits",
+    "find_angles",
+    "find_turning",
     "read_body",
     "read_equation",
+    "structure_of",
     "textbooks",
     "write_down",
 ]

@@ -29,7 +29,7 @@ from dynsr.fit import (
     skeleton,
     told_bits,
 )
-from dynsr.library import Place, Written, read_equation, textbooks
+from dynsr.library import Place, Written, find_turning, read_equation, textbooks
 from dynsr.methods import Demands, recalled
 from dynsr.selection.costs import saturating
 from dynsr.selection.evidence import Evidence
@@ -37,7 +37,7 @@ from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
 from dynsr.selection.propose import ProposalSettings, propose, term_bits
 from dynsr.selection.rates import shared_bits
-from dynsr.selection.terms import Terms, TermSettings, find_turning
+from dynsr.selection.terms import Terms, TermSettings
 from dynsr.selection.twins import with_twins
 
 Equations = dict[str, sympy.Expr]

@@ -34,7 +34,7 @@ from dynsr.fit import (
     structure_bits,
     with_floats,
 )
-from dynsr.library import Place, exact_bits
+from dynsr.library import Place, exact_bits, find_angles, find_turning
 from dynsr.methods import Limits
 from dynsr.selection.costs import shape_bits, unusual_bits
 from dynsr.selection.evidence import Evidence
@@ -47,8 +47,6 @@ from dynsr.selection.terms import (
     Joint,
     Terms,
     TermSettings,
-    find_angles,
-    find_turning,
     products,
 )
 from dynsr.selection.twins import exchanged

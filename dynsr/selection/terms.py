@@ -17,6 +17,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import Program, bits_in_force, compile_columns
+from dynsr.library.structure import keeps_turning
 from dynsr.selection.costs import shape_bits, unusual_bits
 
 # Share of its largest value by which a column may fall below 0 that is never negative.
@@ -24,45 +25,8 @@ _BELOW = 0.03
 _NO_POLYNOMIAL = 99
 # Step of the logarithm of a constant, for its slope by central differences.
 _NUDGE = 1e-4
-# Share of its way that a phase makes in one direction.
-_ONE_WAY = 0.9
 # Constants of sin^2 and of cos beside 1 below the line, from which a fit reaches any other.
 _SQUARES, _COSINES = (-0.75, -0.5, 0.3, 1.0, 3.0), (-0.8, -0.5, 0.5, 0.8)
-
-
-def find_angles(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str, ...]:
-    """Name the columns that may be angles: those that take both signs.
-
-    Parameters
-    ----------
-    names, rows : the columns and their values.
-    """
-    pairs = zip(names, rows, strict=True)
-    return tuple(name for name, row in pairs if row.min() < 0 < row.max())
-
-
-def find_turning(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str, ...]:
-    """Name the columns that sines and cosines are tried of.
-
-    Those that may be angles, and those that turn on and on: that go one way by more than half a
-    turn.
-
-    Parameters
-    ----------
-    names, rows : the columns and their values in order.
-
-    >>> t = np.linspace(0.0, 9.0, 50)
-    >>> find_turning(["u", "x", "phase"], [np.sin(t), 2 + np.sin(t), 0.1 + t])
-    ('u', 'phase')
-    """
-    columns = dict(zip(names, rows, strict=True))
-    angles = find_angles(columns, columns.values())
-    return tuple(n for n, row in columns.items() if n in angles or _keeps_turning(row))
-
-
-def _keeps_turning(row: np.ndarray) -> bool:
-    way = abs(float(row[-1] - row[0]))
-    return way > np.pi and way > _ONE_WAY * float(np.sum(np.abs(np.diff(row))))
 
 
 @dataclass(frozen=True)
@@ -316,7 +280,7 @@ def _shared(
 
 def _phases(names: Sequence[str], points: np.ndarray) -> Iterator[sympy.Expr]:
     """Give the sine and cosine of how far one column that turns on and on is before another."""
-    turning = [sympy.Symbol(n) for n, row in zip(names, points, strict=True) if _keeps_turning(row)]
+    turning = [sympy.Symbol(n) for n, row in zip(names, points, strict=True) if keeps_turning(row)]
     for x, y in combinations(turning, 2):
         yield from (sympy.sin(x - y), sympy.cos(x - y))
 
