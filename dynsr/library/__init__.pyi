@@ -2,6 +2,7 @@ from .forms import MOST_INSIDE, Form, Library, LibrarySettings
 from .prior import (
     Place,
     Prior,
+    Term,
     Written,
     exact_bits,
     read_body,
@@ -18,6 +19,7 @@ __all__ = [
     "LibrarySettings",
     "Place",
     "Prior",
+    "Term",
     "Written",
     "exact_bits",
     "find_angles",

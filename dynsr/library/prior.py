@@ -367,16 +367,27 @@ class Prior:
         may_turn = None if angles is None else tuple(angles)
         for state, expr in exprs.items():
             place = Place(state, states, tuple(columns), may_turn)
-            terms = read_equation(expr)
-            alone = self.equation_bits(terms, place, written) + exact_bits(expr)
-            if written.equations:
-                alone += self._says("twin", False)
-                named = self._says("twin", True) + math.log2(len(written.equations))
-                if named < alone and written.has_twin(state, terms, states):
-                    alone = named
-            bits += alone
-            written.add(state, terms)
+            bits += self.beside_bits(expr, place, written)
+            written.add(state, read_equation(expr))
         return bits
+
+    def beside_bits(self, expr: sympy.Expr, place: Place, written: Written) -> float:
+        """Give the bits of one equation without its constants, a twin of an earlier one or not.
+
+        Parameters
+        ----------
+        expr : the equation.
+        place : where it is.
+        written : the equations before it.
+        """
+        terms = read_equation(expr)
+        alone = self.equation_bits(terms, place, written) + exact_bits(expr)
+        if not written.equations:
+            return alone
+        alone += self._says("twin", False)
+        named = self._says("twin", True) + math.log2(len(written.equations))
+        is_named = named < alone and written.has_twin(place.state, terms, place.states)
+        return named if is_named else alone
 
     def equation_bits(self, terms: Sequence[Term], place: Place, written: Written) -> float:
         """Give the bits of one equation, written term by term.

@@ -12,13 +12,7 @@ from dynsr.errors import InputError
 
 # Name of a part -> what it does.
 PARTS: Mapping[str, str] = {
-    "look-polynomials": "sums of products alone, on exact slopes",
-    "look-cited": "sums with the terms of other states' equations, on exact slopes",
-    "look-ratios": "ratios of sums, on exact slopes",
-    "look-elimination": "terms taken out of the whole library one by one, on exact slopes",
-    "look-angles": "what hangs from a joint, on exact slopes",
     "look-twins": "equations of other states with names exchanged, on exact slopes",
-    "look-library": "sums of terms of the library, on exact slopes",
     "look-several-inside": "sums with functions of several constants, on exact slopes",
     "look-again": "second and third looks beside the equations found for other states",
     "end-look": "an equation that exact slopes leave no doubt of ends the search",

@@ -200,13 +200,21 @@ class Proposer:
     costs: np.ndarray
     settings: ProposalSettings = PROPOSALS
 
-    def best(self) -> list[Sum]:
-        """Give the best sums, those of the fewest bits first."""
+    def best(self, enough: Callable[[list[Sum]], bool] | None = None) -> list[Sum]:
+        """Give the best sums, those of the fewest bits first.
+
+        Parameters
+        ----------
+        enough : whether the best sums of the cheapest forms are such that dearer ones are not
+            looked at.
+        """
         found: dict[tuple[int, ...], Sum] = {}
         with np.errstate(all="ignore"):
             before: list[_Layer] = []
             for tier in self._tiers():
                 before = self._grow_from_nothing(tier, before, found)
+                if enough is not None and enough(best := self._front_first(found)):
+                    return best
             self._thin_whole(found)
             for _ in range(self.settings.rounds):
                 if not self._exchange(found):
@@ -557,6 +565,7 @@ def propose(
     settings: ProposalSettings = PROPOSALS,
     *,
     functions: bool = True,
+    enough: Callable[[list[sympy.Expr]], bool] | None = None,
 ) -> list[sympy.Expr]:
     """Give the sums of terms of the library that are expected to take the fewest bits.
 
@@ -570,13 +579,14 @@ def propose(
     settings : the numbers that decide.
     functions : whether others than the terms that are offered, those of the other equations and
         products of the columns are terms.
+    enough : whether sums of the cheapest terms, the best first, are such that no others are sought.
     """
     names = place.columns
     own = (*offered, *cited_terms((expr for _, expr in others), place.state))
     kinds = replace(settings.library, functions=functions)
     beside = evidence.names[len(names) :]
     library = Library.of(names, evidence.points, place.angles or (), own, kinds, beside)
-    written = write_down(others)
+    stands = write_down(others)
     # Of what the whole slope is worth in the data, a constant has about that precision.
     each = precision_bits(np.array([[evidence.y @ evidence.y]]), np.ones(1))
     costs = np.full(len(library.forms), np.inf)
@@ -584,9 +594,15 @@ def propose(
         body = form.write(evidence.names, starts[0])
         if allow(body):
             inside = len(body.atoms(sympy.Float)) if form.own is not None else form.constants
-            costs[i] = term_bits(body, place, written) + each * (1 + inside)
-    best = Proposer(evidence, library, costs, settings).best()
-    return list(dict.fromkeys(one.write(library) for one in best))
+            costs[i] = term_bits(body, place, stands) + each * (1 + inside)
+
+    def written(sums: list[Sum]) -> list[sympy.Expr]:
+        return list(dict.fromkeys(one.write(library) for one in sums))
+
+    proposer = Proposer(evidence, library, costs, settings)
+    if enough is None:
+        return written(proposer.best())
+    return written(proposer.best(lambda sums: enough(written(sums))))
 
 
 def term_bits(body: sympy.Expr, place: Place, written: Written) -> float:
