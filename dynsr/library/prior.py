@@ -146,11 +146,19 @@ def read_equation(expr: sympy.Expr) -> list[Term]:
     ----------
     expr : the sum; constants are floats.
     """
+    # So that nothing cancels, constants below 0 are another one.
+    shape = {c: sympy.pi if c > 0 else -sympy.E for c in expr.atoms(sympy.Float)}
+    return list(_read_shape(expr.xreplace(shape)))
+
+
+@lru_cache(maxsize=50_000)
+def _read_shape(expr: sympy.Expr) -> tuple[Term, ...]:
     lines = [p for p in expr.atoms(sympy.Pow) if p.base.is_Add and p.exp.is_negative]
     held = {line: sympy.Dummy() for line in lines}
     terms = sympy.Add.make_args(expand_terms(expr.xreplace(held)))
     back = {dummy: line for line, dummy in held.items()}
-    return sorted({read_body(term.xreplace(back)) for term in terms}, key=str)
+    bodies = (term.xreplace(back).xreplace({sympy.E: sympy.pi}) for term in terms)
+    return tuple(sorted(set(map(read_body, bodies)), key=str))
 
 
 def exact_bits(expr: sympy.Expr) -> float:

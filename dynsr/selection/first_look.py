@@ -42,7 +42,7 @@ from dynsr.library import (
 from dynsr.methods import Limits
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.parts import Parts
-from dynsr.selection.propose import EXACT, ProposalSettings, propose
+from dynsr.selection.propose import EXACT, PROPOSALS, ProposalSettings, propose
 from dynsr.selection.relations import is_left_open
 from dynsr.selection.several import SeveralInside
 from dynsr.selection.twins import exchanged
@@ -80,7 +80,7 @@ class LookSettings:
     alike : misses up to so many times the least of all are as good where slopes are rough.
     sparse : rows up to which data that look noisy may be exact ones far apart.
     stands_out : how many times larger the misses of every other choice of terms must be.
-    proposals : of the sums of terms of the library.
+    proposals : of the sums of terms of the library, where slopes are exact.
     parts : which parts of the search take part.
 
     >>> LookSettings().kept
@@ -262,7 +262,8 @@ class _Search:
             seen = self.conclude([*found, *self.take(self.refitted(sums[: self.settings.most]))])
             return seen.final and _is_simple(seen.candidates[0].expr)
 
-        settings = self.settings.proposals
+        # Rough slopes tell fewer sums apart.
+        settings = self.settings.proposals if self.is_exact else PROPOSALS
         sums = propose(evidence, self._place, allow, given, others, settings, enough=enough)
         return refitted(sums)
 
