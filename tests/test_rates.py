@@ -8,17 +8,15 @@ import sympy
 from measured_systems import floats, measured
 
 from dynsr.expression import parse
-from dynsr.fit import skeleton, with_floats
+from dynsr.fit import skeleton
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings, compare_systems, explore
-from dynsr.selection.alone import Leader
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.costs import rounded
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.renewal import renew, renewals
 from dynsr.selection.subsets import taken_whole, without
-from dynsr.selection.systems import _compose_related as compose_related
 
 SETTINGS = ComparisonSettings()
 # A ligand, its receptor and their complex, bound at 0.7 and let go at 0.4 per unit.
@@ -61,23 +59,6 @@ def test_constants_inside_a_rate_are_shared_too():
     """Of Monod's rate in two equations both constants of the second are known from the first."""
     bits = of({"s": "-1.5*s*x/(s + 0.5)", "x": "1.5*s*x/(s + 0.5) - 0.25*x"}, 0.01)
     assert np.count_nonzero(bits) == 2
-
-
-def test_systems_are_put_together_by_their_rates():
-    """Of leaders that are level alone those go together which share a rate."""
-    comparison = SystemComparison(bound().mesh(("a", "b", "c")), SETTINGS)
-    leaders = {}
-    for state, other in (("a", "1.0 - 0.4*a^2"), ("b", "0.5 - 0.6*b"), ("c", "1.0 - 0.7*c")):
-        forms = [with_floats(parse(other)), *floats({state: BINDING[state]}).values()]
-        values = [np.array([float(n) for n in e.atoms(sympy.Float)]) for e in forms]
-        leaders[state] = [
-            Leader(e, float(i), v, np.diag((0.02 * v) ** 2))
-            for i, (e, v) in enumerate(zip(forms, values, strict=True))
-        ]
-    (best,) = compose_related(comparison, leaders)
-    assert {s: skeleton(e) for s, e in best.exprs.items()} == {
-        s: skeleton(e) for s, e in floats(BINDING).items()
-    }
 
 
 @pytest.mark.slow

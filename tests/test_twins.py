@@ -15,7 +15,6 @@ from dynsr.expression import parse
 from dynsr.fit import Measurements, skeleton
 from dynsr.library import read_equation, write_down
 from dynsr.selection import ComparisonSettings, compare_systems
-from dynsr.selection.alone import Alone, Leader
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.renewal import renew
@@ -105,19 +104,6 @@ def test_twins_cost_less():
     comparison = SystemComparison(data.mesh(("x", "y")), SETTINGS)
     twins, other = floats(GENES), floats({**GENES, "y": "1.7*x^3/(0.9 + x^3) - 0.7*y + 0.1"})
     assert comparison.structure(twins) < comparison.structure(other) - 10
-
-
-@pytest.mark.slow
-def test_another_states_formula_is_tried_as_its_own():
-    """What leads for one of two masses on springs leads, all names exchanged, for the other."""
-    masses = {"a": "u", "b": "v", "u": "0.6*b - 2.0*a", "v": "0.7*a - 1.5*b"}
-    data = measured(tuple(masses.items()), (1.2, -0.4, 0.0, 0.3), 8.0, 120, 0.01)
-    exprs = floats(masses)
-    alone = Alone.of("v", data, SETTINGS)
-    begun = alone.lead(floats({"v": "-1.2*b"}).values())
-    found = alone.lead_twins(begun, {"u": [Leader(exprs["u"], 0.0)]}, list(masses))
-    assert skeleton(exprs["v"]) in {skeleton(one.expr) for one in found[len(begun) :]}
-    assert found[: len(begun)] == begun
 
 
 def test_superfluous_terms_leave_twins_together():

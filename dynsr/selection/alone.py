@@ -6,7 +6,7 @@ terms of other equations are fitted to one state and put in the order of their b
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -22,7 +22,6 @@ from dynsr.fit import (
     Probes,
     constant_bits,
     free_constants,
-    skeleton,
     structure_bits,
 )
 from dynsr.library import write_down
@@ -34,9 +33,9 @@ from dynsr.selection.comparison import (
     SystemFit,
 )
 from dynsr.selection.evidence import Evidence
+from dynsr.selection.joints import Joint
 from dynsr.selection.subsets import best_subsets, solve_scaled
-from dynsr.selection.terms import Joint, weighted_sum
-from dynsr.selection.twins import exchanged
+from dynsr.selection.terms import weighted_sum
 
 
 @dataclass(frozen=True)
@@ -118,31 +117,6 @@ class Alone:
             return own
         sums = self.comparison.propose(self.state, evidence, others, functions=False)
         return self.lead(sums[: self.comparison.settings.sums], others)
-
-    def lead_twins(
-        self, own: list[Leader], others: Mapping[str, Sequence[Leader]], states: Sequence[str]
-    ) -> list[Leader]:
-        """Give the formulas that come close, and after them those of other states as its own.
-
-        Parameters
-        ----------
-        own : what leads here.
-        others : what leads elsewhere, for each state.
-        states : all of them, whose names may be exchanged.
-        """
-        known = {skeleton(one.expr) for one in own}
-        offered = (
-            expr
-            for state, pool in others.items()
-            for one in pool
-            for expr in exchanged(one.expr, state, self.state, states)
-        )
-        shapes = {skeleton(expr): expr for expr in offered}
-        self.rank(expr for shape, expr in shapes.items() if shape not in known)
-        ranked, new = self._ranked(), shapes.keys() - known
-        twins = [self._as_leader(f, f.bits - ranked[0].bits) for f in ranked]
-        most = self.comparison.settings.behind
-        return [*own, *(t for t in twins if t.behind <= most and skeleton(t.expr) in new)]
 
     def _as_leader(self, fit: SystemFit, behind: float) -> Leader:
         return Leader(fit.exprs[self.state], behind, fit.fit.constants, fit.fit.covariance)

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import sympy
 
-from dynsr.expression import added_bits, bits_in_force, evaluate, has_pole, lines_below
+from dynsr.expression import added_bits, bits_in_force, evaluate, has_pole
 from dynsr.fit import (
     Collocation,
     CollocationFit,
@@ -31,20 +31,16 @@ from dynsr.fit import (
 )
 from dynsr.library import Place, Written, find_turning, read_equation, textbooks
 from dynsr.methods import Demands, recalled
-from dynsr.selection.costs import saturating
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
 from dynsr.selection.propose import ProposalSettings, propose, term_bits
 from dynsr.selection.rates import shared_bits
-from dynsr.selection.terms import Terms, TermSettings
 from dynsr.selection.twins import with_twins
 
 Equations = dict[str, sympy.Expr]
 # Starts of one shape at most, and the share by which a constant inside a function sets two apart.
 _STARTS, _APART = 2, 0.5
-# Half-saturation, as a multiple of the largest value, from which on nothing is seen of it.
-_NEAR = 4.0
 # Range of the argument of a function below which the function is seen as no more than a line.
 _BARE = 1e-4
 # Standard deviations of what noise leaves, up to which it is noise.
@@ -59,8 +55,6 @@ class ComparisonSettings:
 
     Parameters
     ----------
-    terms : the terms that sums are made of, and that may be added.
-    functions : functions of angles that may come or go as factors of a term.
     noisy : systems are compared only where the median noise is above this share of the spread.
         Smaller noise is no larger than errors that a solver at a loose tolerance leaves in its
         states; those have a pattern, and terms would be found for it.
@@ -80,8 +74,6 @@ class ComparisonSettings:
     together : the best of them that enter whole systems.
     behind : bits that they may take more than the best of them.
     near : the same, once a system leaves nothing but noise.
-    unseen : bits of a saturation of which the columns see less than a fifth.
-    leaving : bits of an equation by which a state that is positive throughout would fall below 0.
     doubtful : noise, as a share of the spread, above which slopes tell other methods nothing more.
     apart : rms difference of two equations, as a share of the slopes' spread, from which on one
         must be told apart from the other: as few as 1 % off is another law.
@@ -92,9 +84,6 @@ class ComparisonSettings:
         most so many bits more.
     rounds : changes taken at most.
     tried : changes, those expected to save most first, that are fitted in a round.
-    paired : terms, and changes paired with one, that are looked at for each state.
-    margin : a change expected to cost up to so many bits more is fitted too: expectations are
-        rough.
     excess : mean squared miss beyond that of noise, in units of it, that is noise too: its size
         is an estimate.
     rows : rows of the data at most.
@@ -103,8 +92,6 @@ class ComparisonSettings:
     fit : how a system is fitted.
     """
 
-    terms: TermSettings = TermSettings()
-    functions: tuple[str, ...] = ("sin", "cos")
     noisy: float = 5e-4
     coarse: float = 5e-5
     dense: float = 50.0
@@ -120,8 +107,6 @@ class ComparisonSettings:
     together: int = 20
     behind: float = 40.0
     near: float = 12.0
-    unseen: float = 4.0
-    leaving: float = 6.0
     doubtful: float = 0.02
     apart: float = 0.01
     pieces: int = 10
@@ -130,8 +115,6 @@ class ComparisonSettings:
     unfollowed: float = 40.0
     rounds: int = 12
     tried: int = 8
-    paired: int = 6
-    margin: float = 5.0
     excess: float = 0.15
     rows: int = 2000
     parts: Parts = Parts()
@@ -170,15 +153,6 @@ class SystemFit:
         return self.problem.points(self.fit.states, self.fit.constants)
 
 
-@dataclass(frozen=True)
-class Change:
-    """One equation otherwise, and the bits that it is expected to take more (or less, below 0)."""
-
-    state: str
-    expr: sympy.Expr
-    bits: float
-
-
 @dataclass(frozen=True, eq=False)
 class SystemComparison:
     """Fits systems to the states of a mesh and counts their bits.
@@ -188,13 +162,11 @@ class SystemComparison:
     mesh : the data, with the states whose equations are compared.
     settings : the numbers that decide.
     states : all columns that move by equations; by default those of the mesh.
-    expected : system -> the changes that :func:`dynsr.selection.changes.promising_changes` gave.
     """
 
     mesh: Mesh
     settings: ComparisonSettings = COMPARISON
     states: tuple[str, ...] = ()
-    expected: dict[SystemFit, list[Change]] = field(default_factory=dict)
     _cache: dict[tuple[sympy.Expr, ...], SystemFit | None] = field(default_factory=dict)
     _starts: dict[tuple[sympy.Expr, ...], list[np.ndarray]] = field(default_factory=dict)
     _tried: set[tuple[tuple[sympy.Expr, ...], SystemFit | None, bool]] = field(default_factory=set)
@@ -360,32 +332,24 @@ class SystemComparison:
         scales : (P,) usual sizes of its constants.
         """
         has = self.settings.parts.has
-        leaving = sum(self.settings.leaving * self._leaves(s, e) for s, e in fit.exprs.items())
-        leaving *= has("bits-leaving")
         simple = simplicity_bits(fit.constants, fit.errors) * has("bits-simple")
         shared = shared_bits(fit.exprs, fit.constants, fit.covariance) * has("bits-shared")
         saved = np.maximum(simple, shared)
         told = told_bits(fit.information, fit.errors, scales, fit.constants, saved)
-        bits = self._written(fit, fit.exprs, told)
+        squares = np.maximum(fit.mean_squares, 1e-12)
+        missed = misses_bits(squares, self.mesh.rows, self.mesh.known)
+        least = self.structure(fit.exprs) + told
         # What a mass matrix ties together is said more shortly by each other.
-        ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("bits-tied") else ()
+        ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("couplings") else ()
         for tie in ties:
             others = np.array(owners_of(fit.exprs)) != tie.state
             count = int(others.sum()) + len(tie.constants)
             few = precision_bits(fit.information, scales, fit.constants) * count / len(scales)
             less = float(np.sum(simple[others]))
             less += float(np.sum(simplicity_bits(tie.constants, tie.errors)))
-            exprs = {**fit.exprs, tie.state: tie.expr}
-            bits = min(bits, self._written(fit, exprs, few) - less + tie.loss)
-        return bits + leaving
-
-    def _written(self, fit: CollocationFit, exprs: Equations, constants: float) -> float:
-        """Bits of the misses, and of equations whose constants cost so many bits."""
-        squares = np.maximum(fit.mean_squares, 1e-12)
-        said = self.structure(exprs)
-        if self.settings.parts.has("bits-unseen"):
-            said += sum(self.settings.unseen * self._far_off(e) for e in exprs.values())
-        return misses_bits(squares, self.mesh.rows, self.mesh.known) + said + constants
+            said = self.structure({**fit.exprs, tie.state: tie.expr})
+            least = min(least, said + few - less + tie.loss)
+        return missed + least
 
     def structure(self, exprs: Equations) -> float:
         """Bits of equations without their constants: by the textbooks, and the user's own.
@@ -449,25 +413,6 @@ class SystemComparison:
         """Whether a fraction line passes through 0 where the columns are."""
         return any(has_pole(expr, self.mesh.columns) for expr in fit.exprs.values())
 
-    def _far_off(self, expr: sympy.Expr) -> int:
-        """Count the saturations that the columns do not come near to."""
-        columns, found = self.mesh.columns, 0
-        for power, constant, factor in filter(None, map(saturating, lines_below(expr))):
-            top = float(np.max(np.abs(evaluate(power, columns))))
-            found += abs(float(constant)) > _NEAR * abs(float(factor)) * top
-        return found
-
-    def _leaves(self, state: str, expr: sympy.Expr) -> bool:
-        """Whether a state that was positive throughout would fall below 0 from there."""
-        columns = self.mesh.columns
-        own = sympy.Symbol(state)
-        if columns[state].min() <= 0 or own not in expr.free_symbols | {own}:
-            return False
-        zero = np.full_like(columns[state], 1e-9 * columns[state].max())
-        slopes = evaluate(expr, {**columns, state: zero})
-        usual = float(np.median(np.abs(evaluate(expr, columns))))
-        return bool(np.median(slopes) < -0.05 * usual)
-
     @property
     def all_states(self) -> tuple[str, ...]:
         """Columns that move by equations, those too that are read off their curves."""
@@ -487,12 +432,6 @@ class SystemComparison:
     def _begun(self) -> np.ndarray:
         """(names, n) values of the columns where the smoothed states are."""
         return np.concatenate([self.mesh.start.T, self.mesh.driven[:-1, : len(self.mesh.t)]])
-
-    @cached_property
-    def terms(self) -> Terms:
-        """What sums may be made of, where the smoothed states are."""
-        own = self.settings.demands.offered
-        return Terms.grow(self.names, self._begun, self.settings.terms, self.angles, own)
 
     @cached_property
     def angles(self) -> tuple[str, ...]:

@@ -280,17 +280,6 @@ def wide_factors(body: sympy.Expr) -> list[sympy.Expr]:
     return list(dict.fromkeys(wide))
 
 
-def citing_bits(body: sympy.Expr) -> float:
-    """Give the bits that a term saves where another equation has it.
-
-    Parameters
-    ----------
-    body : the term without its coefficient.
-    """
-    factor = sympy.Float(0.5)
-    return shape_bits(factor * body) - shape_bits(factor * sympy.Symbol("term"))
-
-
 def bodies_of(expr: sympy.Expr) -> list[sympy.Expr]:
     """Give the terms of a sum without their coefficients.
 

@@ -33,14 +33,17 @@ from dynsr.fit import (
 from dynsr.library import (
     Place,
     Term,
+    Written,
     exact_bits,
     find_turning,
+    read_body,
     read_equation,
     textbooks,
     write_down,
 )
 from dynsr.methods import Limits
 from dynsr.selection.evidence import Evidence
+from dynsr.selection.joints import hinged_sums
 from dynsr.selection.parts import Parts
 from dynsr.selection.propose import EXACT, PROPOSALS, ProposalSettings, propose
 from dynsr.selection.relations import is_left_open
@@ -144,6 +147,11 @@ def look(
         # A twin may have the same constants.
         twins = search.twins() if settings.parts.has("look-twins") else []
         found = list(search.take([*earlier, *twins, *search.refitted(twins)]))
+        if search.is_exact and settings.parts.has("joints"):
+            found += search.take(search.hinged())
+        seen = search.conclude(found)
+        if seen.final and _is_simple(seen.candidates[0].expr):
+            return seen
         found += search.take(search.proposed(found))
         seen = search.conclude(found)
         if seen.final or not search.is_exact:
@@ -239,6 +247,29 @@ class _Search:
             if not other.is_Symbol
             for expr in exchanged(other, state, own.target, own.names)
         ]
+
+    def hinged(self) -> list[sympy.Expr]:
+        """Give the ratios of what hangs from a joint, for each column that may be its angle."""
+        prior, rows = textbooks(), len(self.samples)
+
+        def cost(term: sympy.Expr) -> float:
+            said = prior.term_bits(read_body(term), self._place, Written())
+            return said + constant_bits(rows)
+
+        least = rows * self.error**2
+        return self.refitted(
+            expr
+            for angle in self._place.angles or ()
+            for expr in hinged_sums(
+                self.samples,
+                angle,
+                self.limits.allow,
+                cost,
+                self.trust,
+                least,
+                self.settings.kept,
+            )
+        )
 
     def proposed(self, found: Sequence[_Choice]) -> list[sympy.Expr]:
         """Give the sums of terms of the library that are expected to take the fewest bits.

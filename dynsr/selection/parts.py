@@ -22,17 +22,10 @@ PARTS: Mapping[str, str] = {
     "citing": "sums with terms of other equations",
     "twins": "equations of other states with names exchanged, in noise",
     "changed-twins": "twins change as the equation that they repeat",
-    "related": "systems of equations that have rates in common",
     "couplings": "systems tied by a mass matrix",
     "renewal": "one equation of a system proposed anew, along its states",
     "along": "the search again along the states of the best system",
     "pruning": "terms taken out one by one",
-    "move-terms": "one more term",
-    "move-saturations": "a term that saturates",
-    "move-powers": "an exponent that is free",
-    "move-below": "one more column below a fraction line",
-    "move-swaps": "a factor of a term in or out, sines for columns",
-    "move-pairs": "two changes at once",
     "move-leaders": "the formulas that lead alone",
     "reproducing": "a system that reproduces the runs before one that does not",
     "end-noise": "a system that leaves only noise ends the search",
@@ -44,9 +37,6 @@ PARTS: Mapping[str, str] = {
     "methods": "the other methods where the search along the states leaves more than noise",
     "bits-simple": "bits saved by simple numbers",
     "bits-shared": "bits saved by constants that two equations share",
-    "bits-tied": "bits saved by a mass matrix",
-    "bits-leaving": "bits of an equation by which a positive state falls below 0",
-    "bits-unseen": "bits of a saturation that the data do not come near to",
 }
 
 

@@ -9,16 +9,14 @@ equation, for as long as that takes fewer bits.
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import sympy
-from scipy.linalg import block_diag
 
 from dynsr.expression import ByText, evaluate
 from dynsr.fit import (
@@ -28,9 +26,8 @@ from dynsr.fit import (
     skeleton,
     with_floats,
 )
-from dynsr.library import write_down
 from dynsr.selection.alone import Alone, Leader, constants
-from dynsr.selection.changes import promising_changes, prune
+from dynsr.selection.changes import prune
 from dynsr.selection.comparison import (
     COMPARISON,
     ComparisonSettings,
@@ -44,7 +41,6 @@ from dynsr.selection.comparison import (
 from dynsr.selection.costs import bare_terms, is_plain, rounded
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.polynomials import whole_polynomials
-from dynsr.selection.rates import shared_bits
 from dynsr.selection.renewal import renew
 
 # How much further apart different functions are where columns take any of their values.
@@ -53,11 +49,6 @@ _ASIDE = 5.0
 _FURTHER = 2.0
 # Leaders of each other equation whose terms are offered to one.
 _CITED = 8
-# Leaders of each state that others are put beside by their rates, and systems fitted and climbed
-# from.
-_HUBS, _COMPOSED, _CLIMBED = 8, 6, 1
-# Leaders of each other state that are tried as twins.
-_TWINNED = 6
 # Equations in which a system may differ that speaks against each of them.
 _AT_ONCE = 2
 # Correlation of a column's slopes with another column from which on that is its speed.
@@ -258,7 +249,14 @@ def _refine(
     settings, states = comparison.settings, tuple(best.exprs)
     has = settings.parts.has
 
-    refine = cache(partial(_refine_one, comparison))
+    @cache
+    def refine(fit: SystemFit) -> SystemFit:
+        # What belongs together is passed by where one equation at a time is changed.
+        coupled = try_couplings(comparison, fit) if has("couplings") else fit
+        renewed = renew(comparison, coupled) if has("renewal") else coupled
+        again = has("couplings") and renewed is not fit
+        return try_couplings(comparison, renewed) if again else renewed
+
     # A system that follows the data is the best smoother: terms are looked for along it again.
     for number in range(settings.again * has("along")):
         if has("end-exact") and ends(best):
@@ -279,23 +277,6 @@ def _refine(
     for state in states:
         best = prune(comparison, best, state)
     return _prefer_reproducing(comparison, best) if has("reproducing") else best
-
-
-def _refine_one(comparison: SystemComparison, fit: SystemFit) -> SystemFit:
-    """Try other functions in the equations of a system, and what belongs together."""
-    has = comparison.settings.parts.has
-
-    def climb(fit: SystemFit) -> SystemFit:
-        return _climb(comparison, fit, {})
-
-    first = fit
-    # What belongs together is passed by where one equation at a time is changed.
-    if has("couplings"):
-        fit = try_couplings(comparison, fit, climb)
-    if has("renewal"):
-        fit = renew(comparison, fit, climb)
-    again = has("couplings") and fit is not first
-    return try_couplings(comparison, fit, climb) if again else fit
 
 
 def _need_not_go_on(
@@ -345,12 +326,6 @@ def _search(
         for s, own in (alone.items() if settings.parts.has("citing") else ())
     }
     fits = [fit for own in (first, leaders) if (fit := _compose(together, own)) is not None]
-    # What is of one kind obeys one law, though it may lead for neither.
-    best = {s: pool[:_TWINNED] for s, pool in leaders.items() if s in alone}
-    related = leaders | {
-        s: own.lead_twins(leaders[s], {o: pool for o, pool in best.items() if o != s}, list(pools))
-        for s, own in (alone.items() if settings.parts.has("twins") else ())
-    }
 
     def finish(fit: SystemFit) -> SystemFit:
         # Alone, terms make up for the errors of the curves that the others are read off.
@@ -359,10 +334,6 @@ def _search(
         return _climb(together, fit, leaders)
 
     ends = [finish(fit) for fit in dict.fromkeys(fits)]
-    least = min((fit.bits for fit in ends), default=math.inf)
-    others = _compose_related(together, related) if settings.parts.has("related") else []
-    close = [fit for fit in others if fit not in ends]
-    ends += [finish(fit) for fit in close if fit.bits < least + settings.near]
     return sorted(dict.fromkeys(ends), key=lambda fit: fit.bits)
 
 
@@ -418,56 +389,15 @@ def _compose(
     return None
 
 
-def _compose_related(
-    comparison: SystemComparison, leaders: Mapping[str, Sequence[Leader]]
-) -> list[SystemFit]:
-    """Fit systems whose equations have rates in common or are twins, the best of them.
-
-    Alone, a rate that leaves one species and enters another may be behind in either.
-    """
-    found: dict[tuple[sympy.Expr, ...], tuple[float, Equations]] = {}
-    for state, pool in leaders.items():
-        for hub in pool[:_HUBS]:
-            score, exprs = hub.behind, {}
-            for other, theirs in leaders.items():
-                if other == state:
-                    exprs[other] = hub.expr
-                    continue
-                saved = (_in_common({state: hub, other: one}, comparison) for one in theirs)
-                behind = [one.behind - less for one, less in zip(theirs, saved, strict=True)]
-                place = int(np.argmin(behind))
-                score += behind[place]
-                exprs[other] = theirs[place].expr
-            key = tuple(skeleton(e) for e in exprs.values())
-            if score < found.get(key, (np.inf, {}))[0]:
-                found[key] = score, exprs
-    ranked = sorted(found.values(), key=lambda pair: pair[0])[:_COMPOSED]
-    fits = [fit for _, exprs in ranked if (fit := comparison.fit(exprs)) is not None]
-    return sorted(fits, key=lambda fit: fit.bits)[:_CLIMBED]
-
-
-def _in_common(pair: Mapping[str, Leader], comparison: SystemComparison) -> float:
-    """Bits that two equations save by what they have in common; 0 where one was not fitted."""
-    if not all(len(one.constants) for one in pair.values()):
-        return 0.0
-    exprs = {state: one.expr for state, one in pair.items()}
-    values = np.concatenate([one.constants for one in pair.values()])
-    both = block_diag(*(one.covariance for one in pair.values()))
-    saved = float(shared_bits(exprs, values, both).sum())
-    (state, expr), *others = exprs.items()
-    return saved + comparison.saved_bits(state, expr, write_down(others))
-
-
 def _climb(
     comparison: SystemComparison, fit: SystemFit, leaders: Mapping[str, Sequence[Leader]]
 ) -> SystemFit:
-    """Take the best change until none takes fewer bits."""
+    """Put what leads alone in the place of an equation until none of it takes fewer bits."""
     for number in range(comparison.settings.rounds):
-        changes = [(c.state, c.expr) for c in promising_changes(comparison, fit)]
         # Where nothing but noise is left, what is worse alone is worse together.
         settled = number > 1 or leaves_noise(fit, comparison.settings)
         most = comparison.settings.near if settled else comparison.settings.behind
-        changes += [
+        changes = [
             (s, one.expr)
             for s, pool in leaders.items()
             for one in pool

@@ -1,0 +1,105 @@
+"""Joints: what hangs from one, a ratio of products with the sine and cosine of one angle.
+
+Every acceleration of a chain of bodies is such a ratio, and all of them have one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy
+
+from dynsr.data import Samples
+from dynsr.expression import compile_columns
+from dynsr.fit import fit_ratio
+from dynsr.selection.subsets import best_subsets
+from dynsr.selection.terms import products, weighted_sum
+
+# Constants of sin^2 and of cos beside 1 below the line, from which a fit reaches any other.
+_SQUARES, _COSINES = (-0.75, -0.5, 0.3, 1.0, 3.0), (-0.8, -0.5, 0.5, 0.8)
+# Share of its size below which a line passes through 0.
+_NOTHING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """What hangs from a joint: products with the sine and cosine of one angle.
+
+    ``above`` are the terms above the line of such an acceleration, ``below`` what may stand beside
+    1 below it, with a few values of its constant.
+    """
+
+    above: tuple[sympy.Expr, ...]
+    below: tuple[sympy.Expr, ...]
+
+    @classmethod
+    def of(cls, angle: str, names: Sequence[str], degree: int = 2) -> Joint:
+        """Make the terms of one angle.
+
+        Parameters
+        ----------
+        angle, names : the angle among the variables.
+        degree : most other variables in a term.
+        """
+        sine, cosine = sympy.sin(sympy.Symbol(angle)), sympy.cos(sympy.Symbol(angle))
+        others = (sympy.S.One, *products([n for n in names if n != angle], degree))
+        waves = (sympy.S.One, sine, cosine, sine * cosine)
+        bottoms = [sympy.Float(c) * sine**2 for c in _SQUARES]
+        bottoms += [sympy.Float(c) * cosine for c in _COSINES]
+        return cls(tuple(w * o for w in waves for o in others), (sympy.S.Zero, *bottoms))
+
+
+def hinged_sums(
+    samples: Samples,
+    angle: str,
+    allow: Callable[[sympy.Expr], bool],
+    cost: Callable[[sympy.Expr], float],
+    trust: np.ndarray,
+    least: float,
+    kept: int,
+) -> list[sympy.Expr]:
+    """Give ratios that follow exact slopes best.
+
+    f = N / (1 + D) is N - f D = f: linear in all constants.
+
+    Parameters
+    ----------
+    samples : the slopes.
+    angle : of the joint.
+    allow : whether a term may be one.
+    cost : bits of a term with its coefficient.
+    trust : (n,) how sure each slope is.
+    least : sum of squares below which nothing is gained.
+    kept : ratios at most.
+    """
+    names, wave = samples.names, sympy.Symbol(angle)
+    sine, cosine = sympy.sin(wave), sympy.cos(wave)
+    above = [e for e in Joint.of(angle, names).above if allow(e)]
+    below = [e for e in (cosine, sine * cosine, sine**2) if allow(1 / (1 + e))]
+    values = compile_columns([*above, *below], names)(*samples.X.T)
+    lines = values[len(above) :].copy()
+    values[len(above) :] *= -samples.y
+    rows, y = values * trust, samples.y * trust
+    subsets = best_subsets(
+        rows @ rows.T,
+        rows @ y,
+        float(y @ y),
+        np.array([cost(e) for e in (*above, *below)]),
+        float(len(y)),
+        keep=kept,
+        least=least,
+    )
+    found = []
+    for subset in subsets:
+        over = [i for i in subset.places if i < len(above)]
+        under = [i - len(above) for i in subset.places if i >= len(above)]
+        if not over or not under:
+            continue
+        fit = fit_ratio(values[over], lines[under], samples.y, weights=trust**2)
+        line = 1 + fit.denominator @ lines[under]
+        if np.min(np.abs(line)) >= _NOTHING * np.max(np.abs(line)):
+            top = weighted_sum(fit.numerator, [above[i] for i in over])
+            found.append(top / (1 + weighted_sum(fit.denominator, [below[i] for i in under])))
+    return found
