@@ -190,7 +190,7 @@ def _bits_above(
 
 
 def _independent(misses: np.ndarray) -> float:
-    """Share of the misses that are independent of each other."""
+    """Share of residuals that are independent of each other."""
     return float(independent_rows(misses[:, None, None])[0]) / max(len(misses), 1)
 
 

@@ -28,7 +28,7 @@ from .operators import FUNCTIONS, OPERATORS
 from .own_bits import added_bits, bits_in_force, counting, read_own_bits
 from .parsing import check_name, parse
 from .plausibility import Prior, plausibility_bits
-from .poles import has_pole, lines_below
+from .poles import has_pole
 from .program import Program, compile_columns
 from .ratios import expand_terms, ratio_forms
 from .vocabulary import NAMED_FUNCTIONS, Vocabulary
@@ -67,7 +67,6 @@ __all__ = [
     "expand_terms",
     "has_pole",
     "julia_code",
-    "lines_below",
     "number_bits",
     "parse",
     "plausibility_bits",

@@ -67,7 +67,7 @@ from .shooting import (
 from .simple import simplicity_bits
 from .snapping import one_a_shape, score_snapped, snap_best, tidy
 from .ties import Names, exchanges, pairs_alike, ways_alike
-from .variation import improve, loosen, neighbours, with_floats
+from .variation import improve, loosen, with_floats
 from .whole import interval_reach
 
 __all__ = [
@@ -135,7 +135,6 @@ __all__ = [
     "measure_runs",
     "misses_bits",
     "missing_terms",
-    "neighbours",
     "noise_and_spread",
     "noise_of",
     "one_a_shape",

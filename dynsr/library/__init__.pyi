@@ -10,7 +10,7 @@ from .prior import (
     textbooks,
     write_down,
 )
-from .structure import find_angles, find_turning, structure_of
+from .structure import find_turning, structure_of
 
 __all__ = [
     "MOST_INSIDE",
@@ -22,7 +22,6 @@ __all__ = [
     "Term",
     "Written",
     "exact_bits",
-    "find_angles",
     "find_turning",
     "read_body",
     "read_equation",

@@ -380,7 +380,7 @@ class Prior:
         return bits
 
     def beside_bits(self, expr: sympy.Expr, place: Place, written: Written) -> float:
-        """Give the bits of one equation without its constants, a twin of an earlier one or not.
+        """Give the bits of one equation without its constants, or of naming an earlier one like it.
 
         Parameters
         ----------
