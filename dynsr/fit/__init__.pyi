@@ -8,7 +8,6 @@ from .collocation import (
     Mesh,
     Probes,
     fit_along,
-    usual_scales,
 )
 from .constants import free_constants, one_of_each_shape, refit, skeleton
 from .description import (
@@ -163,7 +162,6 @@ __all__ = [
     "tidy",
     "told_bits",
     "untouched_match",
-    "usual_scales",
     "ways_alike",
     "with_floats",
     "without_flat_line",
