@@ -257,7 +257,7 @@ class _Search:
             return said + constant_bits(rows)
 
         least = rows * self.error**2
-        return self.refitted(
+        return [
             expr
             for angle in self._place.angles or ()
             for expr in hinged_sums(
@@ -267,9 +267,10 @@ class _Search:
                 cost,
                 self.trust,
                 least,
+                self.settings.within**2 * least,
                 self.settings.kept,
             )
-        )
+        ]
 
     def proposed(self, found: Sequence[_Choice]) -> list[sympy.Expr]:
         """Give the sums of terms of the library that are expected to take the fewest bits.

@@ -13,7 +13,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.expression import compile_columns
-from dynsr.fit import fit_ratio
+from dynsr.fit import RatioFit, fit_ratio
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import products, weighted_sum
 
@@ -58,6 +58,7 @@ def hinged_sums(
     cost: Callable[[sympy.Expr], float],
     trust: np.ndarray,
     least: float,
+    most: float,
     kept: int,
 ) -> list[sympy.Expr]:
     """Give ratios that follow exact slopes best.
@@ -71,7 +72,8 @@ def hinged_sums(
     allow : whether a term may be one.
     cost : bits of a term with its coefficient.
     trust : (n,) how sure each slope is.
-    least : sum of squares below which nothing is gained.
+    least, most : sums of squares below which nothing is gained, and up to which it is nothing but
+        the error of the slopes.
     kept : ratios at most.
     """
     names, wave = samples.names, sympy.Symbol(angle)
@@ -91,15 +93,36 @@ def hinged_sums(
         keep=kept,
         least=least,
     )
+    weights = trust**2
+
+    def fit(places: Sequence[int]) -> RatioFit:
+        over = [i for i in places if i < len(above)]
+        under = [i - len(above) for i in places if i >= len(above)]
+        return fit_ratio(values[over], lines[under], samples.y, weights=weights)
+
+    def missed(places: Sequence[int]) -> float:
+        return float(np.sum(weights * fit(places).residual ** 2))
+
+    def thin(places: tuple[int, ...]) -> tuple[int, ...]:
+        """Leave out what exact slopes do not need."""
+        while len(places) > 1:
+            shorter = [places[:i] + places[i + 1 :] for i in range(len(places))]
+            best = min((p for p in shorter if p[0] < len(above)), key=missed, default=())
+            if not best or missed(best) > most:
+                break
+            places = best
+        return places
+
     found = []
     for subset in subsets:
-        over = [i for i in subset.places if i < len(above)]
-        under = [i - len(above) for i in subset.places if i >= len(above)]
-        if not over or not under:
+        places = tuple(sorted(subset.places))
+        if places[0] >= len(above):
             continue
-        fit = fit_ratio(values[over], lines[under], samples.y, weights=trust**2)
-        line = 1 + fit.denominator @ lines[under]
-        if np.min(np.abs(line)) >= _NOTHING * np.max(np.abs(line)):
-            top = weighted_sum(fit.numerator, [above[i] for i in over])
-            found.append(top / (1 + weighted_sum(fit.denominator, [below[i] for i in under])))
-    return found
+        own = thin(places) if missed(places) <= most else places
+        ratio = fit(own)
+        under = [i - len(above) for i in own if i >= len(above)]
+        line = 1 + ratio.denominator @ lines[under]
+        if under and np.min(np.abs(line)) >= _NOTHING * np.max(np.abs(line)):
+            top = weighted_sum(ratio.numerator, [above[i] for i in own if i < len(above)])
+            found.append(top / (1 + weighted_sum(ratio.denominator, [below[i] for i in under])))
+    return list(dict.fromkeys(found))
