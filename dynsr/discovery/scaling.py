@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from dynsr.data import Trajectory, read_sums, take_trajectories
 from dynsr.discovery.apart import check_vary, search_apart
+from dynsr.discovery.asked import check_asked
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.delayed import check_delays, search_delayed
 from dynsr.discovery.every_row import on_every_row, take_windows
@@ -201,6 +202,7 @@ def in_fitting_units(search: Search) -> Search:
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
         delays = settings.pop("delays", False)
         vary = check_vary(settings.pop("vary", False), runs, discrete)
+        check_asked(runs[0].states, seed, **_named(settings, "settings", "slopes"))
         every, deciding = runs, settings.get("settings", DISCOVERY)
         # Where runs have constants of their own, a window would be another run.
         most = math.inf if vary else deciding.windows.above
@@ -279,6 +281,10 @@ def _measured_columns(runs: Sequence[Trajectory]) -> dict[str, list[np.ndarray]]
         name: [own[:, i] for own in columns if not np.all(np.isnan(own[:, i]))]
         for i, name in enumerate(runs[0].names)
     }
+
+
+def _named(settings: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: settings[name] for name in names if name in settings}
 
 
 def _scale(own: Any, factor: float) -> Any:
