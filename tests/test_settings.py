@@ -208,6 +208,9 @@ def test_every_setting_is_read():
     # No parabola is one to the last digit.
     every = replace(DISCOVERY, selection=selection, profile=ProfileSettings(parabola=1.0))
     dynsr.discover(rabbits(60, 0.03), settings=watched(every, seen), **QUICK)
+    windows = replace(DISCOVERY.windows, above=1000)
+    long = replace(DISCOVERY, windows=windows)
+    dynsr.discover(rabbits(1500, 0.03), settings=watched(long, seen), **QUICK)
     unread = {".".join(path) for path, _ in leaves(DISCOVERY) if path not in seen}
     assert unread - SELDOM == set()
 

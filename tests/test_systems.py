@@ -348,17 +348,6 @@ def test_a_term_that_nothing_needs_costs_bits():
     assert -0.5 < gain < 16
 
 
-def test_a_law_that_empties_a_store_below_zero_costs_more():
-    """A positive state that would fall below 0 from there takes 6 bits more than one that stays."""
-    mesh = measured("SIR").mesh(("S", "J"))
-    exprs = {"S": parse("-J/10"), "J": parse("0.4*S*J - 0.1*J")}
-    with_, without = (
-        SystemComparison(mesh, ComparisonSettings(leaving=bits)).fit(exprs).bits
-        for bits in (6.0, 0.0)
-    )
-    assert with_ - without == pytest.approx(6.0)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [1.0, 8.0])
 def test_noise_is_as_little_as_a_law_leaves(times):
