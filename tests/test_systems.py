@@ -283,22 +283,6 @@ def test_a_pole_among_the_data_is_no_law():
     assert SystemComparison(mesh, as_given).fit(through) is None
 
 
-def test_a_saturation_that_nobody_sees_costs_more():
-    """S J / (S + 50) where S never passes 1 is S J in disguise, and costs bits beside its constant.
-
-    Half saturation at 0.8 is seen.
-    """
-    rows = measured("SIR").mesh(("S", "J"))
-    as_given = replace(SETTINGS, fit=replace(SETTINGS.fit, steps=0))
-    blind = replace(as_given, unseen=0.0)
-    law = {"S": parse("-0.4*S*J"), "J": parse("20.0*S*J/(S + 50.0) - 0.1*J")}
-    seen = {**law, "J": parse("0.7*S*J/(S + 0.8) - 0.1*J")}
-    for system, more in ((law, 4.0), (seen, 0.0)):
-        fit = SystemComparison(rows, as_given).fit(system)
-        without = SystemComparison(rows, blind).bits(fit.fit, fit.problem.scales(fit.fit))
-        assert fit.bits - without == pytest.approx(more)
-
-
 @pytest.mark.slow
 def test_what_leaves_one_state_enters_another():
     """Monod's term is found in the equation of the food because that of the cells has it."""

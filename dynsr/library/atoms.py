@@ -184,6 +184,7 @@ _FEW = (0.3, 1.0, 3.0)
 _SIZE, _RATE = Inside((1,)), Inside((-1,))
 _POWER_APART = Inside((), (0.75, 1.25, 1.75))
 _STEEP = Inside((-1,), (1.0, 2.5, 6.0), of_spread=True)
+_STEEPNESS = Inside((), (1.5, 3.0, 6.0, 12.0))
 _MIDDLE = Inside(at=(0.1, 0.3, 0.5, 0.7, 0.9))
 
 
@@ -210,6 +211,7 @@ _TABLE = (
     Atom("power", V**K, Domain.POSITIVE, (Inside((), (-1.5, -0.5, 0.35, 0.7, 1.5, 2.5)),)),
     *map(_saturates, (1, 2, 3, 4)),
     *map(_inhibits, (1, 2, 3, 4)),
+    Atom("inhibits steeply", 1 / (V**L + K**L), Domain.POSITIVE, (_SIZE, _STEEPNESS)),
     Atom("decay", sympy.exp(-K * V), inside=(_RATE,), most=2),
     Atom("growth", sympy.exp(K * V), inside=(_RATE,)),
     Atom("activation", sympy.exp(-K / V), Domain.AWAY_FROM_0, (_SIZE,)),
