@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import Program, bits_in_force, compile_columns
-from dynsr.library.structure import keeps_turning
+from dynsr.library import keeps_turning
 from dynsr.selection.costs import shape_bits, unusual_bits
 
 # Share of its largest value by which a column may fall below 0 that is never negative.
