@@ -337,7 +337,7 @@ def test_a_petab_problem_is_whole(noisy, tmp_path):
 def test_a_petab_problem_needs_its_data(noisy, tmp_path):
     """Without data, or with an input that moves, one line says what is the matter."""
     need_module("libsbml")
-    with pytest.raises(InputError, match="the data are not here"):
+    with pytest.raises(InputError, match="a PEtab problem needs the data"):
         write_files(Source.of(KNOWN["sir"]), "petab")
     with pytest.raises(InputError, match="several files; give a folder"):
         noisy.export("petab")
@@ -463,10 +463,10 @@ def test_the_command_writes_a_problem_with_data(noisy, tmp_path):
     """Data that are given go into a PEtab problem, which is a folder."""
     need_module("libsbml")
     saved = replace(noisy, settings={"engine": "embedded"}).save(tmp_path / "discovery.json")
-    write_csv(noisy.trajectories[0], tmp_path / "data.csv")
+    write_csv(noisy.trajectories[0], tmp_path / "measured.csv")
     asked = ("export", saved, "--to", "petab", "-o", tmp_path / "problem")
-    assert "the data are not here" in command(*asked, code=2).stderr
-    command(*asked, "--data", tmp_path / "data.csv")
+    assert "a saved result does not keep" in command(*asked, code=2).stderr
+    command(*asked, "--data", tmp_path / "measured.csv")
     assert len(list((tmp_path / "problem").iterdir())) == 6
 
 

@@ -366,7 +366,7 @@ def export(
         list[Path] | None,
         typer.Option(
             "--data",
-            help="Data that go with it, as for petab; a saved discovery has none.",
+            help="The data, which petab needs; by default data.csv next to the discovery.",
             rich_help_panel=options.DATA,
         ),
     ] = None,
@@ -388,8 +388,12 @@ def export(
         else:
             output.print_table("Formats", ("format", "what it is", "file"), rows)
         return
-    find_format(to)
+    chosen = find_format(to)
     found = load_discovery(model)
+    own = (model if model.is_dir() else model.parent) / "data.csv"
+    if not files and chosen.with_data and own.exists():
+        output.note(f"data: {own}")
+        files = [own]
     if files:
         how = (None, None, None, None, _say_to(json))
         runs = _load_for(found, files, None, None, None, how)

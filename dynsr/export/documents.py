@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from html import escape
+
 import sympy
 
 from dynsr.discovery import write_map_latex, write_map_mathml
@@ -22,6 +24,9 @@ def write_latex(source: Source) -> str:
         text = write_map_latex(system.equations, system.parameters)
     else:
         text = to_latex(system.equations, system.time_unit, system.parameters)
+    for name, own in source.delays.items():
+        state, late = sympy.latex(sympy.Symbol(own.state)), sympy.latex(sympy.Symbol(name))
+        text += f"\n\nHere ${late}(t) = {state}(t - {own.value:.6g})$."
     return f"{text}\n\n{system.parameters.to_latex()}\n"
 
 
@@ -37,6 +42,7 @@ def write_mathml(source: Source) -> str:
     for name, value in source.parameters.items():
         equals = to_mathml(sympy.Symbol(name)).removesuffix("</math>")
         lines.append(f"{equals}<mo>=</mo>{to_mathml(sympy.Float(value)).removeprefix('<math>')}")
+    lines += [f"{escape(name)} is {escape(own.text)}." for name, own in source.delays.items()]
     return "".join(f"<p>{line}</p>\n" for line in lines)
 
 
@@ -48,6 +54,7 @@ def write_markdown(source: Source) -> str:
     source : what is written.
     """
     lines = [f"    {line}" for line in source.lines()]
+    lines += [f"\n{name} is {own.text}." for name, own in source.delays.items()]
     head = ("parameter", "value", "standard error", "95 % interval", "unit", "term")
     rows = [head, ["---"] * len(head), *source.system.parameters.rows()]
     table = [f"| {' | '.join(row)} |" for row in rows]

@@ -31,6 +31,8 @@ class Format:
     needs : (module, extra) that it is written with; None where nothing is needed.
     check : raises InputError where it cannot express the equations.
     folder : writes it where it is several files: name -> text.
+    delays : whether it can express states as they were some time before.
+    with_data : whether it contains the data.
     """
 
     title: str
@@ -41,24 +43,30 @@ class Format:
     needs: tuple[str, str] | None = None
     check: Callable[[Source], object] | None = None
     folder: Callable[[Source], dict[str, str]] | None = None
+    delays: bool = False
+    with_data: bool = False
 
 
 FORMATS: dict[str, Format] = {
-    "python": Format("Python with NumPy", ".py", programs.write_python, programs.PYTHON, True),
+    "python": Format(
+        "Python with NumPy", ".py", programs.write_python, programs.PYTHON, True, delays=True
+    ),
     "torch": Format("PyTorch module", ".py", programs.write_torch, programs.TORCH, True),
     "jax": Format("JAX, for diffrax", ".py", programs.write_jax, programs.PYTHON),
     "c": Format("C99", ".c", programs.write_c, programs.C, True),
     "fortran": Format("Fortran", ".f90", programs.write_fortran, programs.FORTRAN, True),
-    "matlab": Format("MATLAB and Octave", ".m", programs.write_matlab, programs.MATLAB, True),
-    "r": Format("R, for deSolve", ".R", programs.write_r, programs.R, True),
-    "julia": Format("Julia", ".jl", programs.write_julia, programs.JULIA, True),
+    "matlab": Format(
+        "MATLAB and Octave", ".m", programs.write_matlab, programs.MATLAB, True, delays=True
+    ),
+    "r": Format("R, for deSolve", ".R", programs.write_r, programs.R, True, delays=True),
+    "julia": Format("Julia", ".jl", programs.write_julia, programs.JULIA, True, delays=True),
     "modelingtoolkit": Format(
         "ModelingToolkit.jl", ".jl", models.write_modelingtoolkit, models.MODELINGTOOLKIT
     ),
     "catalyst": Format(
         "Catalyst.jl", ".jl", models.write_catalyst, models.CATALYST, check=find_reactions
     ),
-    "modelica": Format("Modelica", ".mo", models.write_modelica, models.MODELICA),
+    "modelica": Format("Modelica", ".mo", models.write_modelica, models.MODELICA, delays=True),
     "sbml": Format("SBML", ".xml", sbml.write_sbml, sbml.SBML, needs=("libsbml", "sbml")),
     "petab": Format(
         "PEtab problem with the data",
@@ -68,14 +76,17 @@ FORMATS: dict[str, Format] = {
         needs=("libsbml", "sbml"),
         check=sbml.check_petab,
         folder=sbml.write_petab,
+        with_data=True,
     ),
     "casadi": Format("CasADi", ".py", models.write_casadi, models.CONTROL, True),
     "control": Format("python-control", ".py", models.write_control, models.CONTROL, True),
     "do-mpc": Format("do-mpc", ".py", models.write_do_mpc, models.CONTROL, True),
-    "latex": Format("LaTeX with a table", ".tex", documents.write_latex, None, True),
-    "mathml": Format("MathML", ".html", documents.write_mathml, None, True),
-    "markdown": Format("Markdown table", ".md", documents.write_markdown, None, True),
-    "bibtex": Format("BibTeX of the methods", ".bib", documents.write_bibtex, None, True),
+    "latex": Format("LaTeX with a table", ".tex", documents.write_latex, None, True, delays=True),
+    "mathml": Format("MathML", ".html", documents.write_mathml, None, True, delays=True),
+    "markdown": Format("Markdown table", ".md", documents.write_markdown, None, True, delays=True),
+    "bibtex": Format(
+        "BibTeX of the methods", ".bib", documents.write_bibtex, None, True, delays=True
+    ),
 }
 ALIASES = {
     "numpy": "python",
@@ -193,6 +204,8 @@ def _choose(source: Source, name: str) -> Format:
     if source.system.discrete and not chosen.maps:
         able = ", ".join(key for key, one in FORMATS.items() if one.maps)
         raise InputError(f"{chosen.title} takes no map; formats that do: {able}")
+    if not chosen.delays:
+        source.refuse_delays(chosen.title, [key for key, one in FORMATS.items() if one.delays])
     if chosen.needs is not None:
         need(*chosen.needs, f"the format {name!r}")
     if chosen.check is not None:

@@ -14,6 +14,7 @@ from dynsr.export.source import Source
 from dynsr.expression import compile_numpy
 
 _EXTRA = "control"
+_WITH_DELAYS = ("python", "matlab", "r", "julia", "modelica")
 
 
 def make_casadi(source: Source) -> Any:
@@ -25,6 +26,7 @@ def make_casadi(source: Source) -> Any:
 
     Raises MissingExtra when CasADi is not installed.
     """
+    source.refuse_delays("CasADi", _WITH_DELAYS)
     need("casadi", _EXTRA, "a function of CasADi")
     import casadi
 
@@ -67,6 +69,7 @@ def make_control(source: Source) -> Any:
 
     Raises MissingExtra when python-control is not installed.
     """
+    source.refuse_delays("python-control", _WITH_DELAYS)
     need("control", _EXTRA, "a system of python-control")
     import control
 
@@ -99,6 +102,7 @@ def make_do_mpc(source: Source) -> Any:
 
     Raises MissingExtra when do-mpc is not installed.
     """
+    source.refuse_delays("do-mpc", _WITH_DELAYS)
     need("do_mpc", _EXTRA, "a model of do-mpc")
     import casadi
     import do_mpc

@@ -142,7 +142,8 @@ def write_python(source: Source) -> str:
     )
     start, end, count = times(source)
     first = f"[{', '.join(map(number, source.start))}]"
-    inputs = [f"{u}=0.0" for u in source.measured]
+    inputs = [f"{u}=0.0" for u in source.measured if u not in source.delays]
+    inputs += [f"{u}=past({n}, {d})" for u, n, d in _delayed(source)]
     call = f"lambda t, state: {{}}(t, state, {', '.join(inputs)})" if inputs else "{}"
     remark = "    # Put in what the inputs do: numbers, or functions of t.\n" if inputs else ""
     if source.system.discrete:
@@ -153,6 +154,10 @@ def write_python(source: Source) -> str:
             "    print(state)\n"
         )
         load = ""
+    elif source.delays:
+        load = "    from scipy.integrate import solve_ivp\n\n"
+        remark = "    # Put in the states before the first time, and what other inputs do.\n"
+        example = _steps(source, start, end, first, call.format("rhs"))
     else:
         load = "    from scipy.integrate import solve_ivp\n\n"
         example = (
@@ -167,6 +172,36 @@ def write_python(source: Source) -> str:
         + "\n".join(body)
         + f"\n    return numpy.array([\n        {rows},\n    ])\n\n\n"
         + f'if __name__ == "__main__":\n{load}{remark}{example}'
+    )
+
+
+def _delayed(source: Source) -> list[tuple[str, int, str]]:
+    """Give the name of each delayed state, the place of its state, and the delay."""
+    return [(u, source.states.index(d.state), number(d.value)) for u, d in source.delays.items()]
+
+
+def _steps(source: Source, start: float, end: float, first: str, call: str) -> str:
+    """Write the method of steps: within the shortest delay, delayed states are known."""
+    shortest = number(min(own.value for own in source.delays.values()))
+    return (
+        f"    before = {first}\n"
+        "    parts = []\n\n"
+        "    def past(place, delay):\n"
+        "        def value(t):\n"
+        "            for begin, part in reversed(parts):\n"
+        "                if t - delay >= begin:\n"
+        "                    return part(t - delay)[place]\n"
+        "            return before[place]\n\n"
+        "        return value\n\n"
+        f"    now, state = {start}, before\n"
+        f"    while now < {end}:\n"
+        f"        later = min(now + {shortest}, {end})\n"
+        f"        solution = solve_ivp(\n            {call},\n            (now, later),\n"
+        '            state,\n            method="DOP853",\n            dense_output=True,\n'
+        "            rtol=1e-9,\n            atol=1e-12,\n        )\n"
+        "        parts.append((now, solution.sol))\n"
+        "        now, state = later, solution.y[:, -1]\n"
+        "    print(*state)\n"
     )
 
 
@@ -185,7 +220,9 @@ def write_torch(source: Source) -> str:
     used = source.needed(*source.equations.values())
     body = [f"        {_unpacked(source.states)} = state.unbind(-1)"]
     body += [f"        {n} = self.{n}" for n in source.parameters if n in used]
-    body += [f"        {u} = {u}(t) if callable({u}) else {u}" for u in source.measured]
+    for u in source.measured:
+        body.append(f"        {u} = {u}(t) if callable({u}) else {u}")
+        body.append(f"        {u} = torch.as_tensor({u}, dtype=state.dtype)")
     if source.timed:
         body.append("        t = torch.as_tensor(t, dtype=state.dtype)")
     body += [f"        {u} = {printer.doprint(e)}" for u, e in source.known.items()]
@@ -439,6 +476,15 @@ def write_matlab(source: Source) -> str:
     first = "; ".join(map(number, source.start))
     call = f"@(t, state) {name}(t, state{', p' if source.measured else ''})"
     example = f"% [t, states] = ode45({call}, [{start} {end}], [{first}]);\n"
+    if source.delays:
+        lags = "; ".join(delay for *_, delay in _delayed(source))
+        put = "p"
+        for column, (u, place, _) in enumerate(_delayed(source), 1):
+            put = f"setfield({put}, '{source.called(u)}', Z({place + 1}, {column}))"
+        example = (
+            f"% solution = dde23(@(t, state, Z) rhs(t, state, {put}), [{lags}], [{first}], "
+            f"[{start} {end}]);\n"
+        )
     lines = [f"  {s} = state({i});" for i, s in enumerate(source.states, 1) if s in used]
     lines += [f"  {n} = p.{n};" for n in source.parameters if n in used]
     for u in source.measured:
@@ -493,6 +539,17 @@ def write_r(source: Source) -> str:
             f"# solution <- ode(y = start, {call}{more if source.measured else ''})\n"
         )
     )
+    if source.delays:
+        late = ", ".join(
+            f"{source.called(u)} = if (t - {d} > {start}) lagvalue(t - {d}, {n + 1}) "
+            f"else start[[{n + 1}]]"
+            for u, n, d in _delayed(source)
+        )
+        example = (
+            "# library(deSolve)\n# late <- function(t, state, parameters)\n"
+            f"#   rhs(t, state, parameters, list({late}))\n"
+            f"# solution <- dede(y = start, {call.replace('func = rhs', 'func = late')})\n"
+        )
     head = ", ".join(["t", "state", "parameters", *(["inputs"] if source.measured else [])])
     return (
         f"{source.comment('#')}parameters <- c({values})\nstart <- c({first})\n\n"
@@ -523,11 +580,24 @@ def write_julia(source: Source) -> str:
     first = ", ".join(map(number, source.start))
     kind, span = ("Discrete", (0, count - 1)) if source.system.discrete else ("ODE", (start, end))
     problem = f"{kind}Problem({name}, start, ({span[0]}, {span[1]}), parameters)"
+    solver, more = "Tsit5()", ""
+    if source.delays:
+        late = ", ".join(
+            f"{source.called(u)} = h(p, t - {d}; idxs = {n + 1})" for u, n, d in _delayed(source)
+        )
+        lags = ", ".join(delay for *_, delay in _delayed(source))
+        more = (
+            "# using DelayDiffEq\n"
+            "# past(p, t; idxs = nothing) = idxs === nothing ? start : start[idxs]\n"
+            f"# late!(du, u, h, p, t) = rhs!(du, u, merge(p, (; {late})), t)\n"
+        )
+        rest = f"({start}, {end}), parameters; constant_lags = [{lags}]"
+        problem, solver = f"DDEProblem(late!, start, past, {rest})", "MethodOfSteps(Tsit5())"
     return (
         f"{source.comment('#')}parameters = (; {values})\nstart = [{first}]\n\n"
         f"function {name}(du, u, p, t)\n"
         + "\n".join(lines)
-        + f"\n    return nothing\nend\n\n# using OrdinaryDiffEq\n# solution = solve({problem}"
-        + ("" if source.system.discrete else ", Tsit5(); reltol=1e-9, abstol=1e-12")
+        + f"\n    return nothing\nend\n\n# using OrdinaryDiffEq\n{more}# solution = solve({problem}"
+        + ("" if source.system.discrete else f", {solver}; reltol=1e-9, abstol=1e-12")
         + ")\n"
     )

@@ -220,7 +220,10 @@ def check_petab(source: Source) -> None:
     Raises InputError when they are not there, lack a state or have an input that changes.
     """
     if not source.runs:
-        raise InputError("the data are not here; discover again, or give them with --data FILE")
+        raise InputError(
+            "a PEtab problem needs the data, which a saved result does not keep; give them with "
+            "--data FILE, in Python discover again"
+        )
     for run in source.runs:
         if source.timed and run.t[0] != source.runs[0].t[0]:
             raise InputError(

@@ -6,14 +6,15 @@ import math
 import re
 import unicodedata
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import sympy
 
 from dynsr import __version__
 from dynsr.data import System, Trajectory
-from dynsr.discovery import Discovery, Parameters, ParametricSystem, write_interval
+from dynsr.discovery import Delay, Discovery, Parameters, ParametricSystem, write_interval
+from dynsr.errors import InputError
 from dynsr.expression import call_names, check_name, differentiate, shown, with_signs
 
 _TEXT = re.compile(r"\"[^\"\n]*\"|'[^'\n]*'")
@@ -36,6 +37,7 @@ class Source:
     own : name in the code -> name in the equations, where they differ.
     calls : input -> the name by which a call gives it, where that is another than in the code.
     dosed : states that were given doses, which are no part of the equations.
+    delays : input -> the state and delay that it is.
     """
 
     system: ParametricSystem
@@ -46,6 +48,7 @@ class Source:
     own: Mapping[str, str] | None = None
     calls: Mapping[str, str] | None = None
     dosed: tuple[str, ...] = ()
+    delays: Mapping[str, Delay] = field(default_factory=dict)
 
     @classmethod
     def of(cls, found: Discovery | ParametricSystem | System) -> Source:
@@ -61,6 +64,9 @@ class Source:
             return cls(found)
         given = found.settings.get("doses")
         doses = given if isinstance(given, Mapping) else {}
+        for name, own in found.delays.items():
+            if own.state not in found.equations:
+                raise InputError(f"{name!r} is a delay of {own.state!r}, which is no state")
         # A verdict has the noise as a share of the spread.
         data = found.data_summary
         noise = {
@@ -75,6 +81,7 @@ class Source:
             tuple(map(str, found.settings.get("methods", ()))),
             str(found.settings.get("engine", "")),
             dosed=tuple(state for state in found.equations if state in doses),
+            delays=found.delays,
         )
 
     @property
@@ -142,6 +149,17 @@ class Source:
         """(k,) values of the states at the first time; ones where the data are not there."""
         return [float(self.system.x0.get(state, 1.0)) for state in self.states]
 
+    def refuse_delays(self, title: str, able: Collection[str]) -> None:
+        """Raise InputError where the equations have delays.
+
+        Parameters
+        ----------
+        title : the tool that takes none.
+        able : the formats that do.
+        """
+        if self.delays:
+            raise InputError(f"{title} takes no delay; formats that do: {', '.join(able)}")
+
     @property
     def timed(self) -> bool:
         """Whether the right-hand sides contain the time, themselves or in an input."""
@@ -177,8 +195,11 @@ class Source:
             known = p.low is not None or p.high is not None
             within = f" (95 %: {write_interval(p.low, p.high)})" if known else ""
             yield f"{p.name} = {p.value:.6g}{unit}{within}"
+        for name, own in self.delays.items():
+            yield f"{self.called(name)} is {own.text}."
         for name in self.measured:
-            yield f"{self.called(name)} is an input whose values were measured."
+            if name not in self.delays:
+                yield f"{self.called(name)} is an input whose values were measured."
 
     def comment(self, mark: str) -> str:
         """Give the lines of :meth:`about` behind the mark of a comment.
@@ -322,7 +343,8 @@ def _renamed(source: Source, new: Mapping[str, str]) -> Source:
     )
     noise = source.noise and {new.get(s, s): v for s, v in source.noise.items()}
     own = {b: a for a, b in new.items() if a != b and not b.startswith("blank")}
-    return replace(source, system=changed, noise=noise, own=own)
+    delays = {new[n]: replace(d, state=new[d.state]) for n, d in source.delays.items()}
+    return replace(source, system=changed, noise=noise, own=own, delays=delays)
 
 
 def times(source: Source) -> tuple[float, float, int]:
