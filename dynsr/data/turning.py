@@ -34,9 +34,16 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
     ('time', 'prey', 'cats')
     """
     named = _with_head(columns)
+    count = len(named.names)
+    # What is no moment alone is none among others, and says so at once where columns are many.
+    alone = (j + 1 for j in reversed(range(count)) if _read_moments(named.names[j : j + 1]) is None)
     first = next(
-        (j for j, name in enumerate(named.names) if _is_moment(name) and _is_moment_kind(named, j)),
-        len(named.names),
+        (
+            j
+            for j in range(next(alone, 0), count)
+            if _is_moment(named.names[j]) and _read_moments(named.names[j:]) is not None
+        ),
+        count,
     )
     moments = named.names[first:]
     labels = named.names[:first]
@@ -114,11 +121,6 @@ def _may_be_time(name: str, values: np.ndarray) -> bool:
 
 def _is_moment(name: str) -> bool:
     return any(map(str.isdigit, name)) and not _BLANK.fullmatch(name)
-
-
-def _is_moment_kind(columns: Columns, place: int) -> bool:
-    """Whether all names from a place on are times that rise."""
-    return _read_moments(columns.names[place:]) is not None
 
 
 def _read_moments(names: Sequence[str]) -> tuple[np.ndarray, str] | None:
