@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -105,7 +105,19 @@ def load_mat(path: Path, decimal: str | None = None) -> Columns:
     with open(path, "rb") as file:
         if b"MATLAB 7.3" in file.read(128) or (file.seek(512) and file.read(4) == b"\x89HDF"):
             return load_hdf5(path, decimal)
+        _check_version(file, path)
     return _from_groups(_read_apart("mat", path, "MATLAB file"), path.name, decimal)
+
+
+def _check_version(file: BinaryIO, path: Path) -> None:
+    """Refuse a file whose first bytes are those of no version, before a process is started."""
+    from scipy.io.matlab import MatReadError, matfile_version
+
+    file.seek(0)
+    try:
+        matfile_version(file)
+    except (ValueError, IndexError, MatReadError) as error:
+        raise unreadable(path, "MATLAB file", error) from None
 
 
 def from_mat(arrays: Mapping[str, Any], label: str, decimal: str | None = None) -> Columns:
