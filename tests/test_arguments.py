@@ -29,7 +29,7 @@ ODD = [
     (object(), object()),
     np.zeros((2, 2)),
 ]
-T = np.linspace(0, 3, 31)
+T = np.linspace(0, 3, 16)
 RUN = dynsr.Trajectory(T, np.exp(-T)[:, None], ("x",))
 # Those that would compute for minutes where an argument is a fine one.
 LONG = {"replicate", "audit"}
