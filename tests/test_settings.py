@@ -81,7 +81,7 @@ def other(value):
         return not value
     if isinstance(value, (int, float)):
         return value + 1
-    return (*value, *(value[:1] or ["twins"]))
+    return (*value, *(value[:1] or ["citing"]))
 
 
 def at(plain, path):

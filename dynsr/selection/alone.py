@@ -7,7 +7,7 @@ terms of other equations are fitted to one state and put in the order of their b
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -40,15 +40,10 @@ from dynsr.selection.terms import weighted_sum
 
 @dataclass(frozen=True)
 class Leader:
-    """A formula of one state, the bits that it takes alone more than the best, and its constants.
-
-    These have values (P,) and a covariance (P, P), in the order in which they appear.
-    """
+    """A formula of one state, and the bits that it takes alone more than the best."""
 
     expr: sympy.Expr
     behind: float
-    constants: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +94,7 @@ class Alone:
             less = self.comparison.saved_bits(state, fit.exprs[state], written) if others else 0.0
             found.append((fit.bits - less, fit))
         found = sorted(found, key=lambda pair: pair[0])[: settings.together]
-        leaders = [self._as_leader(fit, bits - found[0][0]) for bits, fit in found]
+        leaders = [Leader(fit.exprs[state], bits - found[0][0]) for bits, fit in found]
         return [one for one in leaders if one.behind <= settings.behind]
 
     def lead_citing(
@@ -117,9 +112,6 @@ class Alone:
             return own
         sums = self.comparison.propose(self.state, evidence, others, functions=False)
         return self.lead(sums[: self.comparison.settings.sums], others)
-
-    def _as_leader(self, fit: SystemFit, behind: float) -> Leader:
-        return Leader(fit.exprs[self.state], behind, fit.fit.constants, fit.fit.covariance)
 
     def fitted(self, bodies: Sequence[sympy.Expr]) -> sympy.Expr | None:
         """Give the sum of all of some terms that a linear fit expects; None where that fails.

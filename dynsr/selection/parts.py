@@ -20,7 +20,6 @@ PARTS: Mapping[str, str] = {
     "end-alone": "one that every other choice of terms misses by far more is such an equation",
     "joints": "what hangs from a joint, in noise",
     "citing": "sums with terms of other equations",
-    "twins": "equations of other states with names exchanged, in noise",
     "changed-twins": "twins change as the equation that they repeat",
     "couplings": "systems tied by a mass matrix",
     "renewal": "one equation of a system proposed anew, along its states",
@@ -56,7 +55,7 @@ class Parts:
 
     Raises InputError for a name that is no part.
 
-    >>> Parts(("twins",)).has("twins"), Parts().has("twins")
+    >>> Parts(("citing",)).has("citing"), Parts().has("citing")
     (False, True)
     """
 

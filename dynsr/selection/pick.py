@@ -123,7 +123,7 @@ class SelectionSettings:
 
         Raises InputError for a name that is no part.
 
-        >>> SELECTION.without("twins").parts.has("twins")
+        >>> SELECTION.without("citing").parts.has("citing")
         False
         """
         parts = Parts(tuple(dict.fromkeys((*self.parts.off, *names))))
