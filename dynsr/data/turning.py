@@ -34,26 +34,21 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
     ('time', 'prey', 'cats')
     """
     named = _with_head(columns)
-    count = len(named.names)
-    # What is no moment alone is none among others, and says so at once where columns are many.
-    alone = (j + 1 for j in reversed(range(count)) if _read_moments(named.names[j : j + 1]) is None)
-    first = next(
-        (
-            j
-            for j in range(next(alone, 0), count)
-            if _is_moment(named.names[j]) and _read_moments(named.names[j:]) is not None
-        ),
-        count,
-    )
-    moments = named.names[first:]
-    labels = named.names[:first]
     own = dict(zip(named.names, named.values, strict=True))
-    if len(moments) < FEWEST_ROWS or any(_may_be_time(name, own[name]) for name in labels):
+    times, first = None, 0
+    for first, name in enumerate(named.names):
+        times = _read_moments(named.names[first:]) if _is_moment(name) else None
+        # What is measured stands before no moments: one look at a wide table is enough.
+        if times is not None or _is_measured(name, own[name]):
+            break
+    moments, labels = named.names[first:], named.names[:first]
+    if times is None or len(moments) < FEWEST_ROWS:
         return columns, []
-    times = _read_moments(moments)
+    if any(_may_be_time(name, own[name]) for name in labels):
+        return columns, []
     numbers = [values.dtype.kind == "f" for values in named.values[first:]]
     names = [name for name in labels if is_text(own[name]) or is_label_name(name)]
-    if times is None or not all(numbers) or not names:
+    if not all(numbers) or not names:
         return columns, []
     table = np.column_stack(named.values[first:])
     said = (
@@ -114,9 +109,12 @@ def _as_numbers(values: np.ndarray) -> np.ndarray:
 
 def _may_be_time(name: str, values: np.ndarray) -> bool:
     """Whether a column before the moments is itself a time, so that the others are measured."""
-    if values.dtype.kind in "mM" or read_times(values, name) is not None:
-        return True
-    return values.dtype.kind == "f" and not is_label_name(name)
+    return _is_measured(name, values) or read_times(values, name) is not None
+
+
+def _is_measured(name: str, values: np.ndarray) -> bool:
+    """Whether a column holds dates, or numbers that are no labels."""
+    return values.dtype.kind in "mM" or (values.dtype.kind == "f" and not is_label_name(name))
 
 
 def _is_moment(name: str) -> bool:
