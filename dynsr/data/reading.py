@@ -9,8 +9,9 @@ from __future__ import annotations
 import hashlib
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -239,7 +240,8 @@ def _read_list(
     share = max(max_rows // len(sources), FEWEST_ROWS)
     tables = []
     for source in sources:
-        own, known, errors = _those_of(source, decimal, states, inputs, noise)
+        load = cache(partial(_load_quietly, source, decimal))
+        own, known, errors = _those_of(source, load, states, inputs, noise)
         tables.append(
             read_trajectories(
                 source,
@@ -250,7 +252,7 @@ def _read_list(
                 quantity=quantity,
                 decimal=decimal,
                 noise=errors,
-                doses=_doses_of(source, decimal, doses),
+                doses=_doses_of(load, doses),
                 max_rows=share,
             )
         )
@@ -278,9 +280,16 @@ def _read_list(
     return replace(told, left_out=understood.left_out, notes=understood.notes)
 
 
+def _load_quietly(source: Any, decimal: str | None) -> Columns:
+    """Give the columns of a source; what is said of them is said where they are read."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return load_columns(source, decimal)
+
+
 def _those_of(
     source: Any,
-    decimal: str | None,
+    load: Callable[[], Columns],
     states: Sequence[str] | str | None,
     inputs: Sequence[str] | Mapping[str, str] | str | None,
     noise: Mapping[str, Any] | None,
@@ -296,9 +305,7 @@ def _those_of(
     wanted, (known, formulas), errors = _listed(states), _split_inputs(inputs), find_columns(noise)
     if not (wanted or known or errors) or isinstance(source, Trajectory):
         return states, inputs, errors
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        columns = load_columns(source, decimal)
+    columns = load()
     if not columns.named:
         return states, inputs, errors
     names = {*columns.names, *map(clean_name, columns.names), *columns.left_out}
@@ -309,13 +316,11 @@ def _those_of(
     return own, inputs, {state: own for state, own in errors.items() if state in names}
 
 
-def _doses_of(source: Any, decimal: str | None, doses: Mapping[str, str]) -> dict[str, str] | None:
+def _doses_of(load: Callable[[], Columns], doses: Mapping[str, str]) -> dict[str, str] | None:
     """Give the doses whose columns one of several sources has."""
     if not doses:
         return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        columns = load_columns(source, decimal)
+    columns = load()
     names = {*columns.names, *map(clean_name, columns.names)}
     return {state: column for state, column in doses.items() if column in names} or None
 
