@@ -200,7 +200,7 @@ def _design(
     )
     terms = told.shape[1]
     mean = np.trace(told.mean(axis=0)) / terms
-    whole, value = _PRIOR * mean * np.eye(terms), 0.0
+    whole = _PRIOR * mean * np.eye(terms)
     chosen: list[int] = []
     left = settings.count * settings.rows
     lengths = np.array([len(window) for window in tried])
@@ -240,9 +240,10 @@ def _candidates(records: Sequence[_Record], settings: WindowSettings, stride: in
 def _groups(windows: Sequence[Window], columns: int) -> list[list[Window]]:
     """Put windows of one run and one length together, as many as are worked on at a time."""
     found: list[list[Window]] = []
+    features = 1 + len(_products(columns)) + columns
     for window in windows:
         last = found[-1] if found else []
-        size = (len(last) + 1) * len(window) * (1 + len(_products(columns)) + columns)
+        size = (len(last) + 1) * len(window) * features
         alike = bool(last) and (last[-1].run, len(last[-1])) == (window.run, len(window))
         if alike and size <= _AT_ONCE:
             last.append(window)

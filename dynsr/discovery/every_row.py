@@ -66,8 +66,17 @@ def take_windows(
 
 def _of_run(slopes: Any, run: int) -> np.ndarray:
     """Give the slopes of one trajectory."""
-    apart = isinstance(slopes, (list, tuple)) and any(np.ndim(part) for part in slopes)
-    return np.asarray(slopes[run] if apart else slopes, dtype=float)
+    return np.asarray(slopes[run] if are_apart(slopes) else slopes, dtype=float)
+
+
+def are_apart(slopes: Any) -> bool:
+    """Whether the user's slopes of a state are one array for each trajectory, and not one in all.
+
+    Parameters
+    ----------
+    slopes : of one state.
+    """
+    return isinstance(slopes, (list, tuple)) and any(np.ndim(part) for part in slopes)
 
 
 def on_every_row(

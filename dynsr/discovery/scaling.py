@@ -19,7 +19,7 @@ from dynsr.discovery.apart import check_vary, search_apart
 from dynsr.discovery.asked import check_asked
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.delayed import check_delays, search_delayed
-from dynsr.discovery.every_row import on_every_row, take_windows
+from dynsr.discovery.every_row import are_apart, on_every_row, take_windows
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery, keep, with_profiles
 from dynsr.discovery.start import Start
@@ -202,8 +202,8 @@ def in_fitting_units(search: Search) -> Search:
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
         delays = settings.pop("delays", False)
         vary = check_vary(settings.pop("vary", False), runs, discrete)
-        check_asked(runs[0].states, seed, **_named(settings, "settings", "slopes"))
         every, deciding = runs, settings.get("settings", DISCOVERY)
+        check_asked(runs[0].states, seed, settings=deciding, slopes=settings.get("slopes"))
         # Where runs have constants of their own, a window would be another run.
         most = math.inf if vary else deciding.windows.above
         runs, windows, settings["slopes"] = take_windows(
@@ -283,13 +283,9 @@ def _measured_columns(runs: Sequence[Trajectory]) -> dict[str, list[np.ndarray]]
     }
 
 
-def _named(settings: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    return {name: settings[name] for name in names if name in settings}
-
-
 def _scale(own: Any, factor: float) -> Any:
     """Scale one array of slopes, or one a trajectory."""
-    if isinstance(own, (list, tuple)) and any(np.ndim(part) for part in own):
+    if are_apart(own):
         return [np.asarray(part, dtype=float) * factor for part in own]
     return np.asarray(own, dtype=float) * factor
 
