@@ -20,7 +20,7 @@ from dynsr.discovery.verdict import LEVELS, NOT_FOUND, Rival, Verdict
 from dynsr.expression import parse, shown
 from dynsr.fit import ParetoFront, constant_bits, skeleton, tidy, with_floats
 from dynsr.jobs import finish_by
-from dynsr.library import structure_of
+from dynsr.library import structure_in
 
 # Misses, squared in units of the noise, below which nothing is told apart.
 _FINEST = 1e-3
@@ -152,7 +152,7 @@ def _length(
     """
     rows = sum(map(len, problem.runs))
     written = {s: with_floats(expr) for s, expr in found.equations.items()}
-    bits = structure_of(written, problem.columns)
+    bits = structure_in(problem.columns)(written)
     for state, expr in found.equations.items():
         own = verdict.states[state]
         square = own.noise**2 if problem.form.discrete else max(own.chi_square, _FINEST)

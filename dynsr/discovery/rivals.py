@@ -28,7 +28,7 @@ from dynsr.fit import (
     refit,
     with_floats,
 )
-from dynsr.library import structure_of
+from dynsr.library import structure_in
 
 # Longer formulas are no rivals of shorter ones: what they can do more, the misses tell.
 MORE_CONSTANTS = 2
@@ -69,11 +69,12 @@ def compare_rivals(
         return {state: [] for state in equations}
     bits = _bits_above(equations, chosen, followed, places, course)
     written = {s: with_floats(expr) for s, expr in equations.items()}
-    said = structure_of(written, columns)
+    structure = structure_in(columns)
+    said = structure(written)
     found: dict[str, list[tuple[sympy.Expr, float]]] = {state: [] for state in equations}
     for (state, expr), value in zip(chosen, bits, strict=True):
         more = count_constants(expr) - count_constants(equations[state])
-        cost = structure_of({**written, state: with_floats(expr)}, columns) - said
+        cost = structure({**written, state: with_floats(expr)}) - said
         rows = float(np.sum(followed.counts)) * course.thinned
         found[state].append((expr, float(value) + cost + more * constant_bits(rows)))
     return {state: sorted(pairs, key=lambda pair: pair[1]) for state, pairs in found.items()}
@@ -175,6 +176,7 @@ def _bits_above(
     starts = np.arange(first + len(probes), slopes.shape[1])
     own = _left_over(z, slopes[:, [*range(first), *starts]])
     owner_of = [place.state for place in places.values()]
+    shares = [_independent(own[rows]) for rows in mine]
     found = []
     for (state, _), (main, inner) in zip(chosen, groups, strict=True):
         others = [i for i in range(first) if owner_of[i] != state]
@@ -182,8 +184,8 @@ def _bits_above(
         # Misses with a pattern, as those of a solver are, say less than as many random ones.
         more = sum(
             float(left[rows] @ left[rows] - own[rows] @ own[rows])
-            * max(_independent(left[rows]), _independent(own[rows]))
-            for rows in mine
+            * max(_independent(left[rows]), share)
+            for rows, share in zip(mine, shares, strict=True)
         )
         found.append(more * course.thinned / (2 * math.log(2)))
     return np.nan_to_num(np.array(found), nan=math.inf)

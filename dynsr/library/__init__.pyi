@@ -10,7 +10,7 @@ from .prior import (
     textbooks,
     write_down,
 )
-from .structure import find_turning, keeps_turning, structure_of
+from .structure import find_turning, keeps_turning, structure_in, structure_of
 
 __all__ = [
     "MOST_INSIDE",
@@ -26,6 +26,7 @@ __all__ = [
     "keeps_turning",
     "read_body",
     "read_equation",
+    "structure_in",
     "structure_of",
     "textbooks",
     "write_down",

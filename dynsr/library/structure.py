@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import sympy
 
-from dynsr.expression import added_bits, bits_in_force
+from dynsr.expression import added_bits
 from dynsr.library.prior import textbooks
 
 # Share of its way that a phase makes in one direction.
@@ -15,42 +16,45 @@ _ONE_WAY = 0.9
 
 
 def structure_of(
-    exprs: Mapping[str, sympy.Expr], columns: Mapping[str, np.ndarray], states: Sequence[str] = ()
+    exprs: Mapping[str, sympy.Expr],
+    columns: Sequence[str],
+    states: Sequence[str] = (),
+    angles: Sequence[str] | None = None,
 ) -> float:
     """Give the bits of equations without their constants: by the textbooks, and the user's own.
 
     Parameters
     ----------
     exprs : state -> equation.
-    columns : name -> (n,) values of the columns that a formula may contain, in order.
+    columns : names of all columns.
     states : of them, what moves by equations; by default those that are given.
-
-    >>> x = sympy.Symbol("x")
-    >>> data = {"x": np.linspace(1.0, 2.0, 9)}
-    >>> structure_of({"x": 0.5 * x}, data) < structure_of({"x": 0.5 * sympy.sin(x)}, data)
-    True
+    angles : columns that may be angles; by default all of them.
     """
-    own = sum(map(added_bits, exprs.values())) if bits_in_force() else 0.0
-    named = {name: row for name, row in columns.items() if name != "t"}
-    angles = find_turning(named, named.values())
-    return textbooks().system_bits(exprs, tuple(named), states, angles) + own
+    own = sum(map(added_bits, exprs.values()))
+    return textbooks().system_bits(exprs, columns, states, angles) + own
 
 
-def find_angles(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str, ...]:
-    """Name the columns that may be angles: those that take both signs.
+def structure_in(columns: Mapping[str, np.ndarray]) -> Callable[[Mapping[str, sympy.Expr]], float]:
+    """Give what counts the bits of equations without their constants.
 
     Parameters
     ----------
-    names, rows : the columns and their values.
+    columns : name -> (n,) values of the columns that a formula may contain, in order.
+
+    >>> x = sympy.Symbol("x")
+    >>> bits = structure_in({"x": np.linspace(1.0, 2.0, 9)})
+    >>> bits({"x": 0.5 * x}) < bits({"x": 0.5 * sympy.sin(x)})
+    True
     """
-    pairs = zip(names, rows, strict=True)
-    return tuple(name for name, row in pairs if row.min() < 0 < row.max())
+    named = {name: row for name, row in columns.items() if name != "t"}
+    angles = find_turning(named, named.values())
+    return partial(structure_of, columns=tuple(named), angles=angles)
 
 
 def find_turning(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str, ...]:
     """Name the columns that sines and cosines are tried of.
 
-    Those that may be angles, and those that turn on and on: that go one way by more than half a
+    Those that take both signs, and those that turn on and on: that go one way by more than half a
     turn.
 
     Parameters
@@ -61,9 +65,8 @@ def find_turning(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str,
     >>> find_turning(["u", "x", "phase"], [np.sin(t), 2 + np.sin(t), 0.1 + t])
     ('u', 'phase')
     """
-    columns = dict(zip(names, rows, strict=True))
-    angles = find_angles(columns, columns.values())
-    return tuple(n for n, row in columns.items() if n in angles or keeps_turning(row))
+    pairs = zip(names, rows, strict=True)
+    return tuple(n for n, row in pairs if row.min() < 0 < row.max() or keeps_turning(row))
 
 
 def keeps_turning(row: np.ndarray) -> bool:

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import sympy
 
-from dynsr.expression import added_bits, bits_in_force, evaluate, has_pole
+from dynsr.expression import evaluate, has_pole
 from dynsr.fit import (
     Collocation,
     CollocationFit,
@@ -29,7 +29,14 @@ from dynsr.fit import (
     skeleton,
     told_bits,
 )
-from dynsr.library import Place, Written, find_turning, read_equation, textbooks
+from dynsr.library import (
+    Place,
+    Written,
+    find_turning,
+    read_equation,
+    structure_of,
+    textbooks,
+)
 from dynsr.methods import Demands, recalled
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.mass_matrix import find_couplings
@@ -379,8 +386,7 @@ class SystemComparison:
         ----------
         exprs : state -> equation.
         """
-        own = sum(map(added_bits, exprs.values())) if bits_in_force() else 0.0
-        return textbooks().system_bits(exprs, self.names, self.all_states, self.angles) + own
+        return structure_of(exprs, self.names, self.all_states, self.angles)
 
     def saved_bits(self, state: str, expr: sympy.Expr, written: Written) -> float:
         """Bits that an equation costs less beside others.

@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import added_bits, bits_in_force, evaluate, number_bits
+from dynsr.expression import added_bits, evaluate, number_bits
 from dynsr.fit import (
     FIT,
     Candidate,
@@ -334,11 +334,10 @@ class _Search:
             if not all(map(self.limits.allow, bodies)):
                 continue
             misses = np.abs(own.y - evaluate(expr, own.columns)) * self.trust
-            added = added_bits(expr) if bits_in_force() else 0.0
             yield _Choice(
                 expr,
                 frozenset(read_equation(expr)),
-                prior.beside_bits(expr, self._place, written) + added,
+                prior.beside_bits(expr, self._place, written) + added_bits(expr),
                 len(free_constants(expr, "c")[1]),
                 float(np.median(misses)) / self.size,
                 float(np.quantile(misses, 1 - self.settings.wild)) / self.size,

@@ -5,6 +5,7 @@ Every acceleration of a chain of bodies is such a ratio, and all of them have on
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -95,9 +96,12 @@ def hinged_sums(
     )
     weights = trust**2
 
-    def fit(places: Sequence[int]) -> RatioFit:
+    def split(places: Sequence[int]) -> tuple[list[int], list[int]]:
         over = [i for i in places if i < len(above)]
-        under = [i - len(above) for i in places if i >= len(above)]
+        return over, [i - len(above) for i in places[len(over) :]]
+
+    def fit(places: Sequence[int]) -> RatioFit:
+        over, under = split(places)
         return fit_ratio(values[over], lines[under], samples.y, weights=weights)
 
     def missed(places: Sequence[int]) -> float:
@@ -105,13 +109,10 @@ def hinged_sums(
 
     def thin(places: tuple[int, ...]) -> tuple[int, ...]:
         """Leave out what exact slopes do not need."""
-        while len(places) > 1:
-            shorter = [places[:i] + places[i + 1 :] for i in range(len(places))]
-            best = min((p for p in shorter if p[0] < len(above)), key=missed, default=())
-            if not best or missed(best) > most:
-                break
-            places = best
-        return places
+        shorter = (places[:i] + places[i + 1 :] for i in range(len(places)))
+        some = [(missed(p), p) for p in shorter if p and p[0] < len(above)]
+        left, best = min(some, key=lambda pair: pair[0], default=(math.inf, ()))
+        return places if left > most else thin(best)
 
     found = []
     for subset in subsets:
@@ -119,10 +120,9 @@ def hinged_sums(
         if places[0] >= len(above):
             continue
         own = thin(places) if missed(places) <= most else places
-        ratio = fit(own)
-        under = [i - len(above) for i in own if i >= len(above)]
+        ratio, (over, under) = fit(own), split(own)
         line = 1 + ratio.denominator @ lines[under]
         if under and np.min(np.abs(line)) >= _NOTHING * np.max(np.abs(line)):
-            top = weighted_sum(ratio.numerator, [above[i] for i in own if i < len(above)])
+            top = weighted_sum(ratio.numerator, [above[i] for i in over])
             found.append(top / (1 + weighted_sum(ratio.denominator, [below[i] for i in under])))
     return list(dict.fromkeys(found))
