@@ -81,6 +81,13 @@ def test_the_same_table_is_scored_and_reported_without_a_column_of_the_delayed_s
     assert "x_delayed" in page
 
 
+def test_terms_that_stand_in_for_the_error_of_a_delay_are_dropped():
+    """One of the sums that a delay was fitted with has the two terms of the law, and it is first."""
+    delayed = Delayed.of([as_run(hutchinson())], DelaySettings(minima=1))
+    best = delayed.candidates(ComparisonSettings(), [1.5])[0]
+    assert set(best.equations["x"].as_coefficients_dict()) == {X, X * BEFORE}
+
+
 @pytest.mark.slow
 def test_hutchinsons_delay_is_found_in_exact_data(tmp_path):
     """The law, its delay, and its solution from other starts, from the data alone and saved."""

@@ -10,7 +10,7 @@ delayed state is the solution before.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -210,10 +210,38 @@ class Delayed:
         fits = []
         for pair in bounds:
             near = float(minimize_scalar(scan.bits, bounds=pair, method="bounded").x)
-            for _, exprs in scan.sums(near):
-                fits.append(self.fit(exprs, near, comparison, begin))
-        sure = (f for f in fits if f is not None and f.delay > settings.sure * f.error)
-        return sorted(sure, key=lambda fit: fit.bits)
+            own = [self.fit(exprs, near, comparison, begin) for _, exprs in scan.sums(near)]
+            fitted = [f for f in own if f is not None and f.delay > settings.sure * f.error]
+            fits += fitted
+            if fitted:
+                best = min(fitted, key=lambda fit: fit.bits)
+                fits += self._thin(best, comparison, begin)
+        return sorted(fits, key=lambda fit: fit.bits)
+
+    def _thin(
+        self, fit: DelayFit, comparison: ComparisonSettings, begin: float
+    ) -> Iterator[DelayFit]:
+        """Give fits of fewer and fewer terms, each of fewer bits than the one before.
+
+        Slopes at one delay are explained best with terms that stand in for its error; once the
+        delay is fitted, they are too many.
+        """
+        while True:
+            fewer = (
+                {**fit.equations, state: expr - term}
+                for state, expr in fit.equations.items()
+                for term in (expr.args if isinstance(expr, sympy.Add) else ())
+            )
+            fits = (
+                self.fit(own, fit.delay, comparison, begin)
+                for own in fewer
+                if self.delays_in(own, fit.delay)
+            )
+            some = (f for f in fits if f is not None and f.bits < fit.bits)
+            best = min(some, key=lambda own: own.bits, default=None)
+            if best is None:
+                return
+            yield (fit := best)
 
     def _minima(self, scan: _Scan, shortest: float) -> list[tuple[float, float]]:
         """Give (low, high) around each of the delays with which short sums explain slopes best."""
