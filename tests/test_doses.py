@@ -201,3 +201,113 @@ def test_a_result_reads_further_tables_with_their_doses(tmp_path, empty):
     found.save(tmp_path / "found.json")
     shell = command_line.run("score", str(tmp_path / "found.json"), str(path), "--json").stdout
     assert json.loads(shell)["conc"]["trajectory_rmse"] < 1e-3
+
+
+# Five subjects, two doses each; the volume is 25 and the rate of decay 0.25.
+AMOUNTS = (100, 150, 200, 120, 80)
+TIMES = (0, 0.5, 1, 2, 3, 4, 6, 8, 10, 11.9, 12.5, 13, 14, 15, 16, 18, 20, 22, 24)
+
+
+def write_subjects(folder, unit=""):
+    """Write concentrations of five subjects with 2 % noise, and a table of their doses."""
+    rng = np.random.default_rng(2)
+    rows, doses = (
+        [f"subject,time,conc{unit and f' [{unit}/L]'}"],
+        [f"subject,time,amount{unit and f' [{unit}]'}"],
+    )
+    for place, amount in enumerate(AMOUNTS, 1):
+        doses += [f"S{place},{at},{amount}" for at in (0, 12)]
+        for t in TIMES:
+            level = sum(amount / 25 * np.exp(-0.25 * (t - at)) for at in (0, 12) if t > at)
+            rows.append(f"S{place},{t},{level * (1 + 0.02 * rng.normal()):.4f}")
+    (folder / "pk.csv").write_text("\n".join(rows))
+    (folder / "given.csv").write_text("\n".join(doses))
+    return folder / "pk.csv", folder / "given.csv"
+
+
+@pytest.mark.slow
+def test_the_volume_of_doses_in_a_table_of_their_own_is_fitted(tmp_path):
+    """--doses given.csv --dose conc=amount/V finds law, rate and volume; the result keeps them."""
+    data, doses = write_subjects(tmp_path)
+    out = tmp_path / "out"
+    asked = ("--doses", doses, "--dose", "conc=amount/V", "-j", 1, "-o", out)
+    shown = command_line.run("discover", data, *asked).stdout
+    assert "the volume of doses of conc" in shown
+    found = dynsr.load(out / "discovery.json")
+    volume = found.volumes["V"]
+    assert volume.low < 25 < volume.high and volume.high - volume.low < 1
+    assert found.parameters["k1"].value == pytest.approx(0.25, rel=0.02)
+    # Amounts are divided by the volume in a simulation too.
+    run = found.simulate([0.0], [0.0, 1e-6], doses={"conc": [100.0, 0.0]})
+    assert run.x[-1, 0] == pytest.approx(100 / volume.value, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_doses_that_are_kept_back_leave_no_law(tmp_path):
+    """Few rows that decay and jump look like noise; they are not at rest for that."""
+    data, _ = write_subjects(tmp_path)
+    found = dynsr.discover(data, preset="quick", jobs=1)
+    assert found.verdict.level == "not found"
+
+
+def test_doses_become_rows_of_the_data(tmp_path):
+    """A dose between rows gets a row; one at the time of a row is in it, measured before."""
+    data, doses = write_subjects(tmp_path)
+    merged = dynsr.add_doses(data, doses)
+    assert len(merged["time"]) == 5 * (len(TIMES) + 1)
+    first = merged["subject"] == "S1"
+    at = dict(zip(merged["time"][first].tolist(), merged["amount"][first].tolist(), strict=True))
+    assert {t: a for t, a in at.items() if a} == {0.0: 100.0, 12.0: 100.0}
+    assert np.isnan(merged["conc"][first][merged["time"][first] == 12.0]).all()
+    said = str(dynsr.describe(merged, doses={"conc": "amount/V"}))
+    assert "conc jumps by amount after 10 rows" in said
+
+
+def test_a_table_of_doses_may_name_states_and_count_in_another_unit(tmp_path):
+    """A column of states gives each a column of amounts; minutes become the hours of the data."""
+    data = {"t [h]": np.arange(10.0), "a": np.arange(10.0), "b": np.arange(10.0) ** 2}
+    doses = {"t [min]": [60.0, 150.0], "state": ["a", "b"], "amount": [5.0, 7.0]}
+    merged = dynsr.add_doses(data, doses)
+    assert merged["t [h]"].tolist() == [0, 1, 2, 2.5, *range(3, 10)]
+    assert merged["amount_a"].tolist() == [0, 5] + [0] * 9
+    assert merged["amount_b"].tolist() == [0, 0, 0, 7] + [0] * 7
+
+
+def test_a_volume_before_is_used_where_rows_are_below_their_dose(tmp_path):
+    """Of measurements written below a dose of their time, the doses are known nonetheless."""
+    lines = ["ID,TIME,AMT,DV,EVID"]
+    for run in (1, 2):
+        for a, x in zip(
+            np.arange(0, 24.5, 0.5), given_at(np.arange(0, 24.5, 0.5), (0, 8)), strict=True
+        ):
+            lines += [f"{run},{a},{run * 40},.,1"] if a in (0, 8) else []
+            lines.append(f"{run},{a},.,{run * x:.5f},0")
+    path = tmp_path / "pk.csv"
+    path.write_text("\n".join(lines))
+    found = dynsr.discover(path, doses={"DV": "AMT/V"}, preset="quick", jobs=1)
+    assert found.volumes["V"].value == pytest.approx(4.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("doses", "says"),
+    [
+        ({"time": [0.0], "who": ["S1"]}, "needs one column of amounts"),
+        ({"subject": ["S9"], "time": [0.0], "amount": [1.0]}, "has doses of subject S9"),
+        ({"subject": ["S1"], "amount": [1.0]}, "has no column of times"),
+        ({"time": [0.0], "state": ["x"], "amount": [1.0]}, "no column 'x' for the state of a dose"),
+    ],
+)
+def test_what_does_not_fit_the_data_is_one_line(tmp_path, doses, says):
+    """A table without amounts or times, of an unknown subject or state, says what it needs."""
+    data, _ = write_subjects(tmp_path)
+    with pytest.raises(InputError, match=says):
+        dynsr.add_doses(data, doses)
+
+
+def test_amounts_in_another_unit_than_the_state_are_refused(tmp_path):
+    """mg does not become mg/L without a volume; the line shows how to fit one."""
+    data, doses = write_subjects(tmp_path, "mg")
+    wrong = command_line.run("describe", data, "--doses", doses, code=2)
+    assert "doses are in mg and conc is in mg/L" in wrong.output
+    assert "--dose conc=amount/V" in wrong.output
+    command_line.run("describe", data, "--doses", doses, "--dose", "conc=amount/V")

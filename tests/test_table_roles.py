@@ -664,3 +664,25 @@ def test_a_name_that_ends_in_a_word_of_time_may_be_the_time():
     assert len(table.trajectories) == 4 and table.trajectories[0].time_unit == "days"
     with pytest.raises(InputError, match="looks like the time"):
         read_trajectories({"subject": who, "temp_min": days, "marker": np.exp(-days / 9)})
+
+
+def test_the_mean_and_spread_of_replicates_next_to_them_are_left_out(tmp_path):
+    """Columns that follow from the runs side by side are no states of each; others stay."""
+    rng = np.random.default_rng(4)
+    t = np.arange(0, 15, 0.5)
+    runs = (6 - 5 * np.exp(-t / 2))[:, None] + 0.03 * rng.normal(size=(len(t), 3))
+    table = {"t(s)": t, **{f"rep{i + 1}": runs[:, i].round(4) for i in range(3)}}
+    table |= {"avg": runs.mean(axis=1).round(4), "dev": runs.std(axis=1, ddof=1).round(4)}
+    found = dynsr.describe({**table, "heat": np.round(20 + np.sin(t), 2)})
+    assert {*found.left_out} == {"avg", "dev"} and {*found.states} == {"heat", "x"}
+    assert "mean of rep1, rep2, rep3" in found.left_out["avg"]
+    assert "standard deviation of rep1" in found.left_out["dev"]
+
+
+def test_a_unit_may_stand_behind_a_slash():
+    """A column x / m is x in m; what is divided by no unit keeps its name."""
+    t = np.arange(0.0, 4, 0.1)
+    table = {"t / s": t, "x / m": np.cos(t), "v / (m/s)": -np.sin(t), "gain / loss": np.sin(2 * t)}
+    run = dynsr.data.read_trajectories(table).trajectories[0]
+    assert run.states == ("x", "v", "gain_loss") and run.time_unit == "s"
+    assert run.origin["units"] == {"x": "m", "v": "m/s"}

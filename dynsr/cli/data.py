@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,8 +21,51 @@ if TYPE_CHECKING:
     from dynsr.discovery import Discovery
 
 
-def load_table(
+def take_doses(
     files: Sequence[Path],
+    doses: options.Names,
+    time_column: str | None,
+    trajectory: str | None,
+    decimal: str | None,
+) -> tuple[list[Any], dict[str, str] | None]:
+    """Give the sources with the doses of a table of their own, and state -> column of amounts."""
+    from dynsr.data import load_columns, merge_doses
+
+    texts = options.read_names(doses, "--doses") or []
+    tables = list_dose_tables(doses)
+    said = options.read_doses([text for text in texts if text not in tables])
+    if not tables:
+        return list(files), said
+    if len(tables) > 1:
+        raise InputError(f"--doses names {len(tables)} tables; put all doses into one")
+    given = load_columns(tables[0], decimal)
+    found: dict[str, str] = {}
+    sources = []
+    for file in files:
+        columns = load_columns(file, decimal)
+        source, found = merge_doses(columns, given, time_column, trajectory)
+        sources.append(source)
+    if not (said or found):
+        column = next(name for name in sources[0].names if name not in columns.names)
+        raise InputError(
+            f"{tables[0]!r} does not say which state its doses go to: --dose x={column}, or "
+            f"--dose x={column}/V with a volume V that is fitted"
+        )
+    return sources, said or found
+
+
+def list_dose_tables(doses: options.Names) -> list[str]:
+    """Give what --doses names that is a file and no pair.
+
+    >>> list_dose_tables(["x=dose/2.5", "given.csv"])
+    ['given.csv']
+    """
+    texts = options.read_names(doses) or []
+    return [text for text in texts if "=" not in text and Path(text).suffix]
+
+
+def load_table(
+    files: Sequence[Any],
     time_column: str | None,
     states: options.Names,
     inputs: options.Names,
@@ -32,7 +75,7 @@ def load_table(
     decimal: str | None = None,
     say: Callable[[str], None] = output.note,
     noise: options.Names = None,
-    doses: options.Names = None,
+    doses: Mapping[str, str] | None = None,
 ) -> list[Trajectory]:
     """Read the trajectories of files and say how their columns were understood."""
     from dynsr.data import read_trajectories
@@ -49,7 +92,7 @@ def load_table(
             decimal=decimal,
             hold=options.read_hold(hold),
             noise=options.read_noise(noise),
-            doses=options.read_doses(doses),
+            doses=doses,
         )
     warned = {str(warning.message) for warning in caught}
     for own in caught:
@@ -172,9 +215,10 @@ def describe(
     from dynsr.data import describe as look
 
     columns, formulas = split_inputs(inputs)
+    sources, given = take_doses(files, doses, time_column, trajectory, decimal)
     known = [*(columns or []), *(f"{name}={text}" for name, text in formulas.items())]
     found = look(
-        list(files) if len(files) > 1 else files[0],
+        sources if len(sources) > 1 else sources[0],
         time_column,
         options.read_names(states, "--states"),
         None if inputs is None else known,
@@ -183,7 +227,7 @@ def describe(
         decimal=decimal,
         hold=options.read_hold(hold),
         noise=options.read_noise(noise),
-        doses=options.read_doses(doses),
+        doses=given,
     )
     if json:
         output.print_json(found.to_dict())

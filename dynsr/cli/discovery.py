@@ -13,7 +13,13 @@ from rich.table import Table
 from rich.text import Text
 
 from dynsr.cli import options, output
-from dynsr.cli.data import load_table, read_equations, split_inputs
+from dynsr.cli.data import (
+    list_dose_tables,
+    load_table,
+    read_equations,
+    split_inputs,
+    take_doses,
+)
 from dynsr.cli.output import Notes
 from dynsr.cli.progress import SearchProgress
 from dynsr.cli.results import check_keeping, keep, keep_report, score_discovery, summarise
@@ -75,6 +81,8 @@ def show_reasons(
     for own in found.delays.values():
         _say(f"{own.text}.")
     _print_constants(found, details)
+    for volume in found.volumes.values():
+        _say(f"{volume.name} = {volume.value:.6g} (95 %: {volume.interval_text}), {volume.of}.")
     for state, kept in found.ensemble.items():
         _say(f"{state}', ensemble: " + "; ".join(one.text for one in kept))
     for words in found.details.values() if details else ():
@@ -391,6 +399,11 @@ def discover(
     if batch:
         if system:
             raise InputError("--batch goes with files of data; leave --system out")
+        if tables := list_dose_tables(doses):
+            raise InputError(
+                f"--batch takes no table of doses such as {tables[0]!r}; give each file a column "
+                "of amounts"
+            )
         asked |= {
             "time": time_column,
             "states": options.read_names(states, "--states"),
@@ -406,9 +419,11 @@ def discover(
         return
     notes = Notes(quiet)
     with notes:
+        given_doses = options.read_doses(doses) if system else None
         if files:
+            sources, given_doses = take_doses(files, doses, time_column, trajectory, decimal)
             data = load_table(
-                files,
+                sources,
                 time_column,
                 states,
                 columns,
@@ -418,7 +433,7 @@ def discover(
                 decimal,
                 notes.say,
                 noise,
-                doses,
+                given_doses,
             )
         else:
             given = [*(columns or []), *formulas]
@@ -431,7 +446,7 @@ def discover(
                 data,
                 progress,
                 inputs=formulas or None,
-                doses=options.read_doses(doses),
+                doses=given_doses,
                 jobs=jobs,
                 **asked,
             )

@@ -174,7 +174,8 @@ Doses = Annotated[
     typer.Option(
         "--dose",
         "--doses",
-        help="State that jumps right after a row, and the column of the amounts: x=dose.",
+        help="State that jumps right after a row, and the column of the amounts: x=dose; x=dose/V "
+        "with a volume V that is fitted. Also a table of doses: doses.csv with time and amount.",
         rich_help_panel=DATA,
     ),
 ]
@@ -446,7 +447,9 @@ def read_doses(values: Sequence[str] | None) -> dict[str, str] | None:
     >>> read_doses(["x=dose"]), read_doses(None)
     ({'x': 'dose'}, None)
     """
-    return _read_texts(values, "--dose", "a state and a column, such as x=dose")
+    return _read_texts(
+        values, "--dose", "a state and a column, such as x=dose, or a table of doses"
+    )
 
 
 def read_observed(values: Sequence[str] | None) -> dict[str, str] | None:

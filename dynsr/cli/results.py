@@ -90,6 +90,7 @@ def summarise(found: Discovery) -> dict[str, Any]:
         "ensemble": found.ensemble,
         **({"by_run": found.by_run} if found.by_run.runs else {}),
         **({"delays": found.delays} if found.delays else {}),
+        **({"volumes": found.volumes} if found.volumes else {}),
         "inputs": found.inputs,
         "settings": found.settings,
         "seconds": found.seconds,
@@ -147,10 +148,9 @@ def _load_for(
 ) -> list[Trajectory]:
     """Read files with the columns of a discovery, where they have them and no others are named."""
     asked = found.columns_asked if states is None and inputs is None else {}
-    doses = [f"{state}={column}" for state, column in found.doses.items()]
     if asked:
         # Other data may have no doses, or other columns.
-        for given in [doses, None] if doses else [None]:
+        for given in [found.doses, None] if found.doses else [None]:
             with suppress(InputError):
                 own = (asked["states"], asked["inputs"])
                 return load_table(files, time_column, *own, *how, doses=given)

@@ -3,7 +3,8 @@ from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
 from .columns import Columns, bracketed_unit, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
-from .dosing import cut_at_doses
+from .dose_tables import add_doses, merge_doses
+from .dosing import Dosing, cut_at_doses, split_volume
 from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .known_noise import KnownNoise
@@ -52,6 +53,7 @@ __all__ = [
     "Columns",
     "Description",
     "DiagnosisSettings",
+    "Dosing",
     "Forced",
     "Hold",
     "KnownNoise",
@@ -68,6 +70,7 @@ __all__ = [
     "Trajectory",
     "Window",
     "WindowSettings",
+    "add_doses",
     "add_velocities",
     "at_own_rows",
     "bracketed_unit",
@@ -98,6 +101,7 @@ __all__ = [
     "load_columns",
     "make_samples",
     "measurement_noise",
+    "merge_doses",
     "near_rows_leave_open",
     "odd_states",
     "odd_times",
@@ -114,6 +118,7 @@ __all__ = [
     "smooth",
     "smooth_column",
     "split_held_back",
+    "split_volume",
     "take_trajectories",
     "told_rows",
     "weak_form",

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dynsr.data.amounts import is_unit
 from dynsr.data.trajectory import as_floats, as_times, without_mask
 from dynsr.errors import InputError, one_line, printable
 
@@ -19,6 +20,8 @@ from dynsr.errors import InputError, one_line, printable
 MAX_BYTES = 1 << 30
 # A unit in brackets or after a blank bracket: "x [m/s]", "theta (rad)".
 _UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
+# The same behind a slash, as standards for physics write it: "x / m", "v / (m/s)".
+_DIVIDED = re.compile(r"(?P<name>.*[^\s/])\s+/\s+(?P<unit>[^\s()]+|\([^()]+\))")
 # A value with its error, such as "1.2 ± 0.1".
 _WITH_ERROR = re.compile(
     r"(?P<value>[^\u00b1]*\d[^\u00b1]*?)\s*(?:\u00b1|\+/-|\+-)\s*(?P<error>[^\u00b1]*\d[^\u00b1]*)"
@@ -377,21 +380,32 @@ def _plain(array: np.ndarray) -> np.ndarray:
     return np.asarray(array) if array.dtype.kind in "mMfiubc" else array.astype(object)
 
 
-def bare_name(name: str) -> str:
-    """Give the name of a column without a unit in brackets behind it.
+def _take_unit(name: str) -> tuple[str, str] | None:
+    """Take a name and a unit that is known behind a slash apart."""
+    found = _DIVIDED.fullmatch(name.strip())
+    unit = found["unit"].strip("()") if found else ""
+    return (found["name"], unit) if found and is_unit(unit) else None
 
-    >>> bare_name("theta (rad)")
-    'theta'
+
+def bare_name(name: str) -> str:
+    """Give the name of a column without a unit in brackets, or behind a slash.
+
+    >>> [bare_name(name) for name in ("theta (rad)", "v / (m/s)", "x / y")]
+    ['theta', 'v', 'x / y']
     """
+    if divided := _take_unit(name):
+        return divided[0]
     return _UNIT.sub("", name).strip()
 
 
 def bracketed_unit(name: str) -> str:
-    """Give the unit in brackets behind the name of a column; "" where there is none.
+    """Give the unit in brackets, or behind a slash, of a column; "" where there is none.
 
-    >>> bracketed_unit("v [m/s]")
-    'm/s'
+    >>> [bracketed_unit(name) for name in ("v [m/s]", "x / m", "x / y")]
+    ['m/s', 'm', '']
     """
+    if divided := _take_unit(name):
+        return divided[1]
     found = _UNIT.search(name)
     return "" if found is None else found[0].strip().strip("[]()").strip()
 

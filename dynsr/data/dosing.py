@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,11 +19,106 @@ from dynsr.data.assembling import Columns, bare_name
 from dynsr.data.names import clean_name
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory
 from dynsr.errors import DynsrWarning, InputError
+from dynsr.expression import check_name
 
-_DOSE = re.compile(r".*(dose|dosing|dosis|bolus|inject|injektion|spike|gabe).*|amt", re.IGNORECASE)
+_DOSE = re.compile(
+    r".*(dose|dosing|dosis|bolus|inject|injektion|spike|gabe).*|amt|amounts?", re.IGNORECASE
+)
 # Columns of NONMEM next to AMT: what kind a row is, and what repeats or lengthens a dose.
+_VOLUME = re.compile(
+    r"(?P<column>.+?)\s*/\s*(?:(?P<name>[^\W\d]\w*)|(?P<number>\d[\d.]*(?:e[-+]?\d+)?))\s*"
+)
 _KINDS = ("evid", "mdv", "cmt")
 _MORE = ("rate", "addl", "ii", "ss")
+
+
+@dataclass(frozen=True)
+class Dosing:
+    """What was given to one subject, and where its states were before.
+
+    Parameters
+    ----------
+    given : (time, state, amount) of each dose, in order of time.
+    before : time of the last row that was measured before the first dose; None if there is none.
+    start : state -> its value in that row, where it was measured.
+
+    >>> doses = {"c": np.array([0.0, 5.0, 0.0])}
+    >>> Dosing.of(np.arange(3.0), ["c"], np.array([[1.0], [np.nan], [4.0]]), doses)
+    Dosing(given=((1.0, 'c', 5.0),), before=0.0, start={'c': 1.0})
+    """
+
+    given: tuple[tuple[float, str, float], ...]
+    before: float | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        t: np.ndarray,
+        states: Sequence[str],
+        x: np.ndarray,
+        doses: Mapping[str, np.ndarray],
+    ) -> Dosing:
+        """Read it from the rows of a subject, in which a state is measured before a dose.
+
+        Parameters
+        ----------
+        t : (n,) times.
+        states : the names of the k states.
+        x : (n, k) their values, NaN where there is none.
+        doses : state -> (n,) amounts.
+        """
+        given = [
+            (float(t[row]), state, float(amounts[row]))
+            for state, amounts in doses.items()
+            for row in np.flatnonzero(amounts)
+        ]
+        given.sort(key=lambda one: one[0])
+        own = np.any([amounts != 0 for amounts in doses.values()], axis=0)
+        there = np.isfinite(x).any(axis=1)
+        first = min((time for time, *_ in given), default=np.inf)
+        # A row of its own for the dose is above what was measured after it.
+        before = np.flatnonzero(there & ((t < first) | ((t == first) & own)))
+        if not before.size:
+            return cls(tuple(given))
+        row = before[np.argmax(t[before])]
+        values = zip(states, x[row].tolist(), strict=True)
+        return cls(tuple(given), float(t[row]), {s: v for s, v in values if np.isfinite(v)})
+
+    def at(self, in_unit: Callable[[np.ndarray], np.ndarray]) -> Dosing:
+        """Count its times in another unit.
+
+        Parameters
+        ----------
+        in_unit : gives (n,) times in that unit.
+        """
+        times = in_unit(np.array([time for time, *_ in self.given])).tolist()
+        given = tuple((t, *rest) for t, (_, *rest) in zip(times, self.given, strict=True))
+        before = None if self.before is None else float(in_unit(np.array([self.before]))[0])
+        return Dosing(given, before, self.start)
+
+
+def split_volume(text: str) -> tuple[str, float | str]:
+    """Take ``column/volume`` apart: the column of amounts, and a number or the name of a constant.
+
+    Parameters
+    ----------
+    text : the column, divided by a volume or not.
+
+    >>> split_volume("dose"), split_volume("dose/V"), split_volume("dose/2.5")
+    (('dose', 1.0), ('dose', 'V'), ('dose', 2.5))
+    """
+    found = _VOLUME.fullmatch(text)
+    if found is None:
+        return text, 1.0
+    if found["name"]:
+        return found["column"], check_name(found["name"], "volume")
+    size = float(found["number"])
+    if not 0 < size < np.inf:
+        raise InputError(
+            f"doses are divided by {found['number']}; give a number above 0, or a name"
+        )
+    return found["column"], size
 
 
 def read_doses(doses: Mapping[str, str] | None) -> dict[str, str]:
@@ -37,6 +132,46 @@ def read_doses(doses: Mapping[str, str] | None) -> dict[str, str]:
     if not isinstance(doses, Mapping) or not doses:
         raise InputError(f'doses {doses!r} must say state -> column of amounts: {{"x": "dose"}}')
     return {str(state): str(column) for state, column in doses.items()}
+
+
+def is_dose_name(name: str) -> bool:
+    """Whether a column of that name has amounts that are given.
+
+    Parameters
+    ----------
+    name : of the column, without its unit.
+
+    >>> is_dose_name("AMT"), is_dose_name("conc")
+    (True, False)
+    """
+    return _DOSE.fullmatch(name) is not None
+
+
+def columns_of_doses(doses: Mapping[str, str] | None) -> dict[str, str]:
+    """Give state -> column of amounts, without the volumes by which they are divided.
+
+    Parameters
+    ----------
+    doses : state -> column, or ``column/volume``; None for no doses.
+
+    >>> columns_of_doses({"c": "dose/V"})
+    {'c': 'dose'}
+    """
+    return {state: split_volume(text)[0] for state, text in read_doses(doses).items()}
+
+
+def clean_dose(text: str) -> str:
+    """Give ``column/volume`` with the column as formulas name it.
+
+    Parameters
+    ----------
+    text : the column, divided by a volume or not.
+
+    >>> clean_dose("dose (mg)/V")
+    'dose/V'
+    """
+    column, volume = split_volume(text)
+    return clean_name(column) + ("" if volume == 1.0 else f"/{volume}")
 
 
 def find_amounts(columns: Columns, names: Sequence[str], codes: np.ndarray) -> list[str]:
@@ -56,7 +191,7 @@ def find_amounts(columns: Columns, names: Sequence[str], codes: np.ndarray) -> l
     found = []
     for name in names:
         values = columns.values[columns.names.index(name)]
-        if values.dtype.kind != "f" or not _DOSE.fullmatch(bare_name(name)):
+        if values.dtype.kind != "f" or not is_dose_name(bare_name(name)):
             continue
         given = np.nan_to_num(values) != 0
         alone = not np.any(given[1:] & given[:-1] & (np.diff(codes) == 0))
@@ -86,8 +221,9 @@ def refuse_amounts(
         state, own = clean_name(states[0]) if states else "x", clean_name(name)
         raise InputError(
             f"column {name!r} of {label} has amounts in {rows} of {len(values)}; say which state "
-            f"jumps by them, in the units of that state: --dose {state}={own}, or leave it out: "
-            f"--states {','.join(map(clean_name, states)) or '...'}"
+            f"jumps by them: --dose {state}={own} in the units of that state, --dose "
+            f"{state}={own}/V with a volume V that is fitted; or leave it out: --states "
+            f"{','.join(map(clean_name, states)) or '...'}"
         )
 
 
@@ -159,6 +295,8 @@ def cut_at_doses(
     ----------
     runs : trajectories of the same columns.
     doses : state -> column of the amounts that are given to it right after each row, 0 elsewhere.
+        Behind a slash is the volume by which amounts are divided, a number or a name; where it is
+        a name, it is unknown, and a part begins at the row after the dose.
     fewest : parts of fewer rows are left out, with a DynsrWarning.
 
     Raises InputError when a state or a column is unknown, or no part is long enough.
@@ -172,7 +310,9 @@ def cut_at_doses(
     """
     if doses is None:
         return list(runs)
-    doses = read_doses(doses)
+    said = read_doses(doses)
+    volumes = {state: split_volume(text)[1] for state, text in said.items()}
+    doses = {state: split_volume(text)[0] for state, text in said.items()}
     columns, names = list(dict.fromkeys(doses.values())), runs[0].names
     states = [state for state in runs[0].states if state not in columns]
     for state, column in doses.items():
@@ -183,7 +323,7 @@ def cut_at_doses(
                 f"doses are given to a state, and {state!r} is no state; the states are: "
                 f"{', '.join(states)}"
             )
-    parts = [part for run in runs for part in _cut(run, doses, states)]
+    parts = [part for run in runs for part in _cut(run, doses, states, volumes, said)]
     kept = [part for part in parts if len(part) >= fewest]
     if not kept:
         raise InputError(
@@ -199,29 +339,53 @@ def cut_at_doses(
     return kept
 
 
-def _cut(run: Trajectory, doses: Mapping[str, str], states: Sequence[str]) -> list[Trajectory]:
+def _cut(
+    run: Trajectory,
+    doses: Mapping[str, str],
+    states: Sequence[str],
+    volumes: Mapping[str, float | str],
+    said: Mapping[str, str],
+) -> list[Trajectory]:
     columns, given = run.by_name, np.zeros((len(run), len(states)))
+    unknown = np.zeros(len(run), dtype=bool)
     for state, column in doses.items():
         # An empty cell says that nothing was given.
-        given[:, states.index(state)] += np.nan_to_num(columns[column])
+        amounts, volume = np.nan_to_num(columns[column]), volumes[state]
+        if isinstance(volume, str):
+            unknown |= amounts != 0
+        else:
+            given[:, states.index(state)] += amounts / volume
     inputs = [name for name in run.input_names if name not in doses.values()]
     plain = replace(
         run.of_states(states),
         inputs=run.inputs[:, [run.input_names.index(name) for name in inputs]],
         input_names=tuple(inputs),
         hold={name: way for name, way in run.hold.items() if name in inputs},
-        origin={**run.origin, "doses": dict(doses)},
+        origin={**run.origin, "doses": dict(said)},
     )
+    if unknown.any() or "dosing" in run.origin:
+        amounts = {state: np.nan_to_num(columns[own]) for state, own in doses.items()}
+        own = Dosing.of(run.t, states, plain.observed, amounts)
+        plain = replace(plain, origin={"dosing": own, **plain.origin})
     # What is given at the last row is followed by none.
-    at = np.flatnonzero(given[:-1].any(axis=1))
+    at = np.flatnonzero(given[:-1].any(axis=1) | unknown[:-1])
     parts = []
     for begin, end in pairwise([-1, *at.tolist(), len(run) - 1]):
         if begin < 0 and end == 0:
             continue
+        if begin >= 0 and unknown[begin]:
+            # Where the states are right after such a dose is not known.
+            begin, end = begin + 1, max(end, begin + 1)
         part = plain.select(slice(max(begin, 0), end + 1))
-        if begin >= 0:
+        if begin >= 0 and given[begin].any() and not unknown[begin]:
             x = part.x.copy()
             x[0] += given[begin]
             part = replace(part, x=x)
-        parts.append(part)
+        parts.append(_measured(part))
     return parts
+
+
+def _measured(part: Trajectory) -> Trajectory:
+    """Leave rows at the ends out in which only a dose was written."""
+    there = np.flatnonzero(np.isfinite(part.observed).any(axis=1))
+    return part.select(slice(there[0], there[-1] + 1)) if there.size else part

@@ -20,7 +20,7 @@ import sympy
 
 from dynsr.data.columns import Columns, beside, load_columns, names_of_states, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
-from dynsr.data.dosing import cut_at_doses, read_doses
+from dynsr.data.dosing import clean_dose, columns_of_doses, cut_at_doses, read_doses, split_volume
 from dynsr.data.grouping import find_restarts
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
@@ -121,7 +121,7 @@ def read_trajectories(
         _chosen(quantity),
         errors,
         max_rows,
-        read_doses(doses),
+        columns_of_doses(doses),
     )
     if isinstance(source, list):
         return _read_list(
@@ -134,7 +134,7 @@ def read_trajectories(
             decimal,
             hold,
             noise,
-            asked.doses,
+            read_doses(doses),
             max_rows,
         )
     times = None if time is None or _is_named(time, source) else time
@@ -157,6 +157,7 @@ def read_trajectories(
         hold = {**_given(source, found.runs), **(hold or {})}
     if isinstance(source, Trajectory) and [len(run) for run in found.runs] == [len(source)]:
         found = replace(found, runs=[replace(run, noise=source.noise) for run in found.runs])
+    _check_dose_units(found.runs[0], read_doses(doses), found.roles)
     marks = odd_marks(found.runs)
     for note in marks:
         warnings.warn(note, DynsrWarning, stacklevel=2)
@@ -167,6 +168,20 @@ def read_trajectories(
     )
     told = _told(runs, understood.sentence, understood)
     return replace(told, roles=found.roles, left_out=found.left_out, notes=found.notes)
+
+
+def _check_dose_units(run: Trajectory, doses: Mapping[str, str], roles: Roles) -> None:
+    """Refuse amounts whose columns have another unit than their state, without a volume."""
+    units: Mapping[str, str] = run.origin.get("units", {})
+    for state, text in doses.items():
+        column, volume = split_volume(text)
+        own, given = (roles.renamed.get(name, clean_name(name)) for name in (state, column))
+        unit, other = units.get(own), units.get(given)
+        if unit and other and volume == 1.0 and unit != other:
+            raise InputError(
+                f"doses are in {other} and {own} is in {unit}; give the volume by which they are "
+                f"divided, or a name of one that is fitted: --dose {own}={given}/V"
+            )
 
 
 def _given(source: Trajectory, runs: Sequence[Trajectory]) -> dict[str, str]:
@@ -322,7 +337,7 @@ def _doses_of(load: Callable[[], Columns], doses: Mapping[str, str]) -> dict[str
         return None
     columns = load()
     names = {*columns.names, *map(clean_name, columns.names)}
-    return {state: column for state, column in doses.items() if column in names} or None
+    return {state: own for state, own in doses.items() if split_volume(own)[0] in names} or None
 
 
 def _refuse_twice(sources: Sequence[Any]) -> None:
@@ -581,7 +596,7 @@ def take_trajectories(
         raise InputError("there is no trajectory in the data; give at least one")
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
-    named_so = {clean_name(state): clean_name(own) for state, own in given.items()}
+    named_so = {clean_name(state): clean_dose(own) for state, own in given.items()}
     runs = cut_at_doses(say_noise(runs, noise, {}), named_so or None)
     short = min(runs, key=len)
     if len(short) < FEWEST_ROWS:

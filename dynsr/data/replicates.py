@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynsr.data.columns import Columns, bare_name, bracketed_unit
+from dynsr.data.lines import last_digit
 
 _WORD = (
     r"rep(?:lica(?:te)?|eat|l|et)?|run|trial|exp(?:eriment)?|batch|lauf|versuch|wdh|wiederholung|"
@@ -28,6 +29,8 @@ _FEWEST = 8
 # Copies differ by less than this share of how far they move, and the difference of one row tells
 # little of the next: half its mean squared step over its variance is 1 for independent values.
 _ALIKE = 0.3
+# Last digits that a summary moves by at least, so that nothing else is taken for one.
+_DIGITS = 20
 _WHITE = 0.5
 
 
@@ -125,6 +128,50 @@ def _are_copies(columns: Columns, found: SideBySide) -> bool:
         if steps < 2 * _WHITE * float(np.mean(off**2)):
             return False
     return True
+
+
+def find_summaries(columns: Columns, found: SideBySide, names: Sequence[str]) -> dict[str, str]:
+    """Give the columns that are the mean or the standard deviation of the runs, with the reason.
+
+    Parameters
+    ----------
+    columns : the columns of the source.
+    found : the columns of the runs.
+    names : those that may be so.
+
+    >>> columns = Columns(("a1", "a2", "m"), tuple(np.array([[0, 90], [2, 94], [1, 92.0]])), "")
+    >>> find_summaries(columns, SideBySide("", {"1": {"a": "a1"}, "2": {"a": "a2"}}), ["m"])
+    {'m': 'is the mean of a1, a2'}
+    """
+    by_name = dict(zip(columns.names, columns.values, strict=True))
+    said = {}
+    for stem in found.stems:
+        own = [member[stem] for member in found.members.values()]
+        table = np.column_stack([by_name[name] for name in own])
+        spread = np.std(table, axis=1, ddof=1)
+        # A mean of cells that were rounded is off by as much as they are.
+        rounded = max(last_digit(_finite(by_name[name])) for name in own)
+        for kind, made in (
+            ("mean", table.mean(axis=1)),
+            ("standard deviation", spread),
+            ("standard deviation", np.std(table, axis=1)),
+            ("standard error", spread / np.sqrt(table.shape[1])),
+        ):
+            for name in names:
+                values = by_name[name]
+                if values.dtype.kind != "f" or name in said:
+                    continue
+                there = np.isfinite(values - made)
+                digit = rounded + last_digit(_finite(values))
+                # Where they move by few digits, other columns would be as close.
+                moves = there.any() and np.ptp(made[there]) > _DIGITS * digit
+                if moves and np.all(np.abs(values - made)[there] <= digit):
+                    said[name] = f"is the {kind} of {', '.join(own)}"
+    return said
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    return values[np.isfinite(values)]
 
 
 def stack_replicates(columns: Columns, found: SideBySide) -> tuple[Columns, np.ndarray, str]:

@@ -9,13 +9,13 @@ import numpy as np
 
 from dynsr.data.calendars import join_calendar
 from dynsr.data.columns import Columns, bracketed_unit
-from dynsr.data.dosing import find_nonmem, split_after_doses
+from dynsr.data.dosing import Dosing, find_nonmem, split_after_doses
 from dynsr.data.grouping import Grouping, guess_grouping
 from dynsr.data.holding import HOLDS
 from dynsr.data.known_noise import KnownNoise, check_noise
 from dynsr.data.long_tables import describe_long, find_quantity, widen
 from dynsr.data.names import clean_name, find_column
-from dynsr.data.replicates import find_replicates, stack_replicates
+from dynsr.data.replicates import find_replicates, find_summaries, stack_replicates
 from dynsr.data.roles import Roles, guess_roles
 from dynsr.data.rows import Run, order_rows, pooled_noise
 from dynsr.data.steps import between_rows, hold_on, is_noted_at_changes
@@ -122,7 +122,7 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     )
     gone = tuple(n for n in source if n not in columns.names and n != quantity)
     roles = replace(roles, reshaped=gone)
-    grouping, said = _after_doses(columns, times, grouping, roles)
+    grouping, dosing, said = _after_doses(columns, times, grouping, roles)
     notes += said
     runs, said = _order(columns, times, grouping, roles)
     notes += said
@@ -140,7 +140,7 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
             f"input that acts until the next row; if a state jumps by it, say which: --dose "
             f"{state}={own}."
         )
-    trajectories = _make(columns, times, grouping, roles, runs, asked)
+    trajectories = _make(columns, times, grouping, roles, runs, asked, dosing)
     notes += [note for note in _midnight(times, grouping) if note]
     return Understood(
         trajectories, roles, {**columns.left_out, **roles.left_out}, tuple(dict.fromkeys(notes))
@@ -222,6 +222,11 @@ def _below_each_other(
     found = find_replicates(columns, [n for n in columns.names if n not in taken])
     if found is None or said & set(found.columns):
         return columns, times, []
+    others = [n for n in columns.names if n not in {*taken, *found.columns, *said}]
+    summaries = find_summaries(columns, found, others)
+    if summaries:
+        kept = columns.only([n for n in columns.names if n not in summaries])
+        columns = replace(kept, left_out={**columns.left_out, **summaries})
     stacked, rows, label = stack_replicates(columns, found)
     first = found.columns[0]
     note = (
@@ -295,34 +300,48 @@ def _interleaved(times: Times, grouping: Grouping) -> list[str]:
 
 def _after_doses(
     columns: Columns, times: Times, grouping: Grouping, roles: Roles
-) -> tuple[Grouping, list[str]]:
-    """Begin a trajectory where a measurement is written below a dose of its time."""
+) -> tuple[Grouping, dict[str, Dosing], list[str]]:
+    """Begin a trajectory where a measurement is written below a dose of its time.
+
+    Gives also what was given to each of these trajectories, whose doses have no row left.
+    """
     if not roles.doses:
-        return grouping, []
+        return grouping, {}, []
     by_name = dict(zip(columns.names, columns.values, strict=True))
-    amounts = np.sum(
-        [np.abs(np.nan_to_num(by_name[name].astype(float))) for name in roles.doses.values()],
-        axis=0,
-    )
-    cells = [to_numbers(by_name[name], name, columns.label) for name in roles.states]
+    given = {s: np.nan_to_num(by_name[n].astype(float)) for s, n in roles.doses.items()}
+    amounts = np.sum([np.abs(own) for own in given.values()], axis=0)
+    cells = np.array([to_numbers(by_name[name], name, columns.label) for name in roles.states])
     measured = np.any(np.isfinite(cells), axis=0)
     t = times.within(grouping.codes)
-    part, given = split_after_doses(grouping.codes, t, amounts, measured)
-    if not given.any():
-        return grouping, []
-    pairs = np.column_stack([grouping.codes, part])[~given]
+    part, above = split_after_doses(grouping.codes, t, amounts, measured)
+    if not above.any():
+        return grouping, {}, []
+    pairs = np.column_stack([grouping.codes, part])[~above]
     every, codes = np.unique(pairs, axis=0, return_inverse=True)
     found = np.full(len(t), -1)
-    found[~given] = codes.reshape(-1)
+    found[~above] = codes.reshape(-1)
     names = [
         grouping.names[run] + (f", {number + 1}" if part.any() else "")
         for run, number in every.tolist()
     ]
-    rows = "1 row" if given.sum() == 1 else f"{given.sum()} rows"
-    return replace(grouping, codes=found, names=tuple(names)), [
-        f"{rows} of doses {'is' if given.sum() == 1 else 'are'} above a measurement of the "
-        "same time, which was taken for one after the dose; a trajectory begins there."
-    ]
+    states = [roles.renamed[state] for state in roles.states]
+    named = {roles.renamed[state]: own for state, own in given.items()}
+    whole = {
+        run: Dosing.of(
+            t[own], states, cells[:, own].T, {s: given[own] for s, given in named.items()}
+        )
+        for run in np.unique(every[:, 0]).tolist()
+        for own in [np.flatnonzero(grouping.codes == run)]
+    }
+    rows = "1 row" if above.sum() == 1 else f"{above.sum()} rows"
+    return (
+        replace(grouping, codes=found, names=tuple(names)),
+        {name: whole[run] for name, run in zip(names, every[:, 0].tolist(), strict=True)},
+        [
+            f"{rows} of doses {'is' if above.sum() == 1 else 'are'} above a measurement of the "
+            "same time, which was taken for one after the dose; a trajectory begins there."
+        ],
+    )
 
 
 def _order(
@@ -460,12 +479,17 @@ def _make(
     roles: Roles,
     runs: Sequence[Run],
     asked: Asked,
+    dosing: Mapping[str, Dosing],
 ) -> list[Trajectory]:
     wanted = [*roles.states, *roles.inputs]
     every = [np.concatenate([run.values[name] for run in runs]) for name in wanted]
     check_values(every, wanted, roles, columns.label)
     start = np.min(times.within(grouping.codes)) if times.from_first else 0.0
     steps = np.concatenate([np.diff(run.t) for run in runs])
+
+    def in_unit(t: np.ndarray) -> np.ndarray:
+        return in_seconds_or_units(times, t - start, steps)[0]
+
     counted = [in_seconds_or_units(times, run.t - start, steps) for run in runs]
     unit = counted[0][1]
     functions = compile_numpy([parse(text, ["t"]) for text in asked.formulas.values()], ["t"])
@@ -498,7 +522,12 @@ def _make(
             tuple(names[:count]),
             np.column_stack([table[:, count:], extra]),
             (*names[count:], *asked.formulas),
-            {**origin, "name": run.name, **_label(run.name, grouping.trajectory)},
+            {
+                **origin,
+                "name": run.name,
+                **_label(run.name, grouping.trajectory),
+                **({"dosing": dosing[run.name].at(in_unit)} if run.name in dosing else {}),
+            },
             noise=_read_errors(run, roles, asked),
             hold=held,
         )

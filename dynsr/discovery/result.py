@@ -28,6 +28,7 @@ from dynsr.data import (
     read_sums,
     sample_input,
     settle_hold,
+    split_volume,
     take_trajectories,
 )
 from dynsr.discovery.by_run import RunParameters
@@ -47,6 +48,7 @@ from dynsr.discovery.maps import (
 )
 from dynsr.discovery.orders import form_of, write_lines
 from dynsr.discovery.parameters import (
+    Parameter,
     Parameters,
     ParametricSystem,
     check_values,
@@ -181,6 +183,8 @@ class Discovery:
     by_run : the parameters that differ from run to run, see :meth:`vary`. Equations contain them as
         inputs that are constant in each run.
     delays : input -> the state and delay that it is, where ``discover`` was given ``delays``.
+    volumes : name -> the volume by which amounts are divided, where ``discover`` was given
+        ``doses={"c": "dose/V"}``; a :class:`Parameter` with its interval.
 
     >>> x = sympy.Symbol("x")
     >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
@@ -207,6 +211,7 @@ class Discovery:
     summary: DataSummary | None = None
     by_run: RunParameters = RunParameters()
     delays: Mapping[str, Delay] = field(default_factory=dict)
+    volumes: Mapping[str, Parameter] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Have a name that is no state's answered with those there are."""
@@ -951,7 +956,8 @@ class Discovery:
         engine : "embedded", "julia" or an engine; the discovery's own by default. A map has none.
         hold : input -> what it does between the values that are given, "previous", "linear" or
             "smooth", or one word for all; by default what it did in the data.
-        doses : state -> (n,) amounts by which it jumps right after each time; none by default.
+        doses : state -> (n,) amounts that are given right after each time; none by default. The
+            state jumps by them, divided by its volume where the discovery has one.
         history : of equations with delays, the states (k, n) at n times before the first; by
             default those of the data, or ``x0`` at all times where that is given.
 
@@ -983,7 +989,17 @@ class Discovery:
                 values = sample_input(name, value, times)
                 given[name] = Measured(name, times, values, self.hold[name])
         chosen = engine or self.engine
-        return predict_with_doses(self.equations, x0, times, doses, given, chosen, hold)
+        jumps = {s: self._jumps(s, amounts) for s, amounts in (doses or {}).items()}
+        return predict_with_doses(self.equations, x0, times, jumps, given, chosen, hold)
+
+    def _jumps(self, state: str, amounts: Any) -> Any:
+        """Give what a state jumps by: amounts by its volume."""
+        _, volume = split_volume(self.doses.get(state, ""))
+        if isinstance(volume, str):
+            if volume not in self.volumes:
+                raise InputError(f"the volume {volume!r} of {state!r} is not known; discover again")
+            volume = self.volumes[volume].value
+        return amounts if volume == 1.0 or callable(amounts) else np.asarray(amounts) / volume
 
     def _follow(
         self,
@@ -1317,7 +1333,7 @@ class Discovery:
         if isinstance(observed, Mapping) and set(observed) <= set(runs[0].states):
             runs = read_sums(runs, observed)
         # Trajectories of the discovery itself are cut already.
-        if given and set(given.values()) <= set(runs[0].names):
+        if given and {split_volume(own)[0] for own in given.values()} <= set(runs[0].names):
             return cut_at_doses(runs, given)
         return runs
 
@@ -1560,6 +1576,7 @@ class Discovery:
             **({"summary": to_plain(kept)} if (kept := self._summarise()) else {}),
             **({"by_run": to_plain(self.by_run)} if self.by_run.runs else {}),
             **({"delays": to_plain(self.delays)} if self.delays else {}),
+            **({"volumes": to_plain(self.volumes)} if self.volumes else {}),
         }
 
     @classmethod
@@ -1578,6 +1595,7 @@ class Discovery:
             "summary": DataSummary,
             "by_run": RunParameters,
             "delays": dict[str, Delay],
+            "volumes": dict[str, Parameter],
         }
         fields = read_discovery(Path(path), **further, verdict=Verdict | None)
         return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY})

@@ -25,6 +25,7 @@ from dynsr.discovery.result import Discovery, keep, with_profiles
 from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
+from dynsr.discovery.volumes import with_volumes
 from dynsr.engines import DEFAULT_ENGINE, start_engine
 from dynsr.errors import InputError
 from dynsr.expression import counting, expand_terms, read_own_bits
@@ -233,7 +234,9 @@ def in_fitting_units(search: Search) -> Search:
                     until, lambda: on_every_row(found, every, windows, deciding), lambda: found
                 )[0]
                 sure, late = finish_by(
-                    until, lambda: with_profiles(found, deciding.profile), lambda: found
+                    until,
+                    lambda: with_volumes(with_profiles(found, deciding.profile)),
+                    lambda: found,
                 )
             whole, cut = finish_by(until, lambda: with_ensemble(sure, members, seed), lambda: sure)
             ended = ["profiles"] * late + ["ensemble"] * bool(members and cut)
@@ -266,8 +269,9 @@ def in_fitting_units(search: Search) -> Search:
 
 
 def _keep_fitted(found: Discovery, out: str | Path | None) -> Discovery:
-    """Keep what all rows say in the place of what the windows said, where it is kept at all."""
-    if out is not None and found.settings.get("windows", {}).get("fitted"):
+    """Keep volumes, and what all rows say in the place of what the windows said."""
+    later = found.volumes or found.settings.get("windows", {}).get("fitted")
+    if out is not None and later:
         # What was found is not lost where it cannot be kept.
         with suppress(InputError, OSError):
             keep(found, Path(out))

@@ -185,7 +185,8 @@ def discover(
     hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth".
         One word applies to all inputs. Chosen from the values by default.
     doses : state -> column of amounts. The state jumps by the amount right after that row. Each
-        part between doses counts as a trajectory.
+        part between doses counts as a trajectory. "dose/V" divides the amounts by a volume V,
+        which is fitted; "dose/2.5" by a number.
     noise : state -> its known measurement errors: a standard deviation in its units, a share of
         its value such as "5 %", a column of errors, or a value for each row. They weight the rows
         and are not estimated. A column such as x_sd that is not named here gives relative errors,

@@ -591,7 +591,8 @@ class _Bench:
                     Rival(shown(tidy(e), 4), _round(bits)) for e, bits in sorted(close, key=_bits)
                 ),
             )
-        if expr == 0 and self._rests(place):
+        rows = self._rows(followed, place)
+        if expr == 0 and self._rests(place, evidence, found, rows):
             return replace(found, level=LAW, reason=f"{state} does not change.")
         lacking = self._lacking(place, expr, r2, evidence)
         if lacking:
@@ -603,7 +604,7 @@ class _Bench:
             return replace(found, reason=said + self._because(state, cause))
         if doubts:
             said = f"{follows_to(r2)}{self._while(followed)}, but {'; '.join(doubts)}."
-            explained = self._leaves_noise(place, evidence, found, self._rows(followed, place))
+            explained = self._leaves_noise(place, evidence, found, rows)
             because = self._because(state, cause, explained)
             return replace(found, level=APPROXIMATION, reason=said + because)
         return replace(found, level=LAW, reason=self._praise(place, noise, followed, evidence))
@@ -701,10 +702,14 @@ class _Bench:
         cause = likely_cause(self.course.runs, state, explained) if cause is None else cause
         return f" {cause}" if cause else ""
 
-    def _rests(self, place: int) -> bool:
+    def _rests(
+        self, place: int, evidence: _Evidence | None, found: StateVerdict, rows: float
+    ) -> bool:
         """Say whether a state does nothing but carry noise."""
         if self.spread[place] <= 1e-12 * self._size(place):
             return True
+        if evidence is None or not self._leaves_noise(place, evidence, found, rows):
+            return False
         # What jumps from row to row looks like noise to its neighbours, and may follow a map.
         causes = diagnose(self.course.runs, list(self.equations)[place])
         return bool(self.noise[place] > 0.7 and not any(c.kind in _JUMPING for c in causes))

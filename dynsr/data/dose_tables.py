@@ -1,0 +1,214 @@
+"""Dose tables: doses that are in a table of their own become a column of the data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dynsr.arguments import checked
+from dynsr.data.amounts import is_missing
+from dynsr.data.assembling import Columns, bare_name
+from dynsr.data.columns import load_columns
+from dynsr.data.dosing import find_nonmem, is_dose_name
+from dynsr.data.grouping import find_restarts
+from dynsr.data.names import clean_name, find_column
+from dynsr.data.time_columns import Times, find_time
+from dynsr.data.times import convert_times
+from dynsr.errors import InputError
+
+_STATES = ("state", "compartment", "variable", "quantity")
+
+
+@checked
+def add_doses(
+    data: Any, doses: Any, time: str | None = None, trajectory: str | None = None
+) -> dict[str, np.ndarray]:
+    """Add doses that are in a table of their own to the data, as columns of amounts.
+
+    Parameters
+    ----------
+    data : a file or frame of measurements, as :func:`dynsr.discover` takes it.
+    doses : a file or frame with a row for each dose: its time, its amount, and the columns that say
+        which trajectory it belongs to, such as a subject, called as in the data. Without such a
+        column every trajectory gets all doses. A column ``state`` names the state of each dose.
+    time : the column of times in the data; guessed by default.
+    trajectory : the column that says which trajectory a row of the data belongs to.
+
+    A measurement at the time of a dose was taken before it. A dose between two rows of the data
+    gets a row of its own. Gives column -> values, to be used as data. The amounts are in a column
+    of the name that they have in ``doses``, or in one for each state, such as ``amount_c``. Raises
+    InputError when the tables do not fit together.
+
+    >>> data = {"t": [0.0, 1.0, 2.0], "c": [0.0, 4.0, 3.0]}
+    >>> add_doses(data, {"t": [0.0], "amount": [5.0]})["amount"].tolist()
+    [5.0, 0.0, 0.0]
+    """
+    columns, _ = merge_doses(load_columns(data), load_columns(doses), time, trajectory)
+    return dict(zip(columns.names, columns.values, strict=True))
+
+
+def merge_doses(
+    data: Columns, doses: Columns, time: str | None = None, trajectory: str | None = None
+) -> tuple[Columns, dict[str, str]]:
+    """Merge the columns of data and of doses, as :func:`add_doses` does.
+
+    Parameters
+    ----------
+    data, doses, time, trajectory : as for :func:`add_doses`.
+
+    Gives also state -> column of its amounts, by a column of states, or where there is one state.
+    """
+    find_nonmem(doses, doses.label)
+    when, given = find_time(data, time), _times_of(doses, data, time)
+    t, at = _in_one_unit(when, given, data.label, doses.label)
+    runs, goes_to, shared = _runs(data, doses, t, when, trajectory)
+    amount = _amount(doses, {*given.columns, *shared})
+    amounts = np.nan_to_num(doses.values[doses.names.index(amount)].astype(float))
+    state = next((n for n in doses.names if bare_name(n).lower() in _STATES), None)
+    of = _cells(doses, state) if state is not None else [""] * len(at)
+    states = list(dict.fromkeys(of))
+    for name in states:
+        if name:
+            find_column(name, data, f"state of a dose in {doses.label}")
+    names = {name: f"{amount}_{clean_name(name)}" if name else amount for name in states}
+    if clash := [name for name in names.values() if name in data.names]:
+        raise InputError(
+            f"column {clash[0]!r} is in {data.label} and in {doses.label}; give doses once"
+        )
+    # Each dose goes into the row of its time, or into a new one behind the last row before it.
+    length = len(t)
+    rows, made = {name: np.zeros(length) for name in names.values()}, []
+    for dose in np.flatnonzero(amounts).tolist():
+        for run in goes_to[dose]:
+            there = np.flatnonzero(runs == run)
+            same = there[t[there] == at[dose]]
+            if same.size:
+                rows[names[of[dose]]][same[-1]] += amounts[dose]
+                continue
+            before = there[t[there] < at[dose]]
+            # A new row has the labels of its run, those of the row that it is next to.
+            near = int(before[-1]) if before.size else int(there[0])
+            made.append((near + bool(before.size), at[dose], near, dose))
+    made.sort(key=lambda one: one[:2])
+    places = np.array([place for place, *_ in made], dtype=int)
+    copied = {*shared}
+    values = []
+    for name, column in zip(data.names, data.values, strict=True):
+        if name in when.columns:
+            new = [_raw(column, when, doses, given, dose, when_) for _, when_, _, dose in made]
+        elif name in copied:
+            new = [column[near] for *_, near, _ in made]
+        else:
+            new = [np.nan if column.dtype.kind == "f" else None for _ in made]
+        filled = column if column.dtype.kind in "fMO" else column.astype(object)
+        values.append(
+            np.insert(filled, places, np.array(new, dtype=filled.dtype)) if made else filled
+        )
+    for name, column in rows.items():
+        new = [amounts[dose] if names[of[dose]] == name else 0.0 for *_, dose in made]
+        values.append(np.insert(column, places, new))
+    found = replace(data, names=(*data.names, *rows), values=tuple(values))
+    if states == [""]:
+        used = {*when.columns, *shared}
+        pairs = zip(data.names, data.values, strict=True)
+        states = [name for name, v in pairs if v.dtype.kind == "f" and name not in used]
+        names = dict.fromkeys(states, amount) if len(states) == 1 else {}
+    return found, {clean_name(name): column for name, column in names.items() if name}
+
+
+def _times_of(doses: Columns, data: Columns, time: str | None) -> Times:
+    name = find_time(data, time).name
+    same = [own for own in doses.names if bare_name(own).lower() == bare_name(name).lower()]
+    try:
+        return find_time(doses, same[0] if same else None)
+    except InputError:
+        raise InputError(
+            f"{doses.label} has no column of times (columns: {', '.join(doses.names)}); call it "
+            f"{name!r}, as in {data.label}"
+        ) from None
+
+
+def _in_one_unit(
+    when: Times, given: Times, label: str, other: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give the times of the rows and those of the doses on one scale."""
+    if when.clock or given.clock or when.daily or given.daily:
+        raise InputError(f"doses need times in one column; join the date and the clock in {label}")
+    if when.counted != given.counted:
+        what = ("dates", "numbers") if when.counted else ("numbers", "dates")
+        raise InputError(
+            f"times are {what[0]} in {label} and {what[1]} in {other}; give both alike"
+        )
+    if when.counted:
+        first = [0.0 if one.first is None else one.first[1] for one in (when, given)]
+        return when.values + first[0], given.values + first[1]
+    at = given.values
+    if when.unit and given.unit:
+        found = convert_times(given.values, given.unit, when.unit)
+        if found is None:
+            raise InputError(f"times are in {when.unit} in {label} and in {given.unit} in {other}")
+        at = found
+    return when.values, at
+
+
+def _runs(
+    data: Columns, doses: Columns, t: np.ndarray, when: Times, trajectory: str | None
+) -> tuple[np.ndarray, list[list[int]], list[str]]:
+    """Give the number of the run of each row, the runs of each dose, and the columns of both."""
+    count = len(doses.values[0])
+    shared = [n for n in doses.names if n in data.names and n not in when.columns]
+    if trajectory is not None and not shared:
+        shared = [find_column(trajectory, data, "trajectory")]
+    if not shared:
+        codes = find_restarts(t)
+        return codes, [np.unique(codes).tolist()] * count, []
+    keys = list(zip(*(_cells(data, name) for name in shared), strict=True))
+    number = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    codes = np.array([number[key] for key in keys])
+    if shared[0] not in doses.names:
+        return codes, [list(number.values())] * count, shared
+    wanted = list(zip(*(_cells(doses, name) for name in shared), strict=True))
+    if lost := [key for key in wanted if key not in number]:
+        named = ", ".join(f"{n} {c}" for n, c in zip(shared, lost[0], strict=True))
+        raise InputError(f"{doses.label} has doses of {named}, of which {data.label} has no row")
+    return codes, [[number[key]] for key in wanted], shared
+
+
+def _cells(columns: Columns, name: str) -> list[str]:
+    """Give labels as text, whole numbers without a point."""
+    values = columns.values[columns.names.index(name)]
+    words = columns.words.get(name, {})
+    if values.dtype.kind == "f":
+        return [words.get(v, f"{v:.15g}") for v in values.tolist()]
+    return ["" if is_missing(v) else str(v).strip() for v in values]
+
+
+def _amount(doses: Columns, others: set[str]) -> str:
+    """Give the column of amounts: the one that is called so, or the only one of numbers left."""
+    left = [
+        n
+        for n, v in zip(doses.names, doses.values, strict=True)
+        if v.dtype.kind == "f" and n not in others
+    ]
+    called = [name for name in left if is_dose_name(bare_name(name))]
+    for found in (called, left):
+        if len(found) == 1:
+            return found[0]
+    raise InputError(
+        f"{doses.label} needs one column of amounts (columns: {', '.join(doses.names)}); call it "
+        "'amount'"
+    )
+
+
+def _raw(
+    column: np.ndarray, when: Times, doses: Columns, given: Times, dose: int, at: float
+) -> Any:
+    """Give the time of a dose as the data write theirs."""
+    if not when.counted:
+        return at
+    own = doses.values[doses.names.index(given.name)]
+    if own.dtype.kind != column.dtype.kind:
+        raise InputError(f"the dates of {doses.label} are written otherwise than those of the data")
+    return own[dose]
