@@ -595,7 +595,7 @@ class Problem:
         return self._in_time(confirmed)
 
     def _with_known(self, exprs: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
-        """Put equations such as q' = v, which nobody searches, beside the others."""
+        """Add equations such as q' = v, which nobody searches, to the others."""
         whole = {**exprs, **self.form.known}
         return {state: whole[state] for state in self.form.complete(tuple(exprs))}
 
@@ -772,7 +772,7 @@ def pool_formulas(
 
 
 def with_velocities(found: Discovery, form: Form) -> Discovery:
-    """Put the equations x' = x_dot, which nobody searched, beside the others, with their reason."""
+    """Add the equations x' = x_dot, which nobody searched, to the others, with their reason."""
     known = {s: e for s, e in form.known.items() if str(e) in found.equations}
     names = form.complete([s for s in found.equations if s not in known])
     whole = {**known, **found.equations}

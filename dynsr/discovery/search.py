@@ -422,8 +422,8 @@ def _judge(
 ) -> Discovery:
     """Give the equations with their verdict, or others that are better or keep closer to the data.
 
-    Where Ctrl-C ends this, the equations are as they were, and nobody has judged them. What was
-    kept of it goes at the end.
+    If Ctrl-C ends this, the equations stay as they were, without a verdict. Its finished parts,
+    which were kept, are deleted at the end.
     """
     if not found.complete:
         return found
@@ -669,7 +669,7 @@ class _Steps:
         return replace(found, verdict=verdict), rivals
 
     def _look(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
-        """Have a first look at the slopes of every state, and more where others tell of it."""
+        """Look at the slopes of every state first, then again with the results of others."""
         problem, settings = self.problem, self.problem.settings.selection
         demands = problem.demands
         tasks = look_tasks(samples, demands, settings, self.key)

@@ -247,7 +247,7 @@ def look_again_one(
     source: str,
     report: Report = silent,
 ) -> Found:
-    """Look again beside what is known of other states; keep what was found before."""
+    """Look again with what is known of other states; keep what was found before."""
     began = time.monotonic()
     before = [c.expr for c in earlier.candidates]
     seen = look(samples, limits, settings.look, settings.fit, known, before)
