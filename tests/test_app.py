@@ -291,6 +291,9 @@ def test_a_column_of_doses_is_chosen(page):
     table = page.wait(lambda parts: not parts["busy"])["table"]
     assert "x jumps by dose" in table["guess"] and table["error"] == ""
     assert table["columns"][2]["way"] == "x"
+    page.post("columns", roles=roles, units={}, ways={"dose": "x/V"})
+    table = page.wait(lambda parts: not parts["busy"])["table"]
+    assert table["columns"][2]["way"] == "x/V" and table["error"] == ""
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ import numpy as np
 from dynsr.data import (
     Columns,
     bracketed_unit,
+    clean_dose,
     column_units,
     cut_at_doses,
     describe_table,
@@ -114,7 +115,8 @@ class Work:
         path : the file.
         roles : column -> its role; guessed by default.
         units : column -> its unit; by default that in its name.
-        ways : input -> what it does between rows; column of doses -> the state that jumps by them.
+        ways : input -> what it does between rows; column of doses -> the state that jumps by them,
+            with ``/V`` behind it where they are divided by a volume that is fitted.
 
         Columns are shown also where they cannot be used, with the reason. Raises InputError where
         not even columns can be distinguished.
@@ -193,9 +195,11 @@ class Work:
         }
         described = describe_table(table)
         self._names = [run.name for run in described.trajectories]
-        self._doses = dict(described.doses)
+        asked = _given_to(list(found.doses.values()), list(found.doses), ways) or {}
+        self._doses = {found.renamed.get(s, s): clean_dose(text) for s, text in asked.items()}
+        given = ways
         ways = {n: described.hold.get(found.renamed.get(n, ""), "") for n in found.inputs}
-        ways |= {column: state for state, column in found.doses.items()}
+        ways |= {column: given.get(column) or state for state, column in found.doses.items()}
         return {
             **_describe(columns, roles, units, ways),
             "guess": table.guess,
@@ -317,21 +321,28 @@ class Work:
         self._say("picture", content)
 
 
+# Behind the state of doses: they are divided by a volume that is fitted.
+_BY_VOLUME = "/V"
 _ROLES = (TIME, TRAJECTORY, QUANTITY, STATE, INPUT, DOSE, UNUSED)
 
 
 def _given_to(
     columns: Sequence[str], states: Sequence[str], ways: Mapping[str, str]
 ) -> dict[str, str] | None:
-    """Give state -> column of its doses; the first state where the page named none."""
+    """Give state -> column of its doses, by a volume where the page asked for one.
+
+    Where the page named no state it is the first.
+    """
     found: dict[str, str] = {}
-    for name in columns:
+    for place, name in enumerate(columns, 1):
         state = ways.get(name) or next(iter(states), "")
+        divided = state.endswith(_BY_VOLUME)
+        state = state.removesuffix(_BY_VOLUME)
         if state in found:
             raise InputError(
                 f"columns {found[state]!r} and {name!r} are both doses of {state!r}; add them up"
             )
-        found[state] = name
+        found[state] = f"{name}{_BY_VOLUME}{place if len(columns) > 1 else ''}" if divided else name
     return found or None
 
 

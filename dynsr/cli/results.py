@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynsr.cli import options, output
-from dynsr.cli.data import load_discovery, load_table
+from dynsr.cli.data import load_discovery, load_table, take_doses
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
@@ -124,12 +124,14 @@ def score(
     quantity: options.Quantity = None,
     decimal: options.Decimal = None,
     engine: options.OwnEngine = None,
+    doses: options.Doses = None,
     json: options.Json = False,
 ) -> None:
     """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, _say_to(json))
-    data = _load_for(found, files, time_column, states, inputs, how)
+    sources, _ = take_doses(files, doses, time_column, trajectory, decimal)
+    data = _load_for(found, sources, time_column, states, inputs, how)
     scores = found.score(data, engine, options.read_hold(hold))
     if json:
         output.print_json(scores)
@@ -140,7 +142,7 @@ def score(
 
 def _load_for(
     found: Discovery,
-    files: Sequence[Path],
+    files: Sequence[Any],
     time_column: str | None,
     states: options.Names,
     inputs: options.Names,
@@ -153,7 +155,11 @@ def _load_for(
         for given in [found.doses, None] if found.doses else [None]:
             with suppress(InputError):
                 own = (asked["states"], asked["inputs"])
-                return load_table(files, time_column, *own, *how, doses=given)
+                runs = load_table(files, time_column, *own, *how, doses=given)
+                if found.doses and given is None:
+                    columns = ", ".join(found.doses.values())
+                    how[-1](f"no doses ({columns}) are in the data; --doses gives a table of them")
+                return runs
     return load_table(files, time_column, states, inputs, *how)
 
 
@@ -178,6 +184,7 @@ def profile(
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
     decimal: options.Decimal = None,
+    doses: options.Doses = None,
     json: options.Json = False,
 ) -> None:
     """Show how well the data determine each constant: its profile likelihood.
@@ -188,7 +195,8 @@ def profile(
     """
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, _say_to(json))
-    data = _load_for(found, files, time_column, states, inputs, how)
+    sources, _ = take_doses(files, doses, time_column, trajectory, decimal)
+    data = _load_for(found, sources, time_column, states, inputs, how)
     named = [found.profile(one, data) for one in constant or ()]
     profiles = named or found.profiles(data)
     known = found.identifiability(data)
@@ -243,6 +251,7 @@ def suggest(
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
     decimal: options.Decimal = None,
+    doses: options.Doses = None,
     json: options.Json = False,
 ) -> None:
     """Suggest the next experiment: the start that gives most information.
@@ -254,7 +263,8 @@ def suggest(
 
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, _say_to(json))
-    data = _load_for(found, files, time_column, states, inputs, how)
+    sources, _ = take_doses(files, doses, time_column, trajectory, decimal)
+    data = _load_for(found, sources, time_column, states, inputs, how)
     settings = SuggestionSettings(beyond=beyond)
     made = found.suggest(data, rows=rows, span=span, seed=seed, settings=settings)
     if json:

@@ -4,7 +4,7 @@ from .columns import Columns, bracketed_unit, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
 from .dose_tables import add_doses, merge_doses
-from .dosing import Dosing, cut_at_doses, split_volume
+from .dosing import Dosing, clean_dose, cut_at_doses, split_volume
 from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .known_noise import KnownNoise
@@ -83,6 +83,7 @@ __all__ = [
     "choose_samples",
     "choose_second_samples",
     "choose_windows",
+    "clean_dose",
     "column_units",
     "columns_of",
     "cut_at_doses",

@@ -223,7 +223,7 @@ class Delayed:
     ) -> Iterator[DelayFit]:
         """Give fits of fewer and fewer terms, each of fewer bits than the one before.
 
-        Slopes at one delay are explained best with terms that stand in for its error; once the
+        Slopes at one delay are explained best with terms that replace its error; once the
         delay is fitted, they are too many.
         """
         while True:

@@ -95,7 +95,10 @@ const showTable = table => {
       changed();
     });
     unit.hidden = ["unused", "trajectory", "quantity", "dose"].includes(column.role);
-    const states = table.columns.filter(other => other.role === "state").map(other => [other.name, `added to ${other.name}`]);
+    const states = table.columns.filter(other => other.role === "state").flatMap(other => [
+      [other.name, `added to ${other.name}`],
+      [`${other.name}/V`, `divided by a volume V that is fitted, added to ${other.name}`],
+    ]);
     const ways = { input: Object.entries(HOLDS), dose: states }[column.role] || [];
     const way = make("select", { id: `way-${j}`, className: "way", ariaLabel: `${column.role === "dose" ? "State of the doses" : "Between rows"}: ${column.name}`, hidden: !ways.length },
       ...ways.map(([value, words]) => make("option", { value, selected: value === column.way }, words)));
