@@ -181,8 +181,8 @@ _MOST_ROWS = 2000
 _MOST_STEPS = 200
 # Is it a map? -> what was done with the equations.
 _FOLLOWED = {
-    False: "integrated from the first row. The band holds 95 % of the curves that constants drawn "
-    "within their errors give.",
+    False: "integrated from the first row. The band contains 95 % of the curves that "
+    "constants drawn within their errors give.",
     True: "iterated from the first row.",
 }
 # Settings that are shown by themselves, or that only a program reads.

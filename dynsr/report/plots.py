@@ -412,7 +412,7 @@ def draw_flow(
 
 
 def _with_points(span: tuple[float, float], places: Sequence[float]) -> tuple[float, float]:
-    """Give a span with a margin, which holds places that are near it."""
+    """Give a span with a margin, which contains places that are near it."""
     low, high = span
     width = (high - low) or max(abs(high), 1.0)
     near = [p for p in places if low - _ROOM * width <= p <= high + _ROOM * width]

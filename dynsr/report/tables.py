@@ -137,7 +137,7 @@ class Table:
     note: str = ""
 
     def is_text(self, column: int) -> bool:
-        """Whether a column holds text, which is set to the left; written numbers are not."""
+        """Whether a column contains text, which is set to the left; written numbers are not."""
         texts = [row[column] for row in self.rows if isinstance(row[column], str)]
         return any(isinstance(t, Formula) or (t and not t[0].isdigit()) for t in texts)
 
