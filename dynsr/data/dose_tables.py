@@ -158,7 +158,9 @@ def _runs(
 ) -> tuple[np.ndarray, list[list[int]], list[str]]:
     """Give the number of the run of each row, the runs of each dose, and the columns of both."""
     count = len(doses.values[0])
-    shared = [n for n in doses.names if n in data.names and n not in when.columns]
+    shared = [
+        n for n in doses.names if n in data.names and n not in when.columns and _is_label(data, n)
+    ]
     if trajectory is not None and not shared:
         shared = [find_column(trajectory, data, "trajectory")]
     if not shared:
@@ -174,6 +176,12 @@ def _runs(
         named = ", ".join(f"{n} {c}" for n, c in zip(shared, lost[0], strict=True))
         raise InputError(f"{doses.label} has doses of {named}, of which {data.label} has no row")
     return codes, [[number[key]] for key in wanted], shared
+
+
+def _is_label(columns: Columns, name: str) -> bool:
+    """Whether a column contains text or whole numbers, and so may name runs."""
+    values = columns.values[columns.names.index(name)]
+    return values.dtype.kind != "f" or bool(np.all(values == np.round(values)))
 
 
 def _cells(columns: Columns, name: str) -> list[str]:
