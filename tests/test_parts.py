@@ -36,7 +36,7 @@ def test_a_part_that_there_is_not_is_refused():
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_what_is_left_out_stands_in_the_record(noise):
     """A search with hardly any part left still ends, and its record names what was left out."""
-    needed = {"move-terms", "pruning", "end-look", "end-simple", "methods"}
+    needed = {"pruning", "end-look", "end-simple", "methods"}
     off = tuple(name for name in PARTS if name not in needed)
     x = DECAY + noise * np.random.default_rng(0).standard_normal(len(T))
     found = discover((T, x[:, None]), settings=without(*off), jobs=1)

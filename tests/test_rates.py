@@ -79,7 +79,7 @@ def test_an_equation_is_found_anew_along_the_system():
     """From a straight line in the place of Hill's function a system no longer than the loop."""
     comparison = SystemComparison(looped().mesh(("m", "p")), SETTINGS)
     wrong = comparison.fit(floats({"m": "0.4*p - 0.3*m + 0.1", "p": LOOP["p"]}))
-    best = renew(comparison, wrong, lambda fit: fit)
+    best = renew(comparison, wrong)
     shapes = {skeleton(e) for e in [best.exprs["m"], *renewals(comparison, best, "m")]}
     assert skeleton(floats(LOOP)["m"]) in shapes
     assert best.bits <= comparison.fit(floats(LOOP)).bits < wrong.bits - 50

@@ -25,17 +25,11 @@ from dynsr.selection.costs import (
 )
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.systems import explore
-from dynsr.selection.terms import Terms, TermSettings
 
 X, Y = sympy.symbols("x y")
 RNG = np.random.default_rng(0)
 POSITIVE = RNG.uniform(0.5, 4, (2, 200))
 BOTH_SIGNS = RNG.uniform(-2, 2, (2, 200))
-
-
-def grow(points, names=("x", "y"), angles=(), own=(), **changed):
-    """Make terms in variables that take these values."""
-    return Terms.grow(names, points, TermSettings(**changed), angles, own)
 
 
 def terms_of_many_kinds():
@@ -46,106 +40,12 @@ def terms_of_many_kinds():
     yield from (sympy.sin(X), sympy.sin(1.7 * Y), sympy.exp(-0.3 * X), sympy.log(X) * Y)
 
 
-def bare(terms):
-    """Give the terms with every constant inside replaced by its sign."""
-    return {e.xreplace({f: sympy.sign(f) for f in e.atoms(sympy.Float)}) for e in terms.exprs}
-
-
-def test_products_up_to_the_degree_are_terms():
-    """All ten products of two variables up to the third degree are there, and none above."""
-    found = grow(BOTH_SIGNS)
-    powers = {X**i * Y**j for i in range(4) for j in range(4 - i)}
-    assert powers <= set(found.exprs)
-    assert not {X**4, X**5, X**2 * Y**2} & set(found.exprs)
-    assert not {X**3, X**2 * Y} & set(grow(BOTH_SIGNS, degree=2).exprs)
-
-
-def test_a_variable_that_is_the_only_one_has_powers_up_to_the_fifth():
-    """Normal forms and radiation ask for them; two variables have no more than cubes."""
-    assert {X, X**2, X**3, X**4, X**5} <= set(grow(BOTH_SIGNS[:1], names=("x",)).exprs)
-
-
-def test_positive_variables_saturate():
-    """Of positive variables there are roots, logarithms, inverses, x/(x + c), Hill's form."""
-    found = bare(grow(POSITIVE))
-    assert {sympy.sqrt(X), sympy.log(X), 1 / X, X * sympy.log(X), Y / (X + 1)} <= found
-    assert {X**2 / (X**2 + 1), Y * X**2 / (X**2 + 1), sympy.exp(-X), X * Y / X**2} <= found
-    assert not any(e.has(sympy.sin, sympy.cos) for e in found)
-
-
-def test_variables_of_both_signs_have_no_poles():
-    """Where a variable passes 0 nothing is divided by it and no root or logarithm is taken."""
-    for expr in grow(BOTH_SIGNS).exprs:
-        assert not expr.has(sympy.log)
-        for power in expr.atoms(sympy.Pow):
-            assert power.exp.is_Integer
-            assert power.exp > 0 or power.base not in (X, Y)
-    assert np.isfinite(grow(BOTH_SIGNS).values(BOTH_SIGNS)).all()
-
-
-def test_only_angles_have_sines():
-    """Sines and cosines are of the angles named, alone and times a variable."""
-    found = grow(BOTH_SIGNS, angles=("x",)).exprs
-    assert {sympy.sin(X), sympy.cos(X), Y * sympy.sin(X)} <= set(found)
-    assert not {sympy.sin(Y), sympy.cos(Y)} & set(found)
-
-
-def test_no_term_repeats_another():
-    """No two terms are proportional on the points, and all are finite there."""
-    values = grow(POSITIVE).values(POSITIVE)
-    units = values / np.linalg.norm(values, axis=1)[:, None]
-    cosines = np.abs(units @ units.T - np.eye(len(units)))
-    assert cosines.max() < 1 - 5e-9
-
-
-def test_a_copy_of_a_variable_is_left_out():
-    """Of two columns of which one is twice the other only one makes terms."""
-    found = grow(np.stack([POSITIVE[0], 2 * POSITIVE[0]])).exprs
-    assert len({X, Y} & set(found)) == len({X**2, X * Y, Y**2} & set(found)) == 1
-
-
-def test_terms_cost_their_length_and_their_functions():
-    """A term costs the bits of its structure with one constant before it; functions cost more."""
-    found = grow(POSITIVE, angles=())
-    for expr, bits, inside in zip(found.exprs, found.bits, found.inside, strict=True):
-        assert bits == pytest.approx(shape_bits(sympy.Float(0.5) * expr) + unusual_bits(expr, ()))
-        assert inside == len(expr.atoms(sympy.Float))
-    cost = dict(zip(found.exprs, found.bits, strict=True))
-    assert cost[X] < cost[X**2] < cost[X**3]
-    assert cost[X * Y] < cost[X * sympy.log(Y)]
-
-
 def test_a_sine_of_what_is_no_angle_costs_more():
     """sin(x) costs 3 bits where x may be an angle and 4 more where not."""
     assert unusual_bits(sympy.sin(X), ("x",)) == 3
     assert unusual_bits(sympy.sin(X), ("y",)) == 7
     assert unusual_bits(X**2 / (1 + X), ()) == 0
     assert unusual_bits(sympy.tanh(X), ()) == 5
-
-
-def test_the_cheapest_are_kept():
-    """With room for so many only, none that is left out is cheaper than one that stays."""
-    few, all_ = grow(POSITIVE, most=20), grow(POSITIVE)
-    assert len(few.exprs) <= 20
-    left_out = [b for e, b in zip(all_.exprs, all_.bits, strict=True) if e not in few.exprs]
-    assert few.bits.max() <= min(left_out) + 1e-9
-
-
-def test_terms_of_the_users_own_are_there():
-    """A term that the library lacks is there when it is asked for, with its cost."""
-    own = parse("exp(-x*y)")
-    assert own not in grow(POSITIVE).exprs
-    assert own in grow(POSITIVE, own=[own]).exprs
-
-
-def test_values_are_those_of_the_terms():
-    """Values are the terms' own at any points, constants too."""
-    found = grow(POSITIVE)
-    at = np.array([[2.0, 3.0], [0.5, 1.5]])
-    values = found.values(at)
-    for expr, row in zip(found.exprs, values, strict=True):
-        expected = [float(expr.subs({X: a, Y: b})) for a, b in at.T]
-        np.testing.assert_allclose(row, expected, rtol=1e-10)
 
 
 def exhaustive(columns, y, costs, rows, most):
@@ -351,17 +251,6 @@ def test_a_phase_that_turns_on_may_have_sines():
     assert find_turning(["short", "long", "back"], [1 + t, 1 + 9 * t, 5 + 4 * np.cos(9 * t)]) == (
         "long",
     )
-
-
-def test_phases_that_turn_on_pull_each_other_along():
-    """Of two columns that turn on there are the sine and cosine of their difference, as in
-    Kuramoto's model; of others there are none.
-    """
-    t = np.linspace(0, 9, 80)
-    on, ahead, back = 0.3 + t, 1.2 + 0.9 * t + np.sin(t) / 3, 2 + np.sin(t)
-    pull = {sympy.sin(X - Y), sympy.cos(X - Y)}
-    assert pull <= set(grow(np.stack([on, ahead])).exprs)
-    assert not any(e.atoms(sympy.sin) for e in grow(np.stack([on, back])).exprs)
 
 
 @pytest.mark.slow

@@ -63,7 +63,7 @@ def test_a_product_of_waves_is_found_from_a_line(state):
     """Beside the other equation one is found anew as a product of a sine and a cosine."""
     comparison = drifting()
     wrong = comparison.fit(floats({**CELL, state: BEGUN[state]}))
-    best = renew(comparison, wrong, lambda fit: fit)
+    best = renew(comparison, wrong)
     assert skeleton(best.exprs[state]) == skeleton(floats(CELL)[state])
     assert best.bits < wrong.bits - 50
 

@@ -50,14 +50,10 @@ def settle(settings: SelectionSettings, demands: Demands) -> SelectionSettings:
     settings : those without demands.
     demands : what is asked.
     """
-    vocabulary = demands.vocabulary
-    functions = settings.comparison.functions
-    if vocabulary is not None:
-        functions = tuple(name for name in functions if name in vocabulary.functions)
     return replace(
         settings,
-        fit=replace(settings.fit, vocabulary=vocabulary, must=demands.must),
-        comparison=replace(settings.comparison, demands=demands, functions=functions),
+        fit=replace(settings.fit, vocabulary=demands.vocabulary, must=demands.must),
+        comparison=replace(settings.comparison, demands=demands),
     )
 
 

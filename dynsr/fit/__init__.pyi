@@ -8,7 +8,6 @@ from .collocation import (
     Mesh,
     Probes,
     fit_along,
-    usual_scales,
 )
 from .constants import free_constants, one_of_each_shape, refit, skeleton
 from .description import (
@@ -67,7 +66,7 @@ from .shooting import (
 from .simple import simplicity_bits
 from .snapping import one_a_shape, score_snapped, snap_best, tidy
 from .ties import Names, exchanges, pairs_alike, ways_alike
-from .variation import improve, loosen, neighbours, with_floats
+from .variation import improve, loosen, with_floats
 from .whole import interval_reach
 
 __all__ = [
@@ -135,7 +134,6 @@ __all__ = [
     "measure_runs",
     "misses_bits",
     "missing_terms",
-    "neighbours",
     "noise_and_spread",
     "noise_of",
     "one_a_shape",
@@ -164,7 +162,6 @@ __all__ = [
     "tidy",
     "told_bits",
     "untouched_match",
-    "usual_scales",
     "ways_alike",
     "with_floats",
     "without_flat_line",

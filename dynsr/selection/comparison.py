@@ -43,7 +43,6 @@ from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
 from dynsr.selection.propose import ProposalSettings, propose, term_bits
 from dynsr.selection.rates import shared_bits
-from dynsr.selection.terms import Terms, TermSettings
 from dynsr.selection.twins import with_twins
 
 Equations = dict[str, sympy.Expr]
@@ -63,8 +62,6 @@ class ComparisonSettings:
 
     Parameters
     ----------
-    terms : the terms that sums are made of, and that may be added.
-    functions : functions of angles that may come or go as factors of a term.
     noisy : systems are compared only where the median noise is above this share of the spread.
         Smaller noise is no larger than errors that a solver at a loose tolerance leaves in its
         states; those have a pattern, and terms would be found for it.
@@ -94,9 +91,6 @@ class ComparisonSettings:
         most so many bits more.
     rounds : changes taken at most.
     tried : changes, those expected to save most first, that are fitted in a round.
-    paired : terms, and changes paired with one, that are looked at for each state.
-    margin : a change expected to cost up to so many bits more is fitted too: expectations are
-        rough.
     excess : mean squared miss beyond that of noise, in units of it, that is noise too: its size
         is an estimate.
     rows : rows of the data at most.
@@ -105,8 +99,6 @@ class ComparisonSettings:
     fit : how a system is fitted.
     """
 
-    terms: TermSettings = TermSettings()
-    functions: tuple[str, ...] = ("sin", "cos")
     noisy: float = 5e-4
     coarse: float = 5e-5
     dense: float = 50.0
@@ -130,8 +122,6 @@ class ComparisonSettings:
     unfollowed: float = 40.0
     rounds: int = 12
     tried: int = 8
-    paired: int = 6
-    margin: float = 5.0
     excess: float = 0.15
     rows: int = 2000
     parts: Parts = Parts()
@@ -170,15 +160,6 @@ class SystemFit:
         return self.problem.points(self.fit.states, self.fit.constants)
 
 
-@dataclass(frozen=True)
-class Change:
-    """One equation otherwise, and the bits that it is expected to take more (or less, below 0)."""
-
-    state: str
-    expr: sympy.Expr
-    bits: float
-
-
 @dataclass(frozen=True, eq=False)
 class SystemComparison:
     """Fits systems to the states of a mesh and counts their bits.
@@ -188,13 +169,11 @@ class SystemComparison:
     mesh : the data, with the states whose equations are compared.
     settings : the numbers that decide.
     states : all columns that move by equations; by default those of the mesh.
-    expected : system -> the changes that :func:`dynsr.selection.changes.promising_changes` gave.
     """
 
     mesh: Mesh
     settings: ComparisonSettings = COMPARISON
     states: tuple[str, ...] = ()
-    expected: dict[SystemFit, list[Change]] = field(default_factory=dict)
     _cache: dict[tuple[sympy.Expr, ...], SystemFit | None] = field(default_factory=dict)
     _starts: dict[tuple[sympy.Expr, ...], list[np.ndarray]] = field(default_factory=dict)
     _tried: set[tuple[tuple[sympy.Expr, ...], SystemFit | None, bool]] = field(default_factory=set)
@@ -459,12 +438,6 @@ class SystemComparison:
     def _begun(self) -> np.ndarray:
         """(names, n) values of the columns where the smoothed states are."""
         return np.concatenate([self.mesh.start.T, self.mesh.driven[:-1, : len(self.mesh.t)]])
-
-    @cached_property
-    def terms(self) -> Terms:
-        """What sums may be made of, where the smoothed states are."""
-        own = self.settings.demands.offered
-        return Terms.grow(self.names, self._begun, self.settings.terms, self.angles, own)
 
     @cached_property
     def angles(self) -> tuple[str, ...]:

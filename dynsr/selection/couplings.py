@@ -7,7 +7,7 @@ short, and is found as short sums are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, permutations, product
 
@@ -16,7 +16,7 @@ import sympy
 
 from dynsr.expression import ByText, compile_columns
 from dynsr.fit import Probes, constant_bits, structure_bits
-from dynsr.selection.changes import climb_while_better, gram_of, prune
+from dynsr.selection.changes import gram_of, prune, while_better
 from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, owners_of
 from dynsr.selection.joints import Joint
 from dynsr.selection.mass_matrix import FACTORS, read_ratio, slope_of
@@ -26,18 +26,13 @@ from dynsr.selection.subsets import best_subsets, solve_scaled, taken_whole, wit
 _MOST, _KEPT, _TRIED = 3, 6, 3
 
 
-def try_couplings(
-    comparison: SystemComparison,
-    best: SystemFit,
-    climb: Callable[[SystemFit], SystemFit],
-) -> SystemFit:
+def try_couplings(comparison: SystemComparison, best: SystemFit) -> SystemFit:
     """Fit systems in which one acceleration is said by another; gives that of fewest bits.
 
     Parameters
     ----------
     comparison : fits the systems.
     best : the system.
-    climb : takes changes from a system for as long as they take fewer bits.
     """
 
     def coupled(best: SystemFit) -> Iterator[SystemFit]:
@@ -48,7 +43,7 @@ def try_couplings(
                     fit = prune(comparison, fit, state)
                 yield fit
 
-    return climb_while_better(coupled, best, climb, comparison.settings.again)
+    return while_better(coupled, best, comparison.settings.again)
 
 
 def _couple(comparison: SystemComparison, fit: SystemFit) -> Iterator[Equations]:

@@ -8,12 +8,12 @@ up for no errors of theirs. A term that another equation has costs no more than 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import sympy
 
 from dynsr.fit import skeleton
-from dynsr.selection.changes import climb_while_better, prune
+from dynsr.selection.changes import prune, while_better
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise
 from dynsr.selection.costs import is_plain
 from dynsr.selection.evidence import Evidence
@@ -43,16 +43,13 @@ def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[s
     return comparison.propose(state, evidence, others)
 
 
-def renew(
-    comparison: SystemComparison, best: SystemFit, climb: Callable[[SystemFit], SystemFit]
-) -> SystemFit:
-    """Fit systems with one equation proposed anew; gives that of fewest bits.
+def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
+    """Fit systems with one equation proposed anew, for as long as that takes fewer bits.
 
     Parameters
     ----------
     comparison : fits the systems.
     best : the system.
-    climb : takes changes from a system for as long as they take fewer bits.
     """
     settings = comparison.settings
 
@@ -69,7 +66,7 @@ def renew(
                 close = fit.bits < best.bits + settings.behind
                 yield prune(comparison, fit, state) if close else fit
 
-    return climb_while_better(renewed, best, climb, settings.rounds)
+    return while_better(renewed, best, settings.rounds)
 
 
 def twins(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -27,7 +27,7 @@ from dynsr.fit import (
     with_floats,
 )
 from dynsr.selection.alone import Alone, Leader, constants
-from dynsr.selection.changes import promising_changes, prune
+from dynsr.selection.changes import prune
 from dynsr.selection.comparison import (
     COMPARISON,
     ComparisonSettings,
@@ -249,7 +249,14 @@ def _refine(
     settings, states = comparison.settings, tuple(best.exprs)
     has = settings.parts.has
 
-    refine = cache(partial(_refine_one, comparison))
+    @cache
+    def refine(fit: SystemFit) -> SystemFit:
+        # What belongs together is passed by where one equation at a time is changed.
+        coupled = try_couplings(comparison, fit) if has("couplings") else fit
+        renewed = renew(comparison, coupled) if has("renewal") else coupled
+        again = has("couplings") and renewed is not fit
+        return try_couplings(comparison, renewed) if again else renewed
+
     # A system that follows the data is the best smoother: terms are looked for along it again.
     for number in range(settings.again * has("along")):
         if has("end-exact") and ends(best):
@@ -270,23 +277,6 @@ def _refine(
     for state in states:
         best = prune(comparison, best, state)
     return _prefer_reproducing(comparison, best) if has("reproducing") else best
-
-
-def _refine_one(comparison: SystemComparison, fit: SystemFit) -> SystemFit:
-    """Try other functions in the equations of a system, and what belongs together."""
-    has = comparison.settings.parts.has
-
-    def climb(fit: SystemFit) -> SystemFit:
-        return _climb(comparison, fit, {})
-
-    first = fit
-    # What belongs together is passed by where one equation at a time is changed.
-    if has("couplings"):
-        fit = try_couplings(comparison, fit, climb)
-    if has("renewal"):
-        fit = renew(comparison, fit, climb)
-    again = has("couplings") and fit is not first
-    return try_couplings(comparison, fit, climb) if again else fit
 
 
 def _need_not_go_on(
@@ -402,13 +392,12 @@ def _compose(
 def _climb(
     comparison: SystemComparison, fit: SystemFit, leaders: Mapping[str, Sequence[Leader]]
 ) -> SystemFit:
-    """Take the best change until none takes fewer bits."""
+    """Put what leads alone in the place of an equation until none of it takes fewer bits."""
     for number in range(comparison.settings.rounds):
-        changes = [(c.state, c.expr) for c in promising_changes(comparison, fit)]
         # Where nothing but noise is left, what is worse alone is worse together.
         settled = number > 1 or leaves_noise(fit, comparison.settings)
         most = comparison.settings.near if settled else comparison.settings.behind
-        changes += [
+        changes = [
             (s, one.expr)
             for s, pool in leaders.items()
             for one in pool
