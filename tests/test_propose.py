@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 import sympy
 
-from dynsr.fit import constant_bits, skeleton
-from dynsr.library import Library
-from dynsr.selection import shape_bits, unusual_bits
+from dynsr.fit import skeleton
+from dynsr.library import Place
 from dynsr.selection.evidence import Evidence
-from dynsr.selection.propose import Proposer
+from dynsr.selection.propose import propose
 
 
 def _propose(law: str, *, noise: float, seed: int = 0, rows: int = 120) -> list[sympy.Expr]:
@@ -19,15 +18,8 @@ def _propose(law: str, *, noise: float, seed: int = 0, rows: int = 120) -> list[
     size = noise * float(np.std(truth))
     y = (truth + size * rng.standard_normal(rows)) / size
     evidence = Evidence(("x", "y"), points, y, np.eye(rows) / size, 0.0, float(rows))
-    library = Library.of(["x", "y"], points)
-    forms = [f.write(["x", "y"], s[0]) for f, s in zip(library.forms, library.starts, strict=True)]
-    each = constant_bits(rows)
-    costs = [
-        shape_bits(0.5 * e) + unusual_bits(e, ()) + each * (1 + len(e.atoms(sympy.Float)))
-        for e in forms
-    ]
-    proposer = Proposer(evidence, library, np.array(costs))
-    return [one.write(library) for one in proposer.best()]
+    place = Place("x", ("x", "y"), ("x", "y"), ())
+    return propose(evidence, place, lambda _: True)
 
 
 @pytest.mark.parametrize(

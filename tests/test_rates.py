@@ -13,9 +13,9 @@ from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings, compare_systems, explore
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
-from dynsr.selection.costs import rounded
 from dynsr.selection.rates import shared_bits
 from dynsr.selection.renewal import renew, renewals
+from dynsr.selection.shapes import rounded
 from dynsr.selection.subsets import taken_whole, without
 
 SETTINGS = ComparisonSettings()

@@ -31,8 +31,8 @@ from dynsr.selection.changes import (
     prune,
 )
 from dynsr.selection.comparison import SystemComparison
-from dynsr.selection.costs import bodies_of
 from dynsr.selection.renewal import renewals
+from dynsr.selection.shapes import bodies_of
 from dynsr.selection.systems import _prefer_reproducing as prefer_reproducing
 from dynsr.selection.systems import distinct_shapes, integrate
 

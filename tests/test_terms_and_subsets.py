@@ -13,16 +13,11 @@ from scipy.integrate import solve_ivp
 from dynsr.data import Trajectory
 from dynsr.data.system import CART_POLE
 from dynsr.engines import simulate
-from dynsr.expression import compile_columns, counting, evaluate, parse
-from dynsr.fit import Measurements, skeleton, structure_bits
+from dynsr.expression import compile_columns, evaluate, parse
+from dynsr.fit import Measurements, skeleton
 from dynsr.library import find_turning
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings
-from dynsr.selection.costs import (
-    shape_bits,
-    unusual_bits,
-    written_length,
-)
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.systems import explore
 
@@ -30,22 +25,6 @@ X, Y = sympy.symbols("x y")
 RNG = np.random.default_rng(0)
 POSITIVE = RNG.uniform(0.5, 4, (2, 200))
 BOTH_SIGNS = RNG.uniform(-2, 2, (2, 200))
-
-
-def terms_of_many_kinds():
-    """Give terms whose constants matter by their signs, by their sizes, or not at all."""
-    lines = (X + 1.5, Y - 0.7, X**2 + 1.5, 0.3 * X + Y)
-    yield from (X / line for line in lines)
-    yield from (X * Y / (X + 1.5), 1 / (Y + 2.25), X * Y, X**1.5, X**0.7, Y**-0.5)
-    yield from (sympy.sin(X), sympy.sin(1.7 * Y), sympy.exp(-0.3 * X), sympy.log(X) * Y)
-
-
-def test_a_sine_of_what_is_no_angle_costs_more():
-    """sin(x) costs 3 bits where x may be an angle and 4 more where not."""
-    assert unusual_bits(sympy.sin(X), ("x",)) == 3
-    assert unusual_bits(sympy.sin(X), ("y",)) == 7
-    assert unusual_bits(X**2 / (1 + X), ()) == 0
-    assert unusual_bits(sympy.tanh(X), ()) == 5
 
 
 def exhaustive(columns, y, costs, rows, most):
@@ -169,48 +148,6 @@ def test_the_hinged_cart_is_found_in_noise():
     columns = {n: RNG.uniform(-1, 1, 50) for n in ("w", "y", "F")}
     values = evaluate(truth, columns)
     assert any(np.allclose(evaluate(expr, columns), values, atol=0.1) for expr in first)
-
-
-def test_a_saturation_costs_what_a_function_does():
-    """Monod's and Hill's terms cost no more than a few bits beside a power of the same variable."""
-    half = sympy.Float(0.5)
-    for term in (X / (X + 1.5), X**2 / (X**2 + 1.5), 1 / (X**4 + 1.5)):
-        assert shape_bits(half * X**2) < shape_bits(half * term) < shape_bits(half * X**2) + 8
-        assert shape_bits(half * Y * term) < structure_bits(half * Y * term)
-
-
-def test_a_pole_is_no_saturation():
-    """1.5 - x below a line costs all its symbols, 1.5 + x those of one function."""
-    half = sympy.Float(0.5)
-    assert shape_bits(half * X / (1.5 - X)) == structure_bits(half * X / (1.5 - X))
-    assert shape_bits(half * X / (1.5 + X)) < structure_bits(half * X / (1.5 + X))
-
-
-def test_a_bracket_saves_no_bits_of_the_users_own():
-    """A square that costs 100 bits costs them too where a common factor hides it."""
-    growth = 1.5 * X - 0.5 * X**2
-    plain = shape_bits(growth)
-    with counting({"**": 100.0}):
-        assert shape_bits(growth) == pytest.approx(plain + 100)
-
-
-@given(st.permutations(list(terms_of_many_kinds())), st.integers(2, 4), st.randoms())
-def test_bits_known_of_one_formula_are_those_of_another_of_its_kind(terms, count, random):
-    """Whatever was counted before, sums cost what they do when nothing is known."""
-    bodies = terms[:count]
-    for _ in range(3):
-        numbers = [random.choice([-2, -1, -0.5, 0.5, 1, 1.5]) for _ in bodies]
-        expr = sympy.Add(*[sympy.Float(c) * body for c, body in zip(numbers, bodies, strict=True)])
-        expr = expr.xreplace({c: c * random.choice([1, 1.25]) for c in expr.atoms(sympy.Float)})
-        assert written_length(expr) == pytest.approx(written_length.__wrapped__(expr))
-        assert unusual_bits(expr, ["x"]) == unusual_bits.__wrapped__(expr, ["x"])
-
-
-def test_what_all_terms_share_is_written_once():
-    """x (a - b x - c y) costs less than its terms do one by one, and a sum without a factor not."""
-    growth = 1.5 * X - 0.5 * X**2 - 2.5 * X * Y
-    assert shape_bits(growth) < structure_bits(growth)
-    assert shape_bits(growth + 0.5) == structure_bits(growth + 0.5)
 
 
 def test_a_constant_inside_is_found_between_those_that_are_tried():

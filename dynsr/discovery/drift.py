@@ -20,20 +20,22 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.discovery.following import open_constants
-from dynsr.expression import differentiate, evaluate, expand_terms, shown
+from dynsr.expression import added_bits, differentiate, evaluate, expand_terms, shown
 from dynsr.fit import constant_bits, refit, skeleton, tidy, with_floats
+from dynsr.library import Place, Written, find_turning, textbooks
 from dynsr.selection import (
     Subset,
     best_subsets,
     bodies_of,
     move_inside,
     products,
-    shape_bits,
-    unusual_bits,
+    term_bits,
     weighted_sum,
 )
 
 TIME = sympy.Symbol("t")
+# What changes along a record, such as a temperature, is an input that nobody measured.
+_UNMEASURED = sympy.Symbol("unmeasured")
 
 
 @dataclass(frozen=True)
@@ -102,15 +104,18 @@ class TermsInTime:
     terms : the p terms.
     values : (n, p) what they are on the rows of the data.
     functions : those that are functions of the time alone with a constant inside.
+    place : where the equation is, for what textbooks would say of a term.
     """
 
     terms: tuple[sympy.Expr, ...]
     values: np.ndarray
     functions: Collection[sympy.Expr]
+    place: Place
 
     @classmethod
     def of(
         cls,
+        state: str,
         expr: sympy.Expr,
         columns: Mapping[str, np.ndarray],
         settings: DriftSettings = DRIFT,
@@ -121,7 +126,7 @@ class TermsInTime:
 
         Parameters
         ----------
-        expr : the equation.
+        state, expr : the equation.
         columns : name -> (n,) values of what it may hold, of which ``t`` is the time.
         settings : which terms.
         functions : whether these include functions of the time alone, of any rate.
@@ -138,7 +143,8 @@ class TermsInTime:
         values = [np.broadcast_to(evaluate(e, columns), rows) for e in every]
         finite = [bool(np.all(np.isfinite(v))) for v in values]
         terms, columns_of = (tuple(compress(some, finite)) for some in (every, values))
-        return cls(terms, np.array(columns_of).T, {e for e in alone if e.atoms(sympy.Float)})
+        moved = {e for e in alone if e.atoms(sympy.Float)}
+        return cls(terms, np.array(columns_of).T, moved, place_among(state, columns))
 
     @cached_property
     def inside(self) -> tuple[sympy.Expr, ...]:
@@ -168,8 +174,8 @@ class TermsInTime:
     @cached_property
     def structure(self) -> np.ndarray:
         """(p,) bits of each, without those of constants."""
-        half = sympy.Float(0.5)
-        return np.array([shape_bits(half * e) + unusual_bits(e, ("t",)) for e in self.terms])
+        driven = (e.xreplace({TIME: _UNMEASURED}) for e in self.terms)
+        return np.array([term_bits(e, self.place, Written()) for e in driven])
 
     def costs(self, rows: float) -> np.ndarray:
         """(p,) bits of each with its constants, fitted to so many rows."""
@@ -239,7 +245,7 @@ class Lines:
         rest = self.misses - basis @ (basis.T @ self.misses)
         now = self._bits(float(rest @ rest))
         most = len(sympy.Add.make_args(expr)) + settings.more
-        enough = now + formula_bits(expr, self.rows) + settings.margin
+        enough = now + formula_bits(expr, self.rows, library.place) + settings.margin
         found = [expr + one for one in self._beside(rest, basis, now, library, settings)]
         for kind in library.kinds:
             found += self._instead(kind, most, enough, library, settings)
@@ -325,16 +331,29 @@ def orthogonal(columns: np.ndarray) -> np.ndarray:
     return basis
 
 
-def formula_bits(expr: sympy.Expr, rows: float) -> float:
+def place_among(state: str, columns: Mapping[str, np.ndarray]) -> Place:
+    """Give the place of a state's equation among columns, of which ``t`` is any change in time.
+
+    Parameters
+    ----------
+    state, columns : the state, and name -> (n,) values in order.
+    """
+    names = tuple(name for name in columns if name != "t")
+    turning = find_turning(names, (columns[name] for name in names))
+    driven = (*names, _UNMEASURED.name) if "t" in columns else names
+    return Place(state, names, driven, (*turning, _UNMEASURED.name))
+
+
+def formula_bits(expr: sympy.Expr, rows: float, place: Place) -> float:
     """Give the bits of a formula whose constants are fitted to so many rows.
 
     Parameters
     ----------
-    expr, rows : the formula and the rows.
+    expr, rows, place : the formula, the rows, and where it is.
     """
-    loose = with_floats(expr)
-    constants = len(open_constants({"": expr})[1])
-    return shape_bits(loose) + unusual_bits(loose, ("t",)) + constants * constant_bits(rows)
+    loose = with_floats(expr).xreplace({TIME: _UNMEASURED})
+    written = textbooks().beside_bits(loose, place, Written()) + added_bits(loose)
+    return written + len(open_constants({"": expr})[1]) * constant_bits(rows)
 
 
 def drift_of_rows(
@@ -368,7 +387,7 @@ def drift_of_rows(
     misses = samples.y - np.broadcast_to(evaluate(expr, columns), n)
     if not (np.all(np.isfinite(own)) and np.all(np.isfinite(misses))):
         return None
-    library = TermsInTime.of(expr, columns, settings)
+    library = TermsInTime.of(state, expr, columns, settings)
     lines = Lines(misses, samples.y, own, library.design(columns), n, n * floor**2)
     timed = Samples(
         np.column_stack(list(columns.values())),
@@ -388,7 +407,7 @@ def drift_of_rows(
             continue
         gain = n / 2 * math.log2(max(least, floor**2) / max(squares, floor**2))
         gain *= _told_by_size(other, timed) if squares > floor**2 else 1.0
-        bits = formula_bits(other, n) - formula_bits(expr, n) - gain
+        bits = formula_bits(other, n, library.place) - formula_bits(expr, n, library.place) - gain
         found.append((bits, gain, other))
     bits, gain, best = min(found, key=lambda one: one[:2], default=(0.0, 0.0, expr))
     if bits >= 0:

@@ -31,6 +31,7 @@ from dynsr.discovery.following import Course, Followed, open_constants
 from dynsr.discovery.rivals import columns_along
 from dynsr.expression import evaluate
 from dynsr.fit import Flow, Shooting
+from dynsr.library import Place
 from dynsr.methods import recalled
 
 # Robust sizes of misses beyond which one is an outlier.
@@ -94,22 +95,24 @@ class Along:
         if now is None:
             return {}
         columns = self._columns()
-        libraries = {s: TermsInTime.of(self.equations[s], columns, self.settings) for s in states}
+        libraries = {
+            s: TermsInTime.of(s, self.equations[s], columns, self.settings) for s in states
+        }
         found = {}
         for state, lines in self._lines(libraries, now).items():
             library, expr = libraries[state], self.equations[state]
             others = lines.propose(expr, library, self.settings)
             if state in weak:
                 others += self._integrals(state, library).propose(expr, library, self.settings)
-            tried = [self._compare(state, one, now) for one in others]
+            tried = [self._compare(library.place, one, now) for one in others]
             best = min(filter(None, tried), key=lambda one: one.bits, default=None)
             if best is not None and best.bits < 0:
-                found[state] = self._say(state, self._prune(state, best, now))
+                found[state] = self._say(state, self._prune(library.place, best, now))
         return found
 
-    def _compare(self, state: str, expr: sympy.Expr, now: Followed) -> _Compared | None:
+    def _compare(self, place: Place, expr: sympy.Expr, now: Followed) -> _Compared | None:
         """Fit a formula of a state; None where it is of the equation's form or does not follow."""
-        own = self.equations[state]
+        state, own = place.state, self.equations[place.state]
         if is_alike(expr, own):
             return None
         fitted = self.fit({**self.equations, state: expr})
@@ -122,11 +125,11 @@ class Along:
         most = float(rows.max())
         return _Compared(
             opened[state].xreplace(numbers),
-            formula_bits(expr, most) - formula_bits(own, most) - gain,
+            formula_bits(expr, most, place) - formula_bits(own, most, place) - gain,
             gain,
         )
 
-    def _prune(self, state: str, best: _Compared, now: Followed) -> _Compared:
+    def _prune(self, place: Place, best: _Compared, now: Followed) -> _Compared:
         """Take terms out that do not pay: lines along another formula may have asked for them."""
         while True:
             terms = sympy.Add.make_args(best.expr)
@@ -137,7 +140,7 @@ class Along:
                 for term in terms
                 if term.free_symbols == {TIME}
             ]
-            tried = [self._compare(state, one, now) for one in fewer if one != 0]
+            tried = [self._compare(place, one, now) for one in fewer if one != 0]
             less = min(filter(None, tried), key=lambda one: one.bits, default=None)
             if less is None or less.bits >= best.bits:
                 return best

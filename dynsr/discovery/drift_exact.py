@@ -149,7 +149,7 @@ def _sums(
     expr: sympy.Expr, samples: Samples, floor: float, settings: DriftSettings
 ) -> Iterator[sympy.Expr]:
     """Give the sums of few terms, some with the time, that are the target."""
-    library = TermsInTime.of(expr, samples.columns, settings, functions=False)
+    library = TermsInTime.of(samples.target, expr, samples.columns, settings, functions=False)
     values, y = library.values, samples.y
     # Each term is a symbol at least; what is exact is written out and counted later.
     costs = np.array([float(e.count_ops()) for e in library.terms])

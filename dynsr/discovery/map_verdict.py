@@ -17,7 +17,7 @@ import sympy
 from scipy.special import fdtrc
 
 from dynsr.data import Samples, Trajectory, near_rows_leave_open
-from dynsr.discovery.drift import Drift, drift_of_rows
+from dynsr.discovery.drift import Drift, drift_of_rows, place_among
 from dynsr.discovery.drift_exact import same_in_time
 from dynsr.discovery.following import Place, open_constants
 from dynsr.discovery.maps import pair_rows
@@ -38,10 +38,10 @@ from dynsr.expression import (
     compile_numpy,
     differentiate,
     evaluate,
-    plausibility_bits,
     shown,
 )
 from dynsr.fit import ParetoFront, constant_bits, structure_bits, tidy
+from dynsr.library import textbooks
 
 # Share of a state's size below which a miss is the rounding of numbers alone.
 _ROUNDING = 1e-11
@@ -207,9 +207,7 @@ class _Step:
 
     def is_odd(self) -> bool:
         """Say whether a wave of a column that is no angle, or the like, is in the equation."""
-        pairs = self.samples.columns.items()
-        angles = [name for name, column in pairs if column.min() < 0 < column.max()]
-        return plausibility_bits(self.expr, angles) > 0
+        return not textbooks().knows(self.expr, place_among(self.state, self.samples.columns))
 
     def _follows_products(self) -> bool:
         points = self.samples.X

@@ -27,7 +27,6 @@ from .export import (
 from .operators import FUNCTIONS, OPERATORS
 from .own_bits import added_bits, bits_in_force, counting, read_own_bits
 from .parsing import check_name, parse
-from .plausibility import Prior, plausibility_bits
 from .poles import has_pole
 from .program import Program, compile_columns
 from .ratios import expand_terms, ratio_forms
@@ -43,7 +42,6 @@ __all__ = [
     "REAL_RESOLUTION",
     "AllDigits",
     "ByText",
-    "Prior",
     "Program",
     "Rows",
     "Unit",
@@ -69,7 +67,6 @@ __all__ = [
     "julia_code",
     "number_bits",
     "parse",
-    "plausibility_bits",
     "ratio_forms",
     "read_own_bits",
     "read_units",

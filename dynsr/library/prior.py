@@ -431,6 +431,21 @@ class Prior:
             return anew
         return min(anew, self._says("cited", True) + math.log2(len(written.terms)))
 
+    def knows(self, expr: sympy.Expr, place: Place) -> bool:
+        """Whether every factor of an equation is one that textbooks have there.
+
+        Parameters
+        ----------
+        expr, place : the equation, and where it is.
+
+        >>> growth, place = sympy.Symbol("x"), Place("x", ("x",), ("x",), ())
+        >>> textbooks().knows(growth**2, place), textbooks().knows(sympy.sin(growth), place)
+        (True, False)
+        """
+        known = self.counts["template"]
+        factors = (factor for term in read_equation(expr) for factor in term)
+        return all(f.template in known and place.is_usual(f) for f in factors)
+
     def _role_bits(self, factor: Factor, role: str, place: Place) -> float:
         """Bits of the role of a column, by its template as far as that was seen.
 

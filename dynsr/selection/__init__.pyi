@@ -6,7 +6,6 @@ from .comparison import (
     most_of_noise,
     noise_shown,
 )
-from .costs import bodies_of, shape_bits, unusual_bits
 from .first_look import Look, look
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .pick import (
@@ -20,7 +19,9 @@ from .pick import (
     rank_by_length,
     trivial_candidates,
 )
+from .propose import term_bits
 from .relations import is_left_open
+from .shapes import bodies_of
 from .subsets import Subset, best_subsets
 from .systems import (
     Compared,
@@ -67,8 +68,7 @@ __all__ = [
     "pick_equation",
     "products",
     "rank_by_length",
-    "shape_bits",
+    "term_bits",
     "trivial_candidates",
-    "unusual_bits",
     "weighted_sum",
 ]

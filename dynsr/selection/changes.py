@@ -19,7 +19,7 @@ from dynsr.selection.comparison import (
     SystemFit,
     owners_of,
 )
-from dynsr.selection.costs import bodies_of
+from dynsr.selection.shapes import bodies_of
 
 # Share of the slopes' spread by which a term with a shorter line may be off before it is fitted.
 _LIKE = 0.3

@@ -27,8 +27,8 @@ from dynsr.library import (
     textbooks,
     write_down,
 )
-from dynsr.selection.costs import bodies_of, wide_factors
 from dynsr.selection.evidence import Evidence
+from dynsr.selection.shapes import bodies_of, wide_factors
 
 # Square of what is left of a unit column from which on it is rounding.
 _NOTHING = 1e-13

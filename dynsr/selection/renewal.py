@@ -15,8 +15,8 @@ import sympy
 from dynsr.fit import skeleton
 from dynsr.selection.changes import prune, while_better
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise
-from dynsr.selection.costs import is_plain
 from dynsr.selection.evidence import Evidence
+from dynsr.selection.shapes import is_plain
 from dynsr.selection.twins import exchanged
 
 # Degree of a short polynomial that is good enough where it leaves only noise.

@@ -38,10 +38,10 @@ from dynsr.selection.comparison import (
     leaves_noise,
     may_be_exact,
 )
-from dynsr.selection.costs import bare_terms, is_plain, rounded
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.polynomials import whole_polynomials
 from dynsr.selection.renewal import renew
+from dynsr.selection.shapes import bare_terms, is_plain, rounded
 
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import sympy
 
 from dynsr.fit import Names, exchanges, one_of_each_shape, skeleton, ways_alike, with_floats
-from dynsr.selection.costs import bodies_of
+from dynsr.selection.shapes import bodies_of
 
 
 def exchanged(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) -> list[sympy.Expr]:
