@@ -32,6 +32,17 @@ def test_the_counts_are_those_of_the_corpus():
     assert kept == {name: dict(own) for name, own in count(corpus()).counts.items()}
 
 
+def test_a_function_of_the_library_is_named_and_not_spelt():
+    """Of what the corpus never has, a Hill term costs no letters, and a stranger's ratio does."""
+    place = Place("x", ("x", "y"), ("x", "y"), ())
+    seen, named, spelt = (
+        textbooks().term_bits(read_body(parse(text)), place, Written())
+        for text in ("y**2/(y**2 + 1.5)", "y**4/(y**4 + 1.5)", "y**4/(y**2 + 1.5)**3")
+    )
+    assert seen < named < seen + 6
+    assert spelt > named + 20
+
+
 def test_every_choice_is_counted_by_hand():
     """Two small systems, counted with pencil and paper."""
     x, y = sympy.symbols("x y")
