@@ -10,7 +10,7 @@ from .prior import (
     textbooks,
     write_down,
 )
-from .structure import find_turning, keeps_turning, structure_in, structure_of
+from .structure import find_turning, structure_in, structure_of
 
 __all__ = [
     "MOST_INSIDE",
@@ -23,7 +23,6 @@ __all__ = [
     "Written",
     "exact_bits",
     "find_turning",
-    "keeps_turning",
     "read_body",
     "read_equation",
     "structure_in",
