@@ -81,7 +81,7 @@ def test_the_same_table_is_scored_and_reported_without_a_column_of_the_delayed_s
     assert "x_delayed" in page
 
 
-def test_terms_that_stand_in_for_the_error_of_a_delay_are_dropped():
+def test_terms_that_make_up_for_the_error_of_a_delay_are_dropped():
     """Of the sums that a delay was fitted with, the first has the two terms of the law."""
     delayed = Delayed.of([as_run(hutchinson())], DelaySettings(minima=1))
     best = delayed.candidates(ComparisonSettings(), [1.5])[0]
