@@ -111,9 +111,6 @@ from dynsr.methods import (
 )
 from dynsr.selection import lead_with, rank_by_length
 
-# Rows of a run from which on differences of order 8 leave enough of it.
-_FEWEST = 16
-
 
 @checked
 @with_progress
@@ -521,13 +518,13 @@ def _choose_first(
         return ()
     # Who names an engine wants the methods that regress in it.
     looked = not problem.form.discrete and engine.name == DEFAULT_ENGINE
-    if problem.measurements is None:
+    data = problem.measurements
+    if data is None:
         again = MORE_LOOKS if problem.settings.selection.parts.has("look-again") else ()
         return (FIRST_LOOK, *again) if looked else ()
-    # Few exact rows look as if they were noisy.
-    lengths = [len(run) for run in problem.runs]
-    sparse = sum(lengths) <= problem.settings.selection.look.sparse and min(lengths) > _FEWEST
-    return (FIRST_LOOK, EXPLORATION) if looked and sparse else (EXPLORATION,)
+    # Exact rows that are far apart look as if they were noisy.
+    exact = data.parts > 1 or data.may_be_exact
+    return (FIRST_LOOK, EXPLORATION) if looked and exact else (EXPLORATION,)
 
 
 @dataclass(frozen=True, eq=False)

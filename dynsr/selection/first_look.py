@@ -81,7 +81,6 @@ class LookSettings:
     wild : share of the rows that may miss by more than ten times as much, where solvers and
         differences fail.
     alike : misses up to so many times the least of all are as good where slopes are rough.
-    sparse : rows up to which data that look noisy may be exact ones far apart.
     stands_out : how many times larger the misses of every other choice of terms must be.
     proposals : of the sums of terms of the library, where slopes are exact.
     parts : which parts of the search take part.
@@ -96,7 +95,6 @@ class LookSettings:
     within: float = 3.0
     wild: float = 0.1
     alike: float = 4.0
-    sparse: int = 300
     stands_out: float = 30.0
     proposals: ProposalSettings = EXACT
     parts: Parts = Parts()
