@@ -15,7 +15,8 @@ from scipy.integrate import solve_ivp
 import dynsr
 from dynsr.errors import InputError
 from dynsr.expression import NAMED_FUNCTIONS, Vocabulary, parse
-from dynsr.fit import neighbours, structure_bits
+from dynsr.fit import structure_bits
+from dynsr.fit.variation import neighbours
 from dynsr.jobs import Budget, End, TimeUp, Turn, finish_by, time_limit
 from dynsr.methods import (
     AbstractMethod,
