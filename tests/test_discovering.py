@@ -128,6 +128,7 @@ class Found:
     ensemble = {}
     by_run = RunParameters()
     delays = {}
+    volumes = {}
     further = {}
 
     def __init__(self, settings):
@@ -529,7 +530,7 @@ def test_a_reason_is_printed_once(monkeypatch, capsys):
         constants={},
         ensemble={},
         by_run=RunParameters(),
-        delays={},
+        delays={}, volumes={},
         details={},
         settings={},
     )
