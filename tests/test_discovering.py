@@ -530,7 +530,8 @@ def test_a_reason_is_printed_once(monkeypatch, capsys):
         constants={},
         ensemble={},
         by_run=RunParameters(),
-        delays={}, volumes={},
+        delays={},
+        volumes={},
         details={},
         settings={},
     )

@@ -32,15 +32,14 @@ def test_the_counts_are_those_of_the_corpus():
     assert kept == {name: dict(own) for name, own in count(corpus()).counts.items()}
 
 
-def test_a_function_of_the_library_is_named_and_not_spelt():
-    """Of what the corpus never has, a Hill term costs no letters, and a stranger's ratio does."""
-    place = Place("x", ("x", "y"), ("x", "y"), ())
-    seen, named, spelt = (
-        textbooks().term_bits(read_body(parse(text)), place, Written())
-        for text in ("y**2/(y**2 + 1.5)", "y**4/(y**4 + 1.5)", "y**4/(y**2 + 1.5)**3")
-    )
-    assert seen < named < seen + 6
-    assert spelt > named + 20
+def test_an_equation_with_the_time_is_rare():
+    """As bits: how many equations of the corpus there are for each that contains the time."""
+    assert textbooks().driven_bits == pytest.approx(math.log2(sum_of("terms") / 5), abs=0.5)
+
+
+def sum_of(choice):
+    """How often a choice was made."""
+    return sum(textbooks().counts[choice].values())
 
 
 def test_every_choice_is_counted_by_hand():

@@ -353,6 +353,7 @@ def formula_bits(expr: sympy.Expr, rows: float, place: Place) -> float:
     """
     loose = with_floats(expr).xreplace({TIME: _UNMEASURED})
     written = textbooks().beside_bits(loose, place, Written()) + added_bits(loose)
+    written += textbooks().driven_bits * (_UNMEASURED in loose.free_symbols)
     return written + len(open_constants({"": expr})[1]) * constant_bits(rows)
 
 

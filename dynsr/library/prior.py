@@ -4,8 +4,8 @@ A system is written equation by equation: how many terms it has, and for each of
 an earlier equation has it. A term is a product of factors, and a factor a template such as
 v**2, sin(v) or v/(c + v), with columns put in: the state's own, other states, inputs or the time.
 How often each of these choices is made is counted in ``corpus.txt`` (priors by counting: Bartlett
-et al. 2023). A template that was never seen is one of the library's, or is spelt out. Constants are
-not included: their bits come from a fit.
+et al. 2023); what was never seen costs its length too. Constants are not included: their bits
+come from a fit.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from itertools import permutations
 import sympy
 
 from dynsr.expression import expand_terms, number_bits, parse
-from dynsr.library.atoms import ATOMS
 
 # Choices that were never made have a share too (Krichevsky and Trofimov 1981).
 _MORE = 0.5
@@ -348,18 +347,10 @@ class Prior:
         return math.log2(max(len(known), 2))
 
     @cached_property
-    def _unseen_atoms(self) -> frozenset[str]:
-        """Templates of the library's atoms that were never seen."""
-        columns, constants = (sympy.Symbol("v"), sympy.Symbol("w")), (2.75, 1.25)
-        bodies = (atom.write(columns, constants) for atom in ATOMS.values())
-        known = {factor.template for body in bodies for factor in read_body(body)}
-        return frozenset(known - self.counts["template"].keys())
-
-    def _unseen_bits(self, template: str) -> float:
-        """Bits of a template that was never seen; one of them says whether it is the library's."""
-        if template in self._unseen_atoms:
-            return self._unseen + 1 + math.log2(len(self._unseen_atoms))
-        return self._unseen + 1 + self._letter * len(_symbols(template))
+    def driven_bits(self) -> float:
+        """Bits of an equation that contains the time, among all equations."""
+        timed = sum(c for role, c in self.counts["role"].items() if role.startswith("time "))
+        return math.log2(sum(self.counts["terms"].values()) / max(timed, _MORE))
 
     def _says(self, question: str, yes: bool) -> float:
         return self._choices[question].bits("yes" if yes else "no", ("no", "yes"))
@@ -480,7 +471,7 @@ class Prior:
         if factor.template in template.counts and place.is_usual(factor):
             bits = template.bits(factor.template)
         else:
-            bits = self._unseen_bits(factor.template)
+            bits = self._unseen + self._letter * len(_symbols(factor.template))
         for role in map(place.role, factor.columns):
             bits += self._role_bits(factor, role, place) + math.log2(max(place.sizes[role], 1))
         if factor.plain or not written.factors:

@@ -594,7 +594,10 @@ def propose(
         body = form.write(evidence.names, starts[0])
         if allow(body):
             inside = len(body.atoms(sympy.Float)) if form.own is not None else form.constants
-            costs[i] = term_bits(body, place, stands) + each * (1 + inside)
+            written_out = term_bits(body, place, stands)
+            # What the user offers is told by which of them it is.
+            told = min(written_out, math.log2(len(offered))) if form.own in offered else written_out
+            costs[i] = told + each * (1 + inside)
 
     def written(sums: list[Sum]) -> list[sympy.Expr]:
         return list(dict.fromkeys(one.write(library) for one in sums))
