@@ -130,12 +130,17 @@ def test_the_truth_is_among_what_is_found_alone(name):
 
 
 def test_the_exploration_is_in_the_order_of_bits():
-    """No shape comes twice, and each takes at least the bits of the one before it."""
+    """No shape comes twice, and each takes at least the bits of the one before it.
+
+    Where the data leave a constant open, its bits are those of wherever a fit ended.
+    """
     data = measured("SIR")
     comparison = SystemComparison(data.mesh(("S",)), SETTINGS, data.runs[0].states)
     pool = explore("S", data, SETTINGS)
-    bits = [comparison.fit({"S": e}).bits for e in pool[:10]]
-    assert bits == pytest.approx(sorted(bits), abs=0.5)
+    fits = [comparison.fit({"S": e}) for e in pool[:10]]
+    told = [f.bits for f in fits if np.all(f.fit.errors < np.abs(f.fit.constants))]
+    assert len(told) >= 5
+    assert told == pytest.approx(sorted(told), abs=0.5)
     assert len({skeleton(e) for e in pool}) == len(pool)
 
 
