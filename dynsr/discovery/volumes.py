@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -35,17 +35,16 @@ def with_volumes(found: Discovery) -> Discovery:
     Where the equations cannot be followed over the doses, the explanation of the state says so.
     """
     split = {state: split_volume(text)[1] for state, text in found.doses.items()}
-    unknown = {state: name for state, name in split.items() if isinstance(name, str)}
-    unknown = {state: name for state, name in unknown.items() if state in found.equations}
+    unknown = {s: v for s, v in split.items() if isinstance(v, str) and s in found.equations}
     if not unknown or not found.trajectories or found.is_map or not found.complete:
         return found
     try:
-        volumes = _fit(found, unknown)
+        volumes = _fit(found, split, unknown)
         said = {state: f"{name} is {_text(volumes[name])}" for state, name in unknown.items()}
     except (InputError, EngineError) as error:
         volumes = {}
         said = {state: f"{name} could not be fitted: {error}" for state, name in unknown.items()}
-    words = {s: f" The volume {text}." if text else "" for s, text in said.items()}
+    words = {s: f" The volume {text}." for s, text in said.items()}
     explanation = {s: why + words.get(s, "") for s, why in found.explanation.items()}
     return replace(found, volumes=volumes, explanation=explanation)
 
@@ -54,54 +53,98 @@ def _text(volume: Parameter) -> str:
     return f"{volume.value:.6g} (95 %: {volume.interval_text})"
 
 
-def _fit(found: Discovery, unknown: Mapping[str, str]) -> dict[str, Parameter]:
+@dataclass(frozen=True, eq=False)
+class _Doses:
+    """The parts between doses, and by what the amounts of each state are divided.
+
+    Parameters
+    ----------
+    parts : the trajectories.
+    volumes : state -> a number, or the name of an unknown one.
+    unknown : those of them that are unknown.
+    """
+
+    parts: Sequence[Trajectory]
+    volumes: Mapping[str, float | str]
+    unknown: Mapping[str, str]
+
+    @cached_property
+    def names(self) -> list[str]:
+        """The unknown volumes, each once."""
+        return list(dict.fromkeys(self.unknown.values()))
+
+    @cached_property
+    def spread(self) -> float:
+        """Standard deviation of all measured values; 1 where there is none."""
+        spread = float(np.std(np.concatenate([part.observed.ravel() for part in self.parts])))
+        return spread if spread > 0 else 1.0
+
+    def residuals(self, found: Discovery, sizes: np.ndarray) -> np.ndarray:
+        """Give the residuals of the states with unknown volumes, in units of the spread.
+
+        Parameters
+        ----------
+        found : the equations.
+        sizes : logarithms of the unknown volumes.
+        """
+        by_name = dict(zip(self.names, np.exp(sizes).tolist(), strict=True))
+        known = {s: by_name[v] if isinstance(v, str) else v for s, v in self.volumes.items()}
+        rows = []
+        states = list(found.equations)
+        for part in self.parts:
+            x = _follow(found, part, known)
+            for state in self.unknown:
+                seen = part.observed[:, part.index(state)]
+                there = np.isfinite(seen)
+                rows.append((x[:, states.index(state)] - seen)[there])
+        return np.concatenate(rows) / self.spread
+
+
+def _fit(
+    found: Discovery, volumes: Mapping[str, float | str], unknown: Mapping[str, str]
+) -> dict[str, Parameter]:
     parts = [part for part in found.trajectories if isinstance(part.origin.get("dosing"), Dosing)]
     if not any(_given_before(part, set(unknown)) for part in parts):
         raise InputError("no trajectory has rows after a dose")
-    names = list(dict.fromkeys(unknown.values()))
+    doses = _Doses(parts, volumes, unknown)
+    names = doses.names
     guess = [_guess(parts, {s for s, own in unknown.items() if own == name}) for name in names]
-    residuals = partial(_residuals, found, parts, unknown, names)
-    fit = least_squares(residuals, np.log(guess), method="lm")
+    fit = least_squares(partial(doses.residuals, found), np.log(guess), method="lm")
     rows = len(fit.fun) - len(names)
     if rows < 1 or not np.all(np.isfinite(fit.x)):
         raise InputError("the rows after doses are too few")
     inverse = np.linalg.pinv(fit.jac.T @ fit.jac)
     spread = inverse * float(fit.fun @ fit.fun) / rows
-    spread = spread + _from_constants(found, parts, unknown, names, fit.x, inverse @ fit.jac.T)
+    spread = spread + _from_constants(found, doses, fit.x, inverse @ fit.jac.T)
     errors = np.sqrt(np.diag(spread))
-    volumes = {}
+    fitted = {}
     for name, size, error in zip(names, fit.x.tolist(), errors.tolist(), strict=True):
         own = tuple(state for state, volume in unknown.items() if volume == name)
         low, high = (float(np.exp(size + side * found.reach * error)) for side in (-1, 1))
         value = math.exp(size)
         of = f"the volume of doses of {', '.join(own)}"
-        volumes[name] = Parameter(name, value, value * error, low, high, of=of, states=own)
-    return volumes
+        fitted[name] = Parameter(name, value, value * error, low, high, of=of, states=own)
+    return fitted
 
 
 def _from_constants(
-    found: Discovery,
-    parts: Sequence[Trajectory],
-    unknown: Mapping[str, str],
-    names: Sequence[str],
-    sizes: np.ndarray,
-    gain: np.ndarray,
+    found: Discovery, doses: _Doses, sizes: np.ndarray, gain: np.ndarray
 ) -> np.ndarray:
     """Give the covariance that volumes have from that of the constants of the equations."""
     parameters = found.parameters
     if not parameters:
-        return np.zeros((len(names), len(names)))
+        return np.zeros((len(sizes), len(sizes)))
     spread = found.covariance().to_numpy()
     values = np.array(list(parameters.numbers.values()))
 
     def at(constants: np.ndarray) -> np.ndarray:
         own = dict(zip(parameters, constants.tolist(), strict=True))
-        return _residuals(found.with_parameters(**own), parts, unknown, names, sizes)
+        return doses.residuals(found.with_parameters(**own), sizes)
 
     # A step by a fraction of the standard errors moves the residuals beyond the solver's errors.
     steps = np.sqrt(np.diag(spread)) / 4
     if not np.all(np.isfinite(steps) & (steps > 0)):
-        return np.full((len(names), len(names)), np.inf)
+        return np.full((len(sizes), len(sizes)), np.inf)
     slopes = np.reshape(approx_fprime(values, at, steps), (-1, len(values)))
     turned = gain @ slopes
     return np.asarray(turned @ spread @ turned.T)
@@ -127,29 +170,6 @@ def _guess(parts: Sequence[Trajectory], states: set[str]) -> float:
         if before and size.size and size[0] > 0:
             found.append(abs(before[-1]) / float(size[0]))
     return float(np.median(found)) if found else 1.0
-
-
-def _residuals(
-    found: Discovery,
-    parts: Sequence[Trajectory],
-    unknown: Mapping[str, str],
-    names: Sequence[str],
-    sizes: np.ndarray,
-) -> np.ndarray:
-    """Give the residuals of the states that have doses, in units of their spread."""
-    by_name = dict(zip(names, np.exp(sizes).tolist(), strict=True))
-    volumes = {state: split_volume(text)[1] for state, text in found.doses.items()}
-    known = {s: by_name[own] if isinstance(own, str) else own for s, own in volumes.items()}
-    rows = []
-    states = list(found.equations)
-    for part in parts:
-        x = _follow(found, part, known)
-        for state in unknown:
-            seen = part.observed[:, part.index(state)]
-            there = np.isfinite(seen)
-            rows.append((x[:, states.index(state)] - seen)[there])
-    spread = np.std(np.concatenate([part.observed.ravel() for part in parts]), where=True)
-    return np.concatenate(rows) / (float(spread) if spread > 0 else 1.0)
 
 
 def _follow(found: Discovery, part: Trajectory, volumes: Mapping[str, float]) -> np.ndarray:
