@@ -130,8 +130,7 @@ def score(
     """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, _say_to(json))
-    sources, _ = take_doses(files, doses, time_column, trajectory, decimal)
-    data = _load_for(found, sources, time_column, states, inputs, how)
+    data = _load_for(found, files, time_column, states, inputs, doses, how)
     scores = found.score(data, engine, options.read_hold(hold))
     if json:
         output.print_json(scores)
@@ -142,25 +141,28 @@ def score(
 
 def _load_for(
     found: Discovery,
-    files: Sequence[Any],
+    files: Sequence[Path],
     time_column: str | None,
     states: options.Names,
     inputs: options.Names,
+    doses: options.Names,
     how: tuple[Any, Any, Any, Any, Any],
 ) -> list[Trajectory]:
     """Read files with the columns of a discovery, where they have them and no others are named."""
+    trajectory, _, _, decimal, say = how
+    sources, _ = take_doses(files, doses, time_column, trajectory, decimal)
     asked = found.columns_asked if states is None and inputs is None else {}
     if asked:
         # Other data may have no doses, or other columns.
         for given in [found.doses, None] if found.doses else [None]:
             with suppress(InputError):
                 own = (asked["states"], asked["inputs"])
-                runs = load_table(files, time_column, *own, *how, doses=given)
+                runs = load_table(sources, time_column, *own, *how, doses=given)
                 if found.doses and given is None:
                     columns = ", ".join(found.doses.values())
-                    how[-1](f"no doses ({columns}) are in the data; --doses gives a table of them")
+                    say(f"no doses ({columns}) are in the data; --doses gives a table of them")
                 return runs
-    return load_table(files, time_column, states, inputs, *how)
+    return load_table(sources, time_column, states, inputs, *how)
 
 
 def profile(
@@ -195,8 +197,7 @@ def profile(
     """
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, _say_to(json))
-    sources, _ = take_doses(files, doses, time_column, trajectory, decimal)
-    data = _load_for(found, sources, time_column, states, inputs, how)
+    data = _load_for(found, files, time_column, states, inputs, doses, how)
     named = [found.profile(one, data) for one in constant or ()]
     profiles = named or found.profiles(data)
     known = found.identifiability(data)
@@ -263,8 +264,7 @@ def suggest(
 
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, _say_to(json))
-    sources, _ = take_doses(files, doses, time_column, trajectory, decimal)
-    data = _load_for(found, sources, time_column, states, inputs, how)
+    data = _load_for(found, files, time_column, states, inputs, doses, how)
     settings = SuggestionSettings(beyond=beyond)
     made = found.suggest(data, rows=rows, span=span, seed=seed, settings=settings)
     if json:
@@ -406,7 +406,7 @@ def export(
         files = [own]
     if files:
         how = (None, None, None, None, _say_to(json))
-        runs = _load_for(found, files, None, None, None, how)
+        runs = _load_for(found, files, None, None, None, None, how)
         found = replace(found, trajectories=tuple(cut_at_doses(runs, found.doses or None)))
     source = Source.of(found)
     if out is not None:

@@ -61,7 +61,8 @@ def merge_doses(
     Gives also state -> column of its amounts, by a column of states, or where there is one state.
     """
     find_nonmem(doses, doses.label)
-    when, given = find_time(data, time), _times_of(doses, data, time)
+    when = find_time(data, time)
+    given = _times_of(doses, when.name, data.label)
     t, at = _in_one_unit(when, given, data.label, doses.label)
     runs, goes_to, shared = _runs(data, doses, t, when, trajectory)
     amount = _amount(doses, {*given.columns, *shared})
@@ -93,12 +94,11 @@ def merge_doses(
             made.append((near + bool(before.size), at[dose], near, dose))
     made.sort(key=lambda one: one[:2])
     places = np.array([place for place, *_ in made], dtype=int)
-    copied = {*shared}
     values = []
     for name, column in zip(data.names, data.values, strict=True):
         if name in when.columns:
             new = [_raw(column, when, doses, given, dose, when_) for _, when_, _, dose in made]
-        elif name in copied:
+        elif name in shared:
             new = [column[near] for *_, near, _ in made]
         else:
             new = [np.nan if column.dtype.kind == "f" else None for _ in made]
@@ -118,15 +118,15 @@ def merge_doses(
     return found, {clean_name(name): column for name, column in names.items() if name}
 
 
-def _times_of(doses: Columns, data: Columns, time: str | None) -> Times:
-    name = find_time(data, time).name
+def _times_of(doses: Columns, name: str, label: str) -> Times:
+    """Give the times of doses, in the column that is called as that of the data."""
     same = [own for own in doses.names if bare_name(own).lower() == bare_name(name).lower()]
     try:
         return find_time(doses, same[0] if same else None)
     except InputError:
         raise InputError(
             f"{doses.label} has no column of times (columns: {', '.join(doses.names)}); call it "
-            f"{name!r}, as in {data.label}"
+            f"{name!r}, as in {label}"
         ) from None
 
 

@@ -24,10 +24,11 @@ from dynsr.expression import check_name
 _DOSE = re.compile(
     r".*(dose|dosing|dosis|bolus|inject|injektion|spike|gabe).*|amt|amounts?", re.IGNORECASE
 )
-# Columns of NONMEM next to AMT: what kind a row is, and what repeats or lengthens a dose.
+# A column of amounts that is divided by a named volume, or by a number.
 _VOLUME = re.compile(
     r"(?P<column>.+?)\s*/\s*(?:(?P<name>[^\W\d]\w*)|(?P<number>\d[\d.]*(?:e[-+]?\d+)?))\s*"
 )
+# Columns of NONMEM next to AMT: what kind a row is, and what repeats or lengthens a dose.
 _KINDS = ("evid", "mdv", "cmt")
 _MORE = ("rate", "addl", "ii", "ss")
 
@@ -312,7 +313,7 @@ def cut_at_doses(
         return list(runs)
     said = read_doses(doses)
     volumes = {state: split_volume(text)[1] for state, text in said.items()}
-    doses = {state: split_volume(text)[0] for state, text in said.items()}
+    doses = columns_of_doses(said)
     columns, names = list(dict.fromkeys(doses.values())), runs[0].names
     states = [state for state in runs[0].states if state not in columns]
     for state, column in doses.items():

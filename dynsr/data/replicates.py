@@ -29,9 +29,9 @@ _FEWEST = 8
 # Copies differ by less than this share of how far they move, and the difference of one row tells
 # little of the next: half its mean squared step over its variance is 1 for independent values.
 _ALIKE = 0.3
+_WHITE = 0.5
 # Last digits that a summary moves by at least, so that nothing else is taken for one.
 _DIGITS = 20
-_WHITE = 0.5
 
 
 @dataclass(frozen=True)

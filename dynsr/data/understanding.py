@@ -487,10 +487,10 @@ def _make(
     start = np.min(times.within(grouping.codes)) if times.from_first else 0.0
     steps = np.concatenate([np.diff(run.t) for run in runs])
 
-    def in_unit(t: np.ndarray) -> np.ndarray:
-        return in_seconds_or_units(times, t - start, steps)[0]
+    def in_unit(t: np.ndarray) -> tuple[np.ndarray, str]:
+        return in_seconds_or_units(times, t - start, steps)
 
-    counted = [in_seconds_or_units(times, run.t - start, steps) for run in runs]
+    counted = [in_unit(run.t) for run in runs]
     unit = counted[0][1]
     functions = compile_numpy([parse(text, ["t"]) for text in asked.formulas.values()], ["t"])
     own = {name: columns.units.get(name) or bracketed_unit(name) for name in wanted}
@@ -526,7 +526,11 @@ def _make(
                 **origin,
                 "name": run.name,
                 **_label(run.name, grouping.trajectory),
-                **({"dosing": dosing[run.name].at(in_unit)} if run.name in dosing else {}),
+                **(
+                    {"dosing": dosing[run.name].at(lambda t: in_unit(t)[0])}
+                    if run.name in dosing
+                    else {}
+                ),
             },
             noise=_read_errors(run, roles, asked),
             hold=held,

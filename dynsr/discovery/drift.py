@@ -20,9 +20,9 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.discovery.following import open_constants
-from dynsr.expression import added_bits, differentiate, evaluate, expand_terms, shown
+from dynsr.expression import differentiate, evaluate, expand_terms, shown
 from dynsr.fit import constant_bits, refit, skeleton, tidy, with_floats
-from dynsr.library import Place, Written, find_turning, textbooks
+from dynsr.library import Place, Written, find_turning, structure_of, textbooks
 from dynsr.selection import (
     Subset,
     best_subsets,
@@ -352,7 +352,7 @@ def formula_bits(expr: sympy.Expr, rows: float, place: Place) -> float:
     expr, rows, place : the formula, the rows, and where it is.
     """
     loose = with_floats(expr).xreplace({TIME: _UNMEASURED})
-    written = textbooks().beside_bits(loose, place, Written()) + added_bits(loose)
+    written = structure_of({place.state: loose}, place.columns, place.states, place.angles)
     written += textbooks().driven_bits * (_UNMEASURED in loose.free_symbols)
     return written + len(open_constants({"": expr})[1]) * constant_bits(rows)
 
