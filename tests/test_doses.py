@@ -260,7 +260,7 @@ def test_doses_become_rows_of_the_data(tmp_path):
     assert {t: a for t, a in at.items() if a} == {0.0: 100.0, 12.0: 100.0}
     assert np.isnan(merged["conc"][first][merged["time"][first] == 12.0]).all()
     said = str(dynsr.describe(merged, doses={"conc": "amount/V"}))
-    assert "conc jumps by amount after 10 rows" in said
+    assert "conc jumps by amount/V (the volume V is fitted) after 10 rows" in said
 
 
 def test_a_table_of_doses_may_name_states_and_count_in_another_unit(tmp_path):
@@ -311,3 +311,94 @@ def test_amounts_in_another_unit_than_the_state_are_refused(tmp_path):
     assert "doses are in mg and conc is in mg/L" in wrong.output
     assert "--dose conc=amount/V" in wrong.output
     command_line.run("describe", data, "--doses", doses, "--dose", "conc=amount/V")
+
+
+def test_a_description_shows_by_which_volume_amounts_are_divided(tmp_path):
+    """A volume that is fitted is named, a number is shown, and JSON has both."""
+    path = write_doses(tmp_path / "doses.csv", "0")
+    shown = command_line.run("describe", path, "--dose", "conc=dose/V").stdout
+    assert "conc jumps by dose/V (the volume V is fitted) after 3 rows" in shown
+    found = dynsr.describe(path, doses={"conc": "dose/2.5"})
+    assert "conc jumps by dose/2.5 after" in str(found)
+    assert found.to_dict()["volumes"] == {"conc": "2.5"}
+
+
+def write_files(folder):
+    """Write the five subjects as files of their own, with a table of doses that names subjects."""
+    data, doses = write_subjects(folder)
+    head, *rows = data.read_text().split("\n")
+    files = []
+    for place in range(1, 6):
+        own = [row for row in rows if row.startswith(f"S{place},")]
+        files.append(folder / f"S{place}.csv")
+        files[-1].write_text("\n".join([head, *own]))
+    return files, doses
+
+
+def test_each_of_several_files_gets_the_doses_of_its_subject(tmp_path):
+    """The subjects of a table are in several files; one that no file has is named."""
+    files, doses = write_files(tmp_path)
+    asked = ("--doses", doses, "--dose", "conc=amount")
+    shown = command_line.run("describe", *files, *asked).stdout
+    assert "conc jumps by amount after 10 rows" in shown
+    lost = command_line.run("describe", *files[:4], *asked, code=2).output
+    assert "has doses of subject S5, of which no file has a row" in " ".join(lost.split())
+
+
+def test_a_table_of_doses_may_name_files(tmp_path):
+    """A column of files says where each dose belongs, where files have no column of subjects."""
+    files, doses = write_files(tmp_path)
+    for file in files:
+        rows = file.read_text().split("\n")
+        file.write_text("\n".join(row.split(",", 1)[1] for row in rows))
+    doses.write_text(doses.read_text().replace("subject", "file", 1))
+    found = dynsr.describe(tmp_path / "S2.csv")
+    assert found.states == ("conc",)
+    shown = command_line.run("describe", *files, "--doses", doses).stdout
+    assert "conc jumps by amount after 10 rows" in shown
+    lost = command_line.run("describe", *files[1:], "--doses", doses, code=2).output
+    assert "has doses of file 'S1', which is not given" in " ".join(lost.split())
+
+
+def test_files_that_name_no_state_are_told_the_column_that_was_added(tmp_path):
+    """The remedy names the column of amounts, whichever of the files was read last."""
+    for name, states in (("a", "x,y"), ("b", "x,y")):
+        rows = [f"{t},{np.exp(-t)},{np.exp(-2 * t)}" for t in np.arange(10)]
+        (tmp_path / f"{name}.csv").write_text("\n".join([f"t,{states}", *rows]))
+    (tmp_path / "given.csv").write_text("t,amount\n2,5\n")
+    files = (tmp_path / "a.csv", tmp_path / "b.csv")
+    shown = command_line.run("describe", *files, "--doses", tmp_path / "given.csv", code=2).output
+    assert "--dose x=amount, or --dose x=amount/V" in " ".join(shown.split())
+
+
+def test_a_batch_takes_a_table_of_doses(tmp_path):
+    """Each file of a batch gets its own doses, by the column of files or else all of them."""
+    rates = {"slow": 0.3, "fast": 0.6}
+    for name, rate in rates.items():
+        t = np.arange(0, 24.5, 0.5)
+        x = sum(np.where(t > at, 10 * np.exp(-rate * (t - at)), 0.0) for at in (0, 8))
+        rows = [f"{a},{b!r}" for a, b in zip(t.tolist(), x.tolist(), strict=True)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["time,conc", *rows]))
+    given = [f"{name},{at},10" for name in rates for at in (0, 8)]
+    (tmp_path / "given.csv").write_text("\n".join(["file,time,amount", *given]))
+    files = [tmp_path / f"{name}.csv" for name in rates]
+    asked = ("--preset", "quick", "-q", "-j", 1, "-o", tmp_path / "out", "--json")
+    shown = command_line.run(
+        "discover", *files, "--batch", "--doses", tmp_path / "given.csv", *asked
+    ).stdout
+    assert [row["equations"] for row in json.loads(shown)] == [
+        ["conc' = -0.3*conc"],
+        ["conc' = -0.6*conc"],
+    ]
+
+
+def test_a_column_of_doses_may_have_another_name_in_further_data(tmp_path):
+    """--dose says the column without a table of doses, also for score."""
+    path = write_doses(tmp_path / "doses.csv", "0")
+    found = dynsr.discover(path, doses={"conc": "dose"}, preset="quick", jobs=1)
+    found.save(tmp_path / "found.json")
+    other = tmp_path / "other.csv"
+    other.write_text(path.read_text().replace("dose", "bolus"))
+    asked = ("score", tmp_path / "found.json", other, "--json", "--dose", "conc=bolus")
+    shown = command_line.run(*asked).stdout
+    assert json.loads(shown)["conc"]["trajectory_rmse"] < 1e-3

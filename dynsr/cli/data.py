@@ -29,39 +29,26 @@ def take_doses(
     decimal: str | None,
 ) -> tuple[list[Any], dict[str, str] | None]:
     """Give the sources with the doses of a table of their own, and state -> column of amounts."""
-    from dynsr.data import load_columns, merge_doses
-
-    texts = options.read_names(doses, "--doses") or []
-    tables = list_dose_tables(doses)
-    said = options.read_doses([text for text in texts if text not in tables])
-    if not tables:
+    said, table = read_doses(doses)
+    if table is None:
         return list(files), said
+    from dynsr.data import load_with_doses
+
+    return load_with_doses(files, table, said, time_column, trajectory, decimal)
+
+
+def read_doses(doses: options.Names) -> tuple[dict[str, str] | None, Path | None]:
+    """Tell state -> column of amounts, and the table of doses, where --doses names one.
+
+    >>> read_doses(["x=dose/2.5", "given.csv"])
+    ({'x': 'dose/2.5'}, PosixPath('given.csv'))
+    """
+    texts = options.read_names(doses, "--doses") or []
+    tables = [text for text in texts if "=" not in text and Path(text).suffix]
     if len(tables) > 1:
         raise InputError(f"--doses names {len(tables)} tables; put all doses into one")
-    given = load_columns(tables[0], decimal)
-    found: dict[str, str] = {}
-    sources = []
-    for file in files:
-        columns = load_columns(file, decimal)
-        source, found = merge_doses(columns, given, time_column, trajectory)
-        sources.append(source)
-    if not (said or found):
-        column = next(name for name in sources[0].names if name not in columns.names)
-        raise InputError(
-            f"{tables[0]!r} does not say which state its doses go to: --dose x={column}, or "
-            f"--dose x={column}/V with a volume V that is fitted"
-        )
-    return sources, said or found
-
-
-def list_dose_tables(doses: options.Names) -> list[str]:
-    """Give what --doses names that is a file and no pair.
-
-    >>> list_dose_tables(["x=dose/2.5", "given.csv"])
-    ['given.csv']
-    """
-    texts = options.read_names(doses) or []
-    return [text for text in texts if "=" not in text and Path(text).suffix]
+    said = options.read_doses([text for text in texts if text not in tables])
+    return said, Path(tables[0]) if tables else None
 
 
 def load_table(

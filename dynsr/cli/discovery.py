@@ -14,8 +14,8 @@ from rich.text import Text
 
 from dynsr.cli import options, output
 from dynsr.cli.data import (
-    list_dose_tables,
     load_table,
+    read_doses,
     read_equations,
     split_inputs,
     take_doses,
@@ -399,11 +399,7 @@ def discover(
     if batch:
         if system:
             raise InputError("--batch goes with files of data; leave --system out")
-        if tables := list_dose_tables(doses):
-            raise InputError(
-                f"--batch takes no table of doses such as {tables[0]!r}; give each file a column "
-                "of amounts"
-            )
+        said, table = read_doses(doses)
         asked |= {
             "time": time_column,
             "states": options.read_names(states, "--states"),
@@ -413,7 +409,8 @@ def discover(
             "quantity": quantity,
             "decimal": decimal,
             "noise": options.read_noise(noise),
-            "doses": options.read_doses(doses),
+            "doses": said,
+            "dose_table": table,
         }
         _discover_each(files or [], out, asked, jobs, json, quiet)
         return

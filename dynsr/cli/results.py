@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynsr.cli import options, output
-from dynsr.cli.data import load_discovery, load_table, take_doses
+from dynsr.cli.data import load_discovery, load_table, read_doses, take_doses
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
@@ -149,15 +149,25 @@ def _load_for(
     how: tuple[Any, Any, Any, Any, Any],
 ) -> list[Trajectory]:
     """Read files with the columns of a discovery, where they have them and no others are named."""
+    from dynsr.data import clean_doses, cut_at_doses
+
     trajectory, _, _, decimal, say = how
-    sources, _ = take_doses(files, doses, time_column, trajectory, decimal)
+    said, _ = read_doses(doses)
+    sources, of_table = take_doses(files, doses, time_column, trajectory, decimal)
     asked = found.columns_asked if states is None and inputs is None else {}
+    own = (asked["states"], asked["inputs"]) if asked else (states, inputs)
+
+    def load(given: dict[str, str] | None) -> list[Trajectory]:
+        runs = load_table(sources, time_column, *own, *how, doses=given)
+        return cut_at_doses(runs, clean_doses(given) or None)
+
+    if said:
+        return load(said)
     if asked:
         # Other data may have no doses, or other columns.
-        for given in [found.doses, None] if found.doses else [None]:
+        for given in [*filter(None, (found.doses, of_table)), None]:
             with suppress(InputError):
-                own = (asked["states"], asked["inputs"])
-                runs = load_table(sources, time_column, *own, *how, doses=given)
+                runs = load(given)
                 if found.doses and given is None:
                     columns = ", ".join(found.doses.values())
                     say(f"no doses ({columns}) are in the data; --doses gives a table of them")
@@ -386,7 +396,6 @@ def export(
     """Write a saved discovery, with named parameters, for another tool."""
     from dataclasses import replace
 
-    from dynsr.data import cut_at_doses
     from dynsr.export import FORMATS, Source, find_format, save_format, write_format
 
     if to is None:
@@ -407,7 +416,7 @@ def export(
     if files:
         how = (None, None, None, None, _say_to(json))
         runs = _load_for(found, files, None, None, None, None, how)
-        found = replace(found, trajectories=tuple(cut_at_doses(runs, found.doses or None)))
+        found = replace(found, trajectories=tuple(runs))
     source = Source.of(found)
     if out is not None:
         written = save_format(source, to, out, force)

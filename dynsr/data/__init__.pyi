@@ -3,8 +3,8 @@ from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
 from .columns import Columns, bracketed_unit, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
-from .dose_tables import add_doses, merge_doses
-from .dosing import Dosing, clean_dose, cut_at_doses, split_volume
+from .dose_tables import add_doses, load_with_doses
+from .dosing import Dosing, clean_dose, clean_doses, cut_at_doses, split_volume
 from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .known_noise import KnownNoise
@@ -84,6 +84,7 @@ __all__ = [
     "choose_second_samples",
     "choose_windows",
     "clean_dose",
+    "clean_doses",
     "column_units",
     "columns_of",
     "cut_at_doses",
@@ -100,9 +101,9 @@ __all__ = [
     "is_part",
     "join_samples",
     "load_columns",
+    "load_with_doses",
     "make_samples",
     "measurement_noise",
-    "merge_doses",
     "near_rows_leave_open",
     "odd_states",
     "odd_times",

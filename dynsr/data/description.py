@@ -103,6 +103,8 @@ class Description:
     noise : state -> the column of its measurement errors.
     doses : state -> the column of the amounts by which it jumps.
     given : state -> how many rows have such an amount.
+    volumes : state -> what its amounts are divided by: a number, or the name of a volume that is
+        fitted.
     labels : columns that only distinguish trajectories.
     left_out : column that is not used -> why.
     notes : sentences on what was noticed, assumed, or looks odd.
@@ -127,6 +129,7 @@ class Description:
     options: Mapping[str, str] = field(default_factory=dict)
     doses: Mapping[str, str] = field(default_factory=dict)
     given: Mapping[str, int] = field(default_factory=dict)
+    volumes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:
@@ -152,7 +155,7 @@ class Description:
         ]
         if inputs:
             clauses.append(f"inputs {', '.join(inputs)}")
-        clauses += [f"{state} jumps by {column}" for state, column in self.doses.items()]
+        clauses += [f"{state} jumps by {self._dose(state)}" for state in self.doses]
         if self.parameters:
             names = ", ".join(self.parameters)
             clauses.append(f"constant within each trajectory, so taken for parameters: {names}")
@@ -196,6 +199,7 @@ class Description:
             "renamed": dict(self.renamed),
             "noise": dict(self.noise),
             "doses": dict(self.doses),
+            "volumes": dict(self.volumes),
             "labels": list(self.labels),
             "left_out": dict(self.left_out),
             "notes": list(self.notes),
@@ -235,16 +239,22 @@ class Description:
         yield (
             "doses",
             [
-                f"{state} jumps by {column} after {_count_rows(self.given[state])}"
+                f"{state} jumps by {self._dose(state)} after {_count_rows(self.given[state])}"
                 if self.given[state]
-                else f"{state} jumps by {column} where a trajectory begins"
-                for state, column in self.doses.items()
+                else f"{state} jumps by {self._dose(state)} where a trajectory begins"
+                for state in self.doses
             ],
         )
         yield "labels", [", ".join(map(repr, self.labels))] if self.labels else []
         yield "left out", [f"{column!r}: {why}" for column, why in self.left_out.items()]
         yield "notes", list(self.notes)
         yield "options", [f"{option}   {effect}" for option, effect in self.options.items()]
+
+    def _dose(self, state: str) -> str:
+        volume = self.volumes.get(state, "")
+        fitted = volume.isidentifier()
+        divided = f"{self.doses[state]}/{volume}" if volume else self.doses[state]
+        return f"{divided} (the volume {volume} is fitted)" if fitted else divided
 
     def _named(self, name: str) -> str:
         said = f"{name} [{self.units[name]}]" if name in self.units else name
@@ -280,6 +290,7 @@ def describe_runs(
     formulas: Mapping[str, str],
     left_out: Mapping[str, str],
     notes: Sequence[str],
+    volumes: Mapping[str, str] | None = None,
 ) -> Description:
     """Say how a table was understood.
 
@@ -291,6 +302,7 @@ def describe_runs(
     formulas : inputs that are expressions in ``t``.
     left_out : column that is not used -> why.
     notes : sentences on what was noticed.
+    volumes : state of the source -> what its doses are divided by.
     """
     steps = np.concatenate([np.diff(run.t) for run in runs])
     time = TimeColumn(
@@ -323,6 +335,7 @@ def describe_runs(
         tuple(notes),
         doses=doses,
         given=_count_given(runs, doses),
+        volumes={used[state]: volume for state, volume in (volumes or {}).items()},
     )
     amounts = [used[name] for name in roles.amounts]
     return replace(found, options=dict(_options(found, amounts)))
@@ -415,6 +428,7 @@ def join_descriptions(
         notes=tuple(dict.fromkeys(notes)),
         doses=doses,
         given=_count_given(runs, doses),
+        volumes={state: volume for part in parts for state, volume in part.volumes.items()},
     )
 
 

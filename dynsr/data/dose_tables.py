@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from dynsr.data.times import convert_times
 from dynsr.errors import InputError
 
 _STATES = ("state", "compartment", "variable", "quantity")
+_FILES = ("file", "filename")
 
 
 @checked
@@ -45,26 +48,106 @@ def add_doses(
     >>> add_doses(data, {"t": [0.0], "amount": [5.0]})["amount"].tolist()
     [5.0, 0.0, 0.0]
     """
-    columns, _ = merge_doses(load_columns(data), load_columns(doses), time, trajectory)
-    return dict(zip(columns.names, columns.values, strict=True))
+    columns, given = load_columns(data), load_columns(doses)
+    merged = _merge(columns, given, time, trajectory)
+    _refuse_lost(merged.lost, given, f"{columns.label} has no row")
+    return dict(zip(merged.columns.names, merged.columns.values, strict=True))
 
 
-def merge_doses(
-    data: Columns, doses: Columns, time: str | None = None, trajectory: str | None = None
-) -> tuple[Columns, dict[str, str]]:
+def load_with_doses(
+    files: Sequence[str | Path],
+    doses: str | Path,
+    said: Mapping[str, str] | None = None,
+    time: str | None = None,
+    trajectory: str | None = None,
+    decimal: str | None = None,
+    *,
+    others: Sequence[str | Path] = (),
+) -> tuple[list[Columns], dict[str, str]]:
+    """Load files with the doses of one table, as :func:`add_doses` adds them to each.
+
+    Parameters
+    ----------
+    files : the measurements, at least one. Where a column ``file`` of the doses names files, each
+        gets its own; else each gets the doses of the trajectories that it has.
+    doses : the table of doses.
+    said : state -> column of amounts, or ``column/volume``, where the caller says it.
+    time, trajectory : as for :func:`add_doses`.
+    decimal : as for :func:`load_columns`.
+    others : further files that the column ``file`` may name.
+
+    Gives the columns of each file, and state -> column of its amounts. Raises InputError when the
+    tables do not fit together, or nothing says which state the doses go to.
+    """
+    given = load_columns(doses, decimal)
+    column = next((n for n in given.names if bare_name(n).lower() in _FILES), None)
+    named = [] if column is None else _cells(given, column)
+    known = {name for file in (*files, *others) for name in _names_of(file)}
+    if unknown := [name for name in named if name not in known]:
+        raise InputError(f"{given.label} has doses of file {unknown[0]!r}, which is not given")
+    merged = []
+    for file in files:
+        own = np.array([name in _names_of(file) for name in named]) if named else None
+        merged.append(_merge(load_columns(file, decimal), given, time, trajectory, own))
+    for one in merged if named else ():
+        _refuse_lost(one.lost, given, f"{one.columns.label} has no row")
+    lost = {n: words for n, words in merged[0].lost.items() if all(n in m.lost for m in merged)}
+    many = len(files) > 1
+    _refuse_lost(lost, given, "no file has a row" if many else f"{files[0]} has no row")
+    found = dict(said or {}) or {s: name for one in merged for s, name in one.goes_to.items()}
+    if not found:
+        amount = merged[0].columns.names[-1]
+        raise InputError(
+            f"{given.label!r} does not say which state its doses go to: --dose x={amount}, or "
+            f"--dose x={amount}/V with a volume V that is fitted"
+        )
+    return [one.columns for one in merged], found
+
+
+def _names_of(file: str | Path) -> tuple[str, ...]:
+    return str(file), Path(file).name, Path(file).stem
+
+
+def _refuse_lost(lost: Mapping[int, str], doses: Columns, where: str) -> None:
+    for words in lost.values():
+        raise InputError(f"{doses.label} has doses of {words}, of which {where}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Merged:
+    """Data with the doses of a table.
+
+    Parameters
+    ----------
+    columns : the data, with columns of amounts as the last.
+    goes_to : state -> column of its amounts, by a column of states, or where there is one state.
+    lost : row of a dose whose trajectory the data do not have -> what names that trajectory.
+    """
+
+    columns: Columns
+    goes_to: Mapping[str, str]
+    lost: Mapping[int, str]
+
+
+def _merge(
+    data: Columns,
+    doses: Columns,
+    time: str | None = None,
+    trajectory: str | None = None,
+    own: np.ndarray | None = None,
+) -> _Merged:
     """Merge the columns of data and of doses, as :func:`add_doses` does.
 
     Parameters
     ----------
     data, doses, time, trajectory : as for :func:`add_doses`.
-
-    Gives also state -> column of its amounts, by a column of states, or where there is one state.
+    own : whether each row of the doses belongs to these data; all by default.
     """
     find_nonmem(doses, doses.label)
     when = find_time(data, time)
     given = _times_of(doses, when.name, data.label)
     t, at = _in_one_unit(when, given, data.label, doses.label)
-    runs, goes_to, shared = _runs(data, doses, t, when, trajectory)
+    runs, goes_to, shared, lost = _runs(data, doses, t, when, trajectory)
     amount = _amount(doses, {*given.columns, *shared})
     amounts = np.nan_to_num(doses.values[doses.names.index(amount)].astype(float))
     state = next((n for n in doses.names if bare_name(n).lower() in _STATES), None)
@@ -81,7 +164,8 @@ def merge_doses(
     # Each dose goes into the row of its time, or into a new one behind the last row before it.
     length = len(t)
     rows, made = {name: np.zeros(length) for name in names.values()}, []
-    for dose in np.flatnonzero(amounts).tolist():
+    used = np.ones(len(at), dtype=bool) if own is None else own
+    for dose in np.flatnonzero((amounts != 0) & used).tolist():
         for run in goes_to[dose]:
             there = np.flatnonzero(runs == run)
             same = there[t[there] == at[dose]]
@@ -111,11 +195,12 @@ def merge_doses(
         values.append(np.insert(column, places, new))
     found = replace(data, names=(*data.names, *rows), values=tuple(values))
     if states == [""]:
-        used = {*when.columns, *shared}
+        labels = {*when.columns, *shared}
         pairs = zip(data.names, data.values, strict=True)
-        states = [name for name, v in pairs if v.dtype.kind == "f" and name not in used]
+        states = [name for name, v in pairs if v.dtype.kind == "f" and name not in labels]
         names = dict.fromkeys(states, amount) if len(states) == 1 else {}
-    return found, {clean_name(name): column for name, column in names.items() if name}
+    to = {clean_name(name): column for name, column in names.items() if name}
+    return _Merged(found, to, {dose: words for dose, words in lost.items() if used[dose]})
 
 
 def _times_of(doses: Columns, name: str, label: str) -> Times:
@@ -155,8 +240,11 @@ def _in_one_unit(
 
 def _runs(
     data: Columns, doses: Columns, t: np.ndarray, when: Times, trajectory: str | None
-) -> tuple[np.ndarray, list[list[int]], list[str]]:
-    """Give the number of the run of each row, the runs of each dose, and the columns of both."""
+) -> tuple[np.ndarray, list[list[int]], list[str], dict[int, str]]:
+    """Give the number of the run of each row, the runs of each dose, and the columns of both.
+
+    Also row of a dose that has no run -> what names that run.
+    """
     count = len(doses.values[0])
     shared = [
         n for n in doses.names if n in data.names and n not in when.columns and _is_label(data, n)
@@ -165,17 +253,19 @@ def _runs(
         shared = [find_column(trajectory, data, "trajectory")]
     if not shared:
         codes = find_restarts(t)
-        return codes, [np.unique(codes).tolist()] * count, []
+        return codes, [np.unique(codes).tolist()] * count, [], {}
     keys = list(zip(*(_cells(data, name) for name in shared), strict=True))
     number = {key: place for place, key in enumerate(dict.fromkeys(keys))}
     codes = np.array([number[key] for key in keys])
     if shared[0] not in doses.names:
-        return codes, [list(number.values())] * count, shared
+        return codes, [list(number.values())] * count, shared, {}
     wanted = list(zip(*(_cells(doses, name) for name in shared), strict=True))
-    if lost := [key for key in wanted if key not in number]:
-        named = ", ".join(f"{n} {c}" for n, c in zip(shared, lost[0], strict=True))
-        raise InputError(f"{doses.label} has doses of {named}, of which {data.label} has no row")
-    return codes, [[number[key]] for key in wanted], shared
+    lost = {
+        dose: ", ".join(f"{n} {c}" for n, c in zip(shared, key, strict=True))
+        for dose, key in enumerate(wanted)
+        if key not in number
+    }
+    return codes, [[number[key]] if key in number else [] for key in wanted], shared, lost
 
 
 def _is_label(columns: Columns, name: str) -> bool:

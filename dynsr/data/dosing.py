@@ -175,6 +175,19 @@ def clean_dose(text: str) -> str:
     return clean_name(column) + ("" if volume == 1.0 else f"/{volume}")
 
 
+def clean_doses(doses: Mapping[str, str] | None) -> dict[str, str]:
+    """Give state -> ``column/volume``, both as formulas name them.
+
+    Parameters
+    ----------
+    doses : by the names of the source; None for no doses.
+
+    >>> clean_doses({"conc (mg/L)": "dose (mg)/V"})
+    {'conc': 'dose/V'}
+    """
+    return {clean_name(state): clean_dose(text) for state, text in read_doses(doses).items()}
+
+
 def find_amounts(columns: Columns, names: Sequence[str], codes: np.ndarray) -> list[str]:
     """Find columns of amounts that are given at a moment: a few rows have one, none its neighbour.
 

@@ -20,11 +20,11 @@ import sympy
 
 from dynsr.data.columns import Columns, beside, load_columns, names_of_states, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
-from dynsr.data.dosing import clean_dose, columns_of_doses, cut_at_doses, read_doses, split_volume
+from dynsr.data.dosing import clean_doses, columns_of_doses, cut_at_doses, read_doses, split_volume
 from dynsr.data.grouping import find_restarts
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
-from dynsr.data.names import clean_name
+from dynsr.data.names import clean_name, find_column
 from dynsr.data.oddities import OddSettings, odd_marks
 from dynsr.data.roles import Roles
 from dynsr.data.steps import between_rows
@@ -164,10 +164,26 @@ def read_trajectories(
     found = replace(found, notes=(*found.notes, *marks))
     runs = settle_hold(say_noise(found.runs, noise, found.roles.renamed), hold)
     understood = describe_runs(
-        columns.label, runs, found.roles, asked.formulas, found.left_out, found.notes
+        columns.label,
+        runs,
+        found.roles,
+        asked.formulas,
+        found.left_out,
+        found.notes,
+        _volumes(read_doses(doses), columns),
     )
     told = _told(runs, understood.sentence, understood)
     return replace(told, roles=found.roles, left_out=found.left_out, notes=found.notes)
+
+
+def _volumes(doses: Mapping[str, str], columns: Columns) -> dict[str, str]:
+    """Give state of the source -> what its amounts are divided by, where they are."""
+    split = {state: split_volume(text)[1] for state, text in doses.items()}
+    return {
+        find_column(state, columns, "state"): volume if isinstance(volume, str) else f"{volume:g}"
+        for state, volume in split.items()
+        if volume != 1.0
+    }
 
 
 def _check_dose_units(run: Trajectory, doses: Mapping[str, str], roles: Roles) -> None:
@@ -596,8 +612,7 @@ def take_trajectories(
         raise InputError("there is no trajectory in the data; give at least one")
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
-    named_so = {clean_name(state): clean_dose(own) for state, own in given.items()}
-    runs = cut_at_doses(say_noise(runs, noise, {}), named_so or None)
+    runs = cut_at_doses(say_noise(runs, noise, {}), clean_doses(given or None) or None)
     short = min(runs, key=len)
     if len(short) < FEWEST_ROWS:
         raise InputError(

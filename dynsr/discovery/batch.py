@@ -13,6 +13,7 @@ from typing import Any
 from joblib import effective_n_jobs
 
 from dynsr import __version__
+from dynsr.data import Columns, load_with_doses
 from dynsr.discovery.orders import write_lines
 from dynsr.discovery.search import discover
 from dynsr.errors import DynsrError, InputError, one_line
@@ -65,6 +66,7 @@ def discover_each(
     *,
     jobs: int = -1,
     progress: Callable[[Step], None] | None = None,
+    dose_table: str | Path | None = None,
     **settings: Any,
 ) -> list[Discovered]:
     """Find the equations of each of many files, which are no runs of one system.
@@ -78,6 +80,8 @@ def discover_each(
     jobs : files at a time; -1 for one a core. The joblib backend in force is used, so
         ``joblib.parallel_config("dask")`` spreads them over a cluster.
     progress : called with a :class:`Step` as files end, and every half second in between.
+    dose_table : a table of the doses of all files, as :func:`dynsr.add_doses` takes it. A column
+        ``file`` names the file of each dose.
     settings : of :func:`discover`, the same for all files.
 
     Gives one record for each file, in their order. A file that cannot be used has a record that
@@ -100,11 +104,12 @@ def discover_each(
     if twice:
         raise InputError(f"file {twice[0]!r} is given twice; give it once")
     folder = RunFolder(Path(out).absolute())
+    given = _Doses(Path(dose_table), tuple(map(Path, files))) if dose_table is not None else None
     shared = {"version": __version__, "settings": fingerprint(repr(to_plain(settings)))}
     folder.claim("batch", shared, alone=(EACH,))
     assert folder.path is not None
     tasks = [
-        _make_task(Path(file), name, folder.path / EACH / name, settings)
+        _make_task(Path(file), name, folder.path / EACH / name, settings, given)
         for file, name in zip(files, _names([Path(file) for file in files]), strict=True)
     ]
     workers = effective_n_jobs(check_jobs(jobs))
@@ -122,10 +127,27 @@ def _names(files: Sequence[Path]) -> list[str]:
     return found
 
 
-def _make_task(file: Path, name: str, out: Path, settings: Mapping[str, Any]) -> Task:
-    content = file.read_bytes() if file.is_file() else b""
-    key = fingerprint(content, repr(to_plain(dict(settings))), __version__)
-    arguments = (file, out.with_name(f"{out.name}-{key}"), dict(settings))
+@dataclass(frozen=True)
+class _Doses:
+    """The doses of a batch.
+
+    Parameters
+    ----------
+    table : of the doses.
+    files : of the measurements, which the table may name.
+    """
+
+    table: Path
+    files: tuple[Path, ...]
+
+
+def _make_task(
+    file: Path, name: str, out: Path, settings: Mapping[str, Any], doses: _Doses | None
+) -> Task:
+    read = [file] if doses is None else [file, doses.table]
+    content = [own.read_bytes() if own.is_file() else b"" for own in read]
+    key = fingerprint(*content, repr(to_plain(dict(settings))), __version__)
+    arguments = (file, out.with_name(f"{out.name}-{key}"), dict(settings), doses)
     died = partial(_died, file)
     return Task(name, str(file), discover_one, arguments, Discovered, key, _USUAL, died)
 
@@ -135,7 +157,9 @@ def _died(file: Path, reason: str) -> Discovered:
     return Discovered(str(file), FAILED, reason, (), 0.0)
 
 
-def discover_one(file: Path, out: Path, settings: Mapping[str, Any], report: Report) -> Discovered:
+def discover_one(
+    file: Path, out: Path, settings: Mapping[str, Any], doses: _Doses | None, report: Report
+) -> Discovered:
     """Find the equations of one file of a batch.
 
     Parameters
@@ -143,11 +167,13 @@ def discover_one(file: Path, out: Path, settings: Mapping[str, Any], report: Rep
     file : the table.
     out : the folder of its discovery.
     settings : of :func:`discover`.
+    doses : their table, where there is one.
     report : hears of the search.
     """
     began = time.monotonic()
     try:
-        found = discover(file, out=out, jobs=1, progress=False, **settings)
+        data, used = (file, settings) if doses is None else _with_doses(file, settings, doses)
+        found = discover(data, out=out, jobs=1, progress=False, **used)
     except (DynsrError, MemoryError) as error:
         reason = one_line(error) or type(error).__name__
         return Discovered(str(file), FAILED, reason, (), time.monotonic() - began)
@@ -155,3 +181,11 @@ def discover_one(file: Path, out: Path, settings: Mapping[str, Any], report: Rep
     taken = time.monotonic() - began
     level, reason = found.verdict.level, found.verdict.reason
     return Discovered(str(file), level, reason, lines, taken, found.complete)
+
+
+def _with_doses(
+    file: Path, settings: Mapping[str, Any], doses: _Doses
+) -> tuple[Columns, dict[str, Any]]:
+    asked = (settings.get(name) for name in ("doses", "time", "trajectory", "decimal"))
+    columns, given = load_with_doses([file], doses.table, *asked, others=doses.files)
+    return columns[0], {**settings, "doses": given}
