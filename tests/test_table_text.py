@@ -1,5 +1,7 @@
 """Delimited text as instruments, programs and people write it: what is in it is read and told."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -63,7 +65,7 @@ def test_lines_above_the_names_are_skipped_and_told(tmp_path, form, write):
     assert read_names_only(tmp_path / "pump.csv") == columns.names
     silent = form.startswith("sep=") or form == "comments"
     assert len(columns.notes) == (not silent)
-    assert silent or "pump.csv above its table have no data; skipped" in columns.notes[0]
+    assert silent or re.search(r"above its table ha(s|ve) no data; skipped", columns.notes[0])
 
 
 UNITS = {

@@ -7,7 +7,7 @@ from command_line import run
 from scipy.integrate import solve_ivp
 
 import dynsr
-from dynsr.data.columns import bracketed_unit
+from dynsr.data.name_parts import bracketed_unit
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError, MissingExtra
 from dynsr.expression.dimensions import read_units

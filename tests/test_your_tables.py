@@ -64,6 +64,78 @@ FORMS = {
         "t,turned,T\n" + rows(lambda k: f"{k},{100 / FALL[k]:.2f} %,{FALL[k]:.2f} C"),
         {"states": ["turned", "T"], "units": {"turned": "%", "T": "C"}},
     ),
+    "remarks in one row.csv": (
+        "t,T,Comment\n" + rows(lambda k: f"{k},{FALL[k]:.3f},{'start' if k == 3 else ''}"),
+        {"states": ["T"], "left out": ["Comment"]},
+    ),
+    "steps of a program.csv": (
+        "Test_Time(s),Step_Time(s),Step_Index,Cycle_Index,T\n"
+        + rows(lambda k: f"{k},{k % 4},{1 + k // 4},{1 + k // 12},{FALL[k]:.3f}"),
+        {"states": ["T"], "left out": ["Step_Time(s)", "Step_Index", "Cycle_Index"]},
+    ),
+    "a clock with points.csv": (
+        "Tid;T\n" + rows(lambda k: f"{at(k, '%H.%M', minutes=5)};{comma(FALL[k])}"),
+        {
+            "time": ("Tid", "min"),
+            "states": ["T"],
+            "to": 115.0,
+            "note": "hours and minutes, such as",
+        },
+    ),
+    "a clock of three numbers with points.csv": (
+        "Kl.;T\n" + rows(lambda k: f"{at(k, '%H.%M.%S', seconds=5)};{comma(FALL[k])}"),
+        {"time": ("Kl.", "s"), "states": ["T"], "to": 115.0},
+    ),
+    "a date and a clock with points.csv": (
+        "Tidspunkt;T\n" + rows(lambda k: f"{at(k, '%d-%m-%Y %H.%M', minutes=5)};{comma(FALL[k])}"),
+        {"time": ("Tidspunkt", "min"), "states": ["T"], "to": 115.0},
+    ),
+    "runs side by side.csv": (
+        "Time (min),S (mM),,Time (min),S (mM),\n"
+        + rows(lambda k: f"{k},{FALL[k]:.3f},,{k / 2},{FALL[k] / 2:.3f},"),
+        {"time": ("Time (min)", "min"), "states": ["S"], "runs": 2, "note": "2 runs side by side"},
+    ),
+    "runs side by side below their names.csv": (
+        "Run 1,,Run 2,\nTime,S,Time,S\n"
+        + rows(lambda k: f"{k},{FALL[k]:.3f},{k / 2},{FALL[k] / 2:.3f}"),
+        {"states": ["S"], "runs": 2},
+    ),
+    "numbered runs side by side.csv": (
+        "t1,S1,t2,S2\n" + rows(lambda k: f"{k},{FALL[k]:.3f},{k / 2},{FALL[k] / 2:.3f}"),
+        {"states": ["S"], "runs": 2},
+    ),
+    "runs by their start.csv": (
+        'Time,"S, S0 = 41","S, S0 = 20.5"\n'
+        + rows(lambda k: f"{k},{FALL[k]:.3f},{FALL[k] / 2:.3f}"),
+        {"states": ["S"], "runs": 2, "note": "called S0 41, 20.5"},
+    ),
+    "quantities with times of their own.csv": (
+        "Time,T,Time,p\n" + rows(lambda k: f"{k},{FALL[k]:.3f},{k + 0.5},{RISE[k]:.3f}"),
+        {"states": ["T", "p"], "rows": 2 * N, "note": "2 columns of times"},
+    ),
+    "a reader of plates.csv": (
+        "Application: i-control;;;\nSerial;1304003456\nPlate;96 flat\nWavelength;600;nm\n\n"
+        + "\n".join(
+            f"{name};" + ";".join(map(str, cells))
+            for name, cells in {
+                "Cycle Nr.": range(1, N + 1),
+                "Time [s]": np.arange(0.0, 900 * N, 900),
+                **{f"{row}{j}": (RISE * j).round(4) for row in "AB" for j in (1, 2, 3)},
+            }.items()
+        )
+        + "\n\nEnd Time:;26-11-2025 04:00\n",
+        {"time": ("Time [s]", "s"), "states": ["x"], "runs": 6, "note": "called well A1, A2"},
+    ),
+    "an oscilloscope.csv": (
+        "X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,-1.0e-03,2.0e-04,\n"
+        + rows(lambda k: f"{k},{FALL[k]:.2e},{RISE[k]:.2e},,,"),
+        {
+            "time": ("t [s]", "s"),
+            "states": ["CH1", "CH2"],
+            "to": -1e-3 + 2e-4 * (N - 1),
+            "note": "'X' counts rows of 0.0002 s",
+        },
+    ),
     "on and off.csv": (
         "t,T,pump,lid\n"
         + rows(

@@ -1,6 +1,6 @@
 from .catalogue import DEFINITIONS, find_definition
 from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
-from .columns import Columns, bracketed_unit, load_columns, read_names_only
+from .columns import Columns, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
 from .dose_tables import add_doses, load_with_doses
@@ -8,6 +8,7 @@ from .dosing import Dosing, clean_dose, clean_doses, cut_at_doses, split_volume
 from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .known_noise import KnownNoise
+from .name_parts import bracketed_unit
 from .noise_model import StateNoise, measurement_noise, robust_scale
 from .observation import at_own_rows, carry, told_rows
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values

@@ -12,16 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.data.amounts import is_unit
+from dynsr.data.name_parts import bare_name
 from dynsr.data.trajectory import as_floats, as_times, without_mask
 from dynsr.errors import InputError, one_line, printable
 
 # What a file may hold, unpacked. Larger ones would be thinned to MAX_ROWS anyway.
 MAX_BYTES = 1 << 30
-# A unit in brackets or after a blank bracket: "x [m/s]", "theta (rad)".
-_UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
-# The same behind a slash, as standards for physics write it: "x / m", "v / (m/s)".
-_DIVIDED = re.compile(r"(?P<name>.*[^\s/])\s+/\s+(?P<unit>[^\s()]+|\([^()]+\))")
 # A value with its error, such as "1.2 ± 0.1".
 _WITH_ERROR = re.compile(
     r"(?P<value>[^\u00b1]*\d[^\u00b1]*?)\s*(?:\u00b1|\+/-|\+-)\s*(?P<error>[^\u00b1]*\d[^\u00b1]*)"
@@ -136,9 +132,14 @@ def assemble(
     >>> found.names, found.values[1].tolist(), found.left_out
     (('t', 'valve'), [1.0, 0.0], {'note': 'has no value in any row'})
     """
+    from dynsr.data.blocks import find_blocks, stack_blocks
     from dynsr.data.cells import read_columns
 
     _check_lengths(names, columns, label)
+    blocks = find_blocks(names, columns) if names else None
+    if blocks is not None:
+        names, columns, units = stack_blocks(blocks, names, columns, units)
+        notes = (*notes, f"{label} has {blocks.sentence}")
     called = list(names) or list(generated_names(len(columns)))
     called, columns, units = _apart(called, columns, units)
     readings = read_columns(columns, decimal, delimiter)
@@ -378,36 +379,6 @@ def _plain(array: np.ndarray) -> np.ndarray:
     """Give numbers, dates and durations as they are, and all else as objects."""
     array = without_mask(array)
     return np.asarray(array) if array.dtype.kind in "mMfiubc" else array.astype(object)
-
-
-def _take_unit(name: str) -> tuple[str, str] | None:
-    """Take a name and a unit that is known behind a slash apart."""
-    found = _DIVIDED.fullmatch(name.strip())
-    unit = found["unit"].strip("()") if found else ""
-    return (found["name"], unit) if found and is_unit(unit) else None
-
-
-def bare_name(name: str) -> str:
-    """Give the name of a column without a unit in brackets, or behind a slash.
-
-    >>> [bare_name(name) for name in ("theta (rad)", "v / (m/s)", "x / y")]
-    ['theta', 'v', 'x / y']
-    """
-    if divided := _take_unit(name):
-        return divided[0]
-    return _UNIT.sub("", name).strip()
-
-
-def bracketed_unit(name: str) -> str:
-    """Give the unit in brackets, or behind a slash, of a column; "" where there is none.
-
-    >>> [bracketed_unit(name) for name in ("v [m/s]", "x / m", "x / y")]
-    ['m/s', 'm', '']
-    """
-    if divided := _take_unit(name):
-        return divided[1]
-    found = _UNIT.search(name)
-    return "" if found is None else found[0].strip().strip("[]()").strip()
 
 
 def beside(t: Any, x: Any) -> tuple[np.ndarray, str]:

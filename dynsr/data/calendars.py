@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynsr.data.columns import Columns, bare_name
+from dynsr.data.columns import Columns
+from dynsr.data.name_parts import bare_name
 
 # Part of a date -> names of columns that hold it.
 _PARTS = {

@@ -246,7 +246,8 @@ class _Look:
             self._parse()
         words = {text.lower() for text in self.texts}
         switch = next((pair for pair in _SWITCHES if words <= pair.keys()), None)
-        if switch is not None and not self.others.any():
+        # One word in some rows, and nothing in the others, is a remark.
+        if switch is not None and not self.others.any() and (len(words) > 1 or self.there.all()):
             said = " and ".join(f"{word!r} as {switch[word]:g}" for word in sorted(words))
             values = self._spread([switch[text.lower()] for text in self.texts])
             shown = {switch[text.lower()]: text for text in self.texts}

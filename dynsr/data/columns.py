@@ -13,9 +13,7 @@ import numpy as np
 
 from dynsr.data.assembling import (
     Columns,
-    bare_name,
     beside,
-    bracketed_unit,
     generated_names,
     load_array,
     load_frame,
@@ -28,9 +26,7 @@ from dynsr.errors import InputError
 
 __all__ = [
     "Columns",
-    "bare_name",
     "beside",
-    "bracketed_unit",
     "generated_names",
     "load_columns",
     "names_of_states",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynsr.arguments import checked
-from dynsr.data.assembling import bare_name
+from dynsr.data.name_parts import bare_name
 from dynsr.data.names import clean_name
 from dynsr.data.oddities import OddSettings
 from dynsr.data.roles import Roles

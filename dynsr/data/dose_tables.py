@@ -11,10 +11,11 @@ import numpy as np
 
 from dynsr.arguments import checked
 from dynsr.data.amounts import is_missing
-from dynsr.data.assembling import Columns, bare_name
+from dynsr.data.assembling import Columns
 from dynsr.data.columns import load_columns
 from dynsr.data.dosing import find_nonmem, is_dose_name
 from dynsr.data.grouping import find_restarts
+from dynsr.data.name_parts import bare_name
 from dynsr.data.names import clean_name, find_column
 from dynsr.data.time_columns import Times, find_time
 from dynsr.data.times import convert_times

@@ -15,7 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from dynsr.data.assembling import Columns, bare_name
+from dynsr.data.assembling import Columns
+from dynsr.data.name_parts import bare_name
 from dynsr.data.names import clean_name
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory
 from dynsr.errors import DynsrWarning, InputError

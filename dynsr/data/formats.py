@@ -128,7 +128,8 @@ def load_excel(path: Path, decimal: str | None = None, sheet: str = "") -> Colum
     if layout.skipped:
         first, last = layout.skipped[0] + 1, layout.skipped[-1] + 1
         count = f"row {first}" if first == last else f"rows {first} to {last}"
-        notes.append(f"{count} of {path.name} above its table have no data; skipped")
+        have = "has" if first == last else "have"
+        notes.append(f"{count} of {path.name} above its table {have} no data; skipped")
     width = max(len(layout.names), *map(len, rows))
     columns = [
         np.array([_cell(row[j]) if j < len(row) else None for row in rows] + [None], dtype=object)

@@ -9,7 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
-from dynsr.data.columns import Columns, bare_name
+from dynsr.data.columns import Columns
+from dynsr.data.name_parts import bare_name
 from dynsr.data.time_columns import Times
 
 _RUN = (

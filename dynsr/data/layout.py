@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
 from typing import Any
@@ -122,6 +123,7 @@ def find_layout(rows: Sequence[Row], whole: bool = True) -> Layout | None:
     lengths = {
         j: next((k for k in range(j, len(rows)) if not is_data[k]), len(rows)) - j for j in starts
     }
+    starts, lengths = _without_remarks(rows, lengths)
     longest = max(lengths.values())
     width = max(rows[j].width for j, yes in enumerate(is_data) if yes)
     for j in starts:
@@ -129,6 +131,34 @@ def find_layout(rows: Sequence[Row], whole: bool = True) -> Layout | None:
         if head or lengths[j] >= min(_ENOUGH, longest):
             return _arrange(rows, j, head)
     return None
+
+
+def _without_remarks(
+    rows: Sequence[Row], lengths: Mapping[int, int]
+) -> tuple[list[int], dict[int, int]]:
+    """Begin tables below the remarks right above them, such as "Wavelength;600;nm".
+
+    Parameters
+    ----------
+    rows : all rows.
+    lengths : first row of a table -> its number of rows.
+
+    A remark has a text in it. It has fewer cells than the rows of the table, or a blank row below
+    it and fewer values.
+    """
+    found = {}
+    for start, length in lengths.items():
+        own = rows[start : start + length]
+        usual = Counter(len(row.cells) for row in own).most_common(1)[0][0]
+        begin = 0
+        while TEXT in own[begin].kinds and len(own[begin].cells) < usual:
+            begin += 1
+        for j in range(begin + 1, len(own)):
+            apart = own[j].place > own[j - 1].place + 1 and TEXT in own[j - 1].kinds
+            if apart and max(row.width for row in own[:j]) < own[j].width:
+                begin = j
+        found[start + begin] = length - begin
+    return list(found), found
 
 
 def search_layout(make: Callable[[int], Row], places: Sequence[int]) -> Layout | None:

@@ -6,12 +6,18 @@ import re
 
 import numpy as np
 
-from dynsr.data.columns import bare_name
+from dynsr.data.name_parts import bare_name
 
 _ROWS = re.compile(
     r"|#|n[ro]\.?|n°|№|num(ber)?|rownames?|(row|record|obs(ervation)?|sample|meas(urement)?|line|point|"
     r"reading|scan|messung|lfd\.?)[\s_.]*(n[ro]\.?|num(ber)?|id|index|#)|index|idx|obs|"
     r"unnamed: \d+",
+    re.IGNORECASE,
+)
+# What programs of tests count: steps, cycles.
+_PHASES = re.compile(
+    r"(program.?)?(step|cycle|segment|stage|phase|loop|sub.?step)[\s_.]*"
+    r"(n[ro]\.?|num(ber)?|id|index|idx|count(er)?|#)",
     re.IGNORECASE,
 )
 _FEWEST = 8
@@ -83,6 +89,20 @@ def is_second_time(values: np.ndarray, t: np.ndarray, codes: np.ndarray, called:
     if not called and np.ptp(values) < _DIGITS * last_digit(values):
         return False
     return follows_line(values, t, codes)
+
+
+def numbers_phases(name: str, values: np.ndarray) -> bool:
+    """Whether a column counts the steps or cycles of a program, by its name and whole numbers.
+
+    Parameters
+    ----------
+    name : its name.
+    values : (n,) numbers.
+
+    >>> numbers_phases("Step_Index", np.repeat([1.0, 2.0], 9)), numbers_phases("steps", np.ones(9))
+    (True, False)
+    """
+    return _PHASES.fullmatch(bare_name(name)) is not None and bool(np.all(values % 1 == 0))
 
 
 def numbers_rows(name: str, values: np.ndarray, codes: np.ndarray) -> bool:

@@ -7,7 +7,8 @@ import unicodedata
 import warnings
 from collections.abc import Mapping, Sequence
 
-from dynsr.data.columns import Columns, bare_name
+from dynsr.data.columns import Columns
+from dynsr.data.name_parts import bare_name
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name
 
@@ -78,7 +79,7 @@ def clean_name(name: str) -> str:
 
 
 def rename(names: Sequence[str], formulas: Mapping[str, str]) -> dict[str, str]:
-    """Give each column its name in formulas, with a warning where that is another one.
+    """Give each column its name in formulas, with a warning where more than its unit is gone.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ def rename(names: Sequence[str], formulas: Mapping[str, str]) -> dict[str, str]:
             new = f"{clean_name(name)}_{number}"
         taken.add(new)
         renamed[name] = new
-    changed = {name: new for name, new in renamed.items() if name != new}
+    changed = {name: new for name, new in renamed.items() if bare_name(name) != new}
     if changed:
         shown = ", ".join(f"{name[:60]!r} -> {new}" for name, new in changed.items())
         warnings.warn(

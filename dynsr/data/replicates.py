@@ -5,26 +5,23 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from dynsr.data.columns import Columns, bare_name, bracketed_unit
+from dynsr.data.columns import Columns
 from dynsr.data.lines import last_digit
+from dynsr.data.name_parts import (
+    FEWEST_WELLS,
+    GIVEN,
+    LETTERED,
+    NUMBERED,
+    SAYING,
+    WELL,
+    bare_name,
+    bracketed_unit,
+)
 
-_WORD = (
-    r"rep(?:lica(?:te)?|eat|l|et)?|run|trial|exp(?:eriment)?|batch|lauf|versuch|wdh|wiederholung|"
-    r"replikat|essai|r[ée]p(?:[ée]tition|licat)?|ensayo|r[ée]plica|series|culture|flask|well|plate"
-)
-_BEHIND = re.compile(
-    rf"(?P<stem>.*?)[\s_.-]*[\[(]?\s*(?<![^\W\d_])(?P<word>{_WORD})[\s_.#-]*(?P<which>\d+|(?<=[\s_.#-])[a-z])\s*[\])]?",
-    re.IGNORECASE,
-)
-_BEFORE = re.compile(
-    rf"(?P<word>{_WORD})[\s_.#-]*(?P<which>\d+|(?<=[\s_.#-])[a-z])[\s_.:-]+(?P<stem>.+)",
-    re.IGNORECASE,
-)
-_NUMBERED = re.compile(r"(?P<stem>.*[^\W\d_])[\s_.-]*(?P<which>\d+)")
-_LETTERED = re.compile(r"(?P<stem>.+?)[\s_.-]+[\[(]?(?P<which>[a-l])[\])]?", re.IGNORECASE)
 _FEWEST = 8
 # Copies differ by less than this share of how far they move, and the difference of one row tells
 # little of the next: half its mean squared step over its variance is 1 for independent values.
@@ -42,10 +39,12 @@ class SideBySide:
     ----------
     word : what the runs are called; "" where only numbers distinguish them.
     members : name of a run -> quantity -> its column.
+    given : whether the word is a condition of the runs, whose names are its values.
     """
 
     word: str
     members: Mapping[str, Mapping[str, str]]
+    given: bool = False
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -69,15 +68,18 @@ def find_replicates(columns: Columns, names: Sequence[str]) -> SideBySide | None
     names : those that may be so.
 
     Each run must have the same quantities. Names with a word such as rep, run or trial and a number
-    say it; with a number or a letter alone they do where the columns are copies of each other
-    within noise.
+    say it, or with a condition such as ``c0=0.5``; so do six names of wells of a plate. With a
+    number or a letter alone they do where the columns are copies of each other within noise.
     """
     numbers = [n for n in names if columns.values[columns.names.index(n)].dtype.kind == "f"]
-    for pattern in (_BEHIND, _BEFORE):
+    for pattern in SAYING:
         found = _arrange(numbers, pattern)
         if found is not None:
             return found
-    for pattern in (_NUMBERED, _LETTERED):
+    wells = _arrange(numbers, WELL)
+    if wells is not None and len(wells.members) >= FEWEST_WELLS:
+        return replace(wells, word="well")
+    for pattern in (NUMBERED, LETTERED):
         found = _arrange(numbers, pattern)
         if found is not None and _are_copies(columns, found):
             return found
@@ -95,7 +97,8 @@ def _arrange(names: Sequence[str], pattern: re.Pattern[str]) -> SideBySide | Non
         if match is None:
             continue
         stem = match["stem"].strip(" _.-([") or "x"
-        run = members.setdefault(match["which"].lower(), {})
+        which = match["which"] if pattern is WELL else match["which"].lower()
+        run = members.setdefault(which, {})
         if stem in run:
             return None
         run[f"{stem} [{unit}]" if unit else stem] = name
@@ -105,7 +108,9 @@ def _arrange(names: Sequence[str], pattern: re.Pattern[str]) -> SideBySide | Non
         return None
     first = list(next(iter(members.values())))
     return SideBySide(
-        words[0].lower(), {run: {s: own[s] for s in first} for run, own in members.items()}
+        words[0] if pattern is GIVEN else words[0].lower(),
+        {run: {s: own[s] for s in first} for run, own in members.items()},
+        pattern is GIVEN,
     )
 
 
@@ -144,7 +149,9 @@ def find_summaries(columns: Columns, found: SideBySide, names: Sequence[str]) ->
     {'m': 'is the mean of a1, a2'}
     """
     by_name = dict(zip(columns.names, columns.values, strict=True))
-    said = {}
+    said: dict[str, str] = {}
+    numbers = [name for name in names if by_name[name].dtype.kind == "f"]
+    digits = {name: last_digit(_finite(by_name[name])) for name in numbers}
     for stem in found.stems:
         own = [member[stem] for member in found.members.values()]
         table = np.column_stack([by_name[name] for name in own])
@@ -157,12 +164,12 @@ def find_summaries(columns: Columns, found: SideBySide, names: Sequence[str]) ->
             ("standard deviation", np.std(table, axis=1)),
             ("standard error", spread / np.sqrt(table.shape[1])),
         ):
-            for name in names:
+            for name in numbers:
                 values = by_name[name]
-                if values.dtype.kind != "f" or name in said:
+                if name in said:
                     continue
                 there = np.isfinite(values - made)
-                digit = rounded + last_digit(_finite(values))
+                digit = rounded + digits[name]
                 # Where they move by few digits, other columns would be as close.
                 moves = there.any() and np.ptp(made[there]) > _DIGITS * digit
                 if moves and np.all(np.abs(values - made)[there] <= digit):
@@ -194,7 +201,10 @@ def stack_replicates(columns: Columns, found: SideBySide) -> tuple[Columns, np.n
     kept = [n for n in columns.names if n not in found.columns]
     names = [*kept, label, *found.stems]
     values = [by_name[name][source] for name in kept]
-    values.append(np.repeat(np.array(list(found.members), dtype=object), rows))
+    called: list[Any] = list(found.members)
+    if found.given:
+        called = [float(which.replace(",", ".")) for which in called]
+    values.append(np.repeat(np.array(called, dtype=float if found.given else object), rows))
     values += [
         np.concatenate([by_name[own[stem]] for own in found.members.values()])
         for stem in found.stems

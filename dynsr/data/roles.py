@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynsr.data.columns import Columns, bare_name, bracketed_unit
+from dynsr.data.columns import Columns
 from dynsr.data.dosing import find_amounts, refuse_amounts
 from dynsr.data.grouping import Grouping, is_text
-from dynsr.data.lines import is_second_time, numbers_rows
+from dynsr.data.lines import is_second_time, numbers_phases, numbers_rows
 from dynsr.data.measurement_errors import find_measured
+from dynsr.data.name_parts import bare_name, bracketed_unit
 from dynsr.data.names import clean_name, find_column, list_names, rename
 from dynsr.data.steps import is_noted_at_changes, is_set
 from dynsr.data.time_columns import Times
@@ -263,7 +264,12 @@ class _Look:
             return ""
         if numbers_rows(name, values, self._codes):
             return "numbers the rows"
-        return "is a second time" if is_second_time(values, self._t, self._codes, called) else ""
+        if numbers_phases(name, values):
+            return "counts the steps of a program"
+        codes = self._codes
+        if is_time_name(bare_name(name)):  # it may begin again, as the time of a step does
+            codes = np.cumsum(np.append(0, (np.diff(values) < 0) | (np.diff(codes) != 0)))
+        return "is a second time" if is_second_time(values, self._t, codes, called) else ""
 
     def noise(self, names: Sequence[str]) -> dict[str, str]:
         """Give the columns of measurement errors, by the column whose errors they are."""

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dynsr.data.columns import bare_name
 from dynsr.data.holding import choose_hold
 from dynsr.data.lines import last_digit
+from dynsr.data.name_parts import bare_name
 
 _SET = re.compile(
     r".*(valve|set.?point|heater|pump|relay|switch|pwm|duty|dose|dosing|on.?off|ventil|heiz|pumpe|"

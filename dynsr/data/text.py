@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from dynsr.data.assembling import MAX_BYTES, Columns, assemble, check_size, unreadable
+from dynsr.data.blocks import find_blocks
 from dynsr.data.layout import NUMBER, TEXT, Row, kind, rows_that_are_none, search_layout
 from dynsr.errors import InputError
 
@@ -108,7 +109,8 @@ def _load_plain(path: Path) -> Columns | None:
         return None
     if np.any(np.abs(table) > 2**53):  # whole numbers might be rounded
         return None
-    return Columns(tuple(names), tuple(table.T.copy()), path.name)
+    columns = tuple(table.T.copy())
+    return None if find_blocks(names, columns) else Columns(tuple(names), columns, path.name)
 
 
 def _opener(path: Path) -> Any:
@@ -261,8 +263,11 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
     if layout.skipped:
         first, last = layout.skipped[0] + 1, layout.skipped[-1] + 1
         count = f"line {first}" if first == last else f"lines {first} to {last}"
-        notes = (f"{count} of {path.name} above its table have no data; skipped", *notes)
+        have = "has" if first == last else "have"
+        notes = (f"{count} of {path.name} above its table {have} no data; skipped", *notes)
     columns = [frame[j].to_numpy(None if frame[j].dtype.kind in "fiub" else object) for j in frame]
+    names, columns, said = _with_increment(head, names, columns)
+    notes = (*notes, *said)
     none, said = rows_that_are_none(columns, path.name)
     notes = (*notes, *said)
     columns = [column[~none] for column in columns]
@@ -275,6 +280,33 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
         decimal=decimal,
         delimiter=head.delimiter,
     )
+
+
+def _with_increment(
+    head: _Head, names: list[str], columns: list[np.ndarray]
+) -> tuple[list[str], list[np.ndarray], list[str]]:
+    """Count the rows of an oscilloscope in seconds, where a row below the names says how.
+
+    The columns Start and Increment are then empty in all other rows, as Rigol writes them.
+    """
+    lower = [name.lower() for name in names]
+    if not {"x", "start", "increment"} <= set(lower) or not head.layout.skipped:
+        return names, columns, []
+    cells = _cells(head.lines[head.layout.skipped[-1]], head.delimiter)
+    at = {name: lower.index(name) for name in ("x", "start", "increment")}
+    if len(cells) <= max(at.values()) or columns[at["x"]].dtype.kind not in "fiu":
+        return names, columns, []
+    try:
+        start, step = (float(cells[at[name]]) for name in ("start", "increment"))
+    except ValueError:
+        return names, columns, []
+    if not (np.isfinite(start) and 0 < step < np.inf):
+        return names, columns, []
+    t = start + step * columns[at["x"]]
+    own = [j for j, name in enumerate(lower) if name not in ("start", "increment")]
+    renamed = ["t [s]" if j == at["x"] else names[j] for j in own]
+    said = f"{names[at['x']]!r} counts rows of {step:g} s from {start:g} s on"
+    return renamed, [t if j == at["x"] else columns[j] for j in own], [said]
 
 
 def _fit_names(label: str, head: _Head, frame: Any) -> list[str]:

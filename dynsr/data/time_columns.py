@@ -8,14 +8,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dynsr.data.columns import Columns, bare_name, bracketed_unit
+from dynsr.data.columns import Columns
 from dynsr.data.lines import follows_line, last_digit, numbers_rows
+from dynsr.data.name_parts import bare_name, bracketed_unit
 from dynsr.data.names import find_column, list_names
 from dynsr.data.times import (
     Moments,
     count_seconds,
     is_time_name,
     read_counted,
+    read_dotted_clocks,
     read_nanoseconds,
     read_numbers_as_dates,
     read_times,
@@ -151,7 +153,8 @@ class _Look:
         if name not in self._read:
             values = self._values(name)
             if values.dtype.kind == "f":
-                self._read[name] = read_numbers_as_dates(values, name)
+                found = read_numbers_as_dates(values, name)
+                self._read[name] = found or read_dotted_clocks(values, name)
             elif values.dtype.kind == "m" and np.datetime_data(values.dtype)[0] in "YM":
                 self._read[name] = None  # years and months are of no fixed length
             else:
@@ -354,14 +357,17 @@ class _Look:
         return [Times(n, self._values(n), unit_in_name(n)) for n in rising[:1]]
 
     def _finest(self, times: list[Times]) -> Times:
-        """Give the first of them, or one that says the same in finer steps."""
+        """Give the first of them, or one that says the same in finer steps, or with a unit."""
         best = times[0]
         for other in times[1:]:
             there = np.isfinite(best.values) & np.isfinite(other.values)
             if not there.any() or best.daily or other.daily:
                 continue
             own, beside = best.values[there], other.values[there]
-            if follows_line(beside, own) and _finer(beside, own):
+            if not follows_line(beside, own):
+                continue
+            named = bool(other.unit) and not best.unit and not _finer(own, beside)
+            if named or _finer(beside, own):
                 best = other
         return best
 

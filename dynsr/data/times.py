@@ -31,7 +31,10 @@ _WORDS = {
 _SHORTEST = 3
 _DAY = 86400.0
 _NAMES = (
+    r"(?:test|step|total|run|rel(?:\w*)|abs(?:\w*)|record|sampl(?:e|ing)|meas(?:urement)?|"
+    r"sim(?:ulation)?|system)[\W_]?time|"
     r"t|(?:unix|epoch|posix).?(?:time|timestamp|seconds)?|times?|timestamps?|time.?stamps?|time.?points?|date.{0,3}time|dates?|elapsed.*|secs?|seconds?|zeit|datum|"
+    r"tid|tidspunkt|tidpunkt|dato|klokkesl[æe]t|klokkeslett|klockslag|kl\.?|aika|päivämäärä|kello|"
     r"uhrzeit|zeitpunkt|zeitstempel|tiempo|fecha|hora|temps|heure|tempo|ora|tijd|tijdstip|czas|"
     r"время|дата|时间|時間|日期|日時"
 )
@@ -68,6 +71,10 @@ _COUNTED = re.compile(
 _COUNTING = ("", "t", "tp", "time", "timepoint", "point", "zeit", "zeitpunkt")
 _QUARTER = re.compile(r"(?P<year>\d{4})[\s./-]*Q(?P<quarter>[1-4])", re.IGNORECASE)
 _WEEK = re.compile(r"(?P<year>\d{4})[\s-]*W(?P<week>\d\d)(?:-?(?P<day>[1-7]))?", re.IGNORECASE)
+# A clock with points, of three numbers or after a date: 08.05.30, 26-11-2025 08.05.
+_DOTTED = re.compile(
+    r"^(.*[\s,T_]|(?=\d\d?\.\d\d\.\d\d))(\d\d?)\.([0-5]\d)(?:\.([0-5]\d(?:,\d+)?))?$"
+)
 _STAMP = re.compile(
     r"(?:[^\W\d]{2,10}\.?,?\s+)?(?P<a>\d{1,4})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<c>\d{2,4})\.?"
     rf"(?:[\s,T_]+{_CLOCK})?{_ZONE}"
@@ -239,6 +246,41 @@ def read_numbers_as_dates(numbers: np.ndarray, name: str) -> Moments | None:
     return None
 
 
+def read_dotted_clocks(numbers: np.ndarray, name: str) -> Moments | None:
+    """Read numbers such as 17.55 as hours and minutes, as Danes, Finns and Italians write them.
+
+    Parameters
+    ----------
+    numbers : (n,) cells; NaN where empty.
+    name : that of the column, which must speak of times and name no unit.
+
+    All are times of a day, and their steps are even as such and uneven as numbers.
+
+    >>> read_dotted_clocks(np.array([8.4, 8.5, 9.0, 9.1]), "Tid").seconds / 60
+    array([520., 530., 540., 550.])
+    """
+    there = numbers[np.isfinite(numbers)]
+    if len(there) < 2 or not is_time_name(name) or unit_in_name(name):
+        return None
+    digits = np.round(100 * there)
+    hours, minutes = digits // 100, digits % 100
+    of_day = np.all((hours >= 0) & (hours < 24) & (minutes < 60))
+    if not of_day or not np.allclose(digits, 100 * there, rtol=0, atol=1e-6):
+        return None
+    steps = [
+        np.diff(own) % (24 * hour) for own, hour in ((60 * hours + minutes, 60), (digits, 100))
+    ]
+    counts = [len(np.unique(own)) for own in steps]
+    if not counts[0] == 1 < counts[1]:
+        return None
+    seconds = np.full(len(numbers), np.nan)
+    seconds[np.isfinite(numbers)] = 60.0 * (60 * hours + minutes)
+    ticks = np.where(np.isfinite(seconds), seconds, 0.0).astype("timedelta64[s]")
+    ticks[~np.isfinite(seconds)] = np.timedelta64("NaT")
+    shown = f"{hours[-1]:.0f}.{minutes[-1]:02.0f}"
+    return Moments(ticks, f"hours and minutes, such as {shown} for {shown.replace('.', ':')}", True)
+
+
 def read_nanoseconds(cells: np.ndarray, name: str) -> Moments | None:
     """Read whole numbers as nanoseconds since 1970, all of which float64 would round.
 
@@ -388,6 +430,13 @@ def _read_text(texts: list[str | None], name: str) -> Moments | None:
         values[there] = np.round(counted[0][there] * sizes * 1e9).astype("int64")
         return Moments(values)
     stamps = _read_stamps(texts)
+    dotted = [None if text is None else _DOTTED.sub(r"\1\2:\3:\4", text) for text in texts]
+    if all(text is None or text != new for text, new in zip(texts, dotted, strict=True)):
+        dotted = [None if text is None else text.removesuffix(":") for text in dotted]
+        clocks = _read_text(dotted, name)
+        # Of a clock and a date, the one whose steps are all alike.
+        if clocks is not None and (stamps is None or _count_steps(clocks.values) == 1):
+            return clocks
     if stamps is None:
         stamps = _read_parts_of_years(texts)
     if stamps is None:
@@ -402,6 +451,10 @@ def _read_text(texts: list[str | None], name: str) -> Moments | None:
             )
             stamps = None if stamps is None else stamps.tz_localize(None)
     return None if stamps is None else Moments(np.asarray(stamps))
+
+
+def _count_steps(values: np.ndarray) -> int:
+    return len(np.unique(np.diff(values)))
 
 
 def _in_english(found: re.Match[str]) -> str:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dynsr.data.amounts import is_missing
 from dynsr.data.columns import Columns
 from dynsr.data.grouping import is_label_name, is_text, label_of
 from dynsr.data.times import read_counted, read_times
@@ -33,7 +34,7 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
     >>> turn_rows(columns)[0].names
     ('time', 'prey', 'cats')
     """
-    named = _with_head(columns)
+    named, remarks = _with_head(columns)
     own = dict(zip(named.names, named.values, strict=True))
     times, first = None, 0
     for first, name in enumerate(named.names):
@@ -55,7 +56,12 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
         f"Columns such as {moments[0]!r} and {moments[-1]!r} are times, so the table was turned: "
         f"its rows are named by {', '.join(map(repr, names))}."
     )
-    return _turn(named, times, table, names), [said]
+    notes = [said]
+    if remarks:
+        what = "A row" if len(remarks) == 1 else f"{len(remarks)} rows"
+        was = "was" if len(remarks) == 1 else "were"
+        notes.append(f"{what} with a single cell, such as {remarks[0][:40]!r}, {was} skipped.")
+    return _turn(named, times, table, names), notes
 
 
 def _turn(
@@ -89,13 +95,19 @@ def _turn(
     )
 
 
-def _with_head(columns: Columns) -> Columns:
-    """Take the first row for the names of the columns where it names the first one."""
+def _with_head(columns: Columns) -> tuple[Columns, list[str]]:
+    """Take the first row for the names of the columns where it names the first one.
+
+    Gives also the first cells of the rows that are left out since they have no more than one other.
+    """
     cells = [values[0] if len(values) else None for values in columns.values]
     if columns.named or len(columns.values[0]) < 2 or not isinstance(cells[0], str):
-        return columns
-    rest = tuple(_as_numbers(values[1:]) for values in columns.values)
-    return replace(columns, names=tuple(map(label_of, cells)), values=rest, named=True)
+        return columns, []
+    filled = np.array([[not is_missing(cell) for cell in v[1:]] for v in columns.values[1:]])
+    whole = filled.sum(axis=0) > 1
+    remarks = [label_of(cell) for cell in columns.values[0][1:][~whole]]
+    rest = tuple(_as_numbers(values[1:][whole]) for values in columns.values)
+    return replace(columns, names=tuple(map(label_of, cells)), values=rest, named=True), remarks
 
 
 def _as_numbers(values: np.ndarray) -> np.ndarray:

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dynsr.data.calendars import join_calendar
-from dynsr.data.columns import Columns, bracketed_unit
+from dynsr.data.columns import Columns
 from dynsr.data.dosing import Dosing, find_nonmem, split_after_doses
 from dynsr.data.grouping import Grouping, guess_grouping
 from dynsr.data.holding import HOLDS
 from dynsr.data.known_noise import KnownNoise, check_noise
 from dynsr.data.long_tables import describe_long, find_quantity, widen
+from dynsr.data.name_parts import bracketed_unit
 from dynsr.data.names import clean_name, find_column
 from dynsr.data.replicates import find_replicates, find_summaries, stack_replicates
 from dynsr.data.roles import Roles, guess_roles

@@ -1,0 +1,68 @@
+"""Parts of names of columns: units, as in "x [m/s]"; runs, as in "x run 2" and "x c0=0.5"."""
+
+from __future__ import annotations
+
+import re
+
+from dynsr.data.amounts import is_unit
+
+# A unit in brackets or after a blank bracket: "x [m/s]", "theta (rad)".
+_UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
+# The same behind a slash, as standards for physics write it: "x / m", "v / (m/s)".
+_DIVIDED = re.compile(r"(?P<name>.*[^\s/])\s+/\s+(?P<unit>[^\s()]+|\([^()]+\))")
+_WORD = (
+    r"rep(?:lica(?:te)?|eat|l|et)?|run|trial|exp(?:eriment)?|batch|lauf|versuch|wdh|wiederholung|"
+    r"replikat|essai|r[ée]p(?:[ée]tition|licat)?|ensayo|r[ée]plica|series|culture|flask|well|plate"
+)
+BEHIND = re.compile(
+    rf"(?P<stem>.*?)[\s_.-]*[\[(]?\s*(?<![^\W\d_])(?P<word>{_WORD})[\s_.#-]*(?P<which>\d+|(?<=[\s_.#-])[a-z])\s*[\])]?",
+    re.IGNORECASE,
+)
+BEFORE = re.compile(
+    rf"(?P<word>{_WORD})[\s_.#-]*(?P<which>\d+|(?<=[\s_.#-])[a-z])[\s_.:-]+(?P<stem>.+)",
+    re.IGNORECASE,
+)
+# A condition of the run, such as "S (mM), S0 = 0.5".
+GIVEN = re.compile(
+    r"(?P<stem>.*?[^\s,;:_@-])[\s,;:_@-]*[\[(]?\s*(?<!\w)(?P<word>[^\W\d]\w*)\s*=\s*"
+    r"(?P<which>[-+]?\d+(?:[.,]\d+)?)\s*(?:[^\W\d_][\w/^%]*)?\s*[\])]?",
+    re.IGNORECASE,
+)
+# A number or a letter alone, which may be anything else too.
+NUMBERED = re.compile(r"(?P<stem>.*[^\W\d_])[\s_.-]*(?P<which>\d+)")
+LETTERED = re.compile(r"(?P<stem>.+?)[\s_.-]+[\[(]?(?P<which>[a-l])[\])]?", re.IGNORECASE)
+# A well of a plate, such as B07; so many columns of such names are a plate.
+WELL = re.compile(r"(?P<stem>)(?P<which>[A-P](?:0?[1-9]|1\d|2[0-4]))")
+FEWEST_WELLS = 6
+# Those that say by themselves that a column is one of a run.
+SAYING = (BEHIND, BEFORE, GIVEN)
+
+
+def _take_unit(name: str) -> tuple[str, str] | None:
+    """Take a name and a unit that is known behind a slash apart."""
+    found = _DIVIDED.fullmatch(name.strip())
+    unit = found["unit"].strip("()") if found else ""
+    return (found["name"], unit) if found and is_unit(unit) else None
+
+
+def bare_name(name: str) -> str:
+    """Give the name of a column without a unit in brackets, or behind a slash.
+
+    >>> [bare_name(name) for name in ("theta (rad)", "v / (m/s)", "x / y")]
+    ['theta', 'v', 'x / y']
+    """
+    if divided := _take_unit(name):
+        return divided[0]
+    return _UNIT.sub("", name).strip()
+
+
+def bracketed_unit(name: str) -> str:
+    """Give the unit in brackets, or behind a slash, of a column; "" where there is none.
+
+    >>> [bracketed_unit(name) for name in ("v [m/s]", "x / m", "x / y")]
+    ['m/s', 'm', '']
+    """
+    if divided := _take_unit(name):
+        return divided[1]
+    found = _UNIT.search(name)
+    return "" if found is None else found[0].strip().strip("[]()").strip()
