@@ -129,6 +129,8 @@ class Found:
     by_run = RunParameters()
     delays = {}
     volumes = {}
+    hidden = {}
+    hidden_notes = {}
     further = {}
 
     def __init__(self, settings):
@@ -185,7 +187,7 @@ def test_options_reach_the_search(tmp_path, seen):
     ]
     words += ["--complexity", "sin=8", "--loss", "huber", "--must", "x: x*v", "--start", "old"]
     words += ["--units", "x=m,t=s", "--ensemble", "--vary", "x"]
-    words += ["--observed", "v=w + x", "--delays", "1.5"]
+    words += ["--observed", "v=w + x", "--delays", "1.5", "--hidden", "y"]
     words += ["--known", "x'=-0.1*x", "--out", tmp_path / "kept", "--json"]
     found = json.loads(run(*words).stdout)
     (data,) = seen.pop("data")
@@ -202,6 +204,7 @@ def test_options_reach_the_search(tmp_path, seen):
         "ensemble": True,
         "vary": ["x"],
         "delays": [1.5],
+        "hidden": "y",
         "observed": {"v": "w + x"},
         "complexity": {"sin": 8.0},
         "loss": "huber",
@@ -532,6 +535,7 @@ def test_a_reason_is_printed_once(monkeypatch, capsys):
         by_run=RunParameters(),
         delays={},
         volumes={},
+        hidden_notes={},
         details={},
         settings={},
     )

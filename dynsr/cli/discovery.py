@@ -80,6 +80,9 @@ def show_reasons(
             _say(said if said.startswith(f"{state}' =") else f"{state}: {said}")
     for own in found.delays.values():
         _say(f"{own.text}.")
+    # Details have it in the reasons.
+    for words in () if details else found.hidden_notes.values():
+        _say(words)
     _print_constants(found, details)
     for volume in found.volumes.values():
         _say(f"{volume.name} = {volume.value:.6g} (95 %: {volume.interval_text}), {volume.of}.")
@@ -299,6 +302,7 @@ def discover(
     time_budget: options.TimeBudget = None,
     vary: options.Vary = None,
     delays: options.Delays = None,
+    hidden: options.Hidden = None,
     ensemble: Annotated[
         bool,
         typer.Option(
@@ -391,6 +395,7 @@ def discover(
         "time_budget": time_budget,
         "vary": options.read_vary(vary),
         "delays": options.read_delays(delays),
+        "hidden": hidden or False,
         "ensemble": ensemble,
         "start": start,
         "seed": seed,

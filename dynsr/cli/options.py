@@ -205,6 +205,15 @@ Delays = Annotated[
         rich_help_panel=SEARCH,
     ),
 ]
+Hidden = Annotated[
+    str | None,
+    typer.Option(
+        "--hidden",
+        help="Name of one more state, which nobody measured; its equation is searched too.",
+        metavar="NAME",
+        rich_help_panel=SEARCH,
+    ),
+]
 Vary = Annotated[
     str | None,
     typer.Option(

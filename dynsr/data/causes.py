@@ -396,7 +396,7 @@ def _missing(motion: _Motion, target: str, pairs: Pairs) -> Cause:
         "missing state",
         f"{target}{others} comes back to the same values with different slopes: a state or an "
         f"input that moves {target} may be missing among the columns. Measure it too, if there is "
-        "one.",
+        "one, or search with a hidden state (hidden=).",
         {"left open": pairs.share, "noise": motion.noise, "distance": pairs.distance},
     )
 

@@ -26,7 +26,8 @@ def carry(runs: Sequence[Trajectory]) -> list[Trajectory]:
     ----------
     runs : trajectories of the same columns.
 
-    Raises InputError when a state was measured in fewer than 8 rows of all runs together.
+    A state that was never measured but has a curve keeps it. Raises InputError when another one
+    was measured in fewer than 8 rows of all runs together.
 
     >>> t = np.linspace(0.0, 6.0, 61)
     >>> x = np.sin(t)
@@ -37,6 +38,15 @@ def carry(runs: Sequence[Trajectory]) -> list[Trajectory]:
     """
     if not any(np.isnan(run.x).any() for run in runs):
         return list(runs)
+    if curved := [state for state in runs[0].states if _is_a_curve(runs, state)]:
+        kept = [state for state in runs[0].states if state not in curved]
+        places = [runs[0].index(state) for state in kept]
+        found = []
+        for run, own in zip(runs, carry([run.of_states(kept) for run in runs]), strict=True):
+            x = run.x.copy()
+            x[:, places] = own.x
+            found.append(replace(run, x=x))
+        return found
     for place, state in enumerate(runs[0].states):
         count = sum(int(np.sum(run.measured[:, place])) for run in runs)
         if count < FEWEST_ROWS:
@@ -83,6 +93,12 @@ def at_own_rows(runs: Sequence[Trajectory], state: str, fewest: int = 1) -> list
     none = np.empty((0, 0), dtype=bool)
     some = zip(carry(runs), told_rows(runs, state), strict=True)
     return [replace(run.select(rows), unmeasured=none) for run, rows in some if len(rows) >= fewest]
+
+
+def _is_a_curve(runs: Sequence[Trajectory], state: str) -> bool:
+    """Whether a state was never measured, and has a curve everywhere."""
+    place = runs[0].index(state)
+    return not any(run.measured[:, place].any() or np.isnan(run.x[:, place]).any() for run in runs)
 
 
 def _usual(runs: Sequence[Trajectory]) -> np.ndarray:

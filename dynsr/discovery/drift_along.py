@@ -60,6 +60,7 @@ class Along:
     course : the trajectories.
     windows : windows that a run is cut into, at most.
     settings : which terms are tried.
+    fixed : terms whose factors are known.
     """
 
     equations: Mapping[str, sympy.Expr]
@@ -67,6 +68,7 @@ class Along:
     course: Course
     windows: int
     settings: DriftSettings = DRIFT
+    fixed: Collection[sympy.Expr] = ()
 
     def look(self, states: Collection[str], weak: Collection[str] = ()) -> dict[str, Drift]:
         """Give for states the formula that takes fewer bits than the equation, where one does.
@@ -118,7 +120,7 @@ class Along:
         fitted = self.fit({**self.equations, state: expr})
         if fitted is None:
             return None
-        opened, places = open_constants({**self.equations, state: expr})
+        opened, places = open_constants({**self.equations, state: expr}, self.fixed)
         numbers = dict(zip(places, map(sympy.Float, fitted.constants), strict=True))
         rows = fitted.independent
         gain = float(rows @ np.log2(_squares(now) / _squares(fitted))) / 2
@@ -173,7 +175,7 @@ class Along:
 
     def _lines(self, libraries: Mapping[str, TermsInTime], now: Followed) -> dict[str, Lines]:
         """Give the linear view of each equation, with the terms of its library."""
-        opened, places = open_constants(self.equations)
+        opened, places = open_constants(self.equations, self.fixed)
         states, first = list(self.equations), len(places)
         probes: list[tuple[int, sympy.Expr]] = []
         begin, put = {}, dict(zip(places, map(sympy.Float, now.constants), strict=True))
@@ -257,7 +259,7 @@ class Along:
         fitted = self.fit(equations)
         if fitted is None:
             return dict(equations)
-        opened, places = open_constants(equations)
+        opened, places = open_constants(equations, self.fixed)
         put = dict(zip(places, map(sympy.Float, fitted.constants), strict=True))
         return {state: expr.xreplace(put) for state, expr in opened.items()}
 
@@ -268,7 +270,7 @@ class Along:
         ----------
         equations : state -> right-hand side.
         """
-        opened, places = open_constants(equations)
+        opened, places = open_constants(equations, self.fixed)
         flow = Flow(opened, self._driven, tuple(places))
         shootings = tuple(self._shoot(flow))
         values = np.array([place.value for place in places.values()])

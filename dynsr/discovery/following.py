@@ -7,7 +7,7 @@ whose errors grow too far to be followed as a whole, windows are followed, the l
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -55,9 +55,14 @@ class Place:
 
 
 def open_constants(
-    equations: Mapping[str, sympy.Expr],
+    equations: Mapping[str, sympy.Expr], fixed: Collection[sympy.Expr] = ()
 ) -> tuple[dict[str, sympy.Expr], dict[sympy.Symbol, Place]]:
     """Put a symbol in the place of the coefficient of every term, and of every number inside one.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side.
+    fixed : terms that stay as they are.
 
     >>> x = sympy.Symbol("x")
     >>> opened, places = open_constants({"x": x - 3 * x**2})
@@ -72,6 +77,9 @@ def open_constants(
         lines: dict[sympy.Expr, tuple[sympy.Expr, sympy.Expr]] = {}
         written, terms = sympy.Add.make_args(expr), []
         for whole in written:
+            if whole in fixed:
+                terms.append(whole)
+                continue
             top, bottom = _split(whole)
             # A ratio is given up to a factor, so that its last number below the line stays; terms
             # on one line have it together.

@@ -306,6 +306,26 @@ def name_engines(
     }
 
 
+def record_hold(
+    run: Trajectory, drives: Mapping[str, sympy.Expr], discrete: bool, hold: Any
+) -> dict[str, dict[str, str]]:
+    """Give what measured inputs do between rows, for the record; a map has nothing there.
+
+    Parameters
+    ----------
+    run : one of the data.
+    drives : inputs that are known as expressions in ``t``.
+    discrete : whether a map is sought.
+    hold : what the user said of it.
+
+    Raises InputError where that is said of a map.
+    """
+    if discrete and hold is not None:
+        raise InputError("a map has no time between rows; leave hold out")
+    held = {} if discrete else {n: way for n, way in run.holds.items() if n not in drives}
+    return {"hold": dict(held)} if held else {}
+
+
 def _name_simulator(engine: AbstractEngine, measured: bool) -> str:
     if not measured:
         return engine.name

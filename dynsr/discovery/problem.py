@@ -68,8 +68,10 @@ from dynsr.methods import (
     Demands,
 )
 from dynsr.selection import (
+    HIDDEN,
     Compared,
     FollowerSettings,
+    HiddenSettings,
     Pick,
     RankedCandidate,
     SelectionSettings,
@@ -117,6 +119,7 @@ class DiscoverySettings:
     vary : which constants differ from run to run, where that is asked.
     delays : which delay it is, where delays are asked.
     windows : which rows of long records are searched.
+    hidden : how a state that was not measured is looked for, where one is asked.
 
     >>> DiscoverySettings(rows=2000).selection.compared
     5
@@ -132,6 +135,7 @@ class DiscoverySettings:
     vary: VarySettings = VarySettings()
     delays: DelaySettings = DelaySettings()
     windows: WindowSettings = WindowSettings()
+    hidden: HiddenSettings = HIDDEN
 
     def without_snapping(self) -> DiscoverySettings:
         """Give the same settings for constants that stay as fitted."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -11,9 +11,16 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.discovery.intervals import home_of, printed_places, write_interval
+from dynsr.discovery.intervals import home_of, printed_places, take_apart, write_interval
 from dynsr.errors import InputError
-from dynsr.fit import Measurements, ProfileSettings, Profiling, fit_along, loosen_all
+from dynsr.fit import (
+    Measurements,
+    ProfileSettings,
+    Profiling,
+    fit_along,
+    free_constants,
+    loosen_all,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,10 +108,12 @@ class Profiles:
     ----------
     equations : state -> right-hand side.
     profiling : the fit of all constants, as they are in the loosened equations.
+    fixed : terms whose factors are known.
     """
 
     equations: Mapping[str, sympy.Expr]
     profiling: Profiling
+    fixed: Collection[sympy.Expr] = ()
 
     @classmethod
     def of(
@@ -115,6 +124,7 @@ class Profiles:
         derived: Mapping[str, sympy.Expr],
         rows: int,
         settings: ProfileSettings,
+        fixed: Collection[sympy.Expr] = (),
     ) -> Profiles:
         """Fit all constants of equations to trajectories.
 
@@ -126,6 +136,7 @@ class Profiles:
         derived : state -> its slope, a column that was made from it.
         rows : rows of the data at most.
         settings : the numbers that decide a profile.
+        fixed : terms whose factors are known.
 
         Raises InputError where the equations cannot be fitted to them.
         """
@@ -136,21 +147,30 @@ class Profiles:
             )
         made = {state: slope for state, slope in derived.items() if slope.is_Symbol}
         data = Measurements.of(runs, inputs, rows, made)
-        fit = fit_along(loosen_all(equations), data)
+        fit = fit_along(_loosen_but(equations, fixed), data)
         if fit is None or not np.all(np.isfinite(fit.found.misses)):
             raise InputError(
                 "the equations cannot be fitted along these data; their slopes diverge"
             )
-        return cls(equations, Profiling.of(fit, settings))
+        return cls(equations, Profiling.of(fit, settings), fixed)
 
     @property
     def places(self) -> list[tuple[str, int, int]]:
         """State, place among its printed constants, and place among all that were fitted."""
         found, first = [], 0
+        loose = _loosen_but(self.equations, self.fixed)
         for state, expr in self.equations.items():
-            own = printed_places(expr)
-            found += [(state, index, first + place) for index, place in enumerate(own)]
-            first += len(own)
+            printed, every = printed_places(expr), list(take_apart(expr)[1].values())
+            fitted = list(free_constants(loose[state], "constant ")[1].values())
+            if len(fitted) == len(every):
+                own = list(enumerate(printed))
+            else:
+                # A known factor is printed as others are.
+                own = [
+                    (i, fitted.index(every[p])) for i, p in enumerate(printed) if every[p] in fitted
+                ]
+            found += [(state, index, first + place) for index, place in own]
+            first += len(fitted)
         return found
 
     def profile(self, state: str, index: int) -> Profile:
@@ -232,12 +252,23 @@ class Profiles:
 
     def ends(self) -> dict[str, tuple[Ends | None, ...]]:
         """State -> the interval of each printed constant where Wald's is wrong, None elsewhere."""
-        found: dict[str, list[Ends | None]] = {state: [] for state in self.equations}
+        found: dict[str, list[Ends | None]] = {
+            state: [None] * len(printed_places(expr)) for state, expr in self.equations.items()
+        }
         for state, index, place in self.places:
             wrong = not self.profiling.is_parabola(place)
             own = self.profile(state, index) if wrong else None
-            found[state].append(None if own is None else (_end(own.low), _end(own.high)))
+            found[state][index] = None if own is None else (_end(own.low), _end(own.high))
         return {s: tuple(own) for s, own in found.items() if any(own)}
+
+
+def _loosen_but(
+    equations: Mapping[str, sympy.Expr], fixed: Collection[sympy.Expr]
+) -> dict[str, sympy.Expr]:
+    """Make coefficients floats, but for those of fixed terms."""
+    kept = {s: [t for t in sympy.Add.make_args(e) if t in fixed] for s, e in equations.items()}
+    rest = {s: e - sympy.Add(*kept[s]) for s, e in equations.items()}
+    return {s: own + sympy.Add(*kept[s]) for s, own in loosen_all(rest).items()}
 
 
 def _end(value: float | None) -> float:

@@ -67,6 +67,12 @@ from dynsr.discovery.records import FORMAT, RECORD, read_discovery, write_discov
 from dynsr.discovery.rivals import MORE_CONSTANTS, count_constants
 from dynsr.discovery.suggesting import SUGGESTION, Suggestion, SuggestionSettings, suggest
 from dynsr.discovery.summary import DataSummary, summarise
+from dynsr.discovery.unmeasured import (
+    coupling_of,
+    describe_hidden,
+    estimate_hidden,
+    refuse_hidden,
+)
 from dynsr.discovery.varying import Law, Study, VarySettings, write_answer
 from dynsr.discovery.verdict import NOBODY, NOT_FOUND, Verdict, VerdictSettings, explain, judge
 from dynsr.engines import (
@@ -422,9 +428,11 @@ class Discovery:
         if not self.trajectories:
             return np.array(self.summary.covariance if self.summary else ())
         named, _ = put_names(self.equations, self.constant_names)
-        parameters = self.parameters
-        symbols = tuple(map(sympy.Symbol, parameters))
-        values = list(parameters.numbers.values())
+        parameters, fixed = self.parameters, self._fixed
+        free = [i for i, name in enumerate(parameters) if sympy.Symbol(name) not in fixed]
+        named = {s: e.xreplace(fixed) for s, e in named.items()}
+        symbols = tuple(sympy.Symbol(name) for name in np.array([*parameters])[free])
+        values = [list(parameters.numbers.values())[i] for i in free]
         if self.is_map:
             spread = measure_step_covariance(named, symbols, values, self.trajectories)
         else:
@@ -433,6 +441,10 @@ class Discovery:
             flow = Flow(named, driven, symbols)
             spread = measure_covariance(flow, values, self.carried, self.inputs)
         errors = np.array([parameter.error for parameter in parameters.values()])
+        if fixed:
+            whole = np.zeros((len(errors), len(errors)))
+            whole[np.ix_(free, free)] = spread
+            spread = whole
         own = np.sqrt(np.diag(spread))
         known = np.isfinite(errors) & np.isfinite(own) & (own > 0)
         found = np.full(spread.shape, np.inf)
@@ -440,6 +452,9 @@ class Discovery:
         found[place] = spread[place] * np.outer(
             errors[known] / own[known], errors[known] / own[known]
         )
+        # What was chosen is known.
+        chosen = [i for i in range(len(errors)) if i not in free]
+        found[chosen] = found[:, chosen] = 0.0
         found[np.diag_indices(len(errors))] = errors**2
         return found
 
@@ -524,8 +539,10 @@ class Discovery:
         if not system.parameters:
             raise InputError("the equations have no parameters")
         rhs = dict(system.equations)
-        outputs = {s: sympy.Symbol(s) for s in rhs}
-        names, drives = list(system.parameters), arguments_of(self.equations)
+        rhs = {s: e.xreplace(self._fixed) for s, e in rhs.items()}
+        outputs = {s: sympy.Symbol(s) for s in rhs if s not in self.hidden}
+        names = [name for name in system.parameters if sympy.Symbol(name) not in self._fixed]
+        drives = arguments_of(self.equations)
         structure = identify(rhs, outputs, names, drives, 0)
         if data is None and not self.trajectories:
             return structure
@@ -567,6 +584,7 @@ class Discovery:
         """
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its errors are of one step")
+        refuse_hidden(self.hidden, "an experiment starts")
         if rows is not None and rows < 2:
             raise InputError(f"an experiment of {rows} rows shows no motion; give 2 or more")
         if span is not None and not (np.isfinite(span) and span > 0):
@@ -606,7 +624,9 @@ class Discovery:
         settings = settings or self._settings(ProfileSettings, "profile")
         rows = self._settings(ComparisonSettings, "selection", "comparison").rows
         known = self._known_inputs(prepared)
-        return Profiles.of(self.equations, prepared, known, form.known, rows, settings)
+        return Profiles.of(
+            self.equations, prepared, known, form.known, rows, settings, [*self.hidden.values()]
+        )
 
     def with_profiles(self, settings: ProfileSettings | None = None) -> Discovery:
         """Take intervals from profile likelihoods where those by standard errors are wrong.
@@ -659,6 +679,7 @@ class Discovery:
         """
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its constants do not differ")
+        refuse_hidden(self.hidden, "constants differ from run to run")
         if not self.trajectories:
             raise InputError("the data are not here; discover again before constants can differ")
         if self.by_run.constants:
@@ -920,6 +941,34 @@ class Discovery:
             for s, e in equations.items()
         }
         return samples, noise
+
+    @property
+    def hidden(self) -> dict[str, sympy.Expr]:
+        """State that nobody measured -> the term with which it enters; its factor was chosen."""
+        found = self.settings.get("hidden")
+        # A saved discovery may come from anyone.
+        pairs = found.items() if isinstance(found, Mapping) else ()
+        return {n: coupling_of(n, parse(str(text)), self.equations).term for n, text in pairs}
+
+    @property
+    def measured(self) -> tuple[Trajectory, ...]:
+        """The data of the states that were measured."""
+        return tuple(
+            run.of_states([state for state in run.states if state not in self.hidden])
+            for run in self.trajectories
+        )
+
+    @property
+    def hidden_notes(self) -> dict[str, str]:
+        """Hidden state -> what cannot be known of it, and what the data determine."""
+        pairs = self.hidden.items()
+        return {name: describe_hidden(name, term, self.equations) for name, term in pairs}
+
+    @property
+    def _fixed(self) -> dict[sympy.Symbol, sympy.Expr]:
+        """Parameters that are the factor of a hidden state, which is chosen, with their values."""
+        pairs = self.parameters.items() if self.hidden else ()
+        return {sympy.Symbol(n): sympy.Float(p.value) for n, p in pairs if p.error == 0}
 
     @property
     def time_unit(self) -> str:
@@ -1214,7 +1263,7 @@ class Discovery:
         engine: str | AbstractEngine | None = None,
         hold: Mapping[str, str] | str | None = None,
     ) -> dict[str, dict[str, float]]:
-        """Score on data (the data of the discovery by default), state by state.
+        """Score on data (the data of the discovery by default), each state that was measured.
 
         ``slope_rmse`` is the error of the right-hand side against the chosen slopes,
         ``forecast`` the median miss of forecasts over 50 rows in units of the state's spread,
@@ -1245,6 +1294,8 @@ class Discovery:
         whole = [self._whole(run, chosen) for run in runs]
         known, scores = self._known_inputs(runs), ByState[dict[str, float]]()
         for state, expr in self.equations.items():
+            if state in self.hidden:
+                continue
             samples = form.samples(runs, state)
             truth = np.concatenate([run.observed[:, run.index(state)] for run in runs])
             position = list(self.equations).index(state)
@@ -1262,7 +1313,13 @@ class Discovery:
             raise InputError("the data are not here; give some")
         own = {n: way for n, way in self.hold.items() if n in runs[0].input_names}
         asked = check_hold(hold, runs[0].input_names)
-        return self._by_name(in_unit(settle_hold(runs, {**own, **asked}), self.time_unit))
+        found = self._by_name(in_unit(settle_hold(runs, {**own, **asked}), self.time_unit))
+        rows = self._settings(ComparisonSettings, "selection", "comparison").rows
+        for name, term in self.hidden.items():
+            if name not in found[0].names:
+                known = self._known_inputs(found)
+                found = estimate_hidden(found, name, term, self.equations, known, rows)
+        return found
 
     def _by_name(self, runs: list[Trajectory]) -> list[Trajectory]:
         """Give runs the delayed states, and what parameters that differ were in runs of their name.
@@ -1517,6 +1574,7 @@ class Discovery:
         """
         if self.is_map:
             raise InputError("a hybrid model corrects slopes; a map has none")
+        refuse_hidden(self.hidden, "a hybrid model corrects slopes")
         need("torch", "torch", "a hybrid model")
         from dynsr.discovery.hybrid import fit_hybrid
 
@@ -1675,7 +1733,7 @@ def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
         found.by_run.runs
         or not (found.complete and judged)
         or found.is_map
-        or not is_noisy(found.trajectories)
+        or not is_noisy(found.measured)
     ):
         return found
     try:

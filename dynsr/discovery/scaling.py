@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import monotonic
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -20,11 +21,14 @@ from dynsr.discovery.asked import check_asked
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.delayed import check_delays, search_delayed
 from dynsr.discovery.every_row import are_apart, on_every_row, take_windows
+from dynsr.discovery.hidden import check_hidden, search_hidden
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery, keep, with_profiles
 from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
+from dynsr.discovery.unmeasured import coupling_of
+from dynsr.discovery.verdict import LAW, LEVELS
 from dynsr.discovery.volumes import with_volumes
 from dynsr.engines import DEFAULT_ENGINE, start_engine
 from dynsr.errors import InputError
@@ -203,10 +207,13 @@ def in_fitting_units(search: Search) -> Search:
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
         delays = settings.pop("delays", False)
         vary = check_vary(settings.pop("vary", False), runs, discrete)
+        others = {"vary": vary, "delays": delays, "observed": observed, "ensemble": members}
+        hidden = check_hidden(settings.pop("hidden", False), runs, settings, others)
         every, deciding = runs, settings.get("settings", DISCOVERY)
         check_asked(runs[0].states, seed, settings=deciding, slopes=settings.get("slopes"))
-        # Where runs have constants of their own, a window would be another run.
-        most = math.inf if vary else deciding.windows.above
+        # Where runs have constants of their own, a window would be another run, and the start of a
+        # hidden state is a constant of a run.
+        most = math.inf if vary or hidden else deciding.windows.above
         runs, windows, settings["slopes"] = take_windows(
             runs, deciding.windows, settings.get("slopes"), most
         )
@@ -215,7 +222,7 @@ def in_fitting_units(search: Search) -> Search:
         until = Budget(settings.get("time_budget")).until(1.0)
 
         def one_search(some: Sequence[Trajectory], own: dict[str, Any]) -> Discovery:
-            return _search_in(Units.of(some), some, own)
+            return _search_in(search, Units.of(some), some, own)
 
         # Its arrays are small: more threads than one only wait for each other.
         with counting(bits):
@@ -224,10 +231,12 @@ def in_fitting_units(search: Search) -> Search:
                     asked_delays = check_delays(delays, runs, settings, bool(vary))
                     drives = settings["inputs"]
                     found = search_delayed(one_search, runs, settings, asked_delays, drives)
+                elif hidden:
+                    found = _search_both(one_search, runs, settings, hidden)
                 elif vary:
                     found = search_apart(one_search, runs, settings, vary)
                 else:
-                    found = _search_in(units, runs, settings)
+                    found = _search_in(search, units, runs, settings)
                 found = with_told(found, runs, observed)
                 found = finish_by(until, lambda: confirm(found), lambda: found)[0]
                 found = finish_by(
@@ -245,27 +254,31 @@ def in_fitting_units(search: Search) -> Search:
                 whole = replace(whole, settings={**whole.settings, "ended_by_budget": ended})
             return _keep_fitted(whole, settings.get("out"))
 
-    def _search_in(units: Units, runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery:
-        if units.usual:
-            return search(runs, **settings)
-        if settings.get("start") is not None:
-            begun = Start.read(settings["start"])
-            settings["start"] = begun.rewrite(
-                # Columns that these data lack are refused later.
-                lambda s, e: units.apply_slope(s, e) if s in units.columns else e
-            )
-        drives = settings["inputs"]
-        given = read_inputs(settings.get("known") or {}, (*runs[0].names, "t"))
-        settings["known"] = {s: units.apply_slope(s, e) for s, e in given.items()}
-        settings["inputs"] = {n: units.apply_value(n, e) for n, e in drives.items()}
-        settings["slopes"] = {
-            s: _scale(own, float(units.time / units.columns[s]))
-            for s, own in (settings.get("slopes") or {}).items()
-        }
-        found = search([units.apply(run) for run in runs], **settings)
-        return units.restore(found, runs, drives)
-
     return cast("Search", scaled)
+
+
+def _search_in(
+    search: Search, units: Units, runs: Sequence[Trajectory], settings: dict[str, Any]
+) -> Discovery:
+    """Search in the units given."""
+    if units.usual:
+        return search(runs, **settings)
+    if settings.get("start") is not None:
+        begun = Start.read(settings["start"])
+        settings["start"] = begun.rewrite(
+            # Columns that these data lack are refused later.
+            lambda s, e: units.apply_slope(s, e) if s in units.columns else e
+        )
+    drives = settings["inputs"]
+    given = read_inputs(settings.get("known") or {}, (*runs[0].names, "t"))
+    settings["known"] = {s: units.apply_slope(s, e) for s, e in given.items()}
+    settings["inputs"] = {n: units.apply_value(n, e) for n, e in drives.items()}
+    settings["slopes"] = {
+        s: _scale(own, float(units.time / units.columns[s]))
+        for s, own in (settings.get("slopes") or {}).items()
+    }
+    found = search([units.apply(run) for run in runs], **settings)
+    return units.restore(found, runs, drives)
 
 
 def _keep_fitted(found: Discovery, out: str | Path | None) -> Discovery:
@@ -276,6 +289,77 @@ def _keep_fitted(found: Discovery, out: str | Path | None) -> Discovery:
         with suppress(InputError, OSError):
             keep(found, Path(out))
     return found
+
+
+def _search_both(
+    search: Callable[[Sequence[Trajectory], dict[str, Any]], Discovery],
+    runs: Sequence[Trajectory],
+    settings: dict[str, Any],
+    name: str,
+) -> Discovery:
+    """Search with a hidden state, and without one where that gives no law; the better verdict."""
+    budget = Budget(settings.get("time_budget"))
+    found = _search_hidden_in(Units.of(runs), runs, settings, name)
+    if found is not None and (found.verdict.level == LAW or not found.complete):
+        alone = None
+    else:
+        left = None if budget.seconds is None else budget.until(1.0) - monotonic()
+        alone = search(runs, {**settings, "out": None, "time_budget": left})
+    best = _better(found, alone, name)
+    if settings.get("out") is not None:
+        # What was found is not lost where it cannot be kept.
+        with suppress(InputError, OSError):
+            keep(best, Path(settings["out"]).absolute())
+    return best
+
+
+def _better(found: Discovery | None, alone: Discovery | None, name: str) -> Discovery:
+    """Give the discovery of the better verdict, that with the hidden state if they are alike."""
+    if alone is None:
+        assert found is not None
+        return found
+    levels = [one.verdict.level for one in (found, alone) if one is not None]
+    if found is not None and LEVELS.index(levels[0]) <= LEVELS.index(levels[1]):
+        return found
+    sure = alone.verdict.level == LAW
+    said = f" No {name} is needed." if sure else f" Equations with {name} are no better."
+    return replace(alone, explanation={s: why + said for s, why in alone.explanation.items()})
+
+
+def _search_hidden_in(
+    units: Units, runs: Sequence[Trajectory], settings: dict[str, Any], name: str
+) -> Discovery | None:
+    """Search with a hidden state, in a unit in which its chosen factor stays 1 or -1.
+
+    None where the data need none.
+    """
+    drives, progress = settings["inputs"], settings.get("progress")
+    progress = progress if callable(progress) else None
+    if units.usual:
+        return search_hidden(runs, settings, name, drives, progress)
+    own = {n: units.apply_value(n, e) for n, e in drives.items()}
+    found = search_hidden([units.apply(run) for run in runs], settings, name, own, progress)
+    if found is None:
+        return None
+    coupling = coupling_of(name, found.hidden[name], found.equations)
+    sizes = {sympy.Symbol(n): unit for n, unit in units.columns.items()}
+    unit = units.columns[coupling.state] / units.time / coupling.body.xreplace(sizes)
+    wider = replace(units, columns={**units.columns, name: unit})
+    pairs = zip(runs, found.trajectories, strict=True)
+    whole = [
+        replace(
+            made,
+            t=run.t,
+            x=np.column_stack([run.observed, made.x[:, -1] * float(unit)]),
+            inputs=run.inputs,
+            noise=run.noise,
+        )
+        for run, made in pairs
+    ]
+    restored = wider.restore(found, whole, drives)
+    before, now = found.hidden_notes[name], restored.hidden_notes[name]
+    said = {**restored.explanation, name: restored.explanation[name].replace(before, now)}
+    return replace(restored, explanation=said)
 
 
 def _measured_columns(runs: Sequence[Trajectory]) -> dict[str, list[np.ndarray]]:

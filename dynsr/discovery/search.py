@@ -33,7 +33,7 @@ from dynsr.discovery.asking import (
 from dynsr.discovery.last_resort import follow_anyway
 from dynsr.discovery.maps import ENGINES
 from dynsr.discovery.orders import Order, read_form
-from dynsr.discovery.prediction import name_engines
+from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import (
     DISCOVERY,
     DiscoverySettings,
@@ -157,6 +157,7 @@ def discover(
     time_budget: float | None = None,
     vary: bool | str | Sequence[str] = False,
     delays: bool | float | Sequence[float] = False,
+    hidden: bool | int | str = False,
     ensemble: bool | int = False,
     start: Discovery | Start | str | Path | None = None,
 ) -> Discovery:
@@ -246,6 +247,10 @@ def discover(
     delays : True if equations may contain states as they were some time before, such as
         ``x(t - 1.6)``. The data determine the delay, one for all states. A number, or several, is
         where its fit starts. ``found.delays`` has it with its interval.
+    hidden : the name of one more state, which nobody measured and whose equation is searched too.
+        True or 1 names it "hidden". Its scale, its sign and a function of the measured states that
+        is added to it cannot be known: the simplest form is given. The explanation says what the
+        data determine.
     ensemble : True, or a number of draws: how often each term is kept, and the interval of its
         coefficient, in fits to data drawn with replacement (:func:`dynsr.bootstrap`). The result
         is in ``found.ensemble``, in the report and in the shell's output.
@@ -324,7 +329,7 @@ def discover(
         "methods": list(methods),
         **({"known": {s: to_text(e) for s, e in given.items()}} if given else {}),
         **form.record,
-        **_record_hold(runs[0], drives, discrete, hold),
+        **record_hold(runs[0], drives, discrete, hold),
         **demands.as_record(),
         **({} if units is None else {"column_units": column_units(runs[0], units)}),
         **({"complexity": bits} if bits else {}),
@@ -387,16 +392,6 @@ def _save(found: Discovery, folder: RunFolder) -> None:
         keep(found, folder.path)
     except (InputError, OSError) as error:
         warn(f"{one_line(error)}; the result is returned all the same", stacklevel=3)
-
-
-def _record_hold(
-    run: Trajectory, drives: Mapping[str, sympy.Expr], discrete: bool, hold: Any
-) -> dict[str, dict[str, str]]:
-    """Give what measured inputs do between rows, for the record; a map has nothing there."""
-    if discrete and hold is not None:
-        raise InputError("a map has no time between rows; leave hold out")
-    held = {} if discrete else {n: way for n, way in run.holds.items() if n not in drives}
-    return {"hold": dict(held)} if held else {}
 
 
 def _explain(found: Discovery, problem: Problem) -> dict[str, str]:

@@ -21,6 +21,7 @@ import sympy
 from dynsr.arguments import checked
 from dynsr.data import Trajectory, at_own_rows, weak_form
 from dynsr.discovery.result import Discovery, Inclusion
+from dynsr.discovery.unmeasured import refuse_hidden
 from dynsr.errors import InputError
 from dynsr.expression import ByText, compile_numpy, counting, expand_terms, shown
 from dynsr.fit import (
@@ -83,6 +84,7 @@ def bootstrap(
         raise InputError("the data are not here; discover again before asking for an ensemble")
     if found.is_map:
         raise InputError("an ensemble fits slopes; a map has none, its errors are of one step")
+    refuse_hidden(found.hidden, "an ensemble fits slopes")
     if members < 2 or not 0 < level < 1:
         raise InputError(f"{members} members at level {level}; give two or more and 0 < level < 1")
     result = {}

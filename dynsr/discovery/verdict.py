@@ -8,7 +8,7 @@ forecast the rest; every term must be needed; and no different formula may do as
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -113,6 +113,7 @@ JUDGE = VerdictSettings()
 _JUMPING = ("map", "sampling too coarse")
 # Share of the spread below which nothing is said of how much less is missed.
 _LEAST = 1e-3
+_UNSEEN = "was not measured, and shows in the states that were"
 # Of more terms that the data are not sure of, the first are named.
 _NAMED = 5
 # Causes that leave an equation unsure which explains all.
@@ -249,6 +250,7 @@ def judge(
     rivals: Mapping[str, Sequence[tuple[sympy.Expr, float]]] | None = None,
     causes: Mapping[str, str] | None = None,
     settings: VerdictSettings = JUDGE,
+    fixed: Collection[sympy.Expr] = (),
 ) -> Verdict:
     """Say of every equation whether it is a law of the data, an approximation, or not found.
 
@@ -263,6 +265,7 @@ def judge(
     rivals : state -> (formula, bits above the equation) where they have been compared already.
     causes : state -> a sentence that says what its data lack; by default what they tell.
     settings : the numbers that decide.
+    fixed : terms whose factors are known.
 
     >>> t = np.linspace(0, 3, 61)
     >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
@@ -271,7 +274,7 @@ def judge(
     """
     try:
         with np.errstate(all="ignore"):
-            bench = _Bench.of(equations, runs, inputs or {}, noise, settings)
+            bench = _Bench.of(equations, runs, inputs or {}, noise, settings, fixed)
             return _judge(bench, front or {}, rivals, causes or {})
     except (ArithmeticError, np.linalg.LinAlgError, InputError) as error:
         # What cannot be followed at all is no fault of the search.
@@ -354,6 +357,7 @@ class _Bench:
     clean: np.ndarray
     settings: VerdictSettings
     runs: Sequence[Trajectory]
+    fixed: Collection[sympy.Expr] = ()
 
     @classmethod
     def of(
@@ -363,6 +367,7 @@ class _Bench:
         inputs: Mapping[str, sympy.Expr],
         noise: Sequence[np.ndarray] | None,
         settings: VerdictSettings,
+        fixed: Collection[sympy.Expr] = (),
     ) -> _Bench:
         runs = carry(runs)
         columns = [runs[0].index(state) for state in equations]
@@ -371,11 +376,13 @@ class _Bench:
         whole = [np.where(r.measured, own, np.inf) for r, own in zip(runs, whole, strict=True)]
         spread = np.maximum(spread[columns], 1e-300)
         every = np.concatenate([level[:, columns] for level in whole])
-        typical = np.sqrt(np.mean(every**2, axis=0, where=np.isfinite(every)))
-        clean = typical < settings.exact * spread
+        there = np.isfinite(every)
+        squares = np.sum(np.where(there, every, 0.0) ** 2, axis=0)
+        typical = np.sqrt(squares / np.maximum(np.sum(there, axis=0), 1))
+        clean = there.any(axis=0) & (typical < settings.exact * spread)
         least = np.where(clean, settings.solver, settings.finest) * spread
         own = [np.sqrt(level[:, columns] ** 2 + least**2) for level in whole]
-        opened, places = open_constants(equations)
+        opened, places = open_constants(equations, fixed)
         return cls(
             dict(equations),
             opened,
@@ -386,6 +393,7 @@ class _Bench:
             clean,
             settings,
             runs,
+            fixed,
         )
 
     @property
@@ -453,10 +461,10 @@ class _Bench:
     @property
     def _means(self) -> np.ndarray:
         columns = [self.course.runs[0].index(state) for state in self.equations]
-        found: np.ndarray = np.nanmean(
-            np.concatenate([r.observed for r in self.course.runs]), axis=0
-        )
-        return found[columns]
+        observed = np.concatenate([r.observed for r in self.course.runs])[:, columns]
+        there = np.isfinite(observed)
+        found: np.ndarray = np.sum(np.where(there, observed, 0.0), axis=0)
+        return found / np.maximum(np.sum(there, axis=0), 1)
 
     def span(self, followed: Followed) -> float:
         """Time over which the equations were followed at a stretch."""
@@ -578,7 +586,10 @@ class _Bench:
     ) -> StateVerdict:
         """Weigh all that is known of one state."""
         state = list(self.equations)[place]
-        expr, r2 = self.equations[state], _round(self.r2(followed)[place])
+        hidden, every = followed.counts == 0, self.r2(followed)
+        # What was never measured shows in the others alone.
+        expr = self.equations[state]
+        r2 = _round(float(np.min(every[~hidden])) if hidden[place] else every[place])
         noise = _round(self.noise[place])
         found = StateVerdict(NOT_FOUND, "", r2, noise=noise)
         if evidence is not None:
@@ -604,11 +615,15 @@ class _Bench:
             said = f"{state} moves, and a constant slope does not reproduce it."
             return replace(found, reason=said + self._because(state, cause))
         if doubts:
-            said = f"{follows_to(r2)}{self._while(followed)}, but {'; '.join(doubts)}."
+            how = _UNSEEN if hidden[place] else follows_to(r2) + self._while(followed)
+            said = f"{how}, but {'; '.join(doubts)}."
             explained = self._leaves_noise(place, evidence, found, rows)
             because = self._because(state, cause, explained)
             return replace(found, level=APPROXIMATION, reason=said + because)
-        return replace(found, level=LAW, reason=self._praise(place, noise, followed, evidence))
+        praise = self._praise(place, noise, followed, evidence)
+        if hidden[place]:
+            praise = f"{_UNSEEN}, and the data need each of its terms."
+        return replace(found, level=LAW, reason=praise)
 
     def heed_drift(
         self, states: dict[str, StateVerdict], followed: Followed
@@ -659,14 +674,18 @@ class _Bench:
         found: dict[str, Drift | None] = {}
         noisy = [s for s, exact in zip(self.equations, self.clean, strict=True) if not exact]
         if followed.finite:
-            found |= self._along(followed).look(asked & set(noisy), weak)
+            # What was never measured is known along the equations alone.
+            seen = {s for s in weak if any(len(run.own_rows(s)) for run in self.runs)}
+            found |= self._along(followed).look(asked & set(noisy), seen)
         found |= {s: self._drift_of_law(s) for s in asked - weak - set(noisy)}
         found |= {s: self._drift_of_slopes(s) for s in weak - set(noisy)}
         return {s: drift for s, drift in found.items() if drift is not None}
 
     def _along(self, followed: Followed) -> Along:
         settings = self.settings
-        return Along(self.equations, followed, self.course, settings.windows, settings.drift)
+        return Along(
+            self.equations, followed, self.course, settings.windows, settings.drift, self.fixed
+        )
 
     def _drift_of_slopes(self, state: str) -> Drift | None:
         """Give the formula with the time that the slopes of clean data follow."""
@@ -691,7 +710,7 @@ class _Bench:
         changed = {**self.equations, **{s: drift.expr for s, drift in drifts.items()}}
         # The other equations had been fitted beside one that is wrong.
         changed = self._along(followed).refit(changed)
-        opened, places = open_constants(changed)
+        opened, places = open_constants(changed, self.fixed)
         other = replace(self, equations=changed, opened=opened, places=places)
         again = other.follow_longest()
         evidence = other.gather(again) if again.finite else None
@@ -781,8 +800,9 @@ class _Bench:
         return closest if 1 / (1 + weight) < self.settings.probable else []
 
     def _rows(self, followed: Followed, place: int) -> float:
-        """Rows of the data that were followed in which a state was measured."""
-        return float(followed.counts[place]) * self.course.thinned
+        """Rows that were followed in which a state was measured, or any where it never was."""
+        counts = followed.counts
+        return float(counts[place] or np.sum(counts)) * self.course.thinned
 
     def _leaves_noise(
         self, place: int, evidence: _Evidence, found: StateVerdict, rows: float
@@ -1036,7 +1056,9 @@ def _covariance(slopes: np.ndarray) -> np.ndarray:
 
 def _tame(z: np.ndarray) -> np.ndarray:
     """Leave rare outliers out of a sum of squares: those beyond six robust sizes."""
-    bound = 6 * 1.4826 * float(np.median(np.abs(z))) if len(z) else 0.0
+    if not len(z):
+        return z
+    bound = 6 * 1.4826 * float(np.median(np.abs(z)))
     out = np.abs(z) > bound
     return np.where(out, 0.0, z) if 0 < np.mean(out) < 0.02 else z
 
@@ -1048,7 +1070,7 @@ def _correlate(lanes: Sequence[np.ndarray]) -> tuple[float, bool]:
     True
     """
     rows = sum(z.size for z in lanes)
-    most = max(1, min(10, min(len(z) for z in lanes) // 5))
+    most = max(1, min(10, min((len(z) for z in lanes), default=0) // 5))
     total = sum(float(np.sum(z**2)) for z in lanes)
     if total == 0 or rows < 8:
         return 0.0, False

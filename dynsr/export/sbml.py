@@ -245,7 +245,7 @@ def write_petab(source: Source) -> dict[str, str]:
     """
     taken = {*source.states, *source.parameters, *source.system.inputs}
     begins = {s: _unused(f"start_{s}", taken) for s in source.states}
-    spreads = {s: _unused(f"noise_{s}", taken) for s in source.states}
+    spreads = {s: _unused(f"noise_{s}", taken) for s in source.states if _is_measured(source, s)}
     inputs = source.measured
     header = ["conditionId", *begins.values(), *inputs]
     conditions, measurements = [header], [_MEASURED]
@@ -259,15 +259,15 @@ def write_petab(source: Source) -> dict[str, str]:
                 *(number(_constant(source, run, u)) for u in inputs),
             ]
         )
-        for state, values in columns.items():
+        for state in spreads:
             measurements += [
                 [f"observed_{state}", condition, number(value), number(t - run.t[0])]
-                for t, value in zip(run.t, values, strict=True)
+                for t, value in zip(run.t, columns[state], strict=True)
                 if np.isfinite(value)
             ]
     observables = [
         _OBSERVED,
-        *([f"observed_{s}", s, spreads[s], "normal"] for s in source.states),
+        *([f"observed_{s}", s, own, "normal"] for s, own in spreads.items()),
     ]
     parameters = [_ESTIMATED, *([n, *_bounds(v)] for n, v in source.parameters.items())]
     for state, name in spreads.items():
@@ -332,6 +332,10 @@ def _column(source: Source, run: Trajectory, name: str) -> np.ndarray:
     if own not in run.names:
         raise InputError(f"the data have no column {own!r}, which a PEtab problem needs")
     return run.columns[:, run.names.index(own)]
+
+
+def _is_measured(source: Source, state: str) -> bool:
+    return any(len(run.own_rows(_own(source, state))) for run in source.runs)
 
 
 def _constant(source: Source, run: Trajectory, name: str) -> float:

@@ -1,6 +1,7 @@
 from .blocks import RowsFit, fit_blocks
 from .candidates import Candidate, ParetoFront, explained_shares, r_squared, rmse, score_candidate
 from .collocation import (
+    AlongFit,
     Collocation,
     CollocationFit,
     Linearised,
@@ -47,7 +48,7 @@ from .noise import (
     slope_size,
 )
 from .parsimony import collapse, without_flat_line
-from .polishing import loosen_all, polish, untouched_match
+from .polishing import loosen_all, polish, simple_numbers, untouched_match
 from .profile import ProfileSettings, Profiling
 from .settings import FIT, CollocationSettings, FitSettings
 from .shooting import (
@@ -73,6 +74,7 @@ __all__ = [
     "FIT",
     "LOSSES",
     "STABLE",
+    "AlongFit",
     "Candidate",
     "Collocation",
     "CollocationFit",
@@ -152,6 +154,7 @@ __all__ = [
     "score_candidate",
     "score_snapped",
     "shift_bits",
+    "simple_numbers",
     "simplest_form",
     "simplicity_bits",
     "skeleton",

@@ -56,6 +56,8 @@ _LONGEST = 10.0
 _MAY_BE_EXACT = 1e-3
 # Noise, as a share of the spread, that hides the errors of so many rows.
 _HIDES = 5e-3
+# In the origin of a run, which one it is.
+_NUMBER = "number"
 # Share of its spread in which the defects of a state that is not measured are counted.
 _UNMEASURED = 0.01
 
@@ -218,8 +220,9 @@ def covariance_of(information: np.ndarray) -> np.ndarray:
     ----------
     information : (P, P), in inverse squares of the units of P constants.
     """
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    # In these units its diagonal is 1.
+    own = np.diag(information)
+    # In these units its diagonal is 1, and 0 where nothing is said.
+    scale = np.sqrt(np.where(own > 0, own, np.inf))
     units = np.outer(scale, scale)
     scaled = information / units
     if not np.all(np.isfinite(scaled)):
@@ -809,6 +812,8 @@ class Measurements:
         derived : state -> its slope that was made from it.
         """
         runs = carry(runs)
+        if never := [s for s in runs[0].states if not any(len(run.own_rows(s)) for run in runs)]:
+            return cls._with_curves(runs, inputs, rows, derived, never)
         noise = estimate_noise(runs)
         longest = max(map(len, runs))
         stride = max(1, min(-(-sum(map(len, runs)) // rows), (longest - 1) // 4))
@@ -820,6 +825,59 @@ class Measurements:
         ]
         return cls(thinned, inputs, smoothed, derived or {}, sums=_noise_of_sums(thinned, smoothed))
 
+    @classmethod
+    def _with_curves(
+        cls,
+        runs: Sequence[Trajectory],
+        inputs: Mapping[str, sympy.Expr],
+        rows: int,
+        derived: Mapping[str, sympy.Symbol] | None,
+        never: Sequence[str],
+    ) -> Measurements:
+        """Estimate the noise of runs of which some states have a curve and were never measured."""
+        kept = [state for state in runs[0].states if state not in never]
+        numbered = [
+            replace(run.of_states(kept), origin={**run.origin, _NUMBER: number})
+            for number, run in enumerate(runs)
+        ]
+        data = cls.of(numbered, inputs, rows, derived)
+        for state in never:
+            curves = []
+            for run in data.runs:
+                whole = runs[run.origin[_NUMBER]]
+                curves.append(np.interp(run.t, whole.t, whole.x[:, whole.index(state)]))
+            data = data.with_hidden(state, curves)
+        return data
+
+    def with_hidden(self, name: str, curves: Sequence[np.ndarray]) -> Measurements:
+        """Give the same data with one more state, which is measured nowhere.
+
+        Parameters
+        ----------
+        name : of the state.
+        curves : for each run its first curve (n,) at the rows.
+        """
+        runs, smoothed = [], []
+        for run, own, curve in zip(self.runs, self.smoothed, curves, strict=True):
+            states, none = (*run.states, name), np.zeros_like(curve)
+            slope = CubicSpline(own.t, curve)(own.t, 1)
+            more = {
+                "x": curve,
+                "slope": slope,
+                "x_sd": none,
+                "slope_sd": none,
+                "noise": none + np.inf,
+                **({} if own.before is None else {"before": slope}),
+            }
+            wider = {n: np.column_stack([getattr(own, n), column]) for n, column in more.items()}
+            method = (*own.method, "hidden")
+            smoothed.append(replace(own, **wider, method=method, states=states))
+            gaps = np.column_stack([~run.measured, np.ones(len(run), dtype=bool)])
+            x = np.column_stack([run.x, curve])
+            runs.append(replace(run, x=x, states=states, unmeasured=gaps))
+        sums = [np.column_stack([own, np.full(len(own), np.inf)]) for own in self.sums]
+        return replace(self, runs=runs, smoothed=smoothed, sums=sums)
+
     def known(self, states: Sequence[str]) -> np.ndarray:
         """(k,) whether the noise of states is known as it stands, and no estimate.
 
@@ -828,12 +886,17 @@ class Measurements:
         states : the k of them.
         """
         said = [[_told_noise(run, state) for run in self.runs] for state in states]
-        return np.array([all(own is not None and own.sure for own in each) for each in said])
+        sure = [all(own is not None and own.sure for own in each) for each in said]
+        # Of what was never measured there is no noise to be estimated.
+        never = [not any(len(run.own_rows(state)) for run in self.runs) for state in states]
+        return np.logical_or(sure, never)
 
     @cached_property
     def _spread(self) -> np.ndarray:
-        """(k,) standard deviation of what was measured of each state."""
-        return np.asarray(np.nanstd(np.concatenate([run.observed for run in self.runs]), axis=0))
+        """(k,) standard deviation of what was measured of each state; 0 where nothing was."""
+        columns = np.concatenate([run.observed for run in self.runs]).T
+        there = (own[~np.isnan(own)] for own in columns)
+        return np.array([np.std(own) if len(own) else 0.0 for own in there])
 
     @cached_property
     def deviations(self) -> list[np.ndarray]:

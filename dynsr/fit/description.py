@@ -99,11 +99,13 @@ def misses_bits(
     """Bits of what a system misses of its states: sum_s m_s/2 log2(mean squared miss of s).
 
     The logarithm is that of a likelihood whose noise is what is missed; where the noise is known,
-    it is the mean squared miss itself, less 1, over ln 2.
+    it is the mean squared miss itself, less 1, over ln 2. A state that was never measured misses
+    what its own equation says of it, in units that are known.
 
     Parameters
     ----------
-    mean_squares : (k,) mean squared miss of every state, in units of its noise.
+    mean_squares : (k,) mean squared miss of every state, in units of its noise; of one without
+        rows the sum of the squares.
     rows : (k,) independent rows of every state, :func:`dynsr.fit.independent_rows`.
     known : (k,) whether the noise of a state is known.
 
@@ -111,7 +113,10 @@ def misses_bits(
     100.0
     """
     missed = np.where(known, (mean_squares - 1) / math.log(2), np.log2(mean_squares))
-    return float(np.sum(rows / 2 * missed))
+    # Without rows of their own, the squares are a sum.
+    with np.errstate(invalid="ignore"):
+        bits = np.where(rows > 0, rows * missed, mean_squares / math.log(2))
+    return float(np.sum(bits)) / 2
 
 
 def precision_bits(

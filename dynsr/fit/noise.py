@@ -118,14 +118,30 @@ def noise_of(candidates: Iterable[Candidate], samples: Samples) -> Noise:
 def noise_and_spread(runs: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
     """Measurement noise and spread (both standard deviations) of every state, (k,) each.
 
-    The noise is the mean over the trajectories of more than four rows; 0 where all are shorter.
+    The noise is the mean over the trajectories of more than four rows; 0 where all are shorter, and
+    of a state that was never measured, whose spread is that of its curve.
     """
     long = [measurement_noise(run) for run in runs if len(run) > 4]
     noise = np.zeros(len(runs[0].states))
     if long:
         told = np.isfinite(long)
         noise = np.sum(np.where(told, long, 0.0), axis=0) / np.maximum(np.sum(told, axis=0), 1)
-    return noise, np.nanstd(np.concatenate([run.observed for run in runs]), axis=0)
+    return noise, spread_of(runs)
+
+
+def spread_of(runs: Sequence[Trajectory]) -> np.ndarray:
+    """(k,) standard deviation of each state where it was measured, or of its curve if nowhere.
+
+    Parameters
+    ----------
+    runs : trajectories of the same columns.
+    """
+    found = []
+    for place in range(len(runs[0].states)):
+        seen = np.concatenate([run.x[run.measured[:, place], place] for run in runs])
+        whole = seen if len(seen) else np.concatenate([run.x[:, place] for run in runs])
+        found.append(float(np.std(whole)))
+    return np.array(found)
 
 
 def is_noisy(runs: Sequence[Trajectory]) -> bool:

@@ -20,7 +20,7 @@ from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
 from dynsr.fit.flow import PLAIN, Flow, Pace, Track, Windows, cut_windows
 from dynsr.fit.linear import cauchy_weights
-from dynsr.fit.noise import independent_rows, is_noisy, noise_and_spread
+from dynsr.fit.noise import independent_rows, is_noisy, noise_and_spread, spread_of
 from dynsr.fit.settings import FIT, FitSettings
 
 # Runge-Kutta 4 is stable for |eigenvalue| * step up to about 2.8 (Hairer and Wanner 1996, IV.2).
@@ -386,7 +386,7 @@ def build_shooting(
     """
     runs = carry(runs)
     columns = [runs[0].index(state) for state in flow.rhs]
-    spread = np.nanstd(np.concatenate([run.observed for run in runs]), axis=0)[columns]
+    spread = spread_of(runs)[columns]
     if deviations is None and any(run.unmeasured.size for run in runs):
         whole = noise_and_spread(runs)[1]
         deviations = [np.where(run.measured, whole, np.inf) for run in runs]

@@ -228,7 +228,11 @@ def render_discovery(found: Discovery) -> str:
         equations=[_equation(found, state) for state in found.equations],
         constants=_constants(found),
         by_run=_by_run(found),
-        fronts={state: _front(found, state, samples.get(state)) for state in found.equations},
+        fronts={
+            state: _front(found, state, samples.get(state))
+            for state in found.equations
+            if state not in found.hidden
+        },
         trajectories=list(_trajectories(found)),
         fixed=_fixed_points(found),
         flow=[picture] if (picture := show_flow(found)) else [],
@@ -248,6 +252,8 @@ def _samples(found: Discovery) -> dict[str, tuple[Samples, np.ndarray]]:
     """Give for each state its slopes, and what its equation says they are."""
     pairs = {}
     for state, expr in found.equations.items() if found.trajectories else ():
+        if state in found.hidden:
+            continue
         samples = _slopes_of(found, state)
         pairs[state] = samples, evaluate(expr, {**samples.columns, "t": samples.t})
     return pairs
@@ -300,7 +306,7 @@ def _is_doubtful(found: Discovery) -> bool:
     """Whether noise leaves a doubt of constants and alternatives; exact data leave none."""
     judged = found.verdict.tested and found.verdict.level != "not found"
     noisy = judged and bool(found.trajectories) and not found.is_map
-    return noisy and is_noisy(found.trajectories)
+    return noisy and is_noisy(found.measured)
 
 
 def _suggestion(found: Discovery) -> Table | None:
@@ -436,7 +442,7 @@ def _verdicts(found: Discovery) -> Table | None:
     if not found.verdict.tested:
         return None
     rows = tuple(
-        (state, own.level, own.r2, own.chi_square, own.forecast, own.noise, _surest(own))
+        (state, own.level, *_numbers(own, state in found.hidden), _surest(own))
         for state, own in found.verdict.states.items()
     )
     return Table(
@@ -449,6 +455,12 @@ def _verdicts(found: Discovery) -> Table | None:
         "error at the held-back end, as a share of the spread, by constants fitted to the rest. "
         "Terms: the probability that each belongs.",
     )
+
+
+def _numbers(own: StateVerdict, hidden: bool) -> tuple[float | None, ...]:
+    """R2, chi-square, forecast and noise; of a state that was not measured there are none."""
+    found = own.r2, own.chi_square, own.forecast, own.noise
+    return (None,) * len(found) if hidden else found
 
 
 def _surest(own: StateVerdict) -> str:

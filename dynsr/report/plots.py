@@ -165,8 +165,9 @@ def draw_states(
                 axis.fill_between(
                     found.t, *intervals[state], color=COLOURS[1], alpha=0.25, label="interval"
                 )
-            _follow(axis, column, [curve])
-        axis.set_ylabel(state)
+            # What nobody measured has nothing but its curve.
+            _follow(axis, column if np.isfinite(column).any() else curve, [curve])
+        axis.set_ylabel(state if np.isfinite(column).any() else f"{state}, not measured")
     axes.flat[-1].set_xlabel(_time_label(true.time_unit))
     _legend_below(figure, axes.flat[0])
     return figure
@@ -351,10 +352,12 @@ def draw_phase_portrait(true: Trajectory, found: Trajectory | None, across: str,
     both = true.observed[:, [i, j]]
     whole = both[np.all(np.isfinite(both), axis=1)]
     axis.plot(*whole.T, label="data", **_look_of(whole))
-    axis.plot(*whole[0], "s", color="black", ms=7, mfc="none", mew=1.5, label="start")
+    if len(whole):
+        axis.plot(*whole[0], "s", color="black", ms=7, mfc="none", mew=1.5, label="start")
     if found is not None:
         path = found.x[:, [found.index(across), found.index(up)]]
         axis.plot(*path.T, color=COLOURS[1], lw=1.1, label="found")
+        whole = whole if len(whole) else path
         _follow(axis, whole[:, 1], [path[:, 1]])
         low, high = _limits(whole[:, 0], [path[:, 0]])
         axis.set_xlim(low, high)

@@ -8,6 +8,17 @@ from .comparison import (
 )
 from .first_look import Look, look
 from .followers import Follower, FollowerSettings, Trail, find_followers
+from .hidden import (
+    HIDDEN,
+    Coupling,
+    HiddenFit,
+    HiddenSettings,
+    different_laws,
+    find_hidden,
+    find_without,
+    first_curve,
+    law_of,
+)
 from .pick import (
     Pick,
     RankedCandidate,
@@ -35,10 +46,14 @@ from .terms import move_inside, products, weighted_sum
 from .twins import families
 
 __all__ = [
+    "HIDDEN",
     "Compared",
     "ComparisonSettings",
+    "Coupling",
     "Follower",
     "FollowerSettings",
+    "HiddenFit",
+    "HiddenSettings",
     "Look",
     "Pick",
     "RankedCandidate",
@@ -52,13 +67,18 @@ __all__ = [
     "best_subsets",
     "bodies_of",
     "compare_systems",
+    "different_laws",
     "explains_all",
     "explore",
     "families",
     "find_followers",
+    "find_hidden",
+    "find_without",
+    "first_curve",
     "follow_anything",
     "forecast_miss",
     "is_left_open",
+    "law_of",
     "lead_with",
     "look",
     "may_be_exact",

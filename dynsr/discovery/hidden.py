@@ -1,0 +1,327 @@
+"""Hidden: equations are searched with one state that nobody measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+import sympy
+
+from dynsr import __version__
+from dynsr.data import KnownNoise, Trajectory, carry
+from dynsr.discovery.asking import settle
+from dynsr.discovery.intervals import take_apart
+from dynsr.discovery.prediction import name_engines, record_hold
+from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
+from dynsr.discovery.verdict import NOBODY, explain, judge
+from dynsr.engines import DEFAULT_ENGINE, find_engine
+from dynsr.errors import InputError
+from dynsr.expression import arguments_of, check_name, to_text
+from dynsr.fit import (
+    AlongFit,
+    Measurements,
+    ParetoFront,
+    fit_along,
+    interval_reach,
+    simple_numbers,
+    skeleton,
+    tidy,
+)
+from dynsr.jobs import Budget, RunFolder, Step, fingerprint, finish_by, tell_each, to_plain
+from dynsr.methods import AUTO, DEFAULT_PRESET, choose_methods, read_demands
+from dynsr.selection import (
+    ComparisonSettings,
+    Coupling,
+    HiddenFit,
+    SystemFit,
+    different_laws,
+    find_hidden,
+    find_without,
+)
+
+_NAME = "hidden"
+# Options of a search that have no meaning where one state was not measured.
+_REFUSED = (
+    "known",
+    "slopes",
+    "scheme",
+    "order",
+    "explicit_time",
+    "discrete",
+    "method",
+    "targets",
+    "conserved",
+    "units",
+    "loss",
+    "start",
+)
+_USUAL = {"method": AUTO, "targets": "all", "order": 1, "loss": "squared"}
+_DEMANDS = ("functions", "max_complexity", "terms", "must", "constraints", "nonnegative")
+
+
+def check_hidden(
+    asked: bool | int | str, runs: Sequence[Trajectory], settings: Mapping[str, Any], others: Any
+) -> str:
+    """Give the name of the state that was not measured, "" where none is asked for.
+
+    Parameters
+    ----------
+    asked : the name, or 1 or True for one that is called "hidden".
+    runs : the data.
+    settings : of the search.
+    others : name -> value of further options that do not go with it.
+
+    Raises InputError where it is not one of these, the name is that of a column, or another option
+    does not go with it.
+
+    >>> run = Trajectory(np.arange(3.0), np.ones((3, 1)), ("x",))
+    >>> [check_hidden(asked, [run], {}, {}) for asked in (1, "y", 0)]
+    ['hidden', 'y', '']
+    """
+    if asked in (False, 0):
+        return ""
+    if not isinstance(asked, str) and asked != 1:
+        raise InputError(f"hidden={asked!r}: one state can be hidden; give its name, or 1")
+    name = asked if isinstance(asked, str) else _NAME
+    check_name(name, "column")
+    if name in (*runs[0].names, "t"):
+        raise InputError(f"{name!r} is a column of the data; give the hidden state another name")
+    given = {**settings, **others}
+    if odd := [n for n in (*_REFUSED, *others) if _is_given(n, given.get(n))]:
+        raise InputError(f"{odd[0]} does not go with a hidden state; leave one of the two out")
+    choose_methods(AUTO, settings.get("preset", DEFAULT_PRESET))
+    return name
+
+
+def _is_given(option: str, value: Any) -> bool:
+    """Whether an option says anything but what it says by default."""
+    if isinstance(value, np.ndarray):
+        return True
+    usual = _USUAL.get(option)
+    return bool(value) and value not in (usual, [usual], (usual,))
+
+
+def search_hidden(
+    runs: Sequence[Trajectory],
+    settings: Mapping[str, Any],
+    name: str,
+    inputs: Mapping[str, sympy.Expr],
+    progress: Callable[[Step], None] | None = None,
+) -> Discovery | None:
+    """Search the equations of the measured states and of one that was not measured.
+
+    None where those of the measured states alone take fewer bits, or none has it.
+
+    Parameters
+    ----------
+    runs : the data.
+    settings : of the search.
+    name : of the hidden state.
+    inputs : input name -> expression in ``t`` where it is known.
+    progress : is called as each step ends.
+    """
+    began, details = monotonic(), settings.get("settings", DISCOVERY)
+    if settings.get("snap") is False:
+        details = details.without_snapping()
+    states, names = (*runs[0].states, name), (*runs[0].names, name)
+    demands = read_demands(states, names, **{n: settings[n] for n in _DEMANDS if n in settings})
+    selection = settle(details.selection, demands)
+    runs = number_runs(carry(runs))
+    engine = find_engine(settings.get("engine", DEFAULT_ENGINE))
+    budget = settings.get("time_budget")
+    record: dict[str, Any] = {
+        **demands.as_record(),
+        **record_hold(runs[0], inputs, False, settings.get("hold")),
+        **({} if budget is None else {"time_budget": budget}),
+        "method": _NAME,
+        "methods": [_NAME],
+        "preset": settings.get("preset", DEFAULT_PRESET),
+        "seed": settings.get("seed", 0),
+        "engine": engine.name,
+        "version": __version__,
+        "details": to_plain(details),
+    }
+    _claim(settings.get("out"), name, record, runs, inputs)
+    every: list[HiddenFit] = []
+    alone: list[SystemFit | None] = []
+
+    def look() -> None:
+        data = _as_noisy(runs, inputs, selection.comparison)
+        for state in tell_each(["", *states[:-1]], lambda s: _title(name, s), progress):
+            if state:
+                every.extend(find_hidden(data, name, state, selection.comparison, details.hidden))
+            else:
+                alone.append(find_without(data, selection.comparison))
+
+    until, complete = Budget(budget).until(details.shares.choices), True
+    try:
+        _, cut = finish_by(until, look, lambda: None)
+    except KeyboardInterrupt:
+        complete, cut = False, False
+        if not every:
+            raise
+    if not every and cut:
+        raise InputError(f"no equations with {name} were found in this time; give more")
+    every.sort(key=lambda one: one.bits)
+    if not every or (alone[0] is not None and alone[0].bits <= every[0].bits):
+        return None
+    found = _discover(every, runs, inputs, replace(details, selection=selection), complete)
+    measured = bool(set(arguments_of(found.equations)) - set(inputs))
+    record |= {
+        **found.settings,
+        "engines": name_engines([], engine, measured, along=True),
+        **({"ended_by_budget": [_NAME]} if cut else {}),
+    }
+    return replace(found, engine=engine, settings=record, seconds=monotonic() - began)
+
+
+def _claim(
+    out: str | Path | None,
+    name: str,
+    record: Mapping[str, Any],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+) -> None:
+    """Make a folder that of this discovery; raises FolderTaken when it is another one's."""
+    digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
+    about = {n: value for n, value in record.items() if n != "details"}
+    about |= {
+        _NAME: name,
+        "data": f"{sum(map(len, runs))} rows of {', '.join(runs[0].names)}, {digest}",
+    }
+    folder = RunFolder(None if out is None else Path(out).absolute())
+    folder.claim("discovery", about, fingerprint(about, record["details"], dict(inputs)))
+
+
+def _title(name: str, state: str) -> str:
+    """What is looked for, for progress."""
+    return f"{state}' with {name}" if state else f"without {name}"
+
+
+def _as_noisy(
+    runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr], settings: ComparisonSettings
+) -> Measurements:
+    """Give measurements; exact ones have errors as small as those of a solver.
+
+    What exact states miss by less than these says nothing of a law, and terms would be found for
+    it.
+    """
+    data = Measurements.of(runs, inputs, settings.rows)
+    if data.noise_share >= settings.noisy:
+        return data
+    columns = np.concatenate([run.observed for run in runs])
+    sizes = settings.noisy * np.nanstd(columns, axis=0)
+    states = runs[0].states
+    known = [
+        {s: KnownNoise(np.full(len(run), size)) for s, size in zip(states, sizes, strict=True)}
+        for run in runs
+    ]
+    exact = [replace(run, noise=own) for run, own in zip(runs, known, strict=True)]
+    return Measurements.of(exact, inputs, settings.rows)
+
+
+def _discover(
+    every: Sequence[HiddenFit],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: DiscoverySettings,
+    complete: bool,
+) -> Discovery:
+    """Give the best system with the constants that fit best, and its verdict."""
+    best, selection = every[0], settings.selection
+    coupling, exprs, data = best.signed()
+    if data.known(runs[0].states).all() and not any(run.noise for run in runs):
+        # The constants of exact states are exact too.
+        finer = data.finest / selection.comparison.noisy
+        data = data.with_noise(dict.fromkeys(runs[0].states, finer))
+    fit = fit_along(exprs, data, selection.fit.along)
+    if fit is None:
+        raise InputError("no system with a hidden state can be fitted to these data")
+    numbers = simple_numbers(fit, [None] * len(fit.constants), selection.fit)
+    final = {s: tidy(e) for s, e in fit.put(numbers).items()}
+    errors, fitted = _errors(final, fit, numbers, coupling)
+    whole = with_columns(runs, data, coupling.name)
+    others = different_laws(best, every, settings.verdict.rival_bits, settings.hidden)
+    if coupling != best.coupling:
+        others = [(best.coupling.turned(other)[1], bits) for other, bits in others]
+    verdict = (
+        judge(
+            final,
+            whole,
+            inputs,
+            rivals=_by_state(others, exprs, coupling.name),
+            causes=dict.fromkeys(final, ""),
+            settings=settings.verdict,
+            fixed=[coupling.term],
+        )
+        if complete
+        else NOBODY
+    )
+    said = {coupling.name: f" {describe_hidden(coupling.name, coupling.term, final)}"}
+    return Discovery(
+        final,
+        errors,
+        {s: ParetoFront([]) for s in final},
+        {
+            s: (explain(s, e, verdict.states[s]) if verdict.tested else "") + said.get(s, "")
+            for s, e in final.items()
+        },
+        tuple(whole),
+        dict(inputs),
+        {"hidden": {coupling.name: to_text(coupling.term)}},
+        complete=complete,
+        fitted=fitted,
+        reach=interval_reach(fit.freedom),
+        verdict=verdict,
+    )
+
+
+def _by_state(
+    others: Sequence[tuple[Mapping[str, sympy.Expr], float]],
+    exprs: Mapping[str, sympy.Expr],
+    name: str,
+) -> dict[str, list[tuple[sympy.Expr, float]]]:
+    """Give alternatives for the state by whose equation they differ, the hidden one first."""
+    found: dict[str, list[tuple[sympy.Expr, float]]] = {}
+    for other, bits in others:
+        differing = [s for s in (name, *exprs) if skeleton(other[s]) != skeleton(exprs[s])]
+        own = (differing or [name])[0]
+        found.setdefault(own, []).append((other[own], bits))
+    return found
+
+
+def _errors(
+    final: Mapping[str, sympy.Expr],
+    fit: AlongFit,
+    numbers: Sequence[sympy.Expr],
+    coupling: Coupling,
+) -> tuple[dict[str, tuple[tuple[float, float], ...]], dict[str, tuple[float, ...]]]:
+    """Give state -> (value, standard error), and fitted value, of the constants of equations.
+
+    The factor of the hidden state is known: it has no error. A number that is no constant of the
+    fit has one that nobody knows.
+    """
+    errors: dict[str, tuple[tuple[float, float], ...]] = {}
+    fitted: dict[str, tuple[float, ...]] = {}
+    left = list(zip(map(float, numbers), fit.errors.tolist(), fit.constants.tolist(), strict=True))
+    for state, expr in final.items():
+        pairs = []
+        chosen = [float(coupling.sign)] if state == coupling.state else []
+        for value in take_apart(expr)[1].values():
+            near = next((one for one in left if math.isclose(one[0], value)), None)
+            if near is not None:
+                left.remove(near)
+            elif value in chosen:
+                chosen.remove(value)
+                near = value, 0.0, value
+            pairs.append(near or (value, math.inf, value))
+        errors[state] = tuple((value, error) for value, error, _ in pairs)
+        fitted[state] = tuple(own for *_, own in pairs)
+    return errors, fitted

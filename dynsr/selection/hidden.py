@@ -1,0 +1,503 @@
+"""Hidden: a state that nobody measured, found together with its equation.
+
+Where x' = f(x) + a(x) h, the slope of x shows h but for f: h = x'/a(x) is a first curve of it, and
+h' = g(x, h) is then proposed by the library as any other equation; the joint fit of states and
+constants, in which h is free, scores the system. The same x is followed by h + p(x) in the place of
+h, for every p: of these ways to write one law, that of the fewest bits is taken. The factor of h
+cannot be known either: it is 1 or -1. What the data determine is the equation of x'' in x and x'
+alone, in which h is eliminated; by that two systems are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import chain, combinations
+
+import numpy as np
+import sympy
+
+from dynsr.expression import evaluate, expand_terms
+from dynsr.fit import Measurements, skeleton
+from dynsr.library import Written
+from dynsr.selection.alone import Alone
+from dynsr.selection.changes import prune
+from dynsr.selection.comparison import (
+    ComparisonSettings,
+    Equations,
+    SystemComparison,
+    SystemFit,
+    apart_by,
+)
+from dynsr.selection.renewal import renew
+from dynsr.selection.shapes import bare_terms, rounded
+from dynsr.selection.terms import products
+
+
+@dataclass(frozen=True)
+class HiddenSettings:
+    """The numbers that decide a hidden state; they are in a discovery's record.
+
+    Parameters
+    ----------
+    degree : most columns in a product that the hidden state is multiplied with.
+    couplings : such products, those of the fewest bits first, for each state.
+    improved : couplings that are followed to the end, the best first.
+    rounds : times that systems are written otherwise, and their equations proposed anew.
+    written, pruned : systems that are written otherwise each time, the best of those that come
+        close, and ways of these that lose the terms that do not pay.
+    aside : rms difference of two laws as a multiple of that along the data, where each column takes
+        any of its values.
+    """
+
+    degree: int = 2
+    couplings: int = 6
+    improved: int = 3
+    rounds: int = 4
+    written: int = 4
+    pruned: int = 6
+    aside: float = 5.0
+
+
+HIDDEN: HiddenSettings = HiddenSettings()
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """Where a hidden state enters: one term of the equation of one state.
+
+    Parameters
+    ----------
+    name : of the hidden state.
+    state : in whose equation it is.
+    body : what it is multiplied with, 1 or a product of columns.
+    sign : 1 or -1; another factor where a user chose one.
+
+    >>> x = sympy.Symbol("x")
+    >>> Coupling("y", "x", x).keeps(1.1 * x - x * sympy.Symbol("y"))
+    False
+    """
+
+    name: str
+    state: str
+    body: sympy.Expr = sympy.S.One
+    sign: sympy.Expr = sympy.S.One
+
+    @property
+    def symbol(self) -> sympy.Symbol:
+        """The hidden state."""
+        return sympy.Symbol(self.name)
+
+    @property
+    def term(self) -> sympy.Expr:
+        """The term."""
+        return self.sign * self.body * self.symbol
+
+    @property
+    def slope(self) -> sympy.Symbol:
+        """The slope of the state."""
+        return sympy.Symbol(f"{self.state}'")
+
+    def keeps(self, expr: sympy.Expr) -> bool:
+        """Whether the hidden state is in an equation by this term alone.
+
+        Parameters
+        ----------
+        expr : the equation of the state.
+        """
+        rest = expand_terms(expr) - self.term
+        return self.symbol not in expand_terms(rest).free_symbols
+
+    def rest(self, exprs: Mapping[str, sympy.Expr]) -> sympy.Expr:
+        """Give the equation of the state without this term."""
+        return expand_terms(expand_terms(exprs[self.state]) - self.term)
+
+    def turned(self, exprs: Equations) -> tuple[Coupling, Equations]:
+        """Give the same system with the other sign of the hidden state."""
+        other = {s: expand_terms(e.subs(self.symbol, -self.symbol)) for s, e in exprs.items()}
+        other[self.name] = expand_terms(-other[self.name])
+        return replace(self, sign=-self.sign), other
+
+    def shifted(self, exprs: Equations, shift: sympy.Expr) -> Equations | None:
+        """Give the same system with the hidden state less a function of the others in its place.
+
+        Parameters
+        ----------
+        exprs : the system.
+        shift : the function p: the new hidden state is the old one less p. None where its slope is
+            not one of the system.
+        """
+        columns = {str(s) for s in shift.free_symbols}
+        if not columns <= exprs.keys() - {self.name}:
+            return None
+        moved = {s: e.subs(self.symbol, self.symbol + shift) for s, e in exprs.items()}
+        slope = sum(sympy.diff(shift, sympy.Symbol(s)) * moved[s] for s in columns)
+        moved[self.name] = moved[self.name] - slope
+        return {s: _without_rounding(expand_terms(e)) for s, e in moved.items()}
+
+
+def law_of(exprs: Mapping[str, sympy.Expr], coupling: Coupling) -> Equations | None:
+    """Give what the data determine: the system with the slope of a state for the hidden one.
+
+    None where the hidden state is not seen in the slope of this state, or not by a factor alone.
+
+    Parameters
+    ----------
+    exprs : the system.
+    coupling : where the hidden state enters.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> law_of({"x": y, "y": -4 * x}, Coupling("y", "x"))
+    {'y': -4*x}
+    """
+    mine, hidden = exprs[coupling.state], coupling.symbol
+    factor = expand_terms(sympy.diff(mine, hidden))
+    if factor == 0 or hidden in factor.free_symbols:
+        return None
+    known = {hidden: (coupling.slope - mine.subs(hidden, 0)) / factor}
+    turned = sum((sympy.diff(mine, sympy.Symbol(s)) * e for s, e in exprs.items()), sympy.S.Zero)
+    others = {s: e for s, e in exprs.items() if s not in (coupling.state, coupling.name)}
+    law = {**others, coupling.name: turned}
+    return {s: expand_terms(e.xreplace(known)) for s, e in law.items()}
+
+
+def write_law(law: Equations, exprs: Mapping[str, sympy.Expr], coupling: Coupling) -> Equations:
+    """Give a law as a system in which the equation of the seen state is that of another system.
+
+    Parameters
+    ----------
+    law : what :func:`law_of` gave.
+    exprs : the other system.
+    coupling : where the hidden state enters in it.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> write_law({"y": -4 * x}, {"x": y - x, "y": x}, Coupling("y", "x"))
+    {'x': -x + y, 'y': -5*x + y}
+    """
+    state, name, mine = coupling.state, coupling.name, exprs[coupling.state]
+    slopes = {s: e.xreplace({coupling.slope: mine}) for s, e in law.items()}
+    slope = slopes.pop(name)
+    found = {**slopes, state: mine}
+    slope -= sum((sympy.diff(mine, sympy.Symbol(s)) * e for s, e in found.items()), sympy.S.Zero)
+    found[name] = expand_terms(slope / (coupling.sign * coupling.body))
+    return {s: expand_terms(found[s]) for s in exprs}
+
+
+def _without_rounding(expr: sympy.Expr) -> sympy.Expr:
+    """Leave out terms that are only what rounding left of two that are equal."""
+    terms = sympy.Add.make_args(expr)
+    sizes = [abs(float(term.as_coeff_Mul()[0])) for term in terms]
+    least = np.finfo(float).eps * max(sizes, default=0.0)
+    return sympy.Add(*(t for t, size in zip(terms, sizes, strict=True) if size > least))
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenComparison(SystemComparison):
+    """Fits systems in which a hidden state enters by one term alone."""
+
+    coupling: Coupling = field(kw_only=True)
+
+    def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
+        """Fit every constant and start; None where the system is not one of these."""
+        if not self.coupling.keeps(exprs[self.coupling.state]):
+            return None
+        return super().fit(exprs, near)
+
+    def fit_near(self, exprs: Equations, near: SystemFit) -> SystemFit | None:
+        """Fit from a system that is almost the same."""
+        if not self.coupling.keeps(exprs[self.coupling.state]):
+            return None
+        return super().fit_near(exprs, near)
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenFit:
+    """A system with a hidden state, fitted to the states that were measured.
+
+    Parameters
+    ----------
+    coupling : where the hidden state enters.
+    data : the measurements with its curve.
+    fit : the system.
+    comparison : what fitted it, and others.
+    """
+
+    coupling: Coupling
+    data: Measurements
+    fit: SystemFit
+    comparison: HiddenComparison
+
+    @property
+    def bits(self) -> float:
+        """All bits."""
+        return self.fit.bits
+
+    def signed(self) -> tuple[Coupling, Equations, Measurements]:
+        """Give coupling, system and data, the hidden state above 0 where it keeps one sign."""
+        mesh, states = self.fit.problem.mesh, self.fit.fit.states
+        place = mesh.states.index(self.coupling.name)
+        if states[:, place].max() > 0:
+            return self.coupling, dict(self.fit.exprs), self.data
+        turned = states.copy()
+        turned[:, place] *= -1
+        return *self.coupling.turned(self.fit.exprs), self.data.along(turned, mesh.states)
+
+
+def find_hidden(
+    data: Measurements,
+    name: str,
+    state: str,
+    comparison: ComparisonSettings,
+    settings: HiddenSettings = HIDDEN,
+) -> Iterator[HiddenFit]:
+    """Give systems with one state that was not measured, in no order.
+
+    Parameters
+    ----------
+    data : the measured states, their noise and smoothed curves.
+    name : of the hidden state.
+    state : in whose equation it is.
+    comparison : how systems are fitted and their bits are counted.
+    settings : the numbers that decide.
+    """
+    begun = [
+        one
+        for body in _bodies(data, state, comparison, settings)
+        if (one := _begin(data, Coupling(name, state, body), comparison)) is not None
+    ]
+    begun.sort(key=lambda one: one.bits)
+    near = [one for one in begun if one.bits <= begun[0].bits + comparison.behind]
+    yield from (_finish(one, settings) for one in near[: settings.improved])
+
+
+def find_without(data: Measurements, comparison: ComparisonSettings) -> SystemFit | None:
+    """Give the system of the measured states alone; None where none can be fitted.
+
+    Parameters
+    ----------
+    data, comparison : as in :func:`find_hidden`.
+    """
+    names = data.runs[0].states
+    own = SystemComparison(data.mesh(names), comparison)
+    fit = own.fit({s: _first_of(s, data, comparison) for s in names})
+    return None if fit is None else renew(own, _prune(own, fit))
+
+
+def _first_of(state: str, data: Measurements, comparison: ComparisonSettings) -> sympy.Expr:
+    """Give the equation of a state that leads where the others are read off their curves."""
+    return next(iter(Alone.of(state, data, comparison).rank_sums()), sympy.S.Zero)
+
+
+def _bodies(
+    data: Measurements, state: str, comparison: ComparisonSettings, settings: HiddenSettings
+) -> list[sympy.Expr]:
+    """Give what the hidden state may be multiplied with: products that keep one sign."""
+    names, pairs = data.runs[0].names, list(zip(data.runs, data.smoothed, strict=True))
+    columns = {
+        n: np.concatenate([np.column_stack([s.x, r.inputs])[:, i] for r, s in pairs])
+        for i, n in enumerate(names)
+    }
+    # Between rows of different signs a column is 0, and nothing is seen of what it multiplies.
+    one_signed = {n for n, own in columns.items() if np.all(own > 0) or np.all(own < 0)}
+    allow = comparison.demands.limits(state).allow
+    found = [
+        body
+        for body in [sympy.S.One, *products(names, settings.degree)]
+        if {str(s) for s in body.free_symbols} <= one_signed and allow(body)
+    ]
+    judge = SystemComparison(data.mesh(data.runs[0].states), comparison)
+    # Of equally many columns, textbooks multiply with some rather than with others.
+    found.sort(key=lambda body: judge.term_bits(body * sympy.Symbol(state), state, Written()))
+    return found[: settings.couplings]
+
+
+def first_curve(
+    data: Measurements, coupling: Coupling, exprs: Mapping[str, sympy.Expr] | None = None
+) -> Measurements:
+    """Give the same data with a curve of the hidden state, from the slope of another one.
+
+    Parameters
+    ----------
+    data : the measured states.
+    coupling : where the hidden state enters.
+    exprs : the equations, where they are known; by default it is all of the slope.
+    """
+    curves = []
+    rest = sympy.S.Zero if exprs is None else coupling.rest(exprs)
+    for run, own in zip(data.runs, data.smoothed, strict=True):
+        columns = dict(zip(run.names, np.column_stack([own.x, run.inputs]).T, strict=True))
+        columns["t"] = run.t
+        slope = own.slope[:, run.index(coupling.state)] - evaluate(rest, columns)
+        curves.append(slope / (float(coupling.sign) * evaluate(coupling.body, columns)))
+    return data.with_hidden(coupling.name, curves)
+
+
+def _begin(
+    data: Measurements, coupling: Coupling, comparison: ComparisonSettings
+) -> HiddenFit | None:
+    """Look for the equation of the hidden state where it is the slope of another one."""
+    curves, best = first_curve(data, coupling), None
+    # A system that follows the data gives a better curve than slopes do.
+    for _ in range(comparison.again):
+        mesh = curves.mesh((coupling.state, coupling.name))
+        own = HiddenComparison(mesh, comparison, curves.runs[0].states, coupling=coupling)
+        alone = Alone(coupling.name, {coupling.state: coupling.term}, own)
+        alone.rank(alone.propose())
+        found = alone.best()
+        if found is None or (best is not None and found.bits > best.bits - comparison.gain):
+            break
+        curves = curves.along(found.fit.states, mesh.states)
+        best = HiddenFit(coupling, curves, found, own)
+    return best
+
+
+def _finish(begun: HiddenFit, settings: HiddenSettings) -> HiddenFit:
+    """Find the equations of the other states, and the shortest way to write the system."""
+    names = [*begun.data.runs[0].states[:-1], begun.coupling.name]
+    comparison, fit = begun.comparison, begun.fit
+    others = [s for s in names if s not in fit.exprs]
+    if others:
+        mesh, own = begun.data.mesh(names), comparison.settings
+        exprs = {**fit.exprs, **{s: _first_of(s, begun.data, own) for s in others}}
+        exprs = {s: exprs[s] for s in names}
+        comparison = HiddenComparison(mesh, own, coupling=begun.coupling)
+        whole = comparison.fit(exprs)
+        if whole is None:
+            return begun
+        fit = _prune(comparison, whole)
+    for _ in range(settings.rounds):
+        before = fit
+        most = before.bits + comparison.settings.near
+        close = sorted((f for f in comparison.fits() if f.bits <= most), key=lambda f: f.bits)
+        every = [w for f in close[: settings.written] for w in _ways(begun.coupling, f.exprs)]
+        ways = sorted(filter(None, map(comparison.fit, every)), key=lambda f: f.bits)
+        ways = [_prune(comparison, way) for way in dict.fromkeys(ways[: settings.pruned])]
+        fit = renew(comparison, min([fit, *ways], key=lambda f: f.bits))
+        if fit.bits > before.bits - comparison.settings.gain:
+            break
+    data = begun.data.along(fit.fit.states, comparison.mesh.states)
+    return HiddenFit(begun.coupling, data, fit, comparison)
+
+
+def _prune(comparison: SystemComparison, fit: SystemFit) -> SystemFit:
+    for state in fit.exprs:
+        fit = prune(comparison, fit, state)
+    return fit
+
+
+def _ways(coupling: Coupling, exprs: Equations) -> Iterator[Equations]:
+    """Give other ways to write a system: those in which a term, or some of them, go."""
+    for shift in _shifts(coupling, exprs):
+        moved = coupling.shifted(exprs, shift)
+        if moved is None:
+            continue
+        yield moved
+        for constant in _constants(coupling, moved):
+            again = coupling.shifted(moved, constant)
+            if again is not None:
+                yield again
+
+
+def _shifts(coupling: Coupling, exprs: Equations) -> Iterator[sympy.Expr]:
+    """Give functions of the states by which terms go when the hidden state is shifted by them.
+
+    Those of its own equation that are linear in it are the slopes of some of them, and those of the
+    other equation are multiples of others.
+    """
+    own, column = expand_terms(exprs[coupling.name]), sympy.Symbol(coupling.state)
+    factor, parts = coupling.sign * coupling.body, []
+    for term in sympy.Add.make_args(own):
+        linear = term / coupling.symbol
+        if coupling.symbol not in linear.free_symbols:
+            parts += _integral(expand_terms(linear / factor), column)
+    rest = coupling.rest(exprs)
+    back = [expand_terms(-term / factor) for term in sympy.Add.make_args(rest) if term != 0]
+    every = chain.from_iterable(combinations(parts, n) for n in range(len(parts) + 1))
+    yield from dict.fromkeys([*(sympy.Add(*some) for some in every), *back, sympy.Add(*back)])
+
+
+def _integral(term: sympy.Expr, column: sympy.Symbol) -> list[sympy.Expr]:
+    """Give what a power, a sine, a cosine or an exponential is the slope of; nothing for others."""
+    factor, own = term.as_independent(column, as_Add=False)
+    power = own.as_base_exp()[1] if own.as_base_exp()[0] == column else None
+    simple = own == 1 or (power is not None and power.is_Rational and power != -1)
+    wave = own.func in (sympy.sin, sympy.cos, sympy.exp) and own.args[0].diff(column).is_number
+    return [expand_terms(factor * sympy.integrate(own, column))] if simple or wave else []
+
+
+def _constants(coupling: Coupling, exprs: Equations) -> Iterator[sympy.Expr]:
+    """Give the numbers by which a term goes when the hidden state is shifted by one of them."""
+    own = expand_terms(exprs[coupling.name])
+    if not own.is_polynomial(coupling.symbol):
+        return
+    step = sympy.Dummy()
+    moved = expand_terms(own.subs(coupling.symbol, coupling.symbol + step))
+    by_body: dict[sympy.Expr, sympy.Expr] = {}
+    for term in sympy.Add.make_args(moved):
+        rest, body = term.as_independent(*(s for s in term.free_symbols if s != step))
+        by_body[body] = by_body.get(body, sympy.S.Zero) + rest
+    for factor in by_body.values():
+        if step in factor.free_symbols:
+            roots = np.roots([float(c) for c in sympy.Poly(factor, step).all_coeffs()])
+            yield from (sympy.Float(r.real) for r in roots if r.imag == 0 and r != 0)
+
+
+def different_laws(
+    best: HiddenFit, every: Iterable[HiddenFit], most: float, settings: HiddenSettings = HIDDEN
+) -> list[tuple[Equations, float]]:
+    """Give systems that are other laws, with the bits that each takes more, the closest first.
+
+    Ways to write one law have the same equations once the hidden state is eliminated. In each the
+    hidden state enters as it does in the system.
+
+    Parameters
+    ----------
+    best : the system.
+    every : what was found.
+    most : bits more at most.
+    settings : the numbers that decide.
+    """
+    coupling = best.coupling
+    share, columns = best.comparison.settings.apart, _measured_columns(best)
+    rng = np.random.default_rng(0)
+    aside = {n: rng.permutation(v) for n, v in columns.items()}
+    mine = law_of(best.fit.exprs, coupling)
+    if mine is None:
+        return []
+    known, found = [mine], list[tuple[Equations, float]]()
+
+    def is_new(law: Equations, other: Equations) -> bool:
+        return any(
+            apart_by(evaluate(other[s], columns), e, columns) > share
+            or apart_by(evaluate(other[s], aside), e, aside) > settings.aside * share
+            for s, e in law.items()
+        )
+
+    for fit in sorted((f for one in every for f in one.comparison.fits()), key=lambda f: f.bits):
+        more = fit.bits - best.bits
+        if fit is best.fit or more > most or fit.exprs.keys() != best.fit.exprs.keys():
+            continue
+        law = law_of(fit.exprs, coupling)
+        if law is None:
+            found.append((fit.exprs, more))
+        elif not _has_all(law, mine) and all(is_new(law, other) for other in known):
+            known.append(law)
+            seen = coupling.state
+            same = skeleton(fit.exprs[seen]) == skeleton(best.fit.exprs[seen])
+            found.append((fit.exprs if same else write_law(law, best.fit.exprs, coupling), more))
+    return found
+
+
+def _has_all(law: Equations, mine: Equations) -> bool:
+    """Whether a law has every term of another one, and so is this one with more of them."""
+    return all(bare_terms(mine[s]) <= bare_terms(rounded(law[s])) for s in mine)
+
+
+def _measured_columns(found: HiddenFit) -> dict[str, np.ndarray]:
+    """Give the columns of a system, with the slope of its state for the hidden one."""
+    mesh = found.fit.problem.mesh
+    columns = dict(zip(mesh.states, found.fit.fit.states.T, strict=True))
+    columns |= dict(zip(mesh.driven_names, mesh.driven[:, : len(mesh.t)], strict=True))
+    slope = evaluate(found.fit.exprs[found.coupling.state], columns)
+    del columns[found.coupling.name]
+    return {**columns, found.coupling.slope.name: slope}
