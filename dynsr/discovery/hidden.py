@@ -20,7 +20,7 @@ from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
-from dynsr.discovery.verdict import NOBODY, explain, judge
+from dynsr.discovery.verdict import APPROXIMATION, LEVELS, NOBODY, NOT_FOUND, explain, judge
 from dynsr.engines import DEFAULT_ENGINE, find_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, check_name, to_text
@@ -170,9 +170,19 @@ def search_hidden(
     if not every and cut:
         raise InputError(f"no equations with {name} were found in this time; give more")
     every.sort(key=lambda one: one.bits)
-    if not every or (alone[0] is not None and alone[0].bits <= every[0].bits):
+    # Equations that magnify what the hidden state misses of its own follow noise in fewer bits, and
+    # no solution does: of several the first law is taken.
+    answers: list[Discovery] = []
+    for one in every:
+        if alone[0] is not None and alone[0].bits <= one.bits:
+            break
+        deciding = replace(details, selection=selection)
+        answers.append(_discover(one, every, runs, inputs, deciding, complete))
+        if answers[-1].verdict.level not in (APPROXIMATION, NOT_FOUND):
+            break
+    if not answers:
         return None
-    found = _discover(every, runs, inputs, replace(details, selection=selection), complete)
+    found = min(answers, key=lambda a: LEVELS.index(a.verdict.level) if a.verdict.tested else 0)
     measured = bool(set(arguments_of(found.equations)) - set(inputs))
     record |= {
         **found.settings,
@@ -228,14 +238,15 @@ def _as_noisy(
 
 
 def _discover(
+    best: HiddenFit,
     every: Sequence[HiddenFit],
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
     settings: DiscoverySettings,
     complete: bool,
 ) -> Discovery:
-    """Give the best system with the constants that fit best, and its verdict."""
-    best, selection = every[0], settings.selection
+    """Give a system with the constants that fit best, and its verdict."""
+    selection = settings.selection
     coupling, exprs, data = best.signed()
     if data.known(runs[0].states).all() and not any(run.noise for run in runs):
         # The constants of exact states are exact too.

@@ -266,8 +266,8 @@ def find_hidden(
         if (one := _begin(data, Coupling(name, state, body), comparison)) is not None
     ]
     begun.sort(key=lambda one: one.bits)
-    near = [one for one in begun if one.bits <= begun[0].bits + comparison.behind]
-    yield from (_finish(one, settings) for one in near[: settings.improved])
+    # A system that follows the noise may take the fewest bits: integration shows it later.
+    yield from (_finish(one, settings) for one in begun[: settings.improved])
 
 
 def find_without(data: Measurements, comparison: ComparisonSettings) -> SystemFit | None:
@@ -475,7 +475,8 @@ def different_laws(
 
     for fit in sorted((f for one in every for f in one.comparison.fits()), key=lambda f: f.bits):
         more = fit.bits - best.bits
-        if fit is best.fit or more > most or fit.exprs.keys() != best.fit.exprs.keys():
+        # What takes fewer bits was tested before.
+        if fit is best.fit or not 0 <= more <= most or fit.exprs.keys() != best.fit.exprs.keys():
             continue
         law = law_of(fit.exprs, coupling)
         if law is None:
