@@ -177,7 +177,7 @@ def search_hidden(
         if alone[0] is not None and alone[0].bits <= one.bits:
             break
         deciding = replace(details, selection=selection)
-        answers.append(_discover(one, every, runs, inputs, deciding, complete))
+        answers.append(_discover(one, every, alone[0], runs, inputs, deciding, complete))
         if answers[-1].verdict.level not in (APPROXIMATION, NOT_FOUND):
             break
     if not answers:
@@ -240,6 +240,7 @@ def _as_noisy(
 def _discover(
     best: HiddenFit,
     every: Sequence[HiddenFit],
+    alone: SystemFit | None,
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
     settings: DiscoverySettings,
@@ -262,12 +263,17 @@ def _discover(
     others = different_laws(best, every, settings.verdict.rival_bits, settings.hidden)
     if coupling != best.coupling:
         others = [(best.coupling.turned(other)[1], bits) for other, bits in others]
+    rivals = _by_state(others, exprs, coupling.name)
+    if alone is not None:
+        # Without a hidden state, the equation that shows it is another one.
+        own = alone.exprs[coupling.state], alone.bits - best.bits
+        rivals.setdefault(coupling.state, []).append(own)
     verdict = (
         judge(
             final,
             whole,
             inputs,
-            rivals=_by_state(others, exprs, coupling.name),
+            rivals=rivals,
             causes=dict.fromkeys(final, ""),
             settings=settings.verdict,
             fixed=[coupling.term],
