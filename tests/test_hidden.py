@@ -16,7 +16,8 @@ from dynsr.fit import Measurements, misses_bits
 from dynsr.fit.collocation import covariance_of
 from dynsr.jobs import FolderTaken
 from dynsr.selection import ComparisonSettings, Coupling, find_hidden, law_of
-from dynsr.selection.hidden import write_law
+from dynsr.selection.comparison import SystemComparison
+from dynsr.selection.hidden import HiddenComparison, first_curve, write_law
 from tests.command_line import run
 
 X, Y = sympy.symbols("x y")
@@ -90,6 +91,29 @@ def test_what_an_unmeasured_state_misses_of_its_equation_takes_bits():
     squares, rows = np.array([1.0, 6.0]), np.array([100.0, 0.0])
     assert misses_bits(squares, rows) == pytest.approx(3 / np.log(2))
     assert misses_bits(np.array([1.0, np.inf]), rows) == np.inf
+
+
+def test_a_hidden_state_misses_what_its_own_solution_misses():
+    """The law misses noise alone; what follows the data by small defects misses far more."""
+    run = pendulum(0.05)
+    data = first_curve(Measurements.of([run], {}, 2000), Coupling("y", "x"))
+    mesh, settings = data.mesh(("x", "y")), ComparisonSettings()
+
+    def missed(slope):
+        """Mean squared misses: of the fit, as they are counted, and of an independent solution."""
+        exprs = {"x": Y, "y": slope}
+        loose = SystemComparison(mesh, settings).fit(exprs)
+        strict = HiddenComparison(mesh, settings, coupling=Coupling("y", "x")).fit(exprs)
+        own, start = sympy.lambdify([X, Y], strict.exprs["y"]), strict.fit.states[0]
+        span = (0, run.t[-1])
+        solved = solve_ivp(lambda t, z: [z[1], own(*z)], span, start, t_eval=mesh.t, rtol=1e-8)
+        apart = ((solved.y[0] - mesh.x[:, 0]) * mesh.weights[:, 0])[mesh.measured]
+        return loose.fit.mean_squares[0], strict.fit.mean_squares[0], np.mean(apart**2)
+
+    followed, counted, solved = missed(-2.0 * sympy.sin(X) - 0.3 * Y)
+    assert followed <= counted < 1.1 and counted == pytest.approx(solved, rel=1e-3)
+    followed, counted, solved = missed(3.0 * sympy.sin(20.0 * X))
+    assert followed < 15 and 5 * followed < counted <= solved
 
 
 def test_a_constant_that_says_nothing_is_unknown_and_no_fault():

@@ -20,7 +20,7 @@ from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
-from dynsr.discovery.verdict import APPROXIMATION, LEVELS, NOBODY, NOT_FOUND, explain, judge
+from dynsr.discovery.verdict import NOBODY, explain, judge
 from dynsr.engines import DEFAULT_ENGINE, find_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, check_name, to_text
@@ -169,20 +169,11 @@ def search_hidden(
             raise
     if not every and cut:
         raise InputError(f"no equations with {name} were found in this time; give more")
-    every.sort(key=lambda one: one.bits)
-    # Equations that magnify what the hidden state misses of its own follow noise in fewer bits, and
-    # no solution does: of several the first law is taken.
-    answers: list[Discovery] = []
-    for one in every:
-        if alone[0] is not None and alone[0].bits <= one.bits:
-            break
-        deciding = replace(details, selection=selection)
-        answers.append(_discover(one, every, alone[0], runs, inputs, deciding, complete))
-        if answers[-1].verdict.level not in (APPROXIMATION, NOT_FOUND):
-            break
-    if not answers:
+    best = min(every, key=lambda one: one.bits, default=None)
+    if best is None or (alone[0] is not None and alone[0].bits <= best.bits):
         return None
-    found = min(answers, key=lambda a: LEVELS.index(a.verdict.level) if a.verdict.tested else 0)
+    deciding = replace(details, selection=selection)
+    found = _discover(best, every, alone[0], runs, inputs, deciding, complete)
     measured = bool(set(arguments_of(found.equations)) - set(inputs))
     record |= {
         **found.settings,

@@ -298,8 +298,13 @@ def find_hidden(
         if (one := _begin(data, Coupling(name, state, body), comparison)) is not None
     ]
     begun.sort(key=lambda one: one.bits)
+    # A state that needs no hidden one takes fewer bits alone.
+    alone = _alone(state, data, comparison)
+    least = [one.bits for one in (*begun[:1], alone) if one is not None]
     # A system that follows the noise may take the fewest bits: integration shows it later.
-    yield from (_finish(one, settings) for one in begun[: settings.improved])
+    for one in begun[: settings.improved]:
+        if one.bits <= min(least) + comparison.behind:
+            yield _finish(one, settings)
 
 
 def find_without(data: Measurements, comparison: ComparisonSettings) -> SystemFit | None:
@@ -315,9 +320,17 @@ def find_without(data: Measurements, comparison: ComparisonSettings) -> SystemFi
     return None if fit is None else renew(own, _prune(own, fit))
 
 
+def _alone(state: str, data: Measurements, comparison: ComparisonSettings) -> SystemFit | None:
+    """Fit the equation of a state that leads where the others are read off their curves."""
+    alone = Alone.of(state, data, comparison)
+    alone.rank_sums()
+    return alone.best()
+
+
 def _first_of(state: str, data: Measurements, comparison: ComparisonSettings) -> sympy.Expr:
     """Give the equation of a state that leads where the others are read off their curves."""
-    return next(iter(Alone.of(state, data, comparison).rank_sums()), sympy.S.Zero)
+    found = _alone(state, data, comparison)
+    return sympy.S.Zero if found is None else found.exprs[state]
 
 
 def _bodies(
@@ -507,8 +520,7 @@ def different_laws(
 
     for fit in sorted((f for one in every for f in one.comparison.fits()), key=lambda f: f.bits):
         more = fit.bits - best.bits
-        # What takes fewer bits was tested before.
-        if fit is best.fit or not 0 <= more <= most or fit.exprs.keys() != best.fit.exprs.keys():
+        if fit is best.fit or more > most or fit.exprs.keys() != best.fit.exprs.keys():
             continue
         law = law_of(fit.exprs, coupling)
         if law is None:
