@@ -44,7 +44,7 @@ class HiddenSettings:
     degree : most columns in a product that the hidden state is multiplied with.
     couplings : such products, those of the fewest bits first, for each state.
     improved : couplings that are followed to the end, the best first.
-    rounds : times that systems are written otherwise, and their equations proposed anew.
+    rounds : times that systems are written otherwise, and their equations proposed again.
     written, pruned : systems that are written otherwise each time, the best of those that come
         close, and ways of these that lose the terms that do not pay.
     aside : rms difference of two laws as a multiple of that along the data, where each column takes
@@ -235,7 +235,7 @@ class HiddenComparison(SystemComparison):
         return min((fit.bits for fit in self.fits()), default=np.inf)
 
     def _missed(self, fit: SystemFit, states: np.ndarray) -> np.ndarray:
-        """(k,) mean squared misses of states (n, k), in units of the noise; 0 of the hidden one."""
+        """(k,) mean squared residuals of states (n, k), in units of the noise."""
         mesh = self.mesh
         missed = (mesh.seen(states.T).T - mesh.x) * mesh.weights
         squares = np.sum(np.where(mesh.weights > 0, missed, 0.0) ** 2, axis=0)
