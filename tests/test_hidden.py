@@ -123,6 +123,7 @@ def test_a_constant_that_says_nothing_is_unknown_and_no_fault():
     assert found[1:, 1:] == pytest.approx(np.diag([0.25, 1 / 9]))
 
 
+@pytest.mark.slow
 def test_what_changes_sign_multiplies_no_hidden_state():
     """Where x passes 0, x' = x**2 y shows nothing of y: such systems are not proposed."""
     data = Measurements.of([pendulum(0.05)], {}, 2000)
@@ -150,6 +151,7 @@ def test_a_hidden_state_adds_nothing_to_the_measurements():
     assert wider.known(("x", "y")).tolist() == [False, True]
 
 
+@pytest.mark.slow
 def test_a_pendulum_is_found_from_its_angle_alone():
     """Clean: x'' = -2 sin(x) - 0.3 x', a law; the constants to five digits."""
     found = discover(pendulum(), hidden="y", jobs=1)
