@@ -5,24 +5,24 @@ import pytest
 import sympy
 
 from dynsr.expression import evaluate
-from dynsr.library import MOST_INSIDE, Form, Library, LibrarySettings
+from dynsr.library import Form, Library, LibrarySettings
 from dynsr.library.atoms import ATOMS
 from dynsr.library.forms import Factor
 
 
 def _columns(rng: np.random.Generator) -> np.ndarray:
-    return rng.uniform(0.4, 2.5, (2, 40))
+    return np.sort(rng.uniform(0.1, 0.9, (3, 40)), axis=0)[::-1]
 
 
 @pytest.mark.parametrize("name", sorted(ATOMS))
 def test_values_of_an_atom_are_those_of_its_formula(name: str) -> None:
     """What an atom gives of columns is what SymPy gives of the formula that it writes."""
     atom, points = ATOMS[name], _columns(np.random.default_rng(1))
-    form = Form((), (Factor(atom, (0, 1)[: atom.columns]),))
+    form = Form((), (Factor(atom, (0, 1, 2)[: atom.columns]),))
     constants = np.full((1, form.constants), 0.7)
-    values, slopes = form.both(["x", "y"], points, constants)
-    expr = form.write(["x", "y"], constants[0])
-    np.testing.assert_allclose(values[0], evaluate(expr, dict(zip("xy", points, strict=True))))
+    values, slopes = form.both(["x", "y", "z"], points, constants)
+    expr = form.write(["x", "y", "z"], constants[0])
+    np.testing.assert_allclose(values[0], evaluate(expr, dict(zip("xyz", points, strict=True))))
     assert slopes.shape == (1, form.constants, 40)
 
 
@@ -30,16 +30,16 @@ def test_values_of_an_atom_are_those_of_its_formula(name: str) -> None:
 def test_the_slope_of_an_atom_is_that_of_a_small_step(name: str) -> None:
     """Slopes by the constants inside are those of differences along the way that they are moved."""
     atom, points = ATOMS[name], _columns(np.random.default_rng(2))
-    form = Form(((1, 1),), (Factor(atom, (0, 1)[: atom.columns]),))
-    here = np.array([0.7, 1.1])[: form.constants]
-    around = np.stack([here / 2, 2 * here])
-    library = Library(("x", "y"), (form,), (around,))
-    slopes = form.both(["x", "y"], points, here[None])[1][0]
-    padded = np.append(here, np.zeros(MOST_INSIDE - len(here)))
-    for step, slope in zip(1e-6 * np.eye(MOST_INSIDE), slopes, strict=False):
-        up, down = (library.moved(np.array(0), padded, way * step)[: len(here)] for way in (1, -1))
-        ends = [form.both(["x", "y"], points, end[None])[0] for end in (up, down)]
-        np.testing.assert_allclose((ends[0] - ends[1])[0] / 2e-6, slope, rtol=1e-5, atol=1e-8)
+    form = Form(((1, 1),), (Factor(atom, (0, 1, 2)[: atom.columns]),))
+    names, begun = ["x", "y", "z"], atom.begin(points[: atom.columns], np.array([0.7, 0.9]))
+    library = Library(tuple(names), (form,), (np.concatenate([begun / 2, 2 * begun]),))
+    here = begun[0]
+    values, slopes = library.values(0, points, here[None])
+    assert np.all(np.isfinite(values))
+    for step, slope in zip(1e-6 * np.eye(len(here)), slopes[0], strict=True):
+        up, down = (library.moved(np.array(0), here, way * step) for way in (1, -1))
+        ends = [form.both(names, points, end[None])[0] for end in (up, down)]
+        np.testing.assert_allclose((ends[0] - ends[1])[0] / 2e-6, slope, rtol=1e-4, atol=1e-8)
 
 
 def test_a_library_holds_no_more_rows_than_it_may() -> None:

@@ -34,7 +34,6 @@ from .linear import (
     fit_ratio,
     fit_robustly,
     linearly_independent,
-    solve_each,
 )
 from .losses import LOSSES, Loss, LossFunction, judge_by_loss, read_loss
 from .mixed import Mixed, MixedFit, MixedMesh, measure_runs
@@ -160,7 +159,6 @@ __all__ = [
     "skeleton",
     "slope_size",
     "snap_best",
-    "solve_each",
     "structure_bits",
     "tidy",
     "told_bits",

@@ -15,8 +15,6 @@ import numpy as np
 _ROUNDS = 5
 # Rows that the first rounds look at.
 _START = 250
-# Share of a column that others must leave of it for it to say something of its own.
-_OWN = 1e-9
 
 
 def cauchy_weights(residual: np.ndarray, unit: float | np.ndarray) -> np.ndarray:
@@ -57,40 +55,6 @@ def fit_linear(design: np.ndarray, z: np.ndarray, roots: np.ndarray) -> np.ndarr
         moments = columns.transpose(0, 2, 1) @ rest
         found = found + np.linalg.solve(normal, moments)[:, :, 0]
     return found / norms
-
-
-def solve_each(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solve B least-squares problems whose columns may depend on each other.
-
-    Parameters
-    ----------
-    columns : (B, q, n).
-    y : (n,) or (B, n) what their sums are to be.
-
-    Gives orthonormal bases (B, n, q) of the columns and their coefficients (B, q). What the columns
-    before it say already has no direction in the basis, and the coefficient 0.
-
-    >>> x = np.linspace(0.0, 1.0, 9)
-    >>> solve_each(np.array([[x, 2 * x, np.ones(9)]]), 3 - 2 * x)[1].round(9)
-    array([[-2.,  0.,  3.]])
-    """
-    sizes = np.maximum(np.linalg.norm(columns, axis=2), 1e-300)
-    unit = columns / sizes[:, :, None]
-    basis, upper = np.linalg.qr(unit.swapaxes(1, 2))
-    little = np.abs(np.einsum("bqq->bq", upper)) < _OWN
-    order = np.argsort(little, axis=1, kind="stable")
-    again = np.flatnonzero(little.any(axis=1))
-    if len(again):
-        # A column that says nothing takes a direction from those behind it.
-        last = np.take_along_axis(unit[again], order[again, :, None], axis=1)
-        basis[again], upper[again] = np.linalg.qr(last.swapaxes(1, 2))
-    little = np.abs(np.einsum("bqq->bq", upper)) < _OWN
-    basis = np.where(little[:, None], 0.0, basis)
-    upper = np.where(little[:, :, None], np.eye(upper.shape[1]), upper)
-    told = basis.swapaxes(1, 2) @ np.broadcast_to(y, (len(columns), y.shape[-1]))[..., None]
-    values = np.empty(told.shape[:2])
-    np.put_along_axis(values, order, np.linalg.solve(upper, told)[..., 0], axis=1)
-    return basis, values / sizes
 
 
 def fit_robustly(design: np.ndarray, z: np.ndarray, scales: np.ndarray) -> np.ndarray:

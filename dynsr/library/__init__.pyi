@@ -1,4 +1,4 @@
-from .forms import MOST_INSIDE, Form, Library, LibrarySettings
+from .forms import Form, Library, LibrarySettings
 from .prior import (
     Place,
     Prior,
@@ -13,7 +13,6 @@ from .prior import (
 from .structure import find_turning, structure_in, structure_of
 
 __all__ = [
-    "MOST_INSIDE",
     "Form",
     "Library",
     "LibrarySettings",

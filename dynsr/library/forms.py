@@ -18,8 +18,6 @@ import sympy
 from dynsr.expression import compile_columns
 from dynsr.library.atoms import ATOMS, Atom, Domain
 
-# Constants inside a form at most.
-MOST_INSIDE = 2
 # Atoms of which two may stand in one term, of different columns.
 _TOGETHER = ("saturates1", "saturates2", "inhibits1", "inhibits2")
 # Atoms that are another one, or none, beside a column of their own.
@@ -42,6 +40,7 @@ class LibrarySettings:
     widest, apart : so far from each other at most, and so many times each the one before.
     roam : times as far as where they are begun sizes may be moved.
     functions : whether there are others than products of the columns.
+    rare : whether these are the rare atoms and all with several constants inside, not the others.
     most : rows of values at most; of more, those of the forms with fewest factors are kept.
     """
 
@@ -55,6 +54,7 @@ class LibrarySettings:
     apart: float = 1.9
     roam: float = 10.0
     functions: bool = True
+    rare: bool = False
     most: int = 12_000
 
 
@@ -196,15 +196,28 @@ class Library:
         """Constants (c,) of every row of values."""
         return [row for own in self.starts for row in own]
 
+    def values(
+        self, place: int, points: np.ndarray, constants: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Give values (g, n) of a form, and slopes (g, c, n) by steps of its constants.
+
+        Parameters
+        ----------
+        place : of the form.
+        points : (names, n) values of all columns.
+        constants : (g, c) of those inside.
+        """
+        value, slopes = self.forms[place].both(self.names, points, constants)
+        return value, slopes * self.units[place, : slopes.shape[1], None]
+
     def both(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Give values (P, n) of all forms with all constants that they begin with, and slopes.
 
-        The slopes (P, 2, n) are those by the constants inside, and 0 where there are fewer.
+        The slopes (P, most, n) are those by the constants inside, and 0 where there are fewer.
         """
-        pairs = zip(self.forms, self.starts, strict=True)
-        parts = [form.both(self.names, points, own) for form, own in pairs]
+        parts = [self.values(i, points, own) for i, own in enumerate(self.starts)]
         values = np.concatenate([value for value, _ in parts])
-        slopes = np.zeros((len(values), MOST_INSIDE, values.shape[1]))
+        slopes = np.zeros((len(values), self.most, values.shape[1]))
         for at, (value, slope) in zip(self.first, parts, strict=True):
             slopes[at : at + len(value), : slope.shape[1]] = slope
         return values, slopes
@@ -214,35 +227,53 @@ class Library:
         """(forms,) how many constants are inside each."""
         return np.array([form.constants for form in self.forms])
 
+    @cached_property
+    def most(self) -> int:
+        """Constants inside a form at most."""
+        return max(1, *self.inside.tolist())
+
+    @cached_property
+    def units(self) -> np.ndarray:
+        """(forms, most) steps of 1 of the constants: what is signed has the size of its starts."""
+        found = np.ones((len(self.forms), self.most))
+        for i, (form, own) in enumerate(zip(self.forms, self.starts, strict=True)):
+            inside = [one for factor in form.factors for one in factor.atom.inside]
+            for j in (j for j, one in enumerate(inside) if one.signed):
+                found[i, j] = max(float(np.max(np.abs(own[:, j]))), 1e-300)
+        return found
+
     def moved(self, places: np.ndarray, constants: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Give the constants inside forms after steps along their slopes, where columns see them.
 
         Parameters
         ----------
         places : (...) of the forms.
-        constants, steps : (..., 2) the constants, and steps along their slopes; of those that a
+        constants, steps : (..., most) the constants, and steps along their slopes; of those that a
             form does not have, any.
         """
         signs, low, high = (own[places] for own in self._moves)
-        moved = np.where(signs == 0, constants + steps, constants * np.exp(signs * steps))
+        added = constants + steps * self.units[places]
+        moved = np.where(signs == 0, added, constants * np.exp(signs * steps))
         return np.clip(moved, low, high)
 
     @cached_property
     def _moves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(forms, 2) sign of the step of each constant's logarithm, 0 for a number; least; most."""
-        signs, low, high = (np.zeros((len(self.forms), MOST_INSIDE)) for _ in range(3))
+        """(forms, most) signs of steps of logarithms, 0 where there are none; least; most."""
+        signs, low, high = (np.zeros((len(self.forms), self.most)) for _ in range(3))
         for i, (form, own) in enumerate(zip(self.forms, self.starts, strict=True)):
             inside = [one for factor in form.factors for one in factor.atom.inside]
             count = own.shape[1]
             signs[i, : len(inside)] = [one.sign for one in inside]
-            low[i, :count], high[i, :count] = own.min(axis=0), own.max(axis=0)
+            free = np.array([one.free for one in inside], dtype=bool)
+            low[i, :count] = np.where(free, -np.inf, own.min(axis=0))
+            high[i, :count] = np.where(free, np.inf, own.max(axis=0))
         further = np.where(signs == 0, 1.0, self.roam)
         return signs, low / further, high * further
 
     def padded(self, row: int) -> np.ndarray:
-        """Give the constants (2,) of a row of values; 0 for those that its form does not have."""
+        """Give the constants (most,) of a row of values; 0 where its form has fewer."""
         own = self.constants[row]
-        return np.concatenate([own, np.zeros(MOST_INSIDE - len(own))])
+        return np.concatenate([own, np.zeros(self.most - len(own))])
 
     @cached_property
     def first(self) -> np.ndarray:
@@ -280,7 +311,8 @@ class _Maker:
     def factors(self) -> Iterator[Factor]:
         """Give the atoms that the values of the columns allow."""
         places = range(len(self.points))
-        for atom in ATOMS.values():
+        rare = self.settings.rare
+        for atom in (a for a in ATOMS.values() if a.rare == rare or (rare and len(a.inside) > 1)):
             # Columns that change places are another constant, or sign, of the same.
             ordered = atom.domain is Domain.APART_POSITIVE
             chosen = (permutations if ordered else combinations)(places, atom.columns)
@@ -312,6 +344,8 @@ class _Maker:
             return low > self.settings.away * size
         if domain is Domain.BOTH_SIGNS:
             return low < 0 < high
+        if domain is Domain.SHARE:
+            return low > 0 and high < 1
         if domain is Domain.TURNING:
             return bool(self.turning[place])
         return True

@@ -45,9 +45,8 @@ from dynsr.methods import Limits
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.joints import hinged_sums
 from dynsr.selection.parts import Parts
-from dynsr.selection.propose import EXACT, PROPOSALS, ProposalSettings, propose
+from dynsr.selection.propose import EXACT, PROPOSALS, RARE, ProposalSettings, propose
 from dynsr.selection.relations import is_left_open
-from dynsr.selection.several import SeveralInside
 from dynsr.selection.twins import exchanged
 
 SOURCE = "the first look"
@@ -64,8 +63,6 @@ _STRICT, _LOOSE = 1e-8, 1e-6
 _TOGETHER = 5e-5
 # Constants of a formula to each that is no simple number.
 _TO_AN_ODD_ONE = 4
-# Rows at which functions of several constants are fitted.
-_FEW = 80
 
 
 @dataclass(frozen=True)
@@ -154,7 +151,7 @@ def look(
         seen = search.conclude(found)
         if seen.final or not search.is_exact:
             return seen
-        return search.conclude([*found, *search.take(search.several())])
+        return search.conclude([*found, *search.take(search.rare())])
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,6 +233,11 @@ class _Search:
         rows = np.unique(np.searchsorted(way, at).clip(max=len(sure) - 1))
         return sure[rows], self.samples.select(sure[rows])
 
+    @cached_property
+    def _evidence(self) -> Evidence:
+        rows, few = self._thinned
+        return Evidence.of_slopes(few, self._sd[rows])
+
     def twins(self) -> list[sympy.Expr]:
         """Give the equations of other states with names exchanged so that they are this one's."""
         own = self.samples
@@ -277,8 +279,6 @@ class _Search:
         ----------
         found : what is known already.
         """
-        rows, few = self._thinned
-        evidence = Evidence.of_slopes(few, self._sd[rows])
         allow, others = self.limits.allow, list(self.known.items())
         given = [term.as_coeff_Mul()[1] for term in self.limits.terms]
 
@@ -294,21 +294,18 @@ class _Search:
 
         # Rough slopes tell fewer sums apart.
         settings = self.settings.proposals if self.is_exact else PROPOSALS
-        sums = propose(evidence, self._place, allow, given, others, settings, enough=enough)
-        return refitted(sums)
+        place, view = self._place, self._evidence
+        return refitted(propose(view, place, allow, given, others, settings, enough=enough))
 
-    def several(self) -> list[sympy.Expr]:
-        """Give sums with functions of several constants that are none of the library.
+    def rare(self) -> list[sympy.Expr]:
+        """Give sums with functions that hardly any law has.
 
         Where other equations are known, these sums were looked at before.
         """
-        if self.known or not self.settings.parts.has("look-several-inside"):
+        if self.known or not self.settings.parts.has("look-rare"):
             return []
-        few = self._thinned[1]
-        rows = np.unique(np.linspace(0, len(few) - 1, _FEW).astype(int))
-        most = self.settings.within * max(self.error, _LOOSE * self.size)
-        own = SeveralInside.of(few.select(rows), self.limits.allow)
-        return self.refitted(own.sums([self.settings.within * self.error, most]))
+        sums = propose(self._evidence, self._place, self.limits.allow, settings=RARE)
+        return self.refitted(sums[: self.settings.kept])
 
     def refitted(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
         """Fit formulas to all rows.

@@ -13,7 +13,7 @@ from dynsr.errors import InputError
 # Name of a part -> what it does.
 PARTS: Mapping[str, str] = {
     "look-twins": "equations of other states with names exchanged, on exact slopes",
-    "look-several-inside": "sums with functions of several constants, on exact slopes",
+    "look-rare": "sums with rare functions, on exact slopes",
     "look-again": "second and third looks beside the equations found for other states",
     "end-look": "an equation that exact slopes leave no doubt of ends the search",
     "end-simple": "one whose constants are all simple numbers is such an equation",

@@ -18,7 +18,6 @@ import sympy
 from dynsr.expression import added_bits, bits_in_force
 from dynsr.fit import one_of_each_shape, precision_bits
 from dynsr.library import (
-    MOST_INSIDE,
     Library,
     LibrarySettings,
     Place,
@@ -46,6 +45,7 @@ class ProposalSettings:
     beam : sums of each length that are grown further.
     singles : single terms that are grown further; half as many pairs, and so on to the beam.
     parents : shorter sums from which the same one is reached at most.
+    starts : constants inside a form beside one of these that are begun with, the likeliest.
     fitted : times as many are fitted as are grown further.
     whole : how many of the cheapest terms without a constant inside are thinned from all of them.
     kinds : numbers of constants inside for each of which as many sums are grown further.
@@ -55,6 +55,7 @@ class ProposalSettings:
         believed before it is fitted.
     farthest, better : farthest that a step moves it, and share by which it must be better for
         another one.
+    tries : shares of a step, and what damps it, that are tried until one is better.
     tier, wider : the cheapest forms that are looked through first, and how many times as many then.
     exchanged : sums of which one form at a time is exchanged.
     rounds : times that this is done, while it finds better ones.
@@ -66,6 +67,7 @@ class ProposalSettings:
     beam: int = 40
     singles: int = 160
     parents: int = 2
+    starts: int = 1
     fitted: int = 2
     whole: tuple[int, ...] = ()
     kinds: int = 4
@@ -74,6 +76,7 @@ class ProposalSettings:
     reach: float = 0.7
     farthest: float = 1.0
     better: float = 1e-4
+    tries: tuple[tuple[float, float], ...] = ((1.0, 1e-9), (0.5, 1e-9))
     tier: int = 12
     wider: int = 4
     exchanged: int = 5
@@ -85,6 +88,13 @@ class ProposalSettings:
 PROPOSALS = ProposalSettings()
 # Exact values tell more sums apart.
 EXACT = ProposalSettings(beam=80, singles=320, steps=12, fitted=4, whole=(16,))
+# Functions of several constants end at the law from few of their starts.
+RARE = ProposalSettings(
+    starts=9,
+    steps=25,
+    tries=((1.0, 1e-9), (0.5, 1e-9), (1.0, 1.0)),
+    library=LibrarySettings(rare=True),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +123,7 @@ class Sum:
     Parameters
     ----------
     places : of its forms in the library, in order.
-    constants : (s, 2) those inside each form; 0 for those that it does not have.
+    constants : (s, most) those inside each form; 0 for those that it does not have.
     weights : (s,) coefficients.
     left : sum of squares that is left of the target.
     bits : all bits.
@@ -142,9 +152,9 @@ class _Layer:
 
     Parameters
     ----------
-    places, constants : (b, s) their forms in order, and (b, s, 2) the constants inside.
+    places, constants : (b, s) their forms in order, and (b, s, most) the constants inside.
     weights : (b, s) coefficients.
-    slopes : (b, s, 2, r) mapped slopes of the forms by their constants.
+    slopes : (b, s, most, r) mapped slopes of the forms by their constants.
     basis : (b, s, r) orthonormal rows that span the mapped forms.
     rest : (b, r) what is left of the target.
     left : (b,) its sum of squares; infinite where the forms are not finite or not independent.
@@ -274,7 +284,7 @@ class Proposer:
         every = np.flatnonzero(np.isfinite(self.costs))
         for most in self.settings.whole:
             places = np.sort(plain[: min(most, len(self.evidence.y) // 4)])[None]
-            layer = self._fit(places, np.zeros((*places.shape, MOST_INSIDE)))
+            layer = self._fit(places, np.zeros((*places.shape, self.library.most)))
             for _ in range(3):
                 sums = sorted(self._note(layer, {}), key=lambda one: one.bits)
                 for one in sums[: self.settings.exchanged]:
@@ -328,7 +338,7 @@ class Proposer:
                 shorter.setdefault(less, np.delete(one.constants, i, axis=0))
         shape = len(shorter), len(sums[0].places) - 1
         places = np.array(list(shorter), dtype=int).reshape(shape)
-        return places, np.array(list(shorter.values())).reshape(*shape, MOST_INSIDE)
+        return places, np.array(list(shorter.values())).reshape(*shape, self.library.most)
 
     def _apart(self, ranked: Iterable[Sum]) -> list[Sum]:
         """Leave out sums that are the same function as one that takes fewer bits.
@@ -362,8 +372,7 @@ class Proposer:
             return layer
         places = np.flatnonzero(np.isin(self.library.owners, tier))
         first = np.searchsorted(self.library.owners[places], tier)
-        units, turned = self._rows
-        gains = self._gains(layer, units.some(places), [own.some(places) for own in turned])
+        gains = self._gains(layer, places)
         best = np.maximum.reduceat(gains, first, axis=0)
         # What is expected below nothing at all is not expected to be better for it.
         left = np.maximum(layer.left - best, 1e-9 * layer.left.max())
@@ -387,10 +396,11 @@ class Proposer:
             room[kind] -= key not in chosen
             ways = chosen.setdefault(key, [])
             # From the constants of another parent a sum may end elsewhere.
-            if len(ways) < self.settings.parents:
+            if len(ways) < self.settings.parents * self.settings.starts:
                 end = first[row + 1] if row + 1 < len(first) else len(places)
-                start = first[row] + int(np.argmax(gains[first[row] : end, parent]))
-                ways.append((form, parent, int(places[start])))
+                likely = np.argsort(-gains[first[row] : end, parent], kind="stable")
+                for start in first[row] + likely[: self.settings.starts]:
+                    ways.append((form, parent, int(places[start])))
         ways = [way for own in chosen.values() for way in own]
         if not ways:
             return layer.some(np.zeros(0, dtype=int))
@@ -420,41 +430,52 @@ class Proposer:
         kinds = self.settings.kinds
         return [-(-width // kinds)] * kinds
 
-    def _gains(self, layer: _Layer, units: _Units, turned: Sequence[_Units]) -> np.ndarray:
-        """(P, b) squares that each row takes off, its constants inside set free."""
-        first, second = turned
-        rows = [units.rows, first.rows, second.rows]
+    def _gains(self, layer: _Layer, places: np.ndarray) -> np.ndarray:
+        """(P, b) squares that some rows of values take off, their constants inside set free."""
+        units, turned = self._rows
+        gains = np.zeros((len(places), len(layer)))
+        inside = self.library.inside[self.library.owners[places]]
+        for count in np.unique(inside):
+            some = places[inside == count]
+            slopes = [own.some(some) for own in turned[:count]]
+            gains[inside == count] = self._gains_of(layer, units.some(some), slopes)
+        return gains
+
+    def _gains_of(self, layer: _Layer, units: _Units, turned: Sequence[_Units]) -> np.ndarray:
+        """(P, b) the same for rows with equally many constants inside."""
+        rows, last = [units.rows, *(own.rows for own in turned)], len(turned)
         pulls = [own @ layer.rest.T for own in rows]
-        pairs = [(i, j) for i in range(3) for j in range(i, 3)]
-        products = {
+        left = {
             (i, j): np.tile(np.sum(rows[i] * rows[j], axis=1)[:, None], len(layer))
-            for i, j in pairs
+            for i in range(last + 1)
+            for j in range(i, last + 1)
         }
         for basis in layer.basis.swapaxes(0, 1):
             said = [own @ basis.T for own in rows]
-            for i, j in pairs:
-                products[i, j] -= said[i] * said[j]
-        pull, turn, last = pulls
-        whole = products[0, 0]
-        alone = np.where(whole > _NOTHING, pull**2 / np.maximum(whole, _NOTHING), 0.0)
-        # The second slope is taken out of the others first, where there is one.
-        size = products[2, 2]
-        inverse = np.where(size > _NOTHING, 1 / np.maximum(size, _NOTHING), 0.0)
-        by, beside = products[0, 2] * inverse, products[1, 2] * inverse
-        own = whole - by * products[0, 2]
-        other = products[1, 1] - beside * products[1, 2]
-        both = products[0, 1] - by * products[1, 2]
-        left, turned_left = pull - by * last, turn - beside * last
-        area = own * other - both**2
-        weight = (left * other - turned_left * both) / area
-        move = (turned_left * own - left * both) / area
-        more = last * inverse - weight * by - move * beside
-        reach = np.maximum(
-            np.abs(move / weight * (units.sizes / first.sizes)[:, None]),
-            np.abs(more / weight * (units.sizes / second.sizes)[:, None]),
+            for i, j in left:
+                left[i, j] -= said[i] * said[j]
+        alone = np.where(
+            left[0, 0] > _NOTHING, pulls[0] ** 2 / np.maximum(left[0, 0], _NOTHING), 0.0
         )
-        free = (own > _NOTHING) & (area > _NOTHING * own) & (reach <= self.settings.reach)
-        return np.where(free, weight * pull + move * turn + more * last, alone)
+        # The slopes are taken out of the values one by one, the last first.
+        own, inverse = list(pulls), {}
+        for k in range(last, 0, -1):
+            told = left[k, k] > _NOTHING
+            inverse[k] = np.where(told, 1 / np.maximum(left[k, k], _NOTHING), 0.0)
+            for i in range(k):
+                share = left[i, k] * inverse[k]
+                own[i] = own[i] - share * own[k]
+                for j in range(i, k):
+                    left[i, j] = left[i, j] - share * left[j, k]
+        weight = own[0] / left[0, 0]
+        moves, gain, free = [weight], weight * pulls[0], left[0, 0] > _NOTHING
+        for k in range(1, last + 1):
+            said = sum(left[i, k] * move for i, move in enumerate(moves))
+            moves.append((own[k] - said) * inverse[k])
+            gain = gain + moves[k] * pulls[k]
+            reach = np.abs(moves[k] / weight * (units.sizes / turned[k - 1].sizes)[:, None])
+            free &= reach <= self.settings.reach
+        return np.where(free, gain, alone)
 
     def _settle(self, places: np.ndarray, constants: np.ndarray, steps: int) -> _Layer:
         """Fit sums, and move the constants inside while that is better."""
@@ -470,20 +491,20 @@ class Proposer:
         return best
 
     def _move(self, best: _Layer, moving: np.ndarray) -> None:
-        """Take a step of the constants inside of some sums, or half of one, where it is better."""
-        steps, far = self._steps(best.some(moving)), self.settings.farthest
-        for scale in (1.0, 0.5):
+        """Move the constants inside of some sums by a step, or a shorter one, if it is better."""
+        far = self.settings.farthest
+        for scale, damped in self.settings.tries:
             own = best.some(moving)
-            ahead = np.clip(scale * steps, -far, far)
+            ahead = np.clip(scale * self._steps(own, damped), -far, far)
             moved = self._fit(own.places, self.library.moved(own.places, own.constants, ahead))
             better = moved.left < own.left
             best.put(moving[better], moved.some(better))
-            moving, steps = moving[~better], steps[~better]
+            moving = moving[~better]
             if not len(moving):
                 return
 
-    def _steps(self, layer: _Layer) -> np.ndarray:
-        """(b, s, 2) steps of the constants inside; the coefficients follow."""
+    def _steps(self, layer: _Layer, damped: float) -> np.ndarray:
+        """(b, s, most) steps of the constants inside (Levenberg); the coefficients follow."""
         count, terms, _, width = layer.slopes.shape
         slopes = layer.weights[:, :, None, None] * layer.slopes
         slopes = np.nan_to_num(slopes, posinf=0.0, neginf=0.0).reshape(count, -1, width)
@@ -491,30 +512,28 @@ class Proposer:
         slopes = slopes - (slopes @ layer.basis.swapaxes(1, 2)) @ layer.basis
         units = _unit(slopes.reshape(-1, width))
         rows = units.rows.reshape(slopes.shape)
-        gram = rows @ rows.swapaxes(1, 2) + 1e-9 * np.eye(rows.shape[1])
+        gram = rows @ rows.swapaxes(1, 2) + damped * np.eye(rows.shape[1])
         pull = rows @ layer.rest[:, :, None]
         steps = np.linalg.solve(gram, pull)[:, :, 0] / units.sizes.reshape(count, -1)
-        return steps.reshape(count, terms, MOST_INSIDE)
+        return steps.reshape(count, terms, self.library.most)
 
     def _mapped(self, places: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give mapped values (k, r) of forms, and slopes (k, 2, r) by the constants inside."""
+        """Give mapped values (k, r) of forms, and slopes (k, most, r) by the constants inside."""
         starts, points = self._rows[0], self.evidence.points
         first = self.library.first[places]
         values = starts.rows[first] * starts.sizes[first, None]
-        slopes = np.zeros((len(places), MOST_INSIDE, values.shape[1]))
+        slopes = np.zeros((len(places), self.library.most, values.shape[1]))
         inside = np.flatnonzero(self.library.inside[places])
         if not len(inside):
             return values, slopes
         inside = inside[np.argsort(places[inside], kind="stable")]
         kinds, begin = np.unique(places[inside], return_index=True)
         raw = np.empty((len(inside), points.shape[1]))
-        turned = np.zeros((len(inside), MOST_INSIDE, points.shape[1]))
+        turned = np.zeros((len(inside), self.library.most, points.shape[1]))
         for place, at, end in zip(kinds, begin, [*begin[1:], len(inside)], strict=True):
-            form = self.library.forms[place]
-            own = constants[inside[at:end], : form.constants]
-            raw[at:end], turned[at:end, : form.constants] = form.both(
-                self.library.names, points, own
-            )
+            count = int(self.library.inside[place])
+            own = constants[inside[at:end], :count]
+            raw[at:end], turned[at:end, :count] = self.library.values(place, points, own)
         values[inside] = self.evidence.mapped(raw)
         slopes[inside] = self.evidence.mapped(turned)
         return values, slopes
@@ -522,12 +541,12 @@ class Proposer:
     @property
     def _nothing(self) -> _Layer:
         """The sum of no forms."""
-        return self._fit(np.zeros((1, 0), dtype=int), np.zeros((1, 0, MOST_INSIDE)))
+        return self._fit(np.zeros((1, 0), dtype=int), np.zeros((1, 0, self.library.most)))
 
     def _fit(self, places: np.ndarray, constants: np.ndarray) -> _Layer:
         """Fit the coefficients of sums."""
         (count, terms), y = places.shape, self.evidence.y
-        values, slopes = self._mapped(places.ravel(), constants.reshape(-1, MOST_INSIDE))
+        values, slopes = self._mapped(places.ravel(), constants.reshape(-1, self.library.most))
         rows = values.reshape(count, terms, len(y))
         sizes = np.linalg.norm(rows, axis=2)
         fine = np.all((sizes > 1e-150) & (sizes < 1e150), axis=1)
@@ -542,7 +561,7 @@ class Proposer:
         rest = y - np.einsum("bsr,bs->br", basis, inner)
         weights = np.linalg.solve(r, inner[:, :, None])[:, :, 0] / sizes
         left = np.where(fine, np.sum(rest**2, axis=1), np.inf)
-        slopes = slopes.reshape(count, terms, MOST_INSIDE, len(y))
+        slopes = slopes.reshape(count, terms, self.library.most, len(y))
         return _Layer(places, constants, weights, slopes, basis, rest, left)
 
     def _thin(self, one: Sum, found: dict[tuple[int, ...], Sum]) -> None:

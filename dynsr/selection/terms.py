@@ -8,9 +8,6 @@ from itertools import combinations_with_replacement
 import numpy as np
 import sympy
 
-# Share of its largest value by which a column may fall below 0 that is never negative.
-_BELOW = 0.03
-
 
 def move_inside(term: sympy.Expr, shift: float) -> sympy.Expr:
     """Multiply the one constant inside a term by exp(shift).
@@ -43,16 +40,3 @@ def weighted_sum(values: Iterable[float], exprs: Iterable[sympy.Expr]) -> sympy.
     values, exprs : as many coefficients as terms.
     """
     return sympy.Add(*[sympy.Float(c) * e for c, e in zip(values, exprs, strict=True)])
-
-
-def never_negative(values: np.ndarray) -> bool:
-    """Whether a column is never negative; what begins at nothing is a little below 0 in noise.
-
-    Parameters
-    ----------
-    values : (n,) of the column.
-
-    >>> never_negative(np.array([-0.01, 0.5, 1.0])), never_negative(np.array([-0.5, 0.5, 1.0]))
-    (True, False)
-    """
-    return bool(np.min(values) > -_BELOW * np.max(np.abs(values)))
