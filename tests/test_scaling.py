@@ -3,10 +3,12 @@ import pytest
 import sympy
 
 from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.result import Discovery
 from dynsr.discovery.scaling import Units
 from dynsr.discovery.search import discover
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
+from dynsr.fit import free_constants, loosen
 from dynsr.methods import RationalSearch
 
 T = np.linspace(0.0, 10.0, 100)
@@ -49,6 +51,53 @@ def test_a_population_of_billions_keeps_its_law_and_its_constants():
     assert found.front["x"].best_fit.loss < 1e-6 * 2.5e8
     assert "in units for x of 1e+08" in found.explanation["x"]
     assert found.settings["units"] == {"t": 1.0, "x": 1e8}
+
+
+def test_intervals_of_tiny_and_huge_data_hold_the_truth():
+    """x' = 2 - 0.5 x/1e-9 with 1 % noise, x of 1e-9: each interval is about its own constant."""
+    x = 1e-9 * (4 - 3.5 * np.exp(-T / 2))
+    noise = 1e-11 * np.random.default_rng(1).normal(size=len(T))
+    found = discover((T, (x + noise)[:, None]), jobs=1)
+    constants = found.constants["x"]
+    assert len(constants) == 2
+    for one, truth in zip(sorted(constants, key=lambda c: abs(c.value)), (2e-9, -0.5), strict=True):
+        assert one.low <= truth <= one.high
+        assert one.low <= one.value <= one.high
+        assert one.high - one.low < 0.2 * abs(truth)
+        assert one.fitted == pytest.approx(truth, rel=0.1)
+
+
+def test_constants_of_one_value_keep_their_errors_in_other_units():
+    """Two rates of the same value, and each has its own standard error."""
+    x, y = sympy.symbols("x y")
+    expr = sympy.Float(0.5) * x - sympy.Float(0.5) * y
+    units = Units(sympy.Integer(1), {"x": sympy.Integer(10**9), "y": sympy.Integer(1000)})
+    values = list(free_constants(loosen(expr), "c")[1].values())
+    errors = {"x": tuple((v, 0.01 * (i + 1)) for i, v in enumerate(values))}
+    empty = {"front": {}, "explanation": {}, "settings": {}}
+    told = units.restore(Discovery({"x": expr}, errors=errors, **empty), (), {})
+    sizes = {round(abs(v)): round(e / abs(v), 6) for v, e in told.errors["x"]}
+    assert sizes in ({0: 0.02, 500000: 0.04}, {0: 0.04, 500000: 0.02})
+
+
+def test_profiles_of_tiny_data_are_in_their_units():
+    """An interval by the profile likelihood has the units of its constant, whichever way it is
+    printed.
+    """
+    x = sympy.Symbol("x")
+    expr = 0.4 * x / (x + 0.7) - 1.5 * x**2
+    units = Units(sympy.Integer(1), {"x": sympy.Rational(1, 10**9)})
+    plain = Discovery({"x": expr}, {"x": ()}, {}, {})
+    values = list(free_constants(loosen(expr), "c")[1].values())
+    errors = {"x": tuple((v, 0.1 * abs(v)) for v in values)}
+    ends = tuple((c.value - 0.1 * abs(c.value), np.inf) for c in plain.constants["x"])
+    told = Discovery({"x": expr}, errors, {}, {}, profiled={"x": ends})
+    restored = units.restore(told, (), {}).constants["x"]
+    assert len(restored) == 3
+    for one in restored:
+        assert one.profiled
+        assert one.high is None
+        assert one.low == pytest.approx(one.value - 0.1 * abs(one.value))
 
 
 def test_known_parts_inputs_and_slopes_are_counted_in_the_same_units():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,9 @@ from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.delayed import check_delays, search_delayed
 from dynsr.discovery.every_row import are_apart, on_every_row, take_windows
 from dynsr.discovery.hidden import check_hidden, search_hidden
+from dynsr.discovery.intervals import printed_order
 from dynsr.discovery.problem import DISCOVERY
+from dynsr.discovery.profile import Ends
 from dynsr.discovery.result import Discovery, keep, with_profiles
 from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
@@ -40,6 +42,8 @@ from dynsr.jobs import Budget, finish_by
 _USUAL = (1e-6, 1e6)
 # Beyond these products of a few numbers and slopes leave float64.
 _LARGEST = 1e50
+# Share by which constants of one value are set apart.
+_APART = 1e-9
 # Whole numbers of more digits are written as floats.
 _LONG = 10**12
 
@@ -131,10 +135,13 @@ class Units:
         found : in these units; its explanations say so.
         runs, inputs : the data as they were.
         """
+        known = {s: self._restore_constants(s, found) for s in found.errors}
         return replace(
             found,
             equations={s: self._restore_equation(s, e) for s, e in found.equations.items()},
-            errors={s: self._restore_errors(s, found) for s in found.errors},
+            errors={s: errors for s, (errors, _, _) in known.items()},
+            fitted={s: middles for s, (_, middles, _) in known.items() if middles},
+            profiled={s: ends for s, (_, _, ends) in known.items() if ends},
             front={s: self._restore_front(s, front) for s, front in found.front.items()},
             explanation={s: f"{why} ({self.words})" for s, why in found.explanation.items()},
             trajectories=tuple(runs),
@@ -157,29 +164,60 @@ class Units:
             for c in front
         )
 
-    def _restore_errors(self, state: str, found: Discovery) -> tuple[tuple[float, float], ...]:
-        """Give (value, standard error) in the order of the restored equation.
+    def _restore_constants(
+        self, state: str, found: Discovery
+    ) -> tuple[tuple[tuple[float, float], ...], tuple[float, ...], tuple[Ends | None, ...]]:
+        """Give (value, standard error) and fitted values in the order of the restored equation.
+
+        Ends of profiles are in the order in which it is printed.
 
         Which constant became which is seen by moving one at a time.
         """
         pairs = found.errors[state]
+        before = found.fitted.get(state) or [value for value, _ in pairs]
         template, values = free_constants(loosen(found.equations[state]), "constant ")
         restored = self.restore_slope(state, template)
-        if len(values) != len(pairs):
-            return ()
+        if len(values) != len(pairs) or len(before) != len(pairs):
+            return (), (), ()
+        # So that constants of one value stay two.
+        apart = {s: v * (1 + _APART * i) for i, (s, v) in enumerate(values.items())}
 
         def constants(moved: sympy.Symbol | None = None) -> np.ndarray:
-            put = {s: sympy.Float(v * (1 + 1e-3 * (s == moved))) for s, v in values.items()}
+            put = {s: sympy.Float(v * (1 + 1e-3 * (s == moved))) for s, v in apart.items()}
             return np.array(list(free_constants(restored.xreplace(put), "constant ")[1].values()))
 
         plain = constants()
-        errors = np.full(len(plain), np.inf)
-        for symbol, (value, error) in zip(values, pairs, strict=True):
+        found_errors = [(float(value), np.inf) for value in plain]
+        middles = plain.tolist()
+        profiled = found.profiled.get(state) or [None] * len(pairs)
+        places = dict(zip(printed_order(template, values), profiled, strict=True))
+        ends: list[Ends | None] = [None] * len(plain)
+        known = zip(apart.items(), pairs, before, strict=True)
+        for i, ((symbol, own), (value, error), middle) in enumerate(known):
             moved = constants(symbol)
-            if len(moved) == len(plain) and value:
-                where = moved != plain
-                errors[where] = np.abs(plain[where] / value) * error
-        return tuple(zip(plain.tolist(), errors.tolist(), strict=True))
+            if len(moved) != len(plain) or not own:
+                continue
+            for place in np.flatnonzero(moved != plain):
+                factor = float(plain[place]) / own
+                found_errors[place] = value * factor, abs(factor) * error
+                middles[place] = middle * factor
+                ends[place] = _times(places[i], factor)
+        if all(end is None for end in ends):
+            return tuple(found_errors), tuple(middles), ()
+        shape, numbers = free_constants(restored.xreplace(dict(_as_floats(apart))), "constant ")
+        printed = tuple(ends[i] for i in printed_order(shape, numbers))
+        return tuple(found_errors), tuple(middles), printed
+
+
+def _as_floats(values: Mapping[sympy.Symbol, float]) -> Iterator[tuple[sympy.Symbol, sympy.Float]]:
+    return ((symbol, sympy.Float(value)) for symbol, value in values.items())
+
+
+def _times(ends: Ends | None, factor: float) -> Ends | None:
+    if ends is None:
+        return None
+    low, high = sorted(end * factor for end in ends)
+    return low, high
 
 
 def in_fitting_units(search: Search) -> Search:
