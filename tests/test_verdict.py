@@ -181,9 +181,19 @@ def test_constants_come_in_the_order_in_which_they_are_read(text):
 def test_an_interval_is_about_the_fitted_number():
     """2 that was 2.02 before it was made simple keeps 2.02 and its interval, wherever it stands."""
     x, y = sympy.symbols("x y")
-    own = list_constants(2 * x - 3 * x * y, [(2.0, 0.01), (-3.0, 0.1)], [2.02, -2.9])
+    own = list_constants(2 * x - 3 * x * y, [(2.0, 0.02), (-3.0, 0.1)], [2.02, -2.9])
     assert [(c.value, c.fitted, c.of) for c in own] == [(-3.0, -2.9, "x*y"), (2.0, 2.02, "x")]
-    assert (own[1].low, own[1].high) == pytest.approx((2.02 - 0.0196, 2.02 + 0.0196), abs=1e-5)
+    assert (own[1].low, own[1].high) == pytest.approx((2.02 - 0.0392, 2.02 + 0.0392), abs=1e-5)
+
+
+def test_an_interval_reaches_to_the_number_in_the_equation():
+    """2 that all constants allow together is never shown outside of its interval."""
+    x = sympy.Symbol("x")
+    for errors, ends in (([(2.0, 0.01)], ()), ([(2.0, 0.001)], [(2.01, 2.04)])):
+        (own,) = list_constants(2 * x, errors, [2.03], ends=ends)
+        assert own.low == 2.0 and 2.04 < own.high + 0.02 and own.fitted == 2.03
+    (open_side,) = list_constants(2 * x, [(2.0, 0.01)], [2.03], ends=[(-np.inf, 1.9)])
+    assert open_side.low is None and open_side.high == 2.0
 
 
 @pytest.fixture(scope="module")

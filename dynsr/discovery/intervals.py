@@ -24,7 +24,8 @@ class Constant:
     ----------
     value : the number that the equation holds.
     fitted : the number before it was made a simple one.
-    low, high : the ends of its 95 % interval; None where the data do not tell.
+    low, high : the ends of its 95 % interval; None where the data do not tell. A number that
+        further constants determine together with it may be beyond; the interval reaches to it.
     of : the term that it multiplies, "1" for one alone, or the function that it is in.
     error : its standard error; inf where the data do not tell.
     profiled : whether the interval is that of the profile likelihood, since the one by the standard
@@ -145,7 +146,17 @@ def _with_ends(constant: Constant, ends: tuple[float, float] | None) -> Constant
     if ends is None:
         return constant
     low, high = (end if math.isfinite(end) else None for end in ends)
-    return replace(constant, low=low, high=high, profiled=True)
+    return replace(_reaching(replace(constant, low=low, high=high)), profiled=True)
+
+
+def _reaching(constant: Constant) -> Constant:
+    """Let an interval reach to the number that is in the equation."""
+    low, high, value = constant.low, constant.high, constant.value
+    return replace(
+        constant,
+        low=None if low is None else min(low, value),
+        high=None if high is None else max(high, value),
+    )
 
 
 def printed_places(expr: sympy.Expr) -> list[int]:
@@ -223,7 +234,7 @@ def _make(
 ) -> Constant:
     beside, middle = reach * errors[index], fitted[index]
     known = math.isfinite(beside)
-    return Constant(
+    found = Constant(
         values[index],
         middle,
         middle - beside if known else None,
@@ -231,6 +242,7 @@ def _make(
         _home(template, symbols, index, values),
         errors[index],
     )
+    return _reaching(found)
 
 
 def _home(
