@@ -192,3 +192,13 @@ def test_the_shell_takes_known_noise(tmp_path):
     assert "of x: 'err'" in run("describe", path, "--noise", "x=err").output
     wrong = run("describe", path, "--noise", "x", code=2).output
     assert "--noise 'x' must be a state and its errors" in wrong
+
+
+def test_a_share_of_zero_is_no_noise_of_zero():
+    """1 % of a cell 0.00 is what its last digit hides."""
+    t = np.arange(8.0)
+    x = np.round(5 * np.exp(-t), 2)
+    runs, _ = take_trajectories({"t": t, "x": x}, noise={"x": "1 %"})
+    assert runs[0].noise["x"].select(slice(2)).at(np.array([0.0, 5.0])) == pytest.approx(
+        [0.01 / np.sqrt(12), np.hypot(0.05, 0.01 / np.sqrt(12))]
+    )

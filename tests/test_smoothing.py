@@ -8,6 +8,7 @@ from dynsr.data import (
     Trajectory,
     choose_samples,
     estimate_noise,
+    measurement_noise,
     smooth,
 )
 from dynsr.errors import InputError
@@ -63,6 +64,25 @@ def test_solver_output_has_no_noise():
         estimate_noise([Trajectory(t, x, ("x", "y"))]), x.std(axis=0), strict=True
     ):
         assert np.max(noise.sd(x)) < 1e-6 * spread
+
+
+def decays():
+    """Give decays to 0 with noise of 1 % of the value, written with four digits."""
+    rng, t = np.random.default_rng(3), np.arange(0, 40.1, 1.0)
+    levels = [
+        start * np.exp(-0.5 * t) * (1 + 0.01 * rng.normal(size=len(t))) for start in (1, 3, 9)
+    ]
+    return [Trajectory(t, np.round(x, 4)[:, None], ("x",)) for x in levels]
+
+
+def test_rows_that_rest_at_zero_say_nothing_of_the_noise():
+    """Most rows are 0.0000: noise is a share of the value, and no less than rounding anywhere."""
+    runs = decays()
+    (found,) = estimate_noise(runs)
+    assert found.multiplicative == pytest.approx(0.01, rel=0.5)
+    assert found.additive == pytest.approx(1e-4 / np.sqrt(12), rel=0.1)
+    sized = [measurement_noise(run)[0] / np.std(run.x) for run in runs]
+    assert min(sized) > 1e-5
 
 
 def test_too_few_rows_have_no_noise_to_estimate():

@@ -4,10 +4,18 @@ import sympy
 
 from dynsr.data.samples import Samples
 from dynsr.expression.parsing import parse
+from dynsr.expression.writing import to_text
 from dynsr.fit.candidates import score_candidate
 from dynsr.fit.constants import refit, skeleton
 from dynsr.fit.description import Noise
-from dynsr.fit.snapping import normal_forms, simple_numbers, snap, snap_best, tidy
+from dynsr.fit.snapping import (
+    normal_forms,
+    readable,
+    simple_numbers,
+    snap,
+    snap_best,
+    tidy,
+)
 from dynsr.fit.variation import improve, loosen, neighbours
 
 
@@ -143,3 +151,19 @@ def test_snap_best_puts_the_true_shape_first():
 def test_snap_best_of_nothing_is_nothing():
     """No candidate, no result."""
     assert snap_best([], _pendulum_samples(np.zeros(50))) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        ("-6*x/(5*x + 4)", "-1.2*x/(x + 0.8)"),
+        ("-4.027215932*x/(5*x + 7.574971234)", "-0.8054431864*x/(x + 1.5149942468)"),
+        ("(3*x + 2)/(5*x + 4*y + 2)", "(0.6*x + 0.4)/(x + 0.8*y + 0.4)"),
+        ("2*x + x**2/(4*x**2 + 9)", "0.25*x**2/(x**2 + 2.25) + 2*x"),
+        ("x/(2*x + 1)", "x/(2*x + 1)"),
+        ("x/(7*x + 3)", "x/(7*x + 3)"),
+    ],
+)
+def test_ratios_are_written_as_in_textbooks(text, written):
+    """A coefficient of the denominator is 1, but not where whole numbers would become long."""
+    assert to_text(readable(parse(text))) == written

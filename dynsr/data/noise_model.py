@@ -6,12 +6,14 @@ neighbours, so that neither a model nor a smoother can be wrong.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dynsr.data.forcing import find_forced
+from dynsr.data.lines import last_digit
 from dynsr.data.samples import barycentric_weights
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
@@ -19,6 +21,8 @@ from dynsr.errors import InputError
 _MAD = 1.4826
 # Rows of a column that has neighbours on either side of some row.
 _FEWEST = 5
+# Steps in a row without a change that show that values were rounded.
+_SAME = 2
 
 
 def robust_scale(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
@@ -52,7 +56,8 @@ def measurement_noise(trajectory: Trajectory) -> np.ndarray:
 
     Each point is compared with the polynomial through its neighbours (a high-order difference);
     the median absolute miss, scaled for the normal law, is noise plus what the polynomial cannot
-    follow, so the smallest over orders 2 to 8 is taken. Times may be uneven, and rows at which a
+    follow, so the smallest over orders 2 to 8 is taken. Rows that repeat one value, as at rest
+    below the last digit, say nothing of it. Times may be uneven, and rows at which a
     state was not measured say nothing of it; NaN where that leaves fewer than 5. Kinks of
     inputs are no noise. Errors that are known are taken as they are, by their mean square.
 
@@ -87,8 +92,33 @@ def _noise_between(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     orders = [order for order in (2, 4, 6, 8) if len(t) > order + 2]
     if not orders:
         raise InputError(f"{len(t)} rows are too few to estimate noise; give at least 5")
-    found = [robust_scale(interpolation_residuals(t, x, o), axis=0) for o in orders]
+    found = [[_moving_scale(t, column, order) for column in x.T] for order in orders]
     return np.min(found, axis=0)
+
+
+def _moving_scale(t: np.ndarray, x: np.ndarray, order: int) -> float:
+    """Give the size of the residuals of rows whose neighbours are not all the same value."""
+    moves = ~_repeats(x, order)
+    return float(robust_scale(interpolation_residuals(t, x, order)[moves])) if moves.any() else 0.0
+
+
+def _repeats(x: np.ndarray, order: int) -> np.ndarray:
+    """(n - order,) whether the rows of each window have one value."""
+    steps = np.concatenate([[0], np.cumsum(np.diff(x) != 0)])
+    return np.asarray(steps[order:] == steps[: len(steps) - order])
+
+
+def rounding(values: np.ndarray) -> float:
+    """Give the standard deviation of what values lose by their last digit.
+
+    Parameters
+    ----------
+    values : (n,) numbers; those that are not finite do not count.
+
+    >>> round(rounding(np.array([0.31, 0.2])), 5)
+    0.00289
+    """
+    return last_digit(values[np.isfinite(values)]) / math.sqrt(12)
 
 
 # Times, values, and what was taken from the values: noise may be a share of the sum.
@@ -173,6 +203,7 @@ def _noise_of_misses(columns: Sequence[Column], settings: NoiseSettings) -> Stat
     best: tuple[float, list[tuple[np.ndarray, np.ndarray]]] | None = None
     for order in settings.orders:
         pieces = [_misses(*column, order) for column in columns if len(column[0]) > order + 2]
+        pieces = [piece for piece in pieces if len(piece[0])]
         if pieces:
             scale = float(robust_scale(np.concatenate([p[0] for p in pieces])))
             if best is None or scale < best[0]:
@@ -182,10 +213,31 @@ def _noise_of_misses(columns: Sequence[Column], settings: NoiseSettings) -> Stat
     misses = np.concatenate([p[0] for p in best[1]])
     level = np.concatenate([p[1] for p in best[1]])
     # Neighbouring misses share rows: about half of them are independent.
-    return fit_law(misses**2, level, np.full(len(misses), 0.5), settings)
+    return fit_law(misses**2, level, np.full(len(misses), 0.5), settings, least_noise(columns))
+
+
+def least_noise(columns: Sequence[Column]) -> float:
+    """Give the noise that every row has: that of rounding, where rows that repeat a value show it.
+
+    Parameters
+    ----------
+    columns : as in :func:`neighbour_noise`.
+    """
+    if not any(len(x) > _SAME and _repeats(x, _SAME).any() for _, x, _ in columns):
+        return 0.0
+    return rounding(np.concatenate([x + taken for _, x, taken in columns]))
 
 
 def _misses(
+    t: np.ndarray, x: np.ndarray, taken: np.ndarray | float, order: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give :func:`_all_misses` of the rows that are not among neighbours of one value."""
+    moves = ~_repeats(x, order)
+    misses, level = _all_misses(t, x, taken, order)
+    return misses[moves], level[moves]
+
+
+def _all_misses(
     t: np.ndarray, x: np.ndarray, taken: np.ndarray | float, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals of the inner rows per unit noise, and the mean squared level that they saw."""
@@ -198,7 +250,11 @@ def _misses(
 
 
 def fit_law(
-    squares: np.ndarray, level: np.ndarray, weights: np.ndarray, settings: NoiseSettings
+    squares: np.ndarray,
+    level: np.ndarray,
+    weights: np.ndarray,
+    settings: NoiseSettings,
+    least: float = 0.0,
 ) -> StateNoise:
     """Fit squares ~ a^2 + m^2 level; additive, multiplicative or both by the BIC.
 
@@ -208,6 +264,7 @@ def fit_law(
     level : (n,) squared values of the state there.
     weights : (n,) share of each that is independent of the others.
     settings : cap and steps of the fit.
+    least : standard deviation that every row has in addition.
     """
     scale = float(robust_scale(np.sqrt(squares))) ** 2
     columns, rows = np.stack([np.ones(len(squares)), level]), max(float(np.sum(weights)), 2.0)
@@ -217,10 +274,10 @@ def fit_law(
         law = np.array(start)
         if not np.any(law):
             law = 0.5 * (tried[0][1] + tried[1][1])
-        law, loss = _ascend(squares, columns, weights, law, settings)
+        law, loss = _ascend(squares, columns, weights, law, settings, least)
         tried.append((loss + 0.5 * np.sum(law > 0) * np.log(rows), law))
     additive, multiplicative = np.sqrt(min(tried, key=lambda pair: pair[0])[1])
-    return StateNoise(float(additive), float(multiplicative))
+    return StateNoise(float(np.hypot(additive, least)), float(multiplicative))
 
 
 def _ascend(
@@ -229,12 +286,13 @@ def _ascend(
     weights: np.ndarray,
     law: np.ndarray,
     settings: NoiseSettings,
+    least: float,
 ) -> tuple[np.ndarray, float]:
     """Maximise the normal likelihood of squares ~ law @ columns, from ``law``; what is 0 stays 0.
 
     The updates keep the law positive. A squared residual counts at most as an outlier's would.
     """
-    cap, floor = settings.outlier**2, 1e-12 * float(np.mean(squares)) + 1e-300
+    cap, floor = settings.outlier**2, 1e-12 * float(np.mean(squares)) + 1e-300 + least**2
     for _ in range(settings.steps):
         expected = law @ columns + floor
         ratio = weights * np.minimum(squares / expected, cap) / expected
@@ -267,7 +325,7 @@ def find_outliers(
     order = min(4, 2 * ((len(t) - 3) // 2))
     if order < 2 or noise.additive == noise.multiplicative == 0:
         return found
-    misses, level = _misses(t, x, taken, order)
+    misses, level = _all_misses(t, x, taken, order)
     z = np.abs(misses) / np.sqrt(noise.additive**2 + noise.multiplicative**2 * level)
     half = order // 2
     # An outlier spoils the misses of its neighbours: only the worst of a window is one.

@@ -25,6 +25,7 @@ from dynsr.data.grouping import find_restarts
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
 from dynsr.data.names import clean_name, find_column
+from dynsr.data.noise_model import rounding
 from dynsr.data.oddities import OddSettings, odd_marks
 from dynsr.data.roles import Roles
 from dynsr.data.steps import between_rows
@@ -460,6 +461,9 @@ def _with_noise(run: Trajectory, state: str, value: Any) -> Trajectory:
             return run
         run, sd = _without(run, noise, state)
         noise = check_noise(state, KnownNoise(sd), f"column {noise!r}")
+    if noise.share > 0:  # where the state is 0 what its last digit hides is left
+        least = rounding(run.x[:, run.index(state)])
+        noise = replace(noise, sd=np.hypot(noise.sd, least))
     return replace(
         run, noise={**run.noise, state: noise}, origin={**run.origin, "said_noise": told}
     )

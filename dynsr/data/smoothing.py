@@ -26,6 +26,7 @@ from dynsr.data.noise_model import (
     StateNoise,
     find_outliers,
     fit_law,
+    least_noise,
     neighbour_noise,
 )
 from dynsr.data.trajectory import Trajectory
@@ -598,6 +599,7 @@ def _state_noise(columns: Sequence[Column], settings: SmoothSettings) -> StateNo
     noise = neighbour_noise(columns, settings.noise)
     values = np.concatenate([x for _, x, _ in columns]) if columns else np.zeros(1)
     taken = np.concatenate([part for _, _, part in columns]) if columns else np.zeros(1)
+    least = least_noise(columns)
     typical = float(np.sqrt(np.mean(noise.sd(values + taken) ** 2)))
     if len(values) > settings.refined or typical <= 10 * settings.process.finest * np.std(values):
         return noise
@@ -611,6 +613,6 @@ def _state_noise(columns: Sequence[Column], settings: SmoothSettings) -> StateNo
         if np.sum(share[kept]) < 2:
             break
         squares = (values - level)[kept] ** 2 / share[kept]
-        law = fit_law(squares, (level + taken)[kept] ** 2, share[kept], settings.noise)
+        law = fit_law(squares, (level + taken)[kept] ** 2, share[kept], settings.noise, least)
         noise = replace(law, outliers=float(np.mean(outlying)))
     return noise

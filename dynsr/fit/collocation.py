@@ -910,11 +910,14 @@ class Measurements:
 
     @cached_property
     def noise_share(self) -> float:
-        """Median over the measured states of the noise as a share of the spread."""
+        """Median over the measured states of the noise, its root mean square, as a share of spread.
+
+        Noise may grow with the state: rows at rest near 0, however many, say little of it.
+        """
         spread = self._spread
         noise = np.concatenate(self.deviations)
         measured = np.any(np.isfinite(noise), axis=0)
-        own = [np.median(column[np.isfinite(column)]) for column in noise.T[measured]]
+        own = [math.sqrt(np.mean(column[np.isfinite(column)] ** 2)) for column in noise.T[measured]]
         return float(np.median(own / np.maximum(spread[measured], 1e-300)))
 
     @property

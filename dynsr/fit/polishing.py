@@ -21,7 +21,7 @@ from dynsr.fit.noise import NOISY, Noise, is_noisy, noise_and_spread, residual_n
 from dynsr.fit.settings import FIT, FitSettings
 from dynsr.fit.shooting import Match, fitted_values, match_trajectories, measure_errors, prepare
 from dynsr.fit.simple import reach, simple_value
-from dynsr.fit.snapping import snap, tidy, usable_numbers
+from dynsr.fit.snapping import readable, snap, usable_numbers
 from dynsr.fit.ties import Ties, find_ties
 from dynsr.fit.variation import loosen, with_floats
 from dynsr.fit.whole import StatesFit, fit_states, interval_reach
@@ -106,7 +106,7 @@ def _with_errors(
     settings: FitSettings,
 ) -> Match:
     """Round and tidy the equations, and give every constant its standard error."""
-    final = {s: tidy(_round_floats(e)) for s, e in match.exprs.items()}
+    final = {s: readable(_round_floats(e)) for s, e in match.exprs.items()}
     loose = loosen_all(final)
     measured = measure_errors(loose, runs, inputs, settings)
     fitted = fitted_values(loose, runs, inputs, settings)
@@ -158,7 +158,7 @@ def _polish_noisy(
     if settings.snap:
         fit, whole = _whole_numbers(fit, runs, inputs, settings)
         numbers = _simple_numbers(fit, whole, runs, inputs, settings)
-    final = {s: tidy(e) for s, e in fit.put(numbers).items()}
+    final = {s: readable(e) for s, e in fit.put(numbers).items()}
     loose = loosen_all(final)
     free = _fit(loose, runs, inputs, settings, near=fit) or fit
     _, values, owners = prepare(loose, _plain(runs), inputs)
@@ -217,7 +217,7 @@ def untouched_match(
     inputs : input name -> expression in ``t``, where it is known.
     settings : the numbers that decide.
     """
-    final = {s: tidy(_round_floats(e)) for s, e in exprs.items()}
+    final = {s: readable(_round_floats(e)) for s, e in exprs.items()}
     errors = measure_errors(loosen_all(final), _plain(runs), inputs, settings)
     fitted = {s: tuple(value for value, _ in pairs) for s, pairs in errors.items()}
     return replace(Match.untouched(final), errors=errors, fitted=fitted)

@@ -263,6 +263,59 @@ def tidy(expr: sympy.Expr) -> sympy.Expr:
     return sympy.Add(*[map_numbers(t, _tidied) for t in sympy.Add.make_args(expr)])
 
 
+def readable(expr: sympy.Expr) -> sympy.Expr:
+    """Write a formula as textbooks do: tidy numbers, and saturations as 1.2*x/(x + 0.8).
+
+    Where no coefficient of a denominator is 1, the one of its leading term becomes 1. Whole numbers
+    stay unless all of them are then short decimals.
+
+    Parameters
+    ----------
+    expr : the formula; what is given is the same function.
+
+    >>> readable(sympy.sympify("-6*x/(5*x + 4)")), readable(sympy.sympify("x/(7*x + 3)"))
+    (-1.2*x/(x + 0.8), x/(7*x + 3))
+    """
+    return sympy.Add(*[_led_by_one(term) for term in sympy.Add.make_args(tidy(expr))])
+
+
+def _led_by_one(term: sympy.Expr) -> sympy.Expr:
+    number, rest = term.as_coeff_Mul()
+    kept, scale = [], sympy.S.One
+    for factor in sympy.Mul.make_args(rest):
+        below = factor.is_Pow and factor.exp.is_Integer and factor.exp < 0 and factor.base.is_Add
+        terms = factor.base.as_ordered_terms() if below else []
+        numbers = [part.as_coeff_Mul()[0] for part in terms]
+        if not numbers or any(abs(own) == 1 for own in numbers):
+            kept.append(factor)
+            continue
+        lead = abs(_exact(numbers[0]))
+        parts = [part.as_coeff_Mul() for part in factor.base.args]
+        base = sympy.Add(*[_exact(own) / lead * other for own, other in parts])
+        kept.append(base**factor.exp)
+        scale *= lead**factor.exp
+    if scale == 1:
+        return term
+    factor = _exact(number) * scale
+    above = next((part for part in kept if part.is_Add), None)
+    if above is not None:  # its coefficients take the factor, of which there is none then
+        parts = [part.as_coeff_Mul() for part in above.args]
+        kept[kept.index(above)] = sympy.Add(*[_exact(own) * factor * p for own, p in parts])
+        factor = sympy.S.One
+    decimals = {a for part in (factor, *kept) for a in part.atoms(sympy.Rational)}
+    if not term.has(sympy.Float) and any(10**_MOST_DIGITS % int(a.q) for a in decimals):
+        return term
+    return _decimal(factor) * sympy.Mul(*[map_numbers(part, _decimal) for part in kept])
+
+
+def _exact(number: sympy.Expr) -> sympy.Rational:
+    return sympy.Rational(repr(float(number))) if number.is_Float else number
+
+
+def _decimal(number: sympy.Expr) -> sympy.Expr:
+    return number if number.is_Integer or not number.is_Rational else sympy.Float(float(number))
+
+
 def _tidied(number: sympy.Expr) -> sympy.Expr:
     if number.is_Float and float(number).is_integer() and abs(number) < 10**_MOST_DIGITS:
         return sympy.Integer(int(number))
