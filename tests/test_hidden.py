@@ -15,7 +15,7 @@ from dynsr.discovery.unmeasured import coupling_of, describe_hidden, estimate_hi
 from dynsr.fit import Measurements, misses_bits
 from dynsr.fit.collocation import covariance_of
 from dynsr.jobs import FolderTaken
-from dynsr.selection import ComparisonSettings, Coupling, find_hidden, law_of
+from dynsr.selection import ComparisonSettings, Coupling, find_hidden, law_of, lead_alone
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.hidden import HiddenComparison, first_curve, write_law
 from tests.command_line import run
@@ -127,7 +127,8 @@ def test_a_constant_that_says_nothing_is_unknown_and_no_fault():
 def test_what_changes_sign_multiplies_no_hidden_state():
     """Where x passes 0, x' = x**2 y shows nothing of y: such systems are not proposed."""
     data = Measurements.of([pendulum(0.05)], {}, 2000)
-    found = find_hidden(data, "y", "x", ComparisonSettings())
+    settings = ComparisonSettings()
+    found = find_hidden(data, "y", "x", lead_alone(data, settings)["x"], settings)
     assert {one.coupling.body for one in found} == {sympy.S.One}
 
 

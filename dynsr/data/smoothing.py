@@ -599,10 +599,10 @@ def _state_noise(columns: Sequence[Column], settings: SmoothSettings) -> StateNo
     noise = neighbour_noise(columns, settings.noise)
     values = np.concatenate([x for _, x, _ in columns]) if columns else np.zeros(1)
     taken = np.concatenate([part for _, _, part in columns]) if columns else np.zeros(1)
-    least = least_noise(columns)
     typical = float(np.sqrt(np.mean(noise.sd(values + taken) ** 2)))
     if len(values) > settings.refined or typical <= 10 * settings.process.finest * np.std(values):
         return noise
+    least = least_noise(columns)
     free = replace(settings, process=replace(settings.process, known=settings.unknown))
     for _ in range(settings.rounds - 1):
         smooths = [smooth_values(t, x, noise, free, part) for t, x, part in columns]

@@ -44,6 +44,7 @@ from dynsr.selection import (
     different_laws,
     find_hidden,
     find_without,
+    lead_alone,
 )
 
 _NAME = "hidden"
@@ -153,12 +154,16 @@ def search_hidden(
     alone: list[SystemFit | None] = []
 
     def look() -> None:
-        data = _as_noisy(runs, inputs, selection.comparison)
+        how = selection.comparison
+        leading: dict[str, SystemFit | None] = {}
+        data = _as_noisy(runs, inputs, how)
         for state in tell_each(["", *states[:-1]], lambda s: _title(name, s), progress):
             if state:
-                every.extend(find_hidden(data, name, state, selection.comparison, details.hidden))
+                own = leading[state]
+                every.extend(find_hidden(data, name, state, own, how, details.hidden))
             else:
-                alone.append(find_without(data, selection.comparison))
+                leading |= lead_alone(data, how)
+                alone.append(find_without(data, leading, how))
 
     until, complete = Budget(budget).until(details.shares.choices), True
     try:

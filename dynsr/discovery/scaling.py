@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -182,11 +182,12 @@ class Units:
         # So that constants of one value stay two.
         apart = {s: v * (1 + _APART * i) for i, (s, v) in enumerate(values.items())}
 
-        def constants(moved: sympy.Symbol | None = None) -> np.ndarray:
+        def read(moved: sympy.Symbol | None = None) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]:
             put = {s: sympy.Float(v * (1 + 1e-3 * (s == moved))) for s, v in apart.items()}
-            return np.array(list(free_constants(restored.xreplace(put), "constant ")[1].values()))
+            return free_constants(restored.xreplace(put), "constant ")
 
-        plain = constants()
+        shape, numbers = read()
+        plain = np.array(list(numbers.values()))
         found_errors = [(float(value), np.inf) for value in plain]
         middles = plain.tolist()
         profiled = found.profiled.get(state) or [None] * len(pairs)
@@ -194,7 +195,7 @@ class Units:
         ends: list[Ends | None] = [None] * len(plain)
         known = zip(apart.items(), pairs, before, strict=True)
         for i, ((symbol, own), (value, error), middle) in enumerate(known):
-            moved = constants(symbol)
+            moved = np.array(list(read(symbol)[1].values()))
             if len(moved) != len(plain) or not own:
                 continue
             for place in np.flatnonzero(moved != plain):
@@ -204,13 +205,8 @@ class Units:
                 ends[place] = _times(places[i], factor)
         if all(end is None for end in ends):
             return tuple(found_errors), tuple(middles), ()
-        shape, numbers = free_constants(restored.xreplace(dict(_as_floats(apart))), "constant ")
         printed = tuple(ends[i] for i in printed_order(shape, numbers))
         return tuple(found_errors), tuple(middles), printed
-
-
-def _as_floats(values: Mapping[sympy.Symbol, float]) -> Iterator[tuple[sympy.Symbol, sympy.Float]]:
-    return ((symbol, sympy.Float(value)) for symbol, value in values.items())
 
 
 def _times(ends: Ends | None, factor: float) -> Ends | None:

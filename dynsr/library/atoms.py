@@ -348,21 +348,16 @@ _TABLE = (
         start=_begin_bumps,
         rare=True,
     ),
-    Atom(
-        "sine of both",
-        sympy.sin(K * V + L * W),
-        Domain.TURNING,
-        (_SIGNED, _SIGNED),
-        start=_begin_waves,
-        rare=True,
-    ),
-    Atom(
-        "cosine of both",
-        sympy.cos(K * V + L * W),
-        Domain.TURNING,
-        (_SIGNED, _SIGNED),
-        start=_begin_waves,
-        rare=True,
+    *(
+        Atom(
+            f"{name} of both",
+            wave(K * V + L * W),
+            Domain.TURNING,
+            (_SIGNED, _SIGNED),
+            start=_begin_waves,
+            rare=True,
+        )
+        for name, wave in (("sine", sympy.sin), ("cosine", sympy.cos))
     ),
     Atom(
         "power from",

@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import compile_columns
-from dynsr.library.atoms import ATOMS, Atom, Domain
+from dynsr.library.atoms import ATOMS, Atom, Domain, Inside
 
 # Atoms of which two may stand in one term, of different columns.
 _TOGETHER = ("saturates1", "saturates2", "inhibits1", "inhibits2")
@@ -82,9 +82,14 @@ class Form:
     own: sympy.Expr | None = None
 
     @cached_property
+    def inside(self) -> tuple[Inside, ...]:
+        """The constants inside."""
+        return tuple(one for factor in self.factors for one in factor.atom.inside)
+
+    @property
     def constants(self) -> int:
         """How many constants are inside."""
-        return sum(len(f.atom.inside) for f in self.factors)
+        return len(self.inside)
 
     def write(self, names: Sequence[str], constants: Iterable[float] = ()) -> sympy.Expr:
         """Write it in its columns.
@@ -237,8 +242,7 @@ class Library:
         """(forms, most) steps of 1 of the constants: what is signed has the size of its starts."""
         found = np.ones((len(self.forms), self.most))
         for i, (form, own) in enumerate(zip(self.forms, self.starts, strict=True)):
-            inside = [one for factor in form.factors for one in factor.atom.inside]
-            for j in (j for j, one in enumerate(inside) if one.signed):
+            for j in (j for j, one in enumerate(form.inside) if one.signed):
                 found[i, j] = max(float(np.max(np.abs(own[:, j]))), 1e-300)
         return found
 
@@ -261,10 +265,9 @@ class Library:
         """(forms, most) signs of steps of logarithms, 0 where there are none; least; most."""
         signs, low, high = (np.zeros((len(self.forms), self.most)) for _ in range(3))
         for i, (form, own) in enumerate(zip(self.forms, self.starts, strict=True)):
-            inside = [one for factor in form.factors for one in factor.atom.inside]
             count = own.shape[1]
-            signs[i, : len(inside)] = [one.sign for one in inside]
-            free = np.array([one.free for one in inside], dtype=bool)
+            signs[i, : form.constants] = [one.sign for one in form.inside]
+            free = np.array([one.free for one in form.inside], dtype=bool)
             low[i, :count] = np.where(free, -np.inf, own.min(axis=0))
             high[i, :count] = np.where(free, np.inf, own.max(axis=0))
         further = np.where(signs == 0, 1.0, self.roam)

@@ -18,6 +18,7 @@ from .hidden import (
     find_without,
     first_curve,
     law_of,
+    lead_alone,
 )
 from .pick import (
     Pick,
@@ -79,6 +80,7 @@ __all__ = [
     "forecast_miss",
     "is_left_open",
     "law_of",
+    "lead_alone",
     "lead_with",
     "look",
     "may_be_exact",

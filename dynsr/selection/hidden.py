@@ -279,6 +279,7 @@ def find_hidden(
     data: Measurements,
     name: str,
     state: str,
+    alone: SystemFit | None,
     comparison: ComparisonSettings,
     settings: HiddenSettings = HIDDEN,
 ) -> Iterator[HiddenFit]:
@@ -289,6 +290,7 @@ def find_hidden(
     data : the measured states, their noise and smoothed curves.
     name : of the hidden state.
     state : in whose equation it is.
+    alone : what :func:`lead_alone` gives of this state, which may need no hidden one.
     comparison : how systems are fitted and their bits are counted.
     settings : the numbers that decide.
     """
@@ -299,7 +301,6 @@ def find_hidden(
     ]
     begun.sort(key=lambda one: one.bits)
     # A state that needs no hidden one takes fewer bits alone.
-    alone = _alone(state, data, comparison)
     least = [one.bits for one in (*begun[:1], alone) if one is not None]
     # A system that follows the noise may take the fewest bits: integration shows it later.
     for one in begun[: settings.improved]:
@@ -307,16 +308,28 @@ def find_hidden(
             yield _finish(one, settings)
 
 
-def find_without(data: Measurements, comparison: ComparisonSettings) -> SystemFit | None:
-    """Give the system of the measured states alone; None where none can be fitted.
+def lead_alone(data: Measurements, comparison: ComparisonSettings) -> dict[str, SystemFit | None]:
+    """Give the best equation of each measured state, the others read off their curves.
 
     Parameters
     ----------
     data, comparison : as in :func:`find_hidden`.
     """
-    names = data.runs[0].states
-    own = SystemComparison(data.mesh(names), comparison)
-    fit = own.fit({s: _first_of(s, data, comparison) for s in names})
+    return {state: _alone(state, data, comparison) for state in data.runs[0].states}
+
+
+def find_without(
+    data: Measurements, alone: Mapping[str, SystemFit | None], comparison: ComparisonSettings
+) -> SystemFit | None:
+    """Give the system of the measured states alone; None where none can be fitted.
+
+    Parameters
+    ----------
+    data, comparison : as in :func:`find_hidden`.
+    alone : what :func:`lead_alone` gives.
+    """
+    own = SystemComparison(data.mesh(tuple(alone)), comparison)
+    fit = own.fit({s: _equation_of(s, found) for s, found in alone.items()})
     return None if fit is None else renew(own, _prune(own, fit))
 
 
@@ -327,9 +340,7 @@ def _alone(state: str, data: Measurements, comparison: ComparisonSettings) -> Sy
     return alone.best()
 
 
-def _first_of(state: str, data: Measurements, comparison: ComparisonSettings) -> sympy.Expr:
-    """Give the equation of a state that leads where the others are read off their curves."""
-    found = _alone(state, data, comparison)
+def _equation_of(state: str, found: SystemFit | None) -> sympy.Expr:
     return sympy.S.Zero if found is None else found.exprs[state]
 
 
@@ -403,7 +414,7 @@ def _finish(begun: HiddenFit, settings: HiddenSettings) -> HiddenFit:
     others = [s for s in names if s not in fit.exprs]
     if others:
         mesh, own = begun.data.mesh(names), comparison.settings
-        exprs = {**fit.exprs, **{s: _first_of(s, begun.data, own) for s in others}}
+        exprs = {**fit.exprs, **{s: _equation_of(s, _alone(s, begun.data, own)) for s in others}}
         exprs = {s: exprs[s] for s in names}
         comparison = HiddenComparison(mesh, own, coupling=begun.coupling)
         whole = comparison.fit(exprs)

@@ -492,14 +492,16 @@ class Proposer:
 
     def _move(self, best: _Layer, moving: np.ndarray) -> None:
         """Move the constants inside of some sums by a step, or a shorter one, if it is better."""
-        far = self.settings.farthest
+        far, before, steps = self.settings.farthest, math.nan, np.zeros(0)
         for scale, damped in self.settings.tries:
             own = best.some(moving)
-            ahead = np.clip(scale * self._steps(own, damped), -far, far)
+            # A share of a step needs no new one.
+            steps = steps if damped == before else self._steps(own, damped)
+            ahead = np.clip(scale * steps, -far, far)
             moved = self._fit(own.places, self.library.moved(own.places, own.constants, ahead))
             better = moved.left < own.left
             best.put(moving[better], moved.some(better))
-            moving = moving[~better]
+            moving, steps, before = moving[~better], steps[~better], damped
             if not len(moving):
                 return
 
