@@ -185,3 +185,12 @@ def test_rows_far_apart_take_differences_of_still_higher_order():
     errors = np.abs(samples.y - np.cos(samples.t))
     assert np.median(errors) < 1e-4
     assert np.mean(errors <= samples.slope_sd) > 0.9
+
+
+def test_a_run_at_rest_does_not_decide_how_slopes_are_made():
+    """Of runs of one length, of which the first is at rest, the slopes are those of the others."""
+    t = np.arange(20) * 0.1
+    runs = [Trajectory(t, a * np.exp(-2 * t)[:, None], ("x",)) for a in (0.0, 5.0, 3.0)]
+    samples = choose_samples(runs, "x")
+    assert samples.scheme != "central2"
+    assert np.max(np.abs(samples.y + 2 * samples.X[:, 0])) < 1e-5

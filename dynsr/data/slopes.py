@@ -495,17 +495,18 @@ def choose_samples(
     if parts is not None:
         runs = [part.taken_from(run) for run, part in zip(runs, parts, strict=True)]
     # The longest trajectory decides for all: noise and step belong to the instrument.
-    longest = max(runs, key=len)
-    choices = {state: _choose(longest, state, scheme, settings) for state in runs[0].states}
+    longest = {state: _longest(runs, state) for state in runs[0].states}
+    choices = {state: _choose(run, state, scheme, settings) for state, run in longest.items()}
     pieces = []
     for run, own in zip(runs, given, strict=True):
-        fitting = choices if run is longest else _fitting(run, choices, settings)
+        decides = all(run is other for other in longest.values())
+        fitting = choices if decides else _fitting(run, choices, settings)
         piece = _combine(run, target, fitting, own)
         pieces.append(_without_layers(piece, run, settings) if resolve else piece)
     if parts is not None:
         added = zip(pieces, measured, parts, strict=True)
         pieces = [_add_forced(piece, run, part) for piece, run, part in added]
-    return replace(join_samples(pieces), scheme=pieces[runs.index(longest)].scheme)
+    return replace(join_samples(pieces), scheme=pieces[runs.index(longest[target])].scheme)
 
 
 def _add_forced(samples: Samples, run: Trajectory, forced: Forced) -> Samples:
@@ -515,6 +516,13 @@ def _add_forced(samples: Samples, run: Trajectory, forced: Forced) -> Samples:
     X[:, : len(run.states)] += forced.x[rows]
     y = samples.y + forced.slope[rows, run.index(samples.target)]
     return replace(samples, X=X, y=y)
+
+
+def _longest(runs: Sequence[Trajectory], state: str) -> Trajectory:
+    """Give the longest run in which a state moves: one at rest says nothing of its slopes."""
+    place = runs[0].index(state)
+    moving = [run for run in runs if np.ptp(run.x[:, place]) > 0]
+    return max(moving or runs, key=len)
 
 
 def _choose(trajectory: Trajectory, state: str, scheme: str, settings: SlopeSettings) -> Choice:
