@@ -30,6 +30,13 @@ from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .temporary import is_part, open_part, own_folder, remove_stale
 from .times import check_time_unit
 from .trajectory import Trajectory, columns_of, settle_hold
+from .unseen_steps import (
+    UnseenSteps,
+    UnseenStepSettings,
+    cut_at_unseen_steps,
+    find_steps,
+    find_unseen_steps,
+)
 from .velocity import add_velocities, choose_second_samples
 from .weak import weak_form
 from .windows import Window, WindowSettings, choose_windows, cut_to_windows
@@ -69,6 +76,8 @@ __all__ = [
     "System",
     "TimeColumn",
     "Trajectory",
+    "UnseenStepSettings",
+    "UnseenSteps",
     "Window",
     "WindowSettings",
     "add_doses",
@@ -89,6 +98,7 @@ __all__ = [
     "column_units",
     "columns_of",
     "cut_at_doses",
+    "cut_at_unseen_steps",
     "cut_to_windows",
     "describe",
     "describe_table",
@@ -96,7 +106,9 @@ __all__ = [
     "estimate_noise",
     "find_definition",
     "find_forced",
+    "find_steps",
     "find_system",
+    "find_unseen_steps",
     "in_unit",
     "is_own_page",
     "is_part",

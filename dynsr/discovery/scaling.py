@@ -30,6 +30,7 @@ from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
 from dynsr.discovery.unmeasured import coupling_of
+from dynsr.discovery.unseen import search_stepped, take_steps
 from dynsr.discovery.verdict import LAW, LEVELS
 from dynsr.discovery.volumes import with_volumes
 from dynsr.engines import DEFAULT_ENGINE, start_engine
@@ -243,6 +244,9 @@ def in_fitting_units(search: Search) -> Search:
         vary = check_vary(settings.pop("vary", False), runs, discrete)
         others = {"vary": vary, "delays": delays, "observed": observed, "ensemble": members}
         hidden = check_hidden(settings.pop("hidden", False), runs, settings, others)
+        uncut = bool(vary or hidden or delays is not False or observed or members)
+        stepped = take_steps(runs, settings["inputs"], settings, uncut)
+        runs = list(stepped.runs)
         every, deciding = runs, settings.get("settings", DISCOVERY)
         check_asked(runs[0].states, seed, settings=deciding, slopes=settings.get("slopes"))
         # Where runs have constants of their own, a window would be another run, and the start of a
@@ -251,7 +255,6 @@ def in_fitting_units(search: Search) -> Search:
         runs, windows, settings["slopes"] = take_windows(
             runs, deciding.windows, settings.get("slopes"), most
         )
-        units = Units.of(runs)
         bits = read_own_bits(settings.get("complexity"))
         until = Budget(settings.get("time_budget")).until(1.0)
 
@@ -269,8 +272,13 @@ def in_fitting_units(search: Search) -> Search:
                     found = _search_both(one_search, runs, settings, hidden)
                 elif vary:
                     found = search_apart(one_search, runs, settings, vary)
+                elif windows or observed:
+                    found = one_search(runs, settings)
                 else:
-                    found = _search_in(search, units, runs, settings)
+                    found, stepped = search_stepped(
+                        one_search, stepped, settings["inputs"], settings
+                    )
+                    runs = list(stepped.runs)
                 found = with_told(found, runs, observed)
                 found = finish_by(until, lambda: confirm(found), lambda: found)[0]
                 found = finish_by(
@@ -286,7 +294,7 @@ def in_fitting_units(search: Search) -> Search:
             if ended:
                 ended = [*whole.settings.get("ended_by_budget", ()), *ended]
                 whole = replace(whole, settings={**whole.settings, "ended_by_budget": ended})
-            return _keep_fitted(whole, settings.get("out"))
+            return _keep_fitted(stepped.say(whole), settings.get("out"))
 
     return cast("Search", scaled)
 
@@ -317,7 +325,8 @@ def _search_in(
 
 def _keep_fitted(found: Discovery, out: str | Path | None) -> Discovery:
     """Keep volumes, and what all rows say in the place of what the windows said."""
-    later = found.volumes or found.settings.get("windows", {}).get("fitted")
+    record = found.settings
+    later = found.volumes or record.get("windows", {}).get("fitted") or "unseen_steps" in record
     if out is not None and later:
         # What was found is not lost where it cannot be kept.
         with suppress(InputError, OSError):

@@ -1,0 +1,216 @@
+"""Unseen steps: intervals in which an input steps between two rows do not count in a search.
+
+Where the rows next to the steps show it, runs are cut before the search
+(:func:`dynsr.data.find_unseen_steps`). Where only whole runs show it, their search ends with
+equations whose residuals are not noise. These are fitted to runs that are cut at all steps, and if
+far less is left of the residuals there, a law is searched in the cut runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import monotonic
+from typing import Any
+from warnings import warn
+
+import numpy as np
+import sympy
+from scipy.special import fdtrc
+
+from dynsr.data import (
+    Trajectory,
+    UnseenSteps,
+    UnseenStepSettings,
+    check_hold,
+    cut_at_unseen_steps,
+    find_steps,
+    find_unseen_steps,
+)
+from dynsr.discovery.result import Discovery, keep
+from dynsr.discovery.verdict import LAW
+from dynsr.errors import DynsrWarning, InputError
+from dynsr.fit import Measurements, fit_along, loosen_all
+from dynsr.jobs import Budget
+
+Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
+
+
+@dataclass(frozen=True, eq=False)
+class Stepped:
+    """Runs, and what is known of the steps of their inputs.
+
+    Parameters
+    ----------
+    runs : the trajectories to search in.
+    whole : the trajectories as they were measured.
+    steps : the steps that lie between rows; None where none is seen.
+    cut : whether ``runs`` are cut at them.
+    stay : whether runs have to stay whole.
+    """
+
+    runs: Sequence[Trajectory]
+    whole: Sequence[Trajectory]
+    steps: UnseenSteps | None = None
+    cut: bool = False
+    stay: bool = False
+
+    def say(self, found: Discovery) -> Discovery:
+        """Give a discovery whose record and explanation have the steps, and warn of them.
+
+        Parameters
+        ----------
+        found : in these runs.
+        """
+        if self.steps is None:
+            return found
+        said = self._words(self.steps)
+        warn(said, DynsrWarning, stacklevel=2)
+        record = {
+            "inputs": list(self.steps.inputs),
+            "intervals": self.steps.count,
+            "cut": self.cut,
+        }
+        words = {s: f"{why} {said}" for s, why in found.explanation.items()}
+        record = {**found.settings, "unseen_steps": record}
+        return replace(found, explanation=words, settings=record)
+
+    def _words(self, steps: UnseenSteps) -> str:
+        run, rows = next(
+            (r, own) for r, own in zip(self.whole, steps.rows, strict=True) if len(own)
+        )
+        begin, end = run.t[rows[0] : rows[0] + 2]
+        names, one = " and ".join(steps.inputs), len(steps.inputs) == 1
+        where = f"{names} step{'s' * one} between rows, such as from t = {begin:g} to {end:g}."
+        does = (
+            f"The {steps.count} intervals with a step do not count, because the time of the step "
+            "is unknown"
+            if self.cut
+            else "The equations take the value of the table there, which leaves residuals"
+        )
+        return (
+            f"{where} {does}. Measure more often around the steps, or give the input as it was "
+            "applied."
+        )
+
+
+def take_steps(
+    runs: Sequence[Trajectory], drives: Collection[str], asked: Mapping[str, Any], whole: bool
+) -> Stepped:
+    """Cut runs where the rows next to steps show that inputs step between rows.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    drives : inputs whose values are known at all times.
+    asked : settings of the search.
+    whole : whether runs have to stay whole.
+    """
+    if asked.get("discrete"):
+        return Stepped(runs, runs, stay=True)
+    said = check_hold(asked.get("hold"), [n for n in runs[0].input_names if n not in drives])
+    lines = [name for name, way in said.items() if way == "linear"]
+    steps = find_unseen_steps(runs, [*drives, *lines])
+    # The user's own slopes, and doses of an unknown volume, are those of whole runs.
+    whole = whole or bool(asked.get("slopes")) or any("dosing" in run.origin for run in runs)
+    parts = None if steps is None or whole else cut_at_unseen_steps(runs, steps)
+    return Stepped(parts or runs, runs, steps, parts is not None, whole)
+
+
+def search_stepped(
+    search: Search, stepped: Stepped, drives: Mapping[str, sympy.Expr], asked: dict[str, Any]
+) -> tuple[Discovery, Stepped]:
+    """Search, and search again in runs cut at all steps where these alone may hide a law.
+
+    Parameters
+    ----------
+    search : takes trajectories and settings.
+    stepped : what :func:`take_steps` gave.
+    drives : inputs whose values are known at all times.
+    asked : settings of the search.
+
+    Gives what was found, and the runs that it was found in.
+    """
+    budget = Budget(asked.get("time_budget"))
+    runs, found = stepped.runs, search(stepped.runs, dict(asked))
+    judged = found.complete and found.verdict.tested
+    if stepped.stay or stepped.steps or not judged or found.verdict.level == LAW:
+        return found, stepped
+    steps = find_steps(runs, drives)
+    parts = None if steps is None else cut_at_unseen_steps(runs, steps)
+    if steps is None or parts is None or not _hide(found, runs, steps, drives):
+        return found, stepped
+    left = None if budget.seconds is None else budget.until(1.0) - monotonic()
+    if left is not None and left <= 0:
+        return found, stepped
+    again = search(parts, {**asked, "out": None, "time_budget": left})
+    if again.verdict.level != LAW:
+        return found, stepped
+    if asked.get("out") is not None:
+        # What was found is not lost where it cannot be kept.
+        with suppress(InputError, OSError):
+            keep(again, Path(asked["out"]).absolute())
+    return again, Stepped(parts, runs, steps, cut=True)
+
+
+def _hide(
+    found: Discovery,
+    runs: Sequence[Trajectory],
+    steps: UnseenSteps,
+    drives: Mapping[str, sympy.Expr],
+) -> bool:
+    """Whether equations leave far less of the residuals where states begin again at the steps.
+
+    So many starts more take squares away by chance, and from wrong equations anywhere: in the
+    middle between two steps they must take less.
+    """
+    count = len(found.equations)
+    if set(found.equations) != set(runs[0].states):
+        return False
+    middles = [
+        np.unique(np.append(0, rows[:-1]) + np.diff(rows, prepend=0) // 2) for rows in steps.rows
+    ]
+    exprs = loosen_all(found.equations)
+    at_steps, elsewhere = (
+        _gain(exprs, runs, replace(steps, rows=tuple(rows)), drives)
+        for rows in (steps.rows, middles)
+    )
+    if at_steps is None or (elsewhere is not None and elsewhere[0] > at_steps[0]):
+        return False
+    gain, rows = at_steps
+    starts = steps.count * count
+    chance = float(fdtrc(starts, max(rows - starts, 1), gain / starts))
+    return chance < UnseenStepSettings().chance
+
+
+def _gain(
+    exprs: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    steps: UnseenSteps,
+    drives: Mapping[str, sympy.Expr],
+) -> tuple[float, int] | None:
+    """Give the squares that starts after steps take away, in units of the rest, and all rows."""
+    parts = cut_at_unseen_steps(runs, steps)
+    if parts is None:
+        return None
+    squares = []
+    for some in (runs, parts):
+        # All rows are fitted, so that both fits have the same ones.
+        fit = fit_along(exprs, Measurements.of(some, drives, sum(map(len, some))))
+        if fit is None:
+            return None
+        mesh = fit.problem.mesh
+        missed = fit.found.misses / np.where(mesh.weights > 0, mesh.weights, np.inf)
+        squares.append(missed[mesh.measured] ** 2)
+    whole, cut = squares
+    flags = [np.zeros(len(run), dtype=bool) for run in runs]
+    for own, places in zip(flags, steps.parts(runs), strict=True):
+        for rows in places:
+            own[rows] = True
+    kept = np.concatenate(flags)
+    if len(whole) != len(kept) or len(cut) != np.sum(kept):
+        return None
+    rest = np.maximum(np.mean(cut, axis=0), 1e-300)
+    return float(np.sum((whole[kept] - cut) / rest)), cut.size
