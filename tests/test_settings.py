@@ -17,6 +17,7 @@ from dynsr.fit import CollocationSettings, ProfileSettings
 from dynsr.jobs import to_plain
 from dynsr.library import LibrarySettings
 from dynsr.selection.first_look import look
+from dynsr.selection.hidden import HiddenSettings
 from dynsr.selection.parts import Parts
 
 SOURCE = Path(dynsr.__file__).parent
@@ -27,6 +28,7 @@ SAID = {"demands", "vocabulary", "must", "loss"}
 # way.
 SELDOM = {
     "delays.library.alone",
+    "hidden.aside",
     *(f"vary.{name}" for name in ("joint", "near", "step", "structures")),
     *(f"vary.library.{field.name}" for field in fields(LibrarySettings)),
     "profile.first",
@@ -159,9 +161,10 @@ def oscillator_with_delay():
 
 
 # Fewer delays are tried than usual; windows are cut from 60 rows; no parabola is one to the last
-# digit.
+# digit; a hidden state is looked for in one way.
 FEW_DELAYS = replace(DISCOVERY, delays=replace(DISCOVERY.delays, grid=13, minima=1))
 NO_PARTS = replace(DISCOVERY.selection.comparison, parts=Parts(()))
+FEW_COUPLINGS = replace(DISCOVERY, hidden=HiddenSettings(couplings=1, improved=1, rounds=1))
 EVERYTHING = replace(
     DISCOVERY,
     selection=replace(DISCOVERY.selection, comparison=NO_PARTS),
@@ -177,6 +180,7 @@ DISCOVERIES = [
     (logistic_map(), DISCOVERY, {"discrete": True}),
     (two_waves(), DISCOVERY, {"time_budget": 300.0}),
     (oscillator_with_delay(), FEW_DELAYS, {"delays": True, "method": "sindy"}),
+    (two_waves(), FEW_COUPLINGS, {"hidden": "y"}),
     ([growth(0.0)] * 2, DISCOVERY, {"vary": True, "method": "sindy"}),
 ]
 

@@ -92,7 +92,7 @@ def write_interval(low: float | None, high: float | None) -> str:
 
 def _digits_of(low: float | None, high: float | None) -> int:
     """Digits enough that the ends of an interval differ in the last two."""
-    if low is None or high is None or not high > low:
+    if low is None or high is None or not 0 < high - low < math.inf:
         return 6
     size = max(abs(low), abs(high))
     return min(10, max(2, math.ceil(math.log10(size / (high - low))) + 2))

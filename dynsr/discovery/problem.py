@@ -582,7 +582,7 @@ class Problem:
     ) -> Mapping[str, sympy.Expr] | None:
         """Give the sums of products that exact states between distant rows leave no doubt of."""
         data, comparison = self.measurements, self.settings.selection.comparison
-        if data is None or data.parts == 1 or data.noise_share > comparison.doubtful:
+        if data is None or data.parts == 1:
             return None
         if not comparison.parts.has("whole-polynomials"):
             return None
