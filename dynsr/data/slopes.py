@@ -496,7 +496,11 @@ def choose_samples(
         runs = [part.taken_from(run) for run, part in zip(runs, parts, strict=True)]
     # The longest trajectory decides for all: noise and step belong to the instrument.
     longest = {state: _longest(runs, state) for state in runs[0].states}
-    choices = {state: _choose(run, state, scheme, settings) for state, run in longest.items()}
+    noise = {id(run): measurement_noise(run) for run in longest.values()}
+    choices = {
+        state: _choose(run, state, scheme, settings, noise[id(run)])
+        for state, run in longest.items()
+    }
     pieces = []
     for run, own in zip(runs, given, strict=True):
         decides = all(run is other for other in longest.values())
@@ -525,9 +529,12 @@ def _longest(runs: Sequence[Trajectory], state: str) -> Trajectory:
     return max(moving or runs, key=len)
 
 
-def _choose(trajectory: Trajectory, state: str, scheme: str, settings: SlopeSettings) -> Choice:
-    sigma = float(measurement_noise(trajectory)[trajectory.index(state)])
-    x = trajectory.x[:, trajectory.index(state)]
+def _choose(
+    trajectory: Trajectory, state: str, scheme: str, settings: SlopeSettings, noise: np.ndarray
+) -> Choice:
+    """Choose for one state, by the noise (k,) of all."""
+    place = trajectory.index(state)
+    x, sigma = trajectory.x[:, place], float(noise[place])
     if scheme == "auto":
         return choose_scheme(trajectory.t, x, sigma, settings)
     return Choice(scheme, sigma / float(np.median(np.diff(trajectory.t))))
@@ -538,13 +545,14 @@ def _fitting(
 ) -> dict[str, Choice]:
     """Choose again for a trajectory that is too short for the windows of the longest."""
     fitting = {}
+    noise = measurement_noise(trajectory)
     for state, choice in choices.items():
         x = trajectory.x[:, trajectory.index(state)]
         try:
             enough = len(smooth_column(trajectory.t, x, choice.scheme).x) >= len(trajectory) // 2
         except ValueError:
             enough = False
-        fitting[state] = choice if enough else _choose(trajectory, state, "auto", settings)
+        fitting[state] = choice if enough else _choose(trajectory, state, "auto", settings, noise)
     return fitting
 
 
@@ -667,8 +675,8 @@ def slope_bias(
     if parts is not None:
         trajectory = parts[0].taken_from(trajectory)
         slopes = slopes - np.interp(t, trajectory.t, parts[0].slope[:, place])
-    choice = _choose(trajectory, target, "auto", settings)
-    x = trajectory.x[:, place]
+    x, sigma = trajectory.x[:, place], float(measurement_noise(trajectory)[place])
+    choice = choose_scheme(trajectory.t, x, sigma, settings)
     best = smooth_column(trajectory.t, x, choice.scheme)
     inside = (t >= trajectory.t[best.rows][0]) & (t <= trajectory.t[best.rows][-1])
     if inside.sum() < 4:
