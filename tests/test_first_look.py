@@ -272,6 +272,8 @@ def test_exact_slopes_are_looked_at_again_beside_other_equations(name):
     state = next(iter(laws))
     samples = choose_samples([data], state)
     seen = look(samples, known={other: laws[other] for other in told})
+    if not seen.final:
+        seen = look(samples, earlier=[c.expr for c in seen.candidates], rare=True)
     assert seen.final
     beside = {s: np.roll(x, 40 * i) for i, (s, x) in enumerate(samples.columns.items())}
     assert evaluate(seen.candidates[0].expr, beside) == pytest.approx(

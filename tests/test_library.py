@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 from dynsr.expression import evaluate
-from dynsr.library import Form, Library, LibrarySettings
+from dynsr.library import Form, Library, LibrarySettings, read_body
 from dynsr.library.atoms import ATOMS
 from dynsr.library.forms import Factor
 
@@ -60,3 +60,14 @@ def test_a_column_of_both_signs_has_no_logarithm() -> None:
     names = {f.atom.name for form in forms for f in form.factors}
     assert "size" in names
     assert not names & {"logarithm", "root", "power", "saturates1", "inverse"}
+
+
+@pytest.mark.parametrize("names", [["x", "y", "z"], ["z", "x10", "x2"], ["b", "t", "a"]])
+@pytest.mark.parametrize("rare", [False, True])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_form_is_read_as_what_it_writes(names: list[str], rare: bool, sign: float) -> None:
+    """Whatever its columns are called, what a form is made of is what is read in its formula."""
+    points = _columns(np.random.default_rng(4)) * [[1.0], [sign], [1.0]]
+    library = Library.of(names, points, names, settings=LibrarySettings(rare=rare))
+    for form, starts in zip(library.forms, library.starts, strict=True):
+        assert form.read(names) == read_body(form.write(names, starts[0])), form

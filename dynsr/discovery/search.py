@@ -49,6 +49,7 @@ from dynsr.discovery.tasks import (
     EXPLORATION,
     FIRST_LOOK,
     MORE_LOOKS,
+    RARE_LOOK,
     START,
     Choice,
     Found,
@@ -515,7 +516,9 @@ def _choose_first(
     looked = not problem.form.discrete and engine.name == DEFAULT_ENGINE
     data = problem.measurements
     if data is None:
-        again = MORE_LOOKS if problem.settings.selection.parts.has("look-again") else ()
+        has = problem.settings.selection.parts.has
+        again = [name for name in MORE_LOOKS if name == RARE_LOOK or has("look-again")]
+        again = [name for name in again if name != RARE_LOOK or has("look-rare")]
         return (FIRST_LOOK, *again) if looked else ()
     # Exact rows that are far apart look as if they were noisy.
     exact = data.parts > 1 or data.may_be_exact
@@ -669,10 +672,11 @@ class _Steps:
         found = self._take(watch, tasks, "searches", _late_in(samples))
         ended: list[str] = []
         for source in (name for name in MORE_LOOKS if name in self.first):
-            before, ended = ended, [f.target for f in found if f.final]
+            now = [f.target for f in found if f.final]
             tasks = look_again_tasks(samples, found, demands, settings, source, self.key)
-            # One more look sees more only where the one before it ended a state.
-            tasks = tasks if ended != before else []
+            if source != RARE_LOOK:
+                # One more look sees more only where the ones before it ended a state.
+                tasks, ended = (tasks if now != ended else []), now
             coming = {task.name for task in tasks}
             planned = tasks_of(self.states, [source], picked=False)
             watch.skip(name for name in planned if name not in coming)

@@ -65,7 +65,9 @@ _USUAL = {"rational": 6.0, "sindy": 4.0, "dynaifeynman": 15.0, "genetic": 10.0}
 _USUAL_SEARCH, _USUAL_PICK = 10.0, 6.0
 # What looks for sums of terms along noisy states, in the names of its tasks.
 EXPLORATION = "states"
-FIRST_LOOK, MORE_LOOKS = "look", ("second look", "third look")
+# Functions that hardly any law has are looked for where no other equation helps.
+FIRST_LOOK, RARE_LOOK = "look", "look at rare functions"
+MORE_LOOKS = ("second look", RARE_LOOK, "third look")
 START = "start"
 _USUAL_FIRST = {EXPLORATION: 3.0, FIRST_LOOK: 0.3, START: 0.5} | dict.fromkeys(MORE_LOOKS, 1.0)
 
@@ -250,7 +252,8 @@ def look_again_one(
     """Look again with what is known of other states; keep what was found before."""
     began = time.monotonic()
     before = [c.expr for c in earlier.candidates]
-    seen = look(samples, limits, settings.look, settings.fit, known, before)
+    rare = source == RARE_LOOK
+    seen = look(samples, limits, settings.look, settings.fit, known, before, rare=rare)
     candidates = tuple({c.expr: c for c in (*seen.candidates, *earlier.candidates)}.values())
     report(Progress(source, 0, None, ParetoFront(candidates)))
     taken = time.monotonic() - began

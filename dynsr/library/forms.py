@@ -7,9 +7,9 @@ and their slopes by the constants inside, come from its atoms.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from itertools import combinations, combinations_with_replacement, permutations, product
 
 import numpy as np
@@ -17,12 +17,17 @@ import sympy
 
 from dynsr.expression import compile_columns
 from dynsr.library.atoms import ATOMS, Atom, Domain, Inside
+from dynsr.library.prior import Term, read_body
 
 # Atoms of which two may stand in one term, of different columns.
 _TOGETHER = ("saturates1", "saturates2", "inhibits1", "inhibits2")
 # Atoms that are another one, or none, beside a column of their own.
 _INVERSES = ("inverse", "inverse square", "inverse cube", "power")
 _CANCELLED = (*_INVERSES, "inhibits1", "inhibits2", "inhibits3", "inhibits4")
+# A constant inside, whatever it is.
+_SOME = 0.7
+# Names in the order of the alphabet, in place of those of the columns of a form.
+_NAMES = ("a", "b", "c", "d", "e", "f", "g", "h")
 
 
 @dataclass(frozen=True)
@@ -90,6 +95,34 @@ class Form:
     def constants(self) -> int:
         """How many constants are inside."""
         return len(self.inside)
+
+    @property
+    def columns(self) -> set[int]:
+        """Places of its columns; none of a term that is given."""
+        return {place for place, _ in self.powers}.union(*(f.columns for f in self.factors))
+
+    def _renamed(self, places: Mapping[int, int]) -> Form:
+        """Give the form of other columns."""
+        powers = sorted((places[place], power) for place, power in self.powers)
+        factors = (Factor(f.atom, tuple(places[i] for i in f.columns)) for f in self.factors)
+        return Form(tuple(powers), tuple(factors))
+
+    def read(self, names: Sequence[str]) -> Term:
+        """Take it apart as :func:`read_body` does what it writes.
+
+        Forms that differ by the names of their columns alone are written once.
+
+        Parameters
+        ----------
+        names : of all columns.
+        """
+        if self.own is not None:
+            return read_body(self.own)
+        # How a term is read depends on which of its names comes first in the alphabet.
+        held = sorted(self.columns, key=lambda place: names[place])
+        term = _read(self._renamed({place: i for i, place in enumerate(held)}))
+        said = {_NAMES[i]: names[place] for i, place in enumerate(held)}
+        return tuple(sorted(replace(f, columns=tuple(said[c] for c in f.columns)) for f in term))
 
     def write(self, names: Sequence[str], constants: Iterable[float] = ()) -> sympy.Expr:
         """Write it in its columns.
@@ -373,6 +406,11 @@ class _Maker:
         low = min(max(least, high / settings.widest), high / settings.apart)
         steps = math.ceil(math.log(high / low) / math.log(settings.apart))
         return np.geomspace(low, high, 1 + steps)
+
+
+@lru_cache(maxsize=50_000)
+def _read(form: Form) -> Term:
+    return read_body(form.write(_NAMES, [_SOME] * form.constants))
 
 
 def _powers(chosen: Sequence[int]) -> tuple[tuple[int, int], ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import sympy
@@ -65,6 +65,11 @@ class Limits:
         kept = [token for token in own if self.vocabulary.has(token)]
         asked = [token for token in possible if token in self.vocabulary.functions]
         return tuple(dict.fromkeys([*kept, *asked]))
+
+    @property
+    def check(self) -> Callable[[sympy.Expr], bool] | None:
+        """What says whether a term may enter a library; None where all may."""
+        return self.allow if self.left_out or self.vocabulary is not None else None
 
     def allow(self, expr: sympy.Expr) -> bool:
         """Whether a term may enter a library."""

@@ -411,7 +411,7 @@ class SystemComparison:
         functions : whether others than their terms and products of the columns are terms.
         """
         demands, settings = self.settings.demands, self.settings.proposals
-        place, allow = self._place(state), demands.limits(state).allow
+        place, allow = self._place(state), demands.limits(state).check
         offered = demands.offered
         return propose(evidence, place, allow, offered, others, settings, functions=functions)
 

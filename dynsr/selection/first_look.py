@@ -115,6 +115,8 @@ def look(
     fit: FitSettings = FIT,
     known: Mapping[str, sympy.Expr] = MappingProxyType({}),
     earlier: Sequence[sympy.Expr] = (),
+    *,
+    rare: bool = False,
 ) -> Look:
     """Look for the equation among sums of a few terms.
 
@@ -127,6 +129,7 @@ def look(
     known : equations of other states. What flows from one state to another stands in the equations
         of both, and what is of one kind obeys one law.
     earlier : what was found for it before.
+    rare : whether to look among functions that hardly any law has, and not among the others.
 
     >>> x = np.linspace(0.2, 3.0, 200)
     >>> s = Samples(x[:, None], 2 * x / (x + 0.5), ("x",), "x", "given", x)
@@ -142,16 +145,10 @@ def look(
         # A twin may have the same constants.
         twins = search.twins() if settings.parts.has("look-twins") else []
         found = list(search.take([*earlier, *twins, *search.refitted(twins)]))
-        if search.is_exact and settings.parts.has("joints"):
-            found += search.take(search.hinged())
         seen = search.conclude(found)
-        if seen.final and _is_simple(seen.candidates[0].expr):
+        if _is_law(seen):
             return seen
-        found += search.take(search.proposed(found))
-        seen = search.conclude(found)
-        if seen.final or not search.is_exact:
-            return seen
-        return search.conclude([*found, *search.take(search.rare())])
+        return search.conclude(search.rare(found) if rare else search.proposed(found))
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,40 +269,46 @@ class _Search:
             )
         ]
 
-    def proposed(self, found: Sequence[_Choice]) -> list[sympy.Expr]:
-        """Give the sums of terms of the library that are expected to take the fewest bits.
+    def proposed(self, found: Sequence[_Choice]) -> list[_Choice]:
+        """Add the sums of terms of the library that are expected to take the fewest bits.
+
+        Ratios of what hangs from a joint are as dear as the dearest of these.
 
         Parameters
         ----------
         found : what is known already.
         """
-        allow, others = self.limits.allow, list(self.known.items())
+        allow, others = self.limits.check, list(self.known.items())
         given = [term.as_coeff_Mul()[1] for term in self.limits.terms]
+        found, looked = list(found), not (self.is_exact and self.settings.parts.has("joints"))
 
-        def refitted(sums: list[sympy.Expr]) -> list[sympy.Expr]:
-            # The others show whether the best of them is alone.
-            kept = self.settings.kept
-            return [*self.refitted(sums[:kept]), *sums[kept:]]
-
-        def enough(sums: list[sympy.Expr]) -> bool:
-            # What is written in simple numbers is the law, whatever else comes near.
+        def enough(sums: list[sympy.Expr], left: int) -> bool:
+            nonlocal looked
             seen = self.conclude([*found, *self.take(self.refitted(sums[: self.settings.most]))])
-            return seen.final and _is_simple(seen.candidates[0].expr)
+            if left <= 1 and not looked and not _is_law(seen):
+                looked = True
+                found.extend(self.take(self.hinged()))
+                seen = self.conclude(found)
+            return _is_law(seen)
 
         # Rough slopes tell fewer sums apart.
         settings = self.settings.proposals if self.is_exact else PROPOSALS
-        place, view = self._place, self._evidence
-        return refitted(propose(view, place, allow, given, others, settings, enough=enough))
+        place, view, kept = self._place, self._evidence, self.settings.kept
+        sums = propose(view, place, allow, given, others, settings, enough=enough)
+        # The others show whether the best of them is alone.
+        return [*found, *self.take([*self.refitted(sums[:kept]), *sums[kept:]])]
 
-    def rare(self) -> list[sympy.Expr]:
-        """Give sums with functions that hardly any law has.
+    def rare(self, found: Sequence[_Choice]) -> list[_Choice]:
+        """Add sums with functions that hardly any law has, where slopes are exact.
 
-        Where other equations are known, these sums were looked at before.
+        Parameters
+        ----------
+        found : what is known already.
         """
-        if self.known or not self.settings.parts.has("look-rare"):
-            return []
-        sums = propose(self._evidence, self._place, self.limits.allow, settings=RARE)
-        return self.refitted(sums[: self.settings.kept])
+        if not self.is_exact:
+            return list(found)
+        sums = propose(self._evidence, self._place, self.limits.check, settings=RARE)
+        return [*found, *self.take(self.refitted(sums[: self.settings.kept]))]
 
     def refitted(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
         """Fit formulas to all rows.
@@ -444,6 +447,11 @@ class _Search:
 
 def _in_floats(expr: sympy.Expr) -> sympy.Expr:
     return sympy.Add(*map(with_floats, sympy.Add.make_args(expr)))
+
+
+def _is_law(seen: Look) -> bool:
+    """Whether what was found is final and in simple numbers: then it is the law, whatever comes."""
+    return seen.final and _is_simple(seen.candidates[0].expr)
 
 
 def _is_simple(expr: sympy.Expr) -> bool:

@@ -158,6 +158,7 @@ class _Layer:
     basis : (b, s, r) orthonormal rows that span the mapped forms.
     rest : (b, r) what is left of the target.
     left : (b,) its sum of squares; infinite where the forms are not finite or not independent.
+    losses : (b, s) squares that are left more without each of the forms.
     """
 
     places: np.ndarray
@@ -167,6 +168,7 @@ class _Layer:
     basis: np.ndarray
     rest: np.ndarray
     left: np.ndarray
+    losses: np.ndarray
 
     def __len__(self) -> int:
         return len(self.places)
@@ -210,20 +212,21 @@ class Proposer:
     costs: np.ndarray
     settings: ProposalSettings = PROPOSALS
 
-    def best(self, enough: Callable[[list[Sum]], bool] | None = None) -> list[Sum]:
+    def best(self, enough: Callable[[list[Sum], int], bool] | None = None) -> list[Sum]:
         """Give the best sums, those of the fewest bits first.
 
         Parameters
         ----------
         enough : whether the best sums of the cheapest forms are such that dearer ones are not
-            looked at.
+            looked at; it is told how many times more forms are still to be taken in.
         """
         found: dict[tuple[int, ...], Sum] = {}
         with np.errstate(all="ignore"):
             before: list[_Layer] = []
-            for tier in self._tiers():
+            tiers = list(self._tiers())
+            for left, tier in zip(reversed(range(len(tiers))), tiers, strict=True):
                 before = self._grow_from_nothing(tier, before, found)
-                if enough is not None and enough(best := self._front_first(found)):
+                if enough is not None and enough(best := self._front_first(found), left):
                     return best
             self._thin_whole(found)
             for _ in range(self.settings.rounds):
@@ -246,6 +249,7 @@ class Proposer:
             if not len(layer):
                 break
             best = min(one.bits for one in self._note(layer, found))
+            self._note_shorter(layer, found)
             idle = 0 if best < least - 1 else idle + 1
             if idle == 2:
                 break
@@ -273,6 +277,25 @@ class Proposer:
             if one.places not in found or one.bits < found[one.places].bits:
                 found[one.places] = one
         return sums
+
+    def _note_shorter(self, layer: _Layer, found: dict[tuple[int, ...], Sum]) -> None:
+        """Leave out terms while that takes fewer bits; what comes of it stands beside the others.
+
+        A law with a term that tells nothing may be far behind, and first without it.
+        """
+        while len(layer) and layer.places.shape[1] > 1:
+            without = self.evidence.misses(layer.left[:, None] + layer.losses)
+            without = without - self.costs[layer.places]
+            least = np.argmin(without, axis=1)
+            rows = np.arange(len(layer))
+            pays = without[rows, least] < self.evidence.misses(layer.left)
+            rows, least = rows[pays], least[pays]
+            kept = np.arange(layer.places.shape[1]) != least[:, None]
+            shape = len(rows), layer.places.shape[1] - 1
+            places = layer.places[rows][kept].reshape(shape)
+            constants = layer.constants[rows][kept].reshape(*shape, self.library.most)
+            layer = self._fit(places, constants)
+            self._note(layer, found)
 
     def _thin_whole(self, found: dict[tuple[int, ...], Sum]) -> None:
         """Thin the sums of the cheapest terms, and these with one and two forms more.
@@ -327,6 +350,7 @@ class Proposer:
             shorter = self._shortened([one for one in before if len(one.places) == length])
             grown = self._grow(self._fit(*shorter), np.flatnonzero(np.isfinite(self.costs)))
             self._note(grown, found)
+            self._note_shorter(grown, found)
         return self._ranked(found)[: self.settings.exchanged] != before
 
     def _shortened(self, sums: Sequence[Sum]) -> tuple[np.ndarray, np.ndarray]:
@@ -561,10 +585,11 @@ class Proposer:
         basis = q.swapaxes(1, 2)
         inner = basis @ y
         rest = y - np.einsum("bsr,bs->br", basis, inner)
-        weights = np.linalg.solve(r, inner[:, :, None])[:, :, 0] / sizes
+        weights = np.linalg.solve(r, inner[:, :, None])[:, :, 0]
+        losses = weights**2 / np.sum(np.linalg.inv(r) ** 2, axis=2)
         left = np.where(fine, np.sum(rest**2, axis=1), np.inf)
         slopes = slopes.reshape(count, terms, self.library.most, len(y))
-        return _Layer(places, constants, weights, slopes, basis, rest, left)
+        return _Layer(places, constants, weights / sizes, slopes, basis, rest, left, losses)
 
     def _thin(self, one: Sum, found: dict[tuple[int, ...], Sum]) -> None:
         """Leave out terms, that which is missed least first, and keep what that gives."""
@@ -580,13 +605,13 @@ class Proposer:
 def propose(
     evidence: Evidence,
     place: Place,
-    allow: Callable[[sympy.Expr], bool],
+    allow: Callable[[sympy.Expr], bool] | None,
     offered: Sequence[sympy.Expr] = (),
     others: Sequence[tuple[str, sympy.Expr]] = (),
     settings: ProposalSettings = PROPOSALS,
     *,
     functions: bool = True,
-    enough: Callable[[list[sympy.Expr]], bool] | None = None,
+    enough: Callable[[list[sympy.Expr], int], bool] | None = None,
 ) -> list[sympy.Expr]:
     """Give the sums of terms of the library that are expected to take the fewest bits.
 
@@ -594,28 +619,31 @@ def propose(
     ----------
     evidence : what the data say of the equation.
     place : whose equation it is, and of which columns.
-    allow : whether a term may be one.
+    allow : whether a term may be one; None where all may.
     offered : more terms.
     others : states and equations of theirs; what stands in these costs less.
     settings : the numbers that decide.
     functions : whether others than the terms that are offered, those of the other equations and
         products of the columns are terms.
-    enough : whether sums of the cheapest terms, the best first, are such that no others are sought.
+    enough : whether sums of the cheapest terms, the best first, are such that no others are sought;
+        it is told how many times more terms are still to be taken in.
     """
     names = place.columns
     own = (*offered, *cited_terms((expr for _, expr in others), place.state))
     kinds = replace(settings.library, functions=functions)
     beside = evidence.names[len(names) :]
     library = Library.of(names, evidence.points, place.angles or (), own, kinds, beside)
-    stands = write_down(others)
+    stands, prior, weighed = write_down(others), textbooks(), bits_in_force()
     # Of what the whole slope is worth in the data, a constant has about that precision.
     each = precision_bits(np.array([[evidence.y @ evidence.y]]), np.ones(1))
     costs = np.full(len(library.forms), np.inf)
     for i, (form, starts) in enumerate(zip(library.forms, library.starts, strict=True)):
-        body = form.write(evidence.names, starts[0])
-        if allow(body):
+        # To write a form in SymPy takes longer than all else here.
+        asked = form.own is not None or allow is not None or weighed
+        body = form.write(evidence.names, starts[0]) if asked else sympy.S.One
+        if allow is None or allow(body):
             inside = len(body.atoms(sympy.Float)) if form.own is not None else form.constants
-            written_out = term_bits(body, place, stands)
+            written_out = prior.term_bits(form.read(names), place, stands) + _own_bits(body)
             # What the user offers is told by which of them it is.
             told = min(written_out, math.log2(len(offered))) if form.own in offered else written_out
             costs[i] = told + each * (1 + inside)
@@ -626,7 +654,7 @@ def propose(
     proposer = Proposer(evidence, library, costs, settings)
     if enough is None:
         return written(proposer.best())
-    return written(proposer.best(lambda sums: enough(written(sums))))
+    return written(proposer.best(lambda sums, left: enough(written(sums), left)))
 
 
 def term_bits(body: sympy.Expr, place: Place, written: Written) -> float:
@@ -638,8 +666,12 @@ def term_bits(body: sympy.Expr, place: Place, written: Written) -> float:
     place : whose equation it stands in.
     written : what other equations have.
     """
-    own = added_bits(sympy.Float(0.5) * body) if bits_in_force() else 0.0
-    return textbooks().term_bits(read_body(body), place, written) + own
+    return textbooks().term_bits(read_body(body), place, written) + _own_bits(body)
+
+
+def _own_bits(body: sympy.Expr) -> float:
+    """Bits that the user adds to a term with a coefficient."""
+    return added_bits(sympy.Float(0.5) * body) if bits_in_force() else 0.0
 
 
 def cited_terms(exprs: Iterable[sympy.Expr], state: str) -> list[sympy.Expr]:
