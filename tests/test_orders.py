@@ -64,6 +64,18 @@ def test_an_oscillator_is_found_from_its_position(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("draw", [0, 3])
+def test_a_velocity_that_was_made_is_no_measurement(draw):
+    """Its error is that of a smoothed curve: the verdict rests on the position, and says law."""
+    run = swing(0.0, np.arange(0, 15, 0.05))[0]
+    noise = np.random.default_rng(draw).normal(scale=0.005, size=run.x.shape)
+    found = dynsr.discover(Trajectory(run.t, run.x + noise, ("x",)), order=2, **QUICK)
+    assert {str(s) for s in found.equations["x_dot"].free_symbols} == {"x", "x_dot"}
+    assert found.verdict.level == "law"
+    assert "was not measured" in found.verdict.states["x_dot"].reason
+
+
+@pytest.mark.slow
 def test_of_two_states_one_may_be_of_second_order():
     """With order={"x": 2} a first-order column keeps its slopes and its place."""
     one, _, _ = swing(times=FEW)

@@ -233,6 +233,19 @@ class Trajectory:
         """Give the same run with NaN where a state was not measured, whatever was there."""
         return replace(self, x=self.observed) if self.unmeasured.size else self
 
+    def without_measurements(self, states: Sequence[str]) -> Trajectory:
+        """Give the same run with some states that count as never measured; their curves stay.
+
+        Parameters
+        ----------
+        states : which; columns that were made from others.
+        """
+        if not states:
+            return self
+        gaps = ~self.measured
+        gaps[:, [self.index(state) for state in states]] = True
+        return replace(self, unmeasured=gaps)
+
     def of_states(self, states: Sequence[str]) -> Trajectory:
         """Give the same run with some of its states alone.
 

@@ -32,7 +32,15 @@ from dynsr.discovery.tasks import (
     Found,
 )
 from dynsr.discovery.varying import VarySettings
-from dynsr.discovery.verdict import LAW, Verdict, VerdictSettings, hold_to_slopes, judge, unjudged
+from dynsr.discovery.verdict import (
+    LAW,
+    Verdict,
+    VerdictSettings,
+    hold_to_slopes,
+    judge,
+    likely_cause,
+    unjudged,
+)
 from dynsr.expression import compile_numpy, evaluate, has_pole, ratio_forms
 from dynsr.fit import (
     Candidate,
@@ -656,11 +664,13 @@ class Problem:
         if self.form.discrete:
             front = {s: own for s, own in found.front.items() if s not in self.known}
             return judge_map(found.equations, self.runs, front, self.settings.verdict)
+        made = tuple(self.form.velocities.values()) if self.measurements is not None else ()
         verdict = judge(
             found.equations,
-            self.runs,
+            [run.without_measurements(made) for run in self.runs],
             self.inputs,
             noise=self.noise(),
+            causes={s: likely_cause(self.runs, s) for s in made if s in found.equations},
             front={s: own for s, own in found.front.items() if s not in self.known},
             rivals=rivals,
             settings=self.settings.verdict,
