@@ -278,6 +278,21 @@ def test_a_terminal_gets_the_equations_in_a_frame(monkeypatch, capsys):
     assert "warned: columns are identical" in shown and "guessed: time 't'" not in shown
 
 
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_warning_is_shown_once_in_one_place(tmp_path, apart):
+    """On one terminal or in one file it is there once; apart, it is with the results too."""
+    code = (
+        "from types import SimpleNamespace as N; from dynsr.cli.discovery import show_reasons; "
+        "show_reasons(N(explanation={}, delays={}, hidden_notes={}, volumes={}, ensemble={}, "
+        "details={}, settings={}, constants={}, by_run=N(constants={})), {}, {'warned': ['once']})"
+    )
+    own = subprocess.PIPE if apart else subprocess.STDOUT
+    ran = subprocess.run(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=own, text=True, check=True
+    )
+    assert ("warned: once" in ran.stdout) is apart
+
+
 def test_equations_are_shown_before_files_are_made(tmp_path, monkeypatch, seen):
     """The report takes longer than many a search; a disk that is full then hides no result."""
     monkeypatch.chdir(tmp_path)

@@ -92,7 +92,9 @@ def show_reasons(
         _say(words)
     if scores:
         _print_scores(scores)
-    for kind in ("guessed", "warned") if details else ("warned",):
+    # What is on the screen already is not shown again.
+    again = () if output.is_one_place() else ("warned",)
+    for kind in ("guessed", "warned") if details else again:
         for item in told.get(kind, ()):
             _say(f"{kind}: {item}", "dim")
 

@@ -1,11 +1,13 @@
 """What commands print: results on stdout, as tables or as JSON; everything else on stderr.
 
-Notes say what was guessed and what was warned of in a run, at once and again at its end.
+Notes say what was guessed and what was warned of in a run at once, and again with the results where
+these go elsewhere.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 import warnings
 from collections.abc import Iterable, Sequence
@@ -71,6 +73,15 @@ def note(message: str) -> None:
     """Say something about the run, on a line of stderr."""
     with printing(stderr=True):
         typer.echo(printable(message), err=True)
+
+
+def is_one_place() -> bool:
+    """Whether stdout and stderr go to one terminal, file or pipe, so that both are read there."""
+    try:
+        one, other = (os.fstat(stream.fileno()) for stream in (sys.stdout, sys.stderr))
+    except (AttributeError, OSError, ValueError):
+        return False
+    return os.path.samestat(one, other)
 
 
 def make_folder(path: Path) -> Path:
