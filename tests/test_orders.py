@@ -76,6 +76,43 @@ def test_a_velocity_that_was_made_is_no_measurement(draw):
 
 
 @pytest.mark.slow
+def test_a_position_alone_is_of_second_order_by_itself():
+    """Without an order the law is of second order, and the answer says so; order=1 is kept."""
+    run = swing(0.01, FEW)[0]
+    found = dynsr.discover(run, **QUICK)
+    assert list(found.equations) == ["x", "x_dot"]
+    assert found.verdict.level == "law"
+    assert "So the order is 2; order=1 (--order 1) sets it back." in found.explanation["x"]
+    kept = dynsr.discover(run, order=1, **QUICK)
+    assert list(kept.equations) == ["x"]
+    assert "try --order 2" in kept.verdict.states["x"].reason
+
+
+def test_a_column_that_does_not_come_back_is_of_first_order():
+    """Growth to a limit is searched in first order alone."""
+    t = np.linspace(0, 10, 60)
+    found = dynsr.discover(Trajectory(t, (1 / (1 + 9 * np.exp(-t)))[:, None], ("x",)), **QUICK)
+    assert list(found.equations) == ["x"]
+    assert "order" not in found.explanation["x"]
+
+
+@pytest.mark.slow
+def test_two_positions_are_of_second_order_by_themselves():
+    """Two oscillators on springs: no law of first order, then one of second order for both."""
+    t = np.linspace(0, 20, 400)
+    # x + y and x - y are oscillators of their own.
+    plus, minus = 1.3 * np.cos(t), 0.7 * np.cos(np.sqrt(3) * t)
+    run = Trajectory(t, np.column_stack([plus + minus, plus - minus]) / 2, ("x", "y"))
+    found = dynsr.discover(run, **QUICK)
+    assert list(found.equations) == ["x", "x_dot", "y", "y_dot"]
+    assert found.verdict.level == "law"
+    x, y = sympy.symbols("x y")
+    assert sympy.simplify(found.equations["x_dot"] - (y - 2 * x)) == 0
+    assert sympy.simplify(found.equations["y_dot"] - (x - 2 * y)) == 0
+    assert "So the order is 2" in found.explanation["y"]
+
+
+@pytest.mark.slow
 def test_of_two_states_one_may_be_of_second_order():
     """With order={"x": 2} a first-order column keeps its slopes and its place."""
     one, _, _ = swing(times=FEW)

@@ -144,7 +144,7 @@ def test_one_column_that_swings_lacks_something(name, wanted):
         else Trajectory(t, np.column_stack([np.sin(t), np.cos(t)]), ("z", "v"))
     )
     alone = Trajectory(run.t, run.x[:, :1], (name,))
-    found = dynsr.discover(alone, **FEW)
+    found = dynsr.discover(alone, order=1, **FEW)
     assert found.verdict.level == "not found"
     for word in wanted:
         assert word in found.verdict.states[name].reason

@@ -80,9 +80,13 @@ def show_reasons(
             _say(said if said.startswith(f"{state}' =") else f"{state}: {said}")
     for own in found.delays.values():
         _say(f"{own.text}.")
-    # Details have it in the reasons.
+    # Details have these in the reasons.
     for words in () if details else found.hidden_notes.values():
         _say(words)
+    from dynsr.discovery import explain_order
+
+    if not details and (positions := found.settings.get("order_by_data")):
+        _say(explain_order(positions))
     _print_constants(found, details)
     for volume in found.volumes.values():
         _say(f"{volume.name} = {volume.value:.6g} (95 %: {volume.interval_text}), {volume.of}.")
@@ -271,7 +275,8 @@ def discover(
     order: Annotated[
         options.Names,
         typer.Option(
-            help="2 for equations x'' = f(x, x', ...), of all states or of one: x=2.",
+            help="2 for equations x'' = f(x, x', ...), of all states or of one: x=2. By default "
+            "the data decide.",
             rich_help_panel=options.SEARCH,
         ),
     ] = None,
@@ -381,7 +386,7 @@ def discover(
         "observed": options.read_observed(observed),
         "known": read_equations(known) if known else None,
         "snap": snap,
-        "order": options.read_orders(order),
+        "order": options.read_orders(order) if order else None,
         "explicit_time": explicit_time,
         "discrete": discrete,
         "functions": options.read_functions(functions),

@@ -1,5 +1,5 @@
 from .catalogue import DEFINITIONS, find_definition
-from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open
+from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open, turns_back
 from .columns import Columns, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
@@ -136,6 +136,7 @@ __all__ = [
     "split_volume",
     "take_trajectories",
     "told_rows",
+    "turns_back",
     "weak_form",
     "write_bytes",
     "write_csv",

@@ -461,6 +461,26 @@ def _turns_back(x: np.ndarray, settings: DiagnosisSettings) -> bool:
     return min(fall, rise) > settings.reversal * float(np.ptp(x))
 
 
+def turns_back(
+    runs: Sequence[Trajectory], target: str, settings: DiagnosisSettings = _SETTINGS
+) -> bool:
+    """Whether a state goes and comes back in a run, which no lone state of ``x' = f(x)`` does.
+
+    Parameters
+    ----------
+    runs : trajectories of the same columns.
+    target : the state.
+    settings : the numbers that decide.
+
+    >>> t = np.linspace(0, 20, 400)
+    >>> turns_back([Trajectory(t, np.sin(t)[:, None], ("z",))], "z")
+    True
+    """
+    columns = (run.observed[:, run.index(target)] for run in runs)
+    there = (column[np.isfinite(column)] for column in columns)
+    return any(_turns_back(column, settings) for column in there if len(column))
+
+
 def _is_smooth(samples: Samples) -> bool:
     """Say whether the slopes are surer than they are large, so that a return is no noise."""
     return (samples.noise or 0.0) ** 2 < 0.05 * float(np.var(samples.y))
@@ -490,11 +510,12 @@ def _is_second_order(
         bound, pairs.share / 4
     ):
         return []
+    alone = len(motion.samples[0].names) == 1
     return [
         Cause(
             "second order",
             f"{target} looks second-order: {target} and its own slope determine how that slope "
-            "changes; try --order 2.",
+            f"changes; try --order {'2' if alone else f'{target}=2'}.",
             {"left open": second.share, "distance": second.distance},
         )
     ]

@@ -22,6 +22,7 @@ from .scoring import (
     trajectory_losses,
 )
 from .search import discover
+from .second_order import explain_order
 from .suggesting import Alternative, Experiment, Suggestion, SuggestionSettings
 from .trajectory_estimator import TrajectoryRegressor
 from .uncertainty import bootstrap
@@ -64,6 +65,7 @@ __all__ = [
     "discover",
     "discover_each",
     "equation_rmse",
+    "explain_order",
     "identifiability",
     "inputs_in",
     "is_own_record",

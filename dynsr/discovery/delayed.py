@@ -41,7 +41,7 @@ def check_delays(
             "delays go with constants that all trajectories share; leave vary out, or search each "
             "trajectory alone"
         )
-    if settings.get("discrete") or settings.get("order", 1) != 1:
+    if settings.get("discrete") or settings.get("order") not in (None, 1):
         raise InputError("delays go with equations of first order; leave order and discrete out")
     if isinstance(asked, bool):
         return []

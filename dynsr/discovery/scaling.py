@@ -26,6 +26,7 @@ from dynsr.discovery.intervals import printed_order
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.profile import Ends
 from dynsr.discovery.result import Discovery, keep, with_profiles
+from dynsr.discovery.second_order import search_orders
 from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
@@ -273,10 +274,13 @@ def in_fitting_units(search: Search) -> Search:
                 elif vary:
                     found = search_apart(one_search, runs, settings, vary)
                 elif windows or observed:
-                    found = one_search(runs, settings)
+                    found = search_orders(one_search, runs, settings)
                 else:
                     found, stepped = search_stepped(
-                        one_search, stepped, settings["inputs"], settings
+                        functools.partial(search_orders, one_search),
+                        stepped,
+                        settings["inputs"],
+                        settings,
                     )
                     runs = list(stepped.runs)
                 found = with_told(found, runs, observed)

@@ -141,7 +141,7 @@ def discover(
     out: str | Path | None = None,
     progress: Callable[[Step], None] | bool | None = None,
     snap: bool = True,
-    order: Order = 1,
+    order: Order | None = None,
     explicit_time: bool = False,
     discrete: bool = False,
     settings: DiscoverySettings = DISCOVERY,
@@ -211,7 +211,8 @@ def discover(
         while they run. True shows live lines, as a notebook does by default; False shows none.
     snap : whether constants become simple numbers where the data allow it. False leaves them as
         fitted. Terms are chosen in both cases, and exponents stay whole.
-    order : 1, or 2 for ``x'' = f(x, x', ...)``, for all targets or state -> order. The velocity
+    order : 1, or 2 for ``x'' = f(x, x', ...)``, for all targets or state -> order. By default 1, or
+        2 where states that come back to the same values with other slopes ask for it. The velocity
         ``x_dot`` is estimated from the data and is a state, with ``x' = x_dot``.
     explicit_time : whether equations may contain the time ``t``.
     discrete : whether to find a map ``x[n+1] = f(x[n])`` from row to row. Then nothing is
@@ -296,7 +297,9 @@ def discover(
     )
     targeted = _choose_targets(targets, runs[0])
     scheme = scheme or ("forward" if preset == "paper" else "auto")
-    form = read_form(order, explicit_time, discrete, runs[0], targeted, slopes)
+    form = read_form(
+        1 if order is None else order, explicit_time, discrete, runs[0], targeted, slopes
+    )
     runs = form.prepare(carry(runs), scheme, settings.slopes)
     demands = read_demands(
         runs[0].states,

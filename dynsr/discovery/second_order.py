@@ -1,0 +1,143 @@
+"""Second order where the order is left to the data: positions alone have no law of first order.
+
+A solution of ``x' = f(x)`` is monotone. One state that comes back to the same values with other
+slopes has no such law, and ``x'' = f(x, x')`` is searched first. Where each of several states lacks
+another one, equations of second order are searched if those of first order are no law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from dynsr.data import Trajectory, carry, diagnose, turns_back
+from dynsr.discovery.orders import read_form
+from dynsr.discovery.result import Discovery, keep
+from dynsr.discovery.verdict import LAW, LEVELS
+from dynsr.errors import InputError
+from dynsr.jobs import Budget
+
+Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
+# Settings that say something of the equations of first order.
+_OF_FIRST = (
+    "discrete",
+    "explicit_time",
+    "slopes",
+    "known",
+    "must",
+    "constraints",
+    "conserved",
+    "nonnegative",
+    "start",
+)
+
+
+def search_orders(
+    search: Search, runs: Sequence[Trajectory], asked: Mapping[str, Any]
+) -> Discovery:
+    """Search equations of first order, or of second order where the data ask for these.
+
+    Parameters
+    ----------
+    search : takes trajectories and settings.
+    runs : the trajectories.
+    asked : settings of the search. An order that is given, and what says something of equations of
+        first order, leaves no choice.
+
+    The better verdict is returned. The explanation says so where the order became 2.
+    """
+    free = asked.get("order") is None and asked.get("targets", "all") == "all"
+    if not free or any(asked.get(name) for name in _OF_FIRST):
+        return search(runs, dict(asked))
+    budget, states = Budget(asked.get("time_budget")), runs[0].states
+    alone = len(runs[0].names) == 1
+    second = alone and turns_back(runs, states[0]) and _is_second(runs, states[0])
+    found = _search(search, runs, {**asked, "order": 2}) if second else None
+    if found is None:
+        found = search(runs, {**asked, "order": 1})
+        second = False
+    decided = not found.complete or not found.verdict.tested or found.verdict.level == LAW
+    left = None if budget.seconds is None else budget.until(1.0) - monotonic()
+    late = left is not None and left <= 0
+    if decided or late or not (second or (not alone and _are_positions(runs))):
+        return _say(found, states) if second else found
+    rest = {**asked, "order": 1 if second else 2, "time_budget": left, "out": None}
+    other = _search(search, runs, rest)
+    best = found if other is None else min(found, other, key=_rank)
+    if asked.get("out") is not None and best is other:
+        # What was found is not lost where it cannot be kept.
+        with suppress(InputError, OSError):
+            keep(best, Path(asked["out"]).absolute())
+    if second is (best is found):
+        return _say(best, states)
+    no_better = "" if other is None else " Equations of second order are no better."
+    said = {state: why + no_better for state, why in best.explanation.items()}
+    return replace(best, explanation=said)
+
+
+def _search(search: Search, runs: Sequence[Trajectory], asked: dict[str, Any]) -> Discovery | None:
+    """Search in one order; None where a column has the name of a velocity, or rows are too few."""
+    try:
+        return search(runs, asked)
+    except InputError:
+        if asked["order"] == 1:
+            raise
+        return None
+
+
+def _is_second(runs: Sequence[Trajectory], state: str) -> bool:
+    """Whether a state and its own slope determine its second derivative, and columns do not."""
+    return "second order" in _causes(runs, state)
+
+
+def _are_positions(runs: Sequence[Trajectory]) -> bool:
+    """Whether several states lack another one each, and none with their velocities as columns."""
+    states = runs[0].states
+    if not all("missing state" in _causes(runs, state) for state in states):
+        return False
+    try:
+        form = read_form(2, explicit_time=False, discrete=False, run=runs[0], targets=states)
+        wide = form.prepare(carry(runs))
+    except InputError:
+        return False
+    return not any(_causes(wide, velocity) for velocity in form.velocities.values())
+
+
+def _causes(runs: Sequence[Trajectory], state: str) -> set[str]:
+    return {cause.kind for cause in diagnose(runs, state)}
+
+
+def _rank(found: Discovery) -> tuple[int, float]:
+    """The better verdict is first; of two alike, the one that keeps closer to the data."""
+    own = found.verdict.states.values()
+    level = LEVELS.index(found.verdict.level) if found.verdict.tested else len(LEVELS)
+    return level, -min((state.r2 for state in own), default=0.0)
+
+
+def _say(found: Discovery, states: Sequence[str]) -> Discovery:
+    """Say, and keep in the record, that the data made the order 2."""
+    said = explain_order(states)
+    words = {s: f"{why} {said}" if s in states else why for s, why in found.explanation.items()}
+    record = {**found.settings, "order_by_data": list(states)}
+    return replace(found, explanation=words, settings=record)
+
+
+def explain_order(states: Sequence[str]) -> str:
+    """Say why equations are of second order though nobody asked for that.
+
+    Parameters
+    ----------
+    states : whose equations are.
+
+    >>> explain_order(["x", "y"])[:46]
+    'x and y come back to the same values with othe'
+    """
+    names, one = " and ".join(states), len(states) == 1
+    return (
+        f"{names} come{'s' * one} back to the same values with other slopes, which no equations of "
+        "first order in these columns do. So the order is 2; order=1 (--order 1) sets it back."
+    )
