@@ -49,6 +49,7 @@ EXCEPTIONS = {
     ("discovery/result.py", "report"): "Discovery.plot and .report are the result's own verbs",
     ("discovery/profile.py", "report"): "Profile.plot is the profile's own verb",
     ("discovery/by_run.py", "report"): "RunParameters.plot is the table's own verb",
+    ("discovery/free_parts.py", "report"): "FreePart.plot is the function's own verb",
     ("discovery/suggesting.py", "report"): "Suggestion.plot is the suggestion's own verb",
     ("engines/equilibria.py", "report"): "Branches.plot is the branches' own verb",
     ("discovery/result.py", "export"): "Discovery.export is the result's own verb",

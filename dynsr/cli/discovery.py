@@ -80,6 +80,8 @@ def show_reasons(
             _say(said if said.startswith(f"{state}' =") else f"{state}: {said}")
     for own in found.delays.values():
         _say(f"{own.text}.")
+    for words in found.free.sentences:
+        _say(words)
     # Details have these in the reasons.
     for words in () if details else found.hidden_notes.values():
         _say(words)
@@ -250,7 +252,9 @@ def discover(
     known: Annotated[
         options.Names,
         typer.Option(
-            help='Part of an equation that is known: "y\'=-3*y".',
+            help='Part of an equation that is known: "y\'=-3*y". A function that has no other '
+            'meaning is found, or stays a curve: "x\'=a - f(x)*y". Then the equation is whole, and '
+            "a name that is no column is a constant.",
             rich_help_panel=options.SEARCH,
         ),
     ] = None,

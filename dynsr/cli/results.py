@@ -91,6 +91,7 @@ def summarise(found: Discovery) -> dict[str, Any]:
         **({"by_run": found.by_run} if found.by_run.runs else {}),
         **({"delays": found.delays} if found.delays else {}),
         **({"volumes": found.volumes} if found.volumes else {}),
+        **({"free": found.free} if found.free.parts else {}),
         **({"hidden": found.hidden_notes} if found.hidden else {}),
         "inputs": found.inputs,
         "settings": found.settings,

@@ -3,6 +3,7 @@ from .by_run import RunParameters
 from .cut_short import beside_data, keep_formulas
 from .delays import Delay, DelaySettings
 from .estimator import DynsrRegressor
+from .free_parts import FreePart, FreeParts, FreeSettings
 from .hybrid import HybridModel
 from .identifying import Identifiability, IdentifiabilitySettings, identifiability
 from .intervals import Constant, write_interval
@@ -41,6 +42,9 @@ __all__ = [
     "DiscoverySettings",
     "DynsrRegressor",
     "Experiment",
+    "FreePart",
+    "FreeParts",
+    "FreeSettings",
     "HybridModel",
     "Identifiability",
     "IdentifiabilitySettings",

@@ -128,9 +128,10 @@ def on_every_row(
 
 
 def _stays(found: Discovery) -> bool:
-    """Whether no equation is fitted again: it has a delay, is a map, or was not found."""
+    """Whether no equation is fitted again: it has a delay, is a map, was given, or not found."""
     judged = found.verdict.tested and found.verdict.level != NOT_FOUND
-    return bool(found.delays) or found.is_map or not (found.complete and judged)
+    apart = bool(found.delays or found.free.parts)
+    return apart or found.is_map or not (found.complete and judged)
 
 
 def _fit(

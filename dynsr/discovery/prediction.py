@@ -26,7 +26,7 @@ from dynsr.engines import (
     simulate_driven,
 )
 from dynsr.errors import InputError
-from dynsr.expression import as_float_tree, parse
+from dynsr.expression import as_float_tree, parse, write_out
 from dynsr.methods import AbstractMethod
 
 _RELTOL, _ABSTOL = 1e-8, 1e-10
@@ -78,6 +78,9 @@ def predict(
     """
     chosen, times = find_engine(engine), np.asarray(t, dtype=float)
     given = dict(inputs or {})
+    if chosen.name != DEFAULT_ENGINE:
+        # Other engines know the functions of the operator table alone.
+        equations = {state: write_out(expr) for state, expr in equations.items()}
     used = {str(s) for e in equations.values() for s in e.free_symbols} - {"t"}
     missing = sorted(used - set(equations) - set(given))
     if missing:

@@ -24,6 +24,7 @@ from dynsr.discovery.asking import (
 )
 from dynsr.discovery.conservation import conserve
 from dynsr.discovery.delays import DelaySettings
+from dynsr.discovery.free_parts import FREE, FreeSettings
 from dynsr.discovery.map_verdict import judge_map
 from dynsr.discovery.maps import keep_within, measure_step_errors
 from dynsr.discovery.orders import Form, explain_velocity
@@ -128,6 +129,7 @@ class DiscoverySettings:
     delays : which delay it is, where delays are asked.
     windows : which rows of long records are searched.
     hidden : how a state that was not measured is looked for, where one is asked.
+    free : how free functions in known equations are found.
 
     >>> DiscoverySettings(rows=2000).selection.compared
     5
@@ -144,6 +146,7 @@ class DiscoverySettings:
     delays: DelaySettings = DelaySettings()
     windows: WindowSettings = WindowSettings()
     hidden: HiddenSettings = HIDDEN
+    free: FreeSettings = FREE
 
     def without_snapping(self) -> DiscoverySettings:
         """Give the same settings for constants that stay as fitted."""

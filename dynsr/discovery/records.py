@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
@@ -73,12 +73,17 @@ _FIELDS = {
 }
 
 
-def read_discovery(path: Path, **further: Any) -> dict[str, Any]:
+def read_discovery(
+    path: Path,
+    functions: Callable[[Mapping[str, Any]], Mapping[str, Callable[..., sympy.Expr]]],
+    **further: Any,
+) -> dict[str, Any]:
     """Read what :func:`write_discovery` wrote as the fields of a discovery; nothing is ever run.
 
     Parameters
     ----------
     path : the file.
+    functions : gives those that equations may contain in addition to the usual ones, by further.
     further : field -> its type, for :func:`dynsr.jobs.from_plain`; these may be absent.
 
     Raises InputError, one line that says what is wrong, when it is no such file.
@@ -102,8 +107,9 @@ def read_discovery(path: Path, **further: Any) -> dict[str, Any]:
         raise InputError(f"{label!r} was changed or damaged: its checksum differs; save it again")
     try:
         plain = {name: _take(kind, record[name], name) for name, kind in _FIELDS.items()}
-        found = _read(plain, _take(bool, record.get("complete", True), "complete"))
         extra = {n: _take(k, record[n], n) for n, k in further.items() if n in record}
+        complete = _take(bool, record.get("complete", True), "complete")
+        found = _read(plain, complete, functions(extra))
     except InputError as error:
         raise InputError(f"in {label!r}: {error}") from None
     return {**found, **extra}
@@ -121,7 +127,9 @@ def _take(kind: Any, value: Any, name: str) -> Any:
         raise InputError(f"{name!r} is damaged ({one_line(error)[:80]}); save it again") from None
 
 
-def _read(plain: Mapping[str, Any], complete: bool) -> dict[str, Any]:
+def _read(
+    plain: Mapping[str, Any], complete: bool, functions: Mapping[str, Callable[..., sympy.Expr]]
+) -> dict[str, Any]:
     """Make the fields of a discovery from values of the right types."""
     for state in plain["equations"]:
         if check_name(state, "state") == "t":
@@ -129,7 +137,7 @@ def _read(plain: Mapping[str, Any], complete: bool) -> dict[str, Any]:
     for name in plain["inputs"]:
         if check_name(name, "input") in {*plain["equations"], "t"}:
             raise InputError(f"input {name!r} is also a state or the time; rename it")
-    equations = {state: parse(text) for state, text in plain["equations"].items()}
+    equations = {s: parse(text, functions=functions) for s, text in plain["equations"].items()}
     if not equations:
         raise InputError("there is no equation; discover again")
     for name in arguments_of(equations):

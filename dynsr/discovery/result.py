@@ -34,6 +34,7 @@ from dynsr.data import (
 from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.by_state import ByState
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow, read_history
+from dynsr.discovery.free_parts import FreeParts, refuse_curves
 from dynsr.discovery.identifying import Identifiability, identify, with_data
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
 from dynsr.discovery.map_verdict import judge_map
@@ -101,6 +102,7 @@ from dynsr.expression import (
     to_latex,
     to_numpy,
     to_text,
+    write_out,
 )
 from dynsr.fit import (
     FitSettings,
@@ -191,6 +193,8 @@ class Discovery:
     delays : input -> the state and delay that it is, where ``discover`` was given ``delays``.
     volumes : name -> the volume by which amounts are divided, where ``discover`` was given
         ``doses={"c": "dose/V"}``; a :class:`Parameter` with its interval.
+    free : the functions of one column that ``discover`` found in known equations, see
+        :class:`FreeParts`. Equations contain those that stay curves as functions, ``f(x)``.
 
     >>> x = sympy.Symbol("x")
     >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
@@ -218,6 +222,7 @@ class Discovery:
     by_run: RunParameters = RunParameters()
     delays: Mapping[str, Delay] = field(default_factory=dict)
     volumes: Mapping[str, Parameter] = field(default_factory=dict)
+    free: FreeParts = FreeParts()
 
     def __post_init__(self) -> None:
         """Have a name that is no state's answered with those there are."""
@@ -391,6 +396,7 @@ class Discovery:
         equations, left = put_values(self.equations, names, values)
         return replace(
             self,
+            free=self.free.only_curves,
             equations=equations,
             errors={},
             fitted={},
@@ -535,6 +541,7 @@ class Discovery:
         """
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its errors are of one step")
+        refuse_curves(self.free, "identifiability is that of formulas")
         system = self.system
         if not system.parameters:
             raise InputError("the equations have no parameters")
@@ -585,6 +592,7 @@ class Discovery:
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its errors are of one step")
         refuse_hidden(self.hidden, "an experiment starts")
+        refuse_curves(self.free, "experiments are suggested for formulas")
         if rows is not None and rows < 2:
             raise InputError(f"an experiment of {rows} rows shows no motion; give 2 or more")
         if span is not None and not (np.isfinite(span) and span > 0):
@@ -614,6 +622,7 @@ class Discovery:
     def _profiles(self, data: Any = None, settings: ProfileSettings | None = None) -> Profiles:
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its errors are of one step")
+        refuse_curves(self.free, "profiles are those of formulas")
         if self.by_run.constants:
             raise InputError(
                 "parameters differ from run to run; ask for_run(NAME) for the profiles of one run"
@@ -680,6 +689,7 @@ class Discovery:
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its constants do not differ")
         refuse_hidden(self.hidden, "constants differ from run to run")
+        refuse_curves(self.free, "constants differ from run to run in formulas")
         if not self.trajectories:
             raise InputError("the data are not here; discover again before constants can differ")
         if self.by_run.constants:
@@ -834,6 +844,11 @@ class Discovery:
         if not self.trajectories:
             raise InputError("the data are not here; discover again before choosing otherwise")
         self.trajectories[0].index(state)
+        if state in self.free.states:
+            raise InputError(
+                f"the equation of {state} was given; write another formula for its free function "
+                "in known, and discover again"
+            )
         front = list(self.front.get(state) or ())
         if not -len(front) <= k < len(front):
             raise InputError(f"the front of {state} has {len(front)} formulas; k = {k} is none")
@@ -918,6 +933,7 @@ class Discovery:
         changed = {s: put_constants(self.equations[s], own) for s, own in values.items()}
         return replace(
             self,
+            free=self.free.only_curves,
             equations={**self.equations, **changed},
             errors={},
             fitted={},
@@ -1523,7 +1539,7 @@ class Discovery:
         need("torch", "torch", "a torch module")
         from dynsr.discovery.hybrid import EquationModule
 
-        return EquationModule(self.equations)
+        return EquationModule({s: write_out(e) for s, e in self.equations.items()})
 
     def to_casadi(self) -> Any:
         """Give the equations as a ``casadi.Function`` of ``t``, ``x``, ``u`` and ``p``.
@@ -1535,7 +1551,7 @@ class Discovery:
         """
         from dynsr.export import Source, make_casadi
 
-        return make_casadi(Source.of(self))
+        return make_casadi(Source.of(self).written_out)
 
     def to_control(self) -> Any:
         """Give the equations as a ``control.nlsys`` with named states, inputs and parameters.
@@ -1546,7 +1562,7 @@ class Discovery:
         """
         from dynsr.export import Source, make_control
 
-        return make_control(Source.of(self))
+        return make_control(Source.of(self).written_out)
 
     def to_do_mpc(self) -> Any:
         """Give the equations as a ``do_mpc.model.Model`` that is set up.
@@ -1558,7 +1574,7 @@ class Discovery:
         """
         from dynsr.export import Source, make_do_mpc
 
-        return make_do_mpc(Source.of(self))
+        return make_do_mpc(Source.of(self).written_out)
 
     def hybrid(
         self, *, width: int = 32, epochs: int = 400, rate: float = 0.01, seed: int = 0
@@ -1635,6 +1651,7 @@ class Discovery:
             **({"by_run": to_plain(self.by_run)} if self.by_run.runs else {}),
             **({"delays": to_plain(self.delays)} if self.delays else {}),
             **({"volumes": to_plain(self.volumes)} if self.volumes else {}),
+            **({"free": to_plain(self.free)} if self.free.parts else {}),
         }
 
     @classmethod
@@ -1654,13 +1671,15 @@ class Discovery:
             "by_run": RunParameters,
             "delays": dict[str, Delay],
             "volumes": dict[str, Parameter],
+            "free": FreeParts,
         }
-        fields = read_discovery(Path(path), **further, verdict=Verdict | None)
+        fields = read_discovery(Path(path), _functions_of, **further, verdict=Verdict | None)
         return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY})
 
     def __repr__(self) -> str:
         """Write the verdict, and below it the equations, one a line."""
-        return "\n".join([self.heading, *write_lines(self.equations, self.settings)])
+        lines = write_lines(self.equations, self.settings)
+        return "\n".join([self.heading, *lines, *(part.text for part in self.free.parts.values())])
 
     def _repr_latex_(self) -> str:
         return f"$$\n{self._write_latex(self.equations)}\n$$"
@@ -1780,6 +1799,12 @@ def load(path: str | Path) -> Discovery:
     dynsr.errors.InputError: ...
     """
     return Discovery.load(path)
+
+
+def _functions_of(fields: Mapping[str, Any]) -> dict[str, Callable[..., sympy.Expr]]:
+    """Give the functions of equations that no table has: name -> the curve."""
+    free = fields.get("free", FreeParts())
+    return {name: part.curve.function for name, part in free.curves.items()}
 
 
 def _agrees(run: Trajectory, name: str, expr: sympy.Expr) -> bool:

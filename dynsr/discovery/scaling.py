@@ -21,6 +21,7 @@ from dynsr.discovery.asked import check_asked
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.delayed import check_delays, search_delayed
 from dynsr.discovery.every_row import are_apart, on_every_row, take_windows
+from dynsr.discovery.free import check_free, search_free
 from dynsr.discovery.hidden import check_hidden, search_hidden
 from dynsr.discovery.intervals import printed_order
 from dynsr.discovery.problem import DISCOVERY
@@ -245,7 +246,8 @@ def in_fitting_units(search: Search) -> Search:
         vary = check_vary(settings.pop("vary", False), runs, discrete)
         others = {"vary": vary, "delays": delays, "observed": observed, "ensemble": members}
         hidden = check_hidden(settings.pop("hidden", False), runs, settings, others)
-        uncut = bool(vary or hidden or delays is not False or observed or members)
+        free = check_free(settings, {**others, "hidden": hidden})
+        uncut = bool(vary or hidden or free or delays is not False or observed or members)
         stepped = take_steps(runs, settings["inputs"], settings, uncut)
         runs = list(stepped.runs)
         every, deciding = runs, settings.get("settings", DISCOVERY)
@@ -269,8 +271,12 @@ def in_fitting_units(search: Search) -> Search:
                     asked_delays = check_delays(delays, runs, settings, bool(vary))
                     drives = settings["inputs"]
                     found = search_delayed(one_search, runs, settings, asked_delays, drives)
-                elif hidden:
-                    found = _search_both(one_search, runs, settings, hidden)
+                elif hidden or free:
+                    found = (
+                        _search_both(one_search, runs, settings, hidden)
+                        if hidden
+                        else search_free(one_search, runs, settings, settings["inputs"])
+                    )
                 elif vary:
                     found = search_apart(one_search, runs, settings, vary)
                 elif windows or observed:

@@ -193,7 +193,9 @@ def discover(
     observed : column -> the linear combination of states that it is, such as {"total": "S + I"}.
         A state in it that has no column was not measured alone: it takes the place of the column.
         Each such state needs one sum.
-    known : state -> the given part of its equation; the rest is searched.
+    known : state -> the given part of its equation; the rest is searched. A function that has no
+        other meaning is free, as in "a - f(x)*y": it is found, or stays a curve. Then all of these
+        equations are whole, and names that are no columns are constants. See ``found.free``.
     seed : the source of all randomness; the result does not depend on ``jobs``.
     jobs : the number of searches at a time; -1 uses every core.
     engine : "embedded", "julia" or an engine, for regression and integration. Searches for

@@ -9,6 +9,7 @@ from pathlib import Path
 import sympy
 
 from dynsr.data import Trajectory
+from dynsr.discovery.free_parts import refuse_curves
 from dynsr.discovery.orders import Form
 from dynsr.discovery.records import RECORD
 from dynsr.discovery.result import Discovery
@@ -58,8 +59,11 @@ class Start:
             raise InputError(
                 f"start {str(given)[:40]!r} must be a Discovery, or the file that one was saved to"
             )
+        refuse_curves(given.free, "a search starts from formulas")
         known = given.settings.get("known")
-        parts = known if isinstance(known, Mapping) else {}
+        parts = dict(known) if isinstance(known, Mapping) else {}
+        # An equation with a free function is whole.
+        parts |= dict.fromkeys(given.free.states, "0")
         shares = {s: parse(str(parts.get(s, "0"))) for s in given.equations}
         front = {
             s: tuple(shares[s] + c.expr for c in given.front.get(s, ())) for s in given.equations

@@ -27,6 +27,7 @@ def write_latex(source: Source) -> str:
     for name, own in source.delays.items():
         state, late = sympy.latex(sympy.Symbol(own.state)), sympy.latex(sympy.Symbol(name))
         text += f"\n\nHere ${late}(t) = {state}(t - {own.value:.6g})$."
+    text += "".join(f"\n\n{words}" for words in source.curves)
     return f"{text}\n\n{system.parameters.to_latex()}\n"
 
 
@@ -43,6 +44,7 @@ def write_mathml(source: Source) -> str:
         equals = to_mathml(sympy.Symbol(name)).removesuffix("</math>")
         lines.append(f"{equals}<mo>=</mo>{to_mathml(sympy.Float(value)).removeprefix('<math>')}")
     lines += [f"{escape(name)} is {escape(own.text)}." for name, own in source.delays.items()]
+    lines += map(escape, source.curves)
     return "".join(f"<p>{line}</p>\n" for line in lines)
 
 
@@ -55,6 +57,7 @@ def write_markdown(source: Source) -> str:
     """
     lines = [f"    {line}" for line in source.lines()]
     lines += [f"\n{name} is {own.text}." for name, own in source.delays.items()]
+    lines += [f"\n{words}" for words in source.curves]
     head = ("parameter", "value", "standard error", "95 % interval", "unit", "term")
     rows = [head, ["---"] * len(head), *source.system.parameters.rows()]
     table = [f"| {' | '.join(row)} |" for row in rows]

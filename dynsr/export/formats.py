@@ -193,7 +193,9 @@ def write_files(source: Source, name: str) -> dict[str, str]:
     ['found.md']
     """
     chosen = _choose(source, name)
-    named = source if chosen.words is None else name_in(source, chosen.words, chosen.write)
+    named = source
+    if chosen.words is not None:
+        named = name_in(source.written_out, chosen.words, chosen.write)
     if chosen.folder is not None:
         return chosen.folder(named)
     return {f"found{chosen.suffix}": chosen.write(named)}
@@ -209,7 +211,7 @@ def _choose(source: Source, name: str) -> Format:
     if chosen.needs is not None:
         need(*chosen.needs, f"the format {name!r}")
     if chosen.check is not None:
-        chosen.check(source)
+        chosen.check(source.written_out)
     return chosen
 
 

@@ -15,7 +15,7 @@ from dynsr import __version__
 from dynsr.data import System, Trajectory
 from dynsr.discovery import Delay, Discovery, Parameters, ParametricSystem, write_interval
 from dynsr.errors import InputError
-from dynsr.expression import call_names, check_name, differentiate, shown, with_signs
+from dynsr.expression import call_names, check_name, differentiate, shown, with_signs, write_out
 
 _TEXT = re.compile(r"\"[^\"\n]*\"|'[^'\n]*'")
 _IDENTIFIER = re.compile(r"(?<![.\w])[^\W\d]\w*")
@@ -38,6 +38,7 @@ class Source:
     calls : input -> the name by which a call gives it, where that is another than in the code.
     dosed : states that were given doses, which are no part of the equations.
     delays : input -> the state and delay that it is.
+    curves : what functions that are curves are, in words.
     """
 
     system: ParametricSystem
@@ -49,6 +50,7 @@ class Source:
     calls: Mapping[str, str] | None = None
     dosed: tuple[str, ...] = ()
     delays: Mapping[str, Delay] = field(default_factory=dict)
+    curves: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, found: Discovery | ParametricSystem | System) -> Source:
@@ -82,6 +84,20 @@ class Source:
             str(found.settings.get("engine", "")),
             dosed=tuple(state for state in found.equations if state in doses),
             delays=found.delays,
+            curves=tuple(f"{part.text}." for part in found.free.curves.values()),
+        )
+
+    @property
+    def written_out(self) -> Source:
+        """The same with formulas in the places of curves: a line, and cubes of distances."""
+        if not self.curves:
+            return self
+        equations = {s: write_out(e) for s, e in self.system.equations.items()}
+        said = "Where the data end, a curve goes on as a line; it is written as cubes of distances."
+        return replace(
+            self,
+            system=replace(self.system, equations=equations),
+            curves=(*self.curves, said),
         )
 
     @property
@@ -195,6 +211,7 @@ class Source:
             known = p.low is not None or p.high is not None
             within = f" (95 %: {write_interval(p.low, p.high)})" if known else ""
             yield f"{p.name} = {p.value:.6g}{unit}{within}"
+        yield from self.curves
         for name, own in self.delays.items():
             yield f"{self.called(name)} is {own.text}."
         for name in self.measured:

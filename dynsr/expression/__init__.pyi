@@ -1,4 +1,5 @@
 from .bits import LARGEST_IN_FRACTION, REAL_RESOLUTION, complexity, number_bits
+from .curves import Curve, write_out
 from .dimensions import Unit, Units, bare_term, read_units
 from .evaluation import (
     Rows,
@@ -26,7 +27,7 @@ from .export import (
 )
 from .operators import FUNCTIONS, OPERATORS
 from .own_bits import added_bits, bits_in_force, counting, read_own_bits
-from .parsing import check_name, parse
+from .parsing import check_name, parse, unknown_calls
 from .poles import has_pole
 from .program import Program, compile_columns
 from .ratios import expand_terms, ratio_forms
@@ -42,6 +43,7 @@ __all__ = [
     "REAL_RESOLUTION",
     "AllDigits",
     "ByText",
+    "Curve",
     "Program",
     "Rows",
     "Unit",
@@ -80,5 +82,7 @@ __all__ = [
     "to_numpy",
     "to_text",
     "to_text_block",
+    "unknown_calls",
     "with_signs",
+    "write_out",
 ]

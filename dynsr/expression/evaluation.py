@@ -165,6 +165,8 @@ def _value(node: sympy.Basic, known: dict[sympy.Basic, Any]) -> Any:
         value = _raised(_value(node.base, known), node.exp, known)
     elif node.func in _BY_CLASS:
         value = _BY_CLASS[node.func](_value(node.args[0], known))
+    elif (own := getattr(node.func, "_imp_", None)) is not None:
+        value = own(_value(node.args[0], known))
     elif node.is_Symbol:
         raise KeyError(str(node))
     else:

@@ -9,7 +9,7 @@ import re
 import sys
 import unicodedata
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +76,7 @@ def parse(
     text: str | float | sympy.Expr,
     names: Iterable[str] | None = None,
     values: Mapping[str, float] | None = None,
+    functions: Mapping[str, Callable[..., sympy.Expr]] | None = None,
 ) -> sympy.Expr:
     """Read an expression from text, without ever evaluating it as Python.
 
@@ -88,6 +89,7 @@ def parse(
     text : the expression; one of SymPy is checked against ``names`` and given back.
     names : the variables that may occur; any by default.
     values : name -> the finite number that it stands for.
+    functions : name -> a function of one argument that is in no table, such as that of a curve.
 
     Raises InputError when the text is not such an expression.
 
@@ -110,7 +112,7 @@ def parse(
         raise InputError(
             f"expression {shown!r} is longer than {_MAX_LENGTH} characters; shorten it"
         )
-    reader = _Reader(allowed, values or {}, shown)
+    reader = _Reader(allowed, values or {}, shown, functions or {})
     if _FOREIGN.search(source):
         raise reader.unreadable
     try:
@@ -122,6 +124,25 @@ def parse(
         raise
     except (SyntaxError, ValueError, ArithmeticError, MemoryError, RecursionError):
         raise reader.unreadable from None
+
+
+def unknown_calls(text: str) -> list[tuple[str, ast.Call]]:
+    """Give name and call of each function that is in no table; none if the text is no formula.
+
+    Parameters
+    ----------
+    text : the formula.
+
+    >>> [name for name, _ in unknown_calls("a - f(x)*sin(y)")]
+    ['f']
+    """
+    try:
+        tree = ast.parse(text.strip().replace("^", "**"), mode="eval")
+    except (SyntaxError, ValueError, MemoryError, RecursionError):
+        return []
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
+    named = ((call.func.id, call) for call in calls if isinstance(call.func, ast.Name))
+    return [pair for pair in named if FUNCTION_ALIASES.get(pair[0], pair[0]) not in FUNCTIONS]
 
 
 def _check_symbols(
@@ -148,6 +169,7 @@ class _Reader:
     allowed: frozenset[str] | None
     values: Mapping[str, float]
     shown: str
+    functions: Mapping[str, Callable[..., sympy.Expr]]
 
     @property
     def unreadable(self) -> InputError:
@@ -215,6 +237,8 @@ class _Reader:
 
     def _call(self, name: str, argument: ast.AST, depth: int, nested: int) -> _Part:
         token = FUNCTION_ALIASES.get(name, name)
+        if name in self.functions:
+            return self.functions[name](self.convert(argument, depth + 1, nested)[0]), None
         if token not in FUNCTIONS:
             known = ", ".join(sorted(FUNCTIONS))
             raise InputError(

@@ -122,6 +122,8 @@ class _Writer:
             return self._power(node.base, node.exp)
         if node.func in _BY_CLASS:
             return self.step(_BY_CLASS[node.func], self.write(node.args[0]))
+        if (own := getattr(node.func, "_imp_", None)) is not None:
+            return self.step(own, self.write(node.args[0]))
         if node.is_Symbol:
             raise KeyError(str(node))
         try:

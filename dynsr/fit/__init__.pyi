@@ -11,6 +11,18 @@ from .collocation import (
     fit_along,
 )
 from .constants import free_constants, one_of_each_shape, refit, skeleton
+from .curved import (
+    CURVED,
+    CurvedFit,
+    CurvedSettings,
+    CurvedSystem,
+    Part,
+    Slopes,
+    first_numbers,
+    fit_curved,
+    flat_curves,
+    refit_curved,
+)
 from .description import (
     choose,
     constant_bits,
@@ -70,6 +82,7 @@ from .variation import improve, loosen, with_floats
 from .whole import interval_reach
 
 __all__ = [
+    "CURVED",
     "FIT",
     "LOSSES",
     "STABLE",
@@ -78,6 +91,9 @@ __all__ = [
     "Collocation",
     "CollocationFit",
     "CollocationSettings",
+    "CurvedFit",
+    "CurvedSettings",
+    "CurvedSystem",
     "FitSettings",
     "Flow",
     "Linearised",
@@ -93,12 +109,14 @@ __all__ = [
     "Noise",
     "Pace",
     "ParetoFront",
+    "Part",
     "Probes",
     "ProfileSettings",
     "Profiling",
     "RatioFit",
     "RowsFit",
     "Shooting",
+    "Slopes",
     "Windows",
     "approach",
     "build_shooting",
@@ -116,10 +134,13 @@ __all__ = [
     "exchanges",
     "explained_shares",
     "finer_paces",
+    "first_numbers",
     "fit_along",
     "fit_blocks",
+    "fit_curved",
     "fit_ratio",
     "fit_robustly",
+    "flat_curves",
     "free_constants",
     "improve",
     "independent_rows",
@@ -147,6 +168,7 @@ __all__ = [
     "read_inputs",
     "read_loss",
     "refit",
+    "refit_curved",
     "residual_noise",
     "rmse",
     "runge_kutta_step",

@@ -22,7 +22,7 @@ from itertools import permutations
 
 import sympy
 
-from dynsr.expression import expand_terms, number_bits, parse
+from dynsr.expression import expand_terms, number_bits, parse, unknown_calls
 
 # Choices that were never made have a share too (Krichevsky and Trofimov 1981).
 _MORE = 0.5
@@ -515,7 +515,9 @@ def _orders(term: Term) -> float:
 @lru_cache(maxsize=20_000)
 def _symbols(template: str) -> tuple[str, ...]:
     """Give what a template is spelt with: operations, functions, places and numbers."""
-    nodes = sympy.preorder_traversal(parse(template))
+    # A curve is one more function.
+    curves = {name: sympy.Function(name) for name, _ in unknown_calls(template)}
+    nodes = sympy.preorder_traversal(parse(template, functions=curves))
     return tuple(str(node) if node.is_Atom else str(node.func) for node in nodes)
 
 

@@ -26,6 +26,7 @@ from dynsr.data import (
 from dynsr.discovery import (
     DISCOVERY,
     Discovery,
+    FreePart,
     Parameter,
     StateVerdict,
     inputs_in,
@@ -44,6 +45,7 @@ from dynsr.methods import choose_methods
 from dynsr.report.page import Picture, render_page
 from dynsr.report.plots import (
     MOST_DOTS,
+    draw_free,
     draw_phase_portrait,
     draw_profiles,
     draw_residuals,
@@ -175,6 +177,7 @@ def _ticks(largest: float) -> list[float]:
 
 _MOST_RUNS = 3
 _MOST_PROFILES = 12
+_CURVE_ROWS = 21
 _ROUNDED = " Fitted: the number before it was made a simple one."
 _PROFILED = " Where the standard error is wrong, the interval is that of the profile likelihood."
 _MOST_ROWS = 2000
@@ -228,10 +231,13 @@ def render_discovery(found: Discovery) -> str:
         equations=[_equation(found, state) for state in found.equations],
         constants=_constants(found),
         by_run=_by_run(found),
+        free=found.free.sentences,
+        free_pictures=_free(found),
+        free_tables=[_values(part) for part in found.free.curves.values()],
         fronts={
             state: _front(found, state, samples.get(state))
             for state in found.equations
-            if state not in found.hidden
+            if state not in {**found.hidden, **dict.fromkeys(found.free.states)}
         },
         trajectories=list(_trajectories(found)),
         fixed=_fixed_points(found),
@@ -388,6 +394,27 @@ def _constants(found: Discovery) -> Table | None:
         tuple(head[i] for i in kept),
         tuple(tuple(row[i] for i in kept) for row in rows),
         f"In these names: {lines}.{_ROUNDED if 3 in kept else ''}{_PROFILED if profiled else ''}",
+    )
+
+
+def _free(found: Discovery) -> list[Picture]:
+    """Draw the free functions of known equations."""
+    parts = list(found.free.parts.values())
+    words = (
+        "Each free function: the fitted curve with its 95 % band, the formula where one was found, "
+        "and the values that the slopes of the data give row by row."
+    )
+    return [Picture.of(draw_free(parts), words)] if parts else []
+
+
+def _values(part: FreePart) -> Table:
+    """Give the values of a function that stays a curve."""
+    return Table(
+        f"free-{part.name}",
+        f"Values of {part.name}({part.of})",
+        (part.of, part.name, "From", "To"),
+        tuple(part.table(_CURVE_ROWS).itertuples(index=False, name=None)),
+        "From, to: the 95 % band of the curve.",
     )
 
 

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dynsr.data import Samples, Trajectory
-from dynsr.discovery import Profile, RunParameters, Suggestion
+from dynsr.discovery import FreePart, Profile, RunParameters, Suggestion
 from dynsr.engines import Branches, FixedPoint
 from dynsr.expression import compile_numpy
 
@@ -276,6 +276,46 @@ def draw_by_run(own: RunParameters) -> Figure:
     for axis in axes.flat[len(own) :]:
         axis.set_axis_off()
     return figure
+
+
+def draw_free(parts: Sequence[FreePart]) -> Figure:
+    """Draw free functions, two in a row: the formula or curve, the 95 % band, and the data.
+
+    Parameters
+    ----------
+    parts : one or more.
+    """
+    columns = min(2, len(parts))
+    rows = -(-len(parts) // columns)
+    height = 3.4 if columns == 1 else 2.6
+    figure, axes = _canvas(rows, columns, (_WIDTH, height * rows + 0.4))
+    for axis, part in zip(axes.flat, parts, strict=False):
+        _draw_part(axis, part)
+    for axis in axes.flat[len(parts) :]:
+        axis.set_axis_off()
+    _legend_below(figure, axes.flat[0])
+    return figure
+
+
+def _draw_part(axis: Axes, part: FreePart) -> None:
+    x = np.linspace(*part.span, 301)
+    low, high = part.band(x)
+    known = np.isfinite(low) & np.isfinite(high)
+    shown = np.concatenate([part(x), low[known], high[known]])
+    if part.points:
+        columns, values = np.array(part.points).T
+        axis.plot(columns, values, ".", color=_DATA, ms=3.5, label="slopes of the data")
+    axis.fill_between(
+        x, low, high, where=known, color=COLOURS[0], alpha=0.2, lw=0, label="95 % band of the curve"
+    )
+    axis.plot(x, part.curve(x), color=COLOURS[0], lw=1.4, label="curve")
+    if not part.is_curve:
+        axis.plot(x, part(x), color=COLOURS[1], lw=1.4, ls="--", label="formula")
+    # Points whose slope says little are far away.
+    room = _ROOM * max(float(np.ptp(shown)), 1e-300)
+    axis.set_ylim(float(shown.min()) - room / 2, float(shown.max()) + room / 2)
+    axis.set_xlabel(part.of)
+    axis.set_ylabel(f"{part.name}({part.of})")
 
 
 def _draw_profile(axis: Axes, own: Profile) -> None:

@@ -1,0 +1,798 @@
+"""Curved: whole systems in which some functions of one column are smooth curves.
+
+The constants and the values of each curve at its knots are fitted together with the states. A curve
+pays for its integrated squared second derivative. What that costs is chosen by the marginal
+likelihood, in which the curve has the Gaussian prior of that penalty (REML; Wood 2011). The errors
+are those of the posterior: their bands contain the truth about as often as they say, averaged over
+the curve (Nychka 1988).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import sympy
+from scipy.linalg import LinAlgError, block_diag
+from scipy.optimize import least_squares, minimize
+
+from dynsr.expression import Curve, Program, compile_columns
+from dynsr.fit.collocation import (
+    Collocation,
+    CollocationFit,
+    Mesh,
+    Probes,
+    _Gathered,
+    _Point,
+    covariance_of,
+    usual_scales,
+)
+from dynsr.fit.description import misses_bits
+from dynsr.fit.mixed import MixedMesh
+from dynsr.fit.settings import FIT, CollocationSettings
+from dynsr.fit.whole import interval_reach
+
+
+@dataclass(frozen=True)
+class CurvedSettings:
+    """The numbers that decide a fit of curves; they are in a discovery's record.
+
+    Parameters
+    ----------
+    knots : numbers of knots of each curve, of which the first ones are tried until more take no
+        fewer bits. They are halfway between where the data are and evenly spaced.
+    rounds : times that the cost of bending is chosen at most, each time with another fit.
+    close : change of its logarithm with which that ends.
+    widest : how far its logarithm may be from where bending weighs as the data do.
+    starts : values of all constants from which a first fit begins; then one after the other is
+        multiplied by the sizes of the columns.
+    points : of the data at most at which slopes are fitted first.
+    rough : share of their size to which slopes are then followed at best.
+    faint : what bending costs then, as a share of what the points say: it only fills gaps.
+    """
+
+    knots: tuple[int, ...] = (14, 28, 56)
+    rounds: int = 6
+    close: float = 0.2
+    widest: float = 10.0
+    starts: tuple[float, ...] = (1.0, 0.1, 10.0)
+    points: int = 400
+    rough: float = 1e-2
+    faint: float = 1e-5
+
+
+CURVED = CurvedSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A function of one column that is a curve.
+
+    Parameters
+    ----------
+    name : of the function.
+    of : the column.
+    mean : what the mean of the curve over the data is fixed at; None where it is free.
+    """
+
+    name: str
+    of: str
+    mean: float | None = None
+
+    @property
+    def symbol(self) -> sympy.Symbol:
+        """What is written in its place in equations."""
+        # The space keeps the name apart from any name of a column.
+        return sympy.Symbol(f"curve {self.name}")
+
+
+@dataclass(frozen=True, eq=False)
+class CurvedSystem:
+    """Equations with constants and curves.
+
+    Parameters
+    ----------
+    equations : state -> right-hand side in columns, constants and the symbols of the parts.
+    constants : the names of the constants.
+    parts : the curves.
+    """
+
+    equations: Mapping[str, sympy.Expr]
+    constants: tuple[str, ...]
+    parts: tuple[Part, ...]
+
+    def program(self, mesh: Mesh) -> Program:
+        """Make the right-hand sides of the states of a mesh a program of all that is in them.
+
+        Parameters
+        ----------
+        mesh : the data.
+        """
+        names = [*mesh.states, *mesh.driven_names, *self.constants]
+        parts = [str(part.symbol) for part in self.parts]
+        return compile_columns([self.equations[s] for s in mesh.states], [*names, *parts])
+
+    def contains(self, state: str, name: str | sympy.Symbol) -> bool:
+        """Whether the equation of a state contains a symbol.
+
+        Parameters
+        ----------
+        state : the state.
+        name : the symbol.
+        """
+        return sympy.Symbol(str(name)) in self.equations[state].free_symbols
+
+
+def place_knots(values: np.ndarray, count: int) -> np.ndarray:
+    """Give knots (K,) over the range of data: halfway between evenly spaced and equally many data.
+
+    Parameters
+    ----------
+    values : (n,) the data.
+    count : of the knots; fewer where so few values differ.
+
+    >>> place_knots(np.array([0.0, 1.0, 2.0, 3.0, 4.0]), 3).tolist()
+    [0.0, 2.0, 4.0]
+    """
+    own = np.unique(values)
+    count = min(count, len(own))
+    ranks = np.linspace(0.0, 1.0, len(own)) + (own - own[0]) / max(np.ptp(own), 1e-300)
+    found = np.interp(np.linspace(0.0, 2.0, count), ranks, own)
+    return np.unique(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bending(_Point):
+    """Defects at a trial point, and the constants that they are of."""
+
+    constants: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Curved(Collocation):
+    """The least-squares problem of a system with curves.
+
+    Parameters
+    ----------
+    system : the equations.
+    curves : the curves, whose values are where they start.
+    numbers : (constants,) where these start.
+    costs : (parts,) what the squared second derivative of each curve costs.
+    """
+
+    system: CurvedSystem = CurvedSystem({}, (), ())
+    curves: tuple[Curve, ...] = ()
+    numbers: tuple[float, ...] = ()
+    costs: tuple[float, ...] = ()
+
+    @cached_property
+    def places(self) -> list[tuple[int, int]]:
+        """(equation, number) of every constant of the problem: in each equation it has its own.
+
+        The numbers are the constants of the system, then the values of each curve.
+        """
+        first = np.cumsum([len(self.system.constants), *(len(c.knots) for c in self.curves)])
+        found = []
+        for owner, state in enumerate(self.mesh.states):
+            own = [i for i, n in enumerate(self.system.constants) if self.system.contains(state, n)]
+            for part, begin, end in zip(self.system.parts, first, first[1:], strict=False):
+                if self.system.contains(state, part.symbol):
+                    own += range(begin, end)
+            found += [(owner, number) for number in own]
+        return found
+
+    @cached_property
+    def ties(self) -> np.ndarray:
+        """(P, N) which number each constant of the problem is."""
+        start = np.concatenate([self.numbers, *(curve.values for curve in self.curves)])
+        found = np.zeros((len(self.places), len(start)))
+        found[np.arange(len(self.places)), self._numbered] = 1.0
+        return found
+
+    @cached_property
+    def _numbered(self) -> np.ndarray:
+        """(P,) which number each constant of the problem is."""
+        return np.array([number for _, number in self.places], dtype=int)
+
+    @property
+    def constants(self) -> np.ndarray:
+        """(P,) values with which the problem starts."""
+        start: np.ndarray = np.concatenate([self.numbers, *(c.values for c in self.curves)])
+        return start[self._numbered]
+
+    @cached_property
+    def _owners(self) -> tuple[np.ndarray, np.ndarray]:
+        owners = np.array([owner for owner, _ in self.places], dtype=int)
+        return owners, np.zeros_like(owners)
+
+    @cached_property
+    def _bent(self) -> tuple[np.ndarray, np.ndarray]:
+        """(P,) whether a constant is in a function, and in an exponent; no value of a curve is."""
+        inside, exponents = [], []
+        for owner, number in self.places:
+            expr = self.system.equations[self.mesh.states[owner]]
+            mine = set()
+            if number < len(self.system.constants):
+                mine = {sympy.Symbol(self.system.constants[number])}
+            terms = [t for t in sympy.Add.make_args(expr) if mine & t.free_symbols]
+            inside.append(any(not mine & {*sympy.Mul.make_args(t)} for t in terms))
+            powers = (power.exp.free_symbols for power in expr.atoms(sympy.Pow))
+            exponents.append(any(mine & own for own in powers))
+        return np.array(inside, dtype=bool), np.array(exponents, dtype=bool)
+
+    @cached_property
+    def _program(self) -> Program:
+        return self.system.program(self.mesh)
+
+    @cached_property
+    def _arguments(self) -> list[int]:
+        """The place of the column of each curve among states and driven columns."""
+        names = [*self.mesh.states, *self.mesh.driven_names]
+        return [names.index(part.of) for part in self.system.parts]
+
+    def _read(self, constants: np.ndarray) -> tuple[np.ndarray, list[Curve]]:
+        """Give the numbers of the system, and its curves, at constants (P,) of the problem."""
+        numbers = np.zeros(self.ties.shape[1])
+        numbers[self._numbered] = constants
+        sizes = [len(self.system.constants), *(len(curve.knots) for curve in self.curves)]
+        own, *values = np.split(numbers, np.cumsum(sizes)[:-1])
+        pairs = zip(self.curves, values, strict=True)
+        return own, [curve.with_values(value) for curve, value in pairs]
+
+    @cached_property
+    def slope(self) -> Any:
+        """Right-hand sides (k, ...) of the states, the driven columns and P constants."""
+        return self._slopes_at
+
+    def _slopes_at(self, *arguments: Any) -> np.ndarray:
+        count = len(self.mesh.states) + len(self.mesh.driven_names)
+        columns = arguments[:count]
+        numbers, curves = self._read(np.array(arguments[count:], dtype=float))
+        heights = [c(columns[p]) for c, p in zip(curves, self._arguments, strict=True)]
+        return self._program(*columns, *numbers, *heights)
+
+    def _split(
+        self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray, steps: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        k, (numbers, curves) = len(states), self._read(constants)
+        rows = np.repeat(states[:, None], 1 + k, axis=1)
+        rows[np.arange(k), 1 + np.arange(k)] += steps[:k, None]
+        columns = [*rows, *driven[:, None]]
+        heights = [c(columns[p]) for c, p in zip(curves, self._arguments, strict=True)]
+        found = self._program(*columns, *numbers, *heights)
+        base = found[:, 0]
+        by_states = (found[:, 1:] - base[:, None]) / steps[:k, None]
+        # Each number moves all equations, of which each constant is one.
+        plain = [*numbers, *(height[0] for height in heights)]
+        sizes = [float(np.max(np.abs(own))) or 1.0 for own in plain]
+        moves = self.settings.difference * np.array(sizes)
+        turned = np.eye(len(plain)) * moves
+        shifted = [own + turn[:, None] for own, turn in zip(plain, turned, strict=True)]
+        moved = self._program(*states[:, None], *driven[:, None], *shifted)
+        slopes = (moved - base[:, None]) / moves[:, None]
+        every = [slopes[:, : len(numbers)]]
+        for place, (curve, column) in enumerate(zip(curves, self._arguments, strict=True)):
+            x = states[column] if column < k else driven[column - k]
+            every.append(slopes[:, len(numbers) + place, None] * curve.weights(x).T)
+        whole = np.concatenate(every, axis=1)
+        owners, places = np.array(self.places, dtype=int).reshape(-1, 2).T
+        return base, by_states, whole[owners, places]
+
+    @cached_property
+    def penalty(self) -> np.ndarray:
+        """(N, N) what bending costs, as a quadratic form of the numbers."""
+        none = np.zeros((len(self.system.constants),) * 2)
+        pairs = zip(self.costs, self.curves, strict=True)
+        return np.asarray(block_diag(none, *(cost * c.roughness for cost, c in pairs)))
+
+    @cached_property
+    def _price(self) -> np.ndarray:
+        """(P, P) the same of the constants of the problem; those that are one share it."""
+        share = self.ties / np.maximum(self.ties.sum(axis=0), 1.0)
+        found: np.ndarray = share @ self.penalty @ share.T
+        return found
+
+    def _cost(self, states: np.ndarray, constants: np.ndarray, stiffness: float) -> float:
+        own = super()._cost(states, constants, stiffness)
+        return own + float(constants @ self._price @ constants)
+
+    def _linearise(
+        self, states: np.ndarray, constants: np.ndarray, probes: Probes | None = None
+    ) -> _Point:
+        point = super()._linearise(states, constants, probes)
+        own = {one.name: getattr(point, one.name) for one in fields(point)}
+        return _Bending(**own, constants=constants)
+
+    def _gather(self, point: _Point, states: np.ndarray, stiffness: float) -> _Gathered:
+        found = super()._gather(point, states, stiffness)
+        assert isinstance(point, _Bending)
+        pull = self._price @ point.constants
+        products = found.products.copy()
+        products[1:, 1:] += self._price
+        products[0, 1:] += pull
+        products[1:, 0] += pull
+        return replace(found, products=products, squares=found.squares + point.constants @ pull)
+
+    def put(self, numbers: Sequence[sympy.Expr]) -> dict[str, sympy.Expr]:
+        """Give the equations; the numbers are no part of them.
+
+        Parameters
+        ----------
+        numbers : in the order of the constants.
+        """
+        return dict(self.exprs)
+
+    def fit_along(self, states: np.ndarray, ways: np.ndarray, begun: bool) -> CollocationFit | None:
+        """Fit states and numbers; None where slopes are not finite.
+
+        Parameters
+        ----------
+        states : (k, n) where they start.
+        ways : (N, Q) directions in which the numbers may go.
+        begun : whether the start follows the system already.
+        """
+        constants, stages = self.constants, self.settings.stiffness
+        for stiffness in stages[-1:] if begun else stages:
+            moved = self._stage(states, constants, stiffness, self.ties @ ways)
+            if moved is None:
+                return None
+            states, constants = moved
+        return self._finish(states, constants)
+
+
+@dataclass(frozen=True, eq=False)
+class CurvedFit:
+    """A system with curves that was fitted.
+
+    Parameters
+    ----------
+    problem : the least-squares problem.
+    ways : (N, Q) directions in which its numbers could go.
+    found : its solution.
+    least : (k,) mean squared residual of a state, in units of its noise, below which nothing is
+        believed.
+    """
+
+    problem: _Curved
+    ways: np.ndarray
+    found: CollocationFit
+    least: np.ndarray
+
+    @cached_property
+    def constants(self) -> np.ndarray:
+        """The values of the constants, in the order of the system."""
+        return self.problem._read(self.found.constants)[0]  # noqa: SLF001
+
+    @cached_property
+    def curves(self) -> list[Curve]:
+        """The curves."""
+        return self.problem._read(self.found.constants)[1]  # noqa: SLF001
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """(N,) the constants, then the values of each curve."""
+        values: np.ndarray = np.concatenate([self.constants, *(c.values for c in self.curves)])
+        return values
+
+    @cached_property
+    def information(self) -> np.ndarray:
+        """(Q, Q) what the data say of the numbers along the ways, without what bending costs."""
+        free = replace(self.problem, costs=(0.0,) * len(self.problem.costs))
+        tied = self.problem.ties @ self.ways
+        own = free.normal(self.found.states, self.found.constants).information
+        found: np.ndarray = tied.T @ own @ tied
+        return found
+
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """(Q, Q) the same with what bending costs."""
+        found: np.ndarray = self.information + self.ways.T @ self.problem.penalty @ self.ways
+        return found
+
+    @cached_property
+    def effective(self) -> np.ndarray:
+        """(1 + parts,) effective parameters: of the constants, then of each curve."""
+        shares = np.linalg.pinv(self.whole, hermitian=True) @ self.information
+        each = np.diag(self.ways @ shares @ np.linalg.pinv(self.ways))
+        sizes = [len(self.constants), *(len(curve.knots) for curve in self.curves)]
+        return np.array([part.sum() for part in np.split(each, np.cumsum(sizes)[:-1])])
+
+    @property
+    def freedom(self) -> float:
+        """Measurements less what was fitted to them; without end where the noise is known."""
+        mesh = self.problem.mesh
+        if bool(np.all(mesh.known)):
+            return math.inf
+        return float(mesh.freedom(math.ceil(float(self.effective.sum()))))
+
+    @property
+    def reach(self) -> float:
+        """Standard errors that a 95 % interval reaches to either side."""
+        return interval_reach(self.freedom)
+
+    @cached_property
+    def scale(self) -> float:
+        """Variance of the residuals in units of the noise that was given: noise is an estimate."""
+        if not math.isfinite(self.freedom):
+            return 1.0
+        own = np.sum(self.found.misses**2, axis=0)
+        least = self.least * self.problem.mesh.rows
+        return max(float(np.sum(np.maximum(own, least))) / self.freedom, np.finfo(float).tiny)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """(N, N) of the numbers; inf where the data do not tell."""
+        own = covariance_of(self.whole) * self.scale
+        if np.all(np.isfinite(own)):
+            found: np.ndarray = self.ways @ own @ self.ways.T
+            return found
+        unknown = np.abs(self.ways) @ ~np.isfinite(np.diag(own)) > 0
+        own = self.ways @ np.where(np.isfinite(own), own, 0.0) @ self.ways.T
+        own[unknown] = own[:, unknown] = np.inf
+        return own
+
+    @cached_property
+    def blocks(self) -> list[slice]:
+        """Where the values of each curve are among the numbers."""
+        ends = np.cumsum([len(self.constants), *(len(curve.knots) for curve in self.curves)])
+        return [slice(a, b) for a, b in pairwise(ends.tolist())]
+
+    @cached_property
+    def bits(self) -> float:
+        """Bits of what is missed, of the constants and of the curves, without those of the form.
+
+        They are those of the marginal likelihood: a curve is believed to bend as little as its
+        cost says, and to be of its own size; a constant to be of its usual size.
+        """
+        mesh, problem = self.problem.mesh, self.problem
+        squares = np.maximum(self.found.mean_squares, np.maximum(self.least, 1e-300))
+        bits = misses_bits(squares, mesh.rows, mesh.known)
+        sizes = self._scales
+        prior = np.diag(sizes**-2.0)
+        believed = self.ways.T @ (prior + problem.penalty / self.scale) @ self.ways
+        told = self.information / self.scale
+        gained = np.linalg.slogdet(believed + told)[1] - np.linalg.slogdet(believed)[1]
+        numbers = self.numbers
+        bend = float(numbers @ problem.penalty @ numbers) / self.scale
+        # A constant that is larger than usual, as where terms cancel each other, costs its size.
+        count = len(self.constants)
+        large = float(np.sum(np.log2(1 + np.abs(self.constants / sizes[:count]))))
+        return bits + large + (gained + bend) / (2 * math.log(2))
+
+    @cached_property
+    def _scales(self) -> np.ndarray:
+        """(N,) the usual size of each number."""
+        problem, found = self.problem, self.found
+        rows = len(problem.mesh.t)
+        steps = problem._steps(found.constants)  # noqa: SLF001
+        with np.errstate(all="ignore"):
+            base, _, slopes = problem._split(  # noqa: SLF001
+                found.states.T, found.constants, problem.mesh.driven[:, :rows], steps
+            )
+        own = usual_scales(base, problem._owners[0], slopes)  # noqa: SLF001
+        least = np.min(np.where(problem.ties > 0, own[:, None], np.inf), axis=0)
+        for block, curve in zip(self.blocks, self.curves, strict=True):
+            least[block] = math.sqrt(float(np.mean(curve.values**2))) or 1.0
+        return np.where(np.isfinite(least), least, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Slopes of smoothed states, to which the first values of constants and curves are fitted.
+
+    Parameters
+    ----------
+    columns : column -> (n,) its values.
+    values, errors : (k, n) slopes of the states of a system, and their standard errors.
+    """
+
+    columns: Mapping[str, np.ndarray]
+    values: np.ndarray
+    errors: np.ndarray
+
+
+def fit_curved(
+    system: CurvedSystem,
+    rows: MixedMesh,
+    slopes: Slopes,
+    settings: CurvedSettings = CURVED,
+    along: CollocationSettings = FIT.along,
+) -> CurvedFit | None:
+    """Fit the constants and the curves of a system to the states; None where that cannot be done.
+
+    Parameters
+    ----------
+    system : the equations.
+    rows : the data.
+    slopes : of the smoothed states, where the fit starts.
+    settings, along : the numbers that decide.
+
+    More knots are taken for as long as they take fewer bits.
+    """
+    best: CurvedFit | None = None
+    for count in settings.knots:
+        if best is None:
+            curves = flat_curves(system, rows.mesh, count)
+            numbers = first_numbers(system, rows.mesh, curves, slopes, settings)
+            states = rows.mesh.start
+        else:
+            numbers, states = best.constants, best.found.states
+            own = {curve.name: curve for curve in best.curves}
+            curves = [
+                curve.with_values(own[curve.name](curve.knots))
+                for curve in flat_curves(system, rows.mesh, count)
+            ]
+        if not curves:
+            break
+        if best is None:
+            parts = np.cumsum([len(system.constants), *(len(c.knots) for c in curves)])[:-1]
+            numbers, *values = np.split(numbers, parts)
+            curves = [c.with_values(v) for c, v in zip(curves, values, strict=True)]
+        problem = _Curved(
+            dict(system.equations),
+            rows.mesh,
+            along,
+            system,
+            tuple(curves),
+            tuple(numbers.tolist()),
+            (0.0,) * len(curves),
+        )
+        ways = _ways(system, rows.mesh, curves)
+        problem = replace(problem, costs=tuple(_alike(problem)))
+        fit = _solve(problem, ways, states, rows.least, settings)
+        if fit is None or (best is not None and not fit.bits < best.bits - 1):
+            break
+        best = fit
+    return best
+
+
+def flat_curves(system: CurvedSystem, mesh: Mesh, count: int) -> list[Curve]:
+    """Give a constant curve for each function; none where one has fewer than three values.
+
+    Parameters
+    ----------
+    system, mesh : the functions, and the data.
+    count : of the knots.
+    """
+    found = []
+    for part in system.parts:
+        own = mesh.columns[part.of]
+        knots = place_knots(own, count)
+        # What differs by rounding is one value.
+        if len(knots) < 3 or np.ptp(own) < np.sqrt(np.finfo(float).eps) * np.max(np.abs(own)):
+            return []
+        found.append(Curve(part.name, knots, np.full(len(knots), part.mean or 0.0)))
+    return found
+
+
+def refit_curved(
+    system: CurvedSystem,
+    near: CurvedFit,
+    numbers: Sequence[float],
+    settings: CurvedSettings = CURVED,
+) -> CurvedFit | None:
+    """Fit a like system from where another fit ended; None where that cannot be done.
+
+    Parameters
+    ----------
+    system : the equations; its curves are some of those of the fit.
+    near : the fit.
+    numbers : where its constants start.
+    settings : the numbers that decide.
+    """
+    known = {
+        part.name: (curve, cost)
+        for part, curve, cost in zip(
+            near.problem.system.parts, near.curves, near.problem.costs, strict=True
+        )
+    }
+    kept = [known[part.name] for part in system.parts]
+    problem = replace(
+        near.problem,
+        exprs=dict(system.equations),
+        system=system,
+        curves=tuple(curve for curve, _ in kept),
+        numbers=tuple(numbers),
+        costs=tuple(cost for _, cost in kept),
+    )
+    ways = _ways(system, problem.mesh, problem.curves)
+    return _solve(problem, ways, near.found.states, near.least, settings)
+
+
+def _solve(
+    problem: _Curved,
+    ways: np.ndarray,
+    states: np.ndarray,
+    least: np.ndarray,
+    settings: CurvedSettings,
+) -> CurvedFit | None:
+    """Fit, and choose what bending costs, in turns."""
+    fit: CurvedFit | None = None
+    for _ in range(settings.rounds):
+        found = problem.fit_along(np.ascontiguousarray(states.T), ways, fit is not None)
+        if found is None or not np.all(np.isfinite(found.misses)):
+            return fit
+        fit, states = CurvedFit(problem, ways, found, least), found.states
+        if not problem.costs:
+            break
+        costs = _choose_costs(fit, settings)
+        if np.max(np.abs(np.log(costs / np.array(problem.costs)))) < settings.close:
+            break
+        problem = replace(
+            problem,
+            costs=tuple(costs.tolist()),
+            numbers=tuple(fit.constants.tolist()),
+            curves=tuple(fit.curves),
+        )
+    return fit
+
+
+def _ways(system: CurvedSystem, mesh: Mesh, curves: Sequence[Curve]) -> np.ndarray:
+    """(N, Q) directions in which the numbers may go: some curves keep their mean over the data."""
+    blocks = [np.eye(len(system.constants))]
+    for part, curve in zip(system.parts, curves, strict=True):
+        count = len(curve.knots)
+        if part.mean is None:
+            blocks.append(np.eye(count))
+            continue
+        mean = curve.weights(mesh.columns[part.of]).mean(axis=0)
+        blocks.append(np.linalg.svd(mean[None])[2][1:].T)
+    return np.asarray(block_diag(*blocks))
+
+
+def first_numbers(
+    system: CurvedSystem,
+    mesh: Mesh,
+    curves: Sequence[Curve],
+    slopes: Slopes,
+    settings: CurvedSettings = CURVED,
+) -> np.ndarray:
+    """Fit constants, and the values of curves, to the slopes of the smoothed states.
+
+    Parameters
+    ----------
+    system, mesh : the equations and the data.
+    curves : what they start from.
+    slopes : of the states.
+    settings : the numbers that decide.
+
+    Gives (N,): the constants, then the values of each curve.
+    """
+    ways = _ways(system, mesh, curves)
+    rows = np.unique(np.linspace(0, slopes.values.shape[1] - 1, settings.points).astype(int))
+    names = [*mesh.states, *mesh.driven_names]
+    columns = [slopes.columns[name][rows] for name in names]
+    weights = [
+        c.weights(columns[names.index(p.of)]) for p, c in zip(system.parts, curves, strict=True)
+    ]
+    program, count = system.program(mesh), len(system.constants)
+    sizes = np.cumsum([count, *(len(curve.knots) for curve in curves)])[:-1]
+    wanted, unit = slopes.values[:, rows], np.maximum(slopes.errors[:, rows], 1e-300)
+    # A start need not follow slopes to more than a share of their size.
+    unit = np.maximum(unit, settings.rough * np.std(wanted, axis=1, keepdims=True) + 1e-300)
+    offset = np.concatenate([np.zeros(count), *(curve.values for curve in curves)])
+
+    def gaps(numbers: np.ndarray) -> np.ndarray:
+        own, *values = np.split(numbers, sizes)
+        heights = [w @ v for w, v in zip(weights, values, strict=True)]
+        with np.errstate(all="ignore"):
+            found = (program(*columns, *own, *heights) - wanted) / unit
+        return np.nan_to_num(found, posinf=0, neginf=0).ravel()
+
+    # What a curve moves by says what its bending is worth.
+    level = np.ones(len(offset))
+    blocks = [np.zeros((count, count))]
+    for curve, begin in zip(curves, sizes, strict=True):
+        higher = level.copy()
+        higher[begin : begin + len(curve.knots)] += 1.0
+        worth = settings.faint * float(np.linalg.norm(gaps(higher) - gaps(level)))
+        values, ways_bent = np.linalg.eigh(curve.roughness)
+        shares = np.sqrt(np.maximum(values, 0.0) / max(values.max(), 1e-300))
+        blocks.append(worth * (shares * ways_bent).T)
+    rough = block_diag(*blocks)
+
+    def missed(free: np.ndarray) -> np.ndarray:
+        numbers = offset + ways @ free
+        return np.concatenate([gaps(numbers), rough @ numbers])
+
+    def descend(start: np.ndarray) -> tuple[float, np.ndarray]:
+        first = ways.T @ (np.concatenate([start, np.ones(len(offset) - count)]) - offset)
+        # Numerical slopes ask for constants near 1.
+        units = np.concatenate([start, np.ones(len(first) - count)])
+        found = least_squares(lambda free: missed(units * free), first / units, x_scale="jac")
+        cost = float(found.cost)
+        return cost if math.isfinite(cost) else math.inf, offset + ways @ (units * found.x)
+
+    begun = [np.full(count, start) for start in settings.starts[: None if count else 1]]
+    ends = [descend(start) for start in begun]
+    least = min(cost for cost, _ in ends)
+    # Of starts that end alike, the first.
+    place = next((i for i, (cost, _) in enumerate(ends) if cost < least + 1), 0)
+    start, (least, best) = begun[place], ends[place]
+    # A constant may be as large as a column, or as one over it.
+    logs = {round(math.log(float(np.std(own)) or 1.0)) for own in columns} - {0}
+    factors = [math.exp(sign * own) for own in sorted(logs) for sign in (1, -1)]
+    for _ in range(count):
+        others = [
+            start * np.where(np.arange(count) == i, f, 1.0) for i in range(count) for f in factors
+        ]
+        ends = [descend(other) for other in others]
+        place = min(range(len(ends)), key=lambda i: ends[i][0], default=-1)
+        if place < 0 or not ends[place][0] < least - 1:
+            break
+        start, (least, best) = others[place], ends[place]
+    return best
+
+
+def _alike(problem: _Curved) -> list[float]:
+    """Give costs with which bending weighs as much as the data do."""
+    free = replace(problem, costs=(0.0,) * len(problem.costs))
+    try:
+        found = free.normal(problem.mesh.start, problem.constants)
+        own = problem.ties.T @ found.information @ problem.ties
+    except (LinAlgError, ValueError):
+        own = np.eye(problem.ties.shape[1])
+    first, costs = len(problem.numbers), []
+    for curve in problem.curves:
+        block = slice(first, first + len(curve.knots))
+        first = block.stop
+        size = float(np.trace(own[block, block])) / float(np.trace(curve.roughness))
+        costs.append(size if size > 0 and math.isfinite(size) else 1.0)
+    return costs
+
+
+def _choose_costs(fit: CurvedFit, settings: CurvedSettings) -> np.ndarray:
+    """(parts,) the costs of bending with the largest marginal likelihood, near a fit.
+
+    The sum of squares is taken for the parabola that it is near the fit.
+    """
+    problem, ways = fit.problem, fit.ways
+    told = fit.information
+    # The numbers move from where they are; what the mean of a curve is fixed at stays.
+    shapes, pulls, levels = [], [], []
+    first, numbers = len(problem.numbers), fit.numbers
+    for curve in fit.curves:
+        shape = np.zeros((len(numbers),) * 2)
+        block = slice(first, first + len(curve.knots))
+        first, shape[block, block] = block.stop, curve.roughness
+        shapes.append(ways.T @ shape @ ways)
+        pulls.append(ways.T @ shape @ numbers)
+        levels.append(float(numbers @ shape @ numbers))
+    now = np.array(problem.costs)
+    # At the fit the slope of the data's part is minus that of the bending.
+    slope = -np.einsum("j,jq->q", now, np.array(pulls))
+    squares = float(np.sum(fit.found.misses**2))
+    ranks = [np.linalg.matrix_rank(shape, hermitian=True) for shape in shapes]
+    rows = fit.problem.mesh.freedom(0) - (ways.shape[1] - sum(ranks))
+    centre = np.log(now)
+    known = not math.isfinite(fit.freedom)
+
+    def criterion(moves: np.ndarray) -> float:
+        costs = np.exp(centre + moves)
+        bent = np.einsum("j,jpq->pq", costs, np.array(shapes))
+        pull = slope + np.einsum("j,jq->q", costs, np.array(pulls))
+        whole = told + bent
+        step = -np.linalg.pinv(whole, hermitian=True) @ pull
+        paid = squares + float(costs @ np.array(levels)) + float(pull @ step)
+        logs = np.linalg.slogdet(whole)[1] - sum(
+            r * m for r, m in zip(ranks, centre + moves, strict=True)
+        )
+        found = paid if known else max(rows, 1) * math.log(max(paid, 1e-300))
+        # Where the data say nothing of some direction, no cost is better than another.
+        return found + float(logs) if np.isfinite(found + logs) else 1e300
+
+    reach = settings.widest
+    around = np.log(_alike(problem)) - centre
+    bounds = [(low - reach, low + reach) for low in around]
+    starts = [np.zeros(len(now)), around, around - reach / 2, around + reach / 2]
+    tries = [
+        minimize(criterion, np.clip(s, *np.array(bounds).T), bounds=bounds, method="Nelder-Mead")
+        for s in starts
+    ]
+    best = min(tries, key=lambda one: float(one.fun))
+    return np.asarray(np.exp(centre + best.x))
