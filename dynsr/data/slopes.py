@@ -496,15 +496,15 @@ def choose_samples(
         runs = [part.taken_from(run) for run, part in zip(runs, parts, strict=True)]
     # The longest trajectory decides for all: noise and step belong to the instrument.
     longest = {state: _longest(runs, state) for state in runs[0].states}
-    noise = {id(run): measurement_noise(run) for run in longest.values()}
+    deciding = {id(run): run for run in longest.values()}
+    noise = {key: measurement_noise(run) for key, run in deciding.items()}
     choices = {
         state: _choose(run, state, scheme, settings, noise[id(run)])
         for state, run in longest.items()
     }
     pieces = []
     for run, own in zip(runs, given, strict=True):
-        decides = all(run is other for other in longest.values())
-        fitting = choices if decides else _fitting(run, choices, settings)
+        fitting = choices if deciding.keys() == {id(run)} else _fitting(run, choices, settings)
         piece = _combine(run, target, fitting, own)
         pieces.append(_without_layers(piece, run, settings) if resolve else piece)
     if parts is not None:

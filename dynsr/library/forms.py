@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from itertools import combinations, combinations_with_replacement, permutations, product
+from itertools import chain, combinations, combinations_with_replacement, permutations, product
 
 import numpy as np
 import sympy
@@ -212,17 +212,19 @@ class Library:
         True
         """
         maker = _Maker(points[: len(names)], np.isin(names, list(turning)), settings)
-        found = dict.fromkeys(Form(own=e) for e in own)
-        found |= dict.fromkeys(maker.forms())
-        forms: list[Form] = []
-        starts: list[np.ndarray] = []
-        for form in found:
-            begun = maker.starts(form)
-            if sum(map(len, starts)) + len(begun) > settings.most:
+        taken: dict[Form, np.ndarray] = {}
+        begun: dict[tuple[Factor, ...], np.ndarray] = {}
+        rows = 0
+        for form in chain((Form(own=e) for e in own), maker.forms()):
+            if form in taken:
+                continue
+            if form.factors not in begun:
+                begun[form.factors] = maker.starts(form)
+            rows += len(begun[form.factors])
+            if rows > settings.most:
                 break
-            forms.append(form)
-            starts.append(begun)
-        return cls((*names, *beside), tuple(forms), tuple(starts), settings.roam)
+            taken[form] = begun[form.factors]
+        return cls((*names, *beside), tuple(taken), tuple(taken.values()), settings.roam)
 
     @cached_property
     def owners(self) -> np.ndarray:
