@@ -153,6 +153,7 @@ class _Study:
     slopes: Slopes
     settings: DiscoverySettings
     limits: Limits
+    units: Mapping[str, sympy.Rational]
     seed: int
     until: float
     tried: dict[str, list[tuple[sympy.Expr, _Answer, float]]] = field(default_factory=dict)
@@ -165,6 +166,7 @@ class _Study:
         inputs: Mapping[str, sympy.Expr],
         settings: DiscoverySettings,
         limits: Limits,
+        units: Mapping[str, sympy.Rational],
         seed: int,
         until: float,
     ) -> _Study:
@@ -182,7 +184,7 @@ class _Study:
         rng, rows = np.random.default_rng(seed), MixedMesh.of(data, states)
         sizes = _sizes(model, rows.mesh, slopes, settings.free.curved)
         settled = settle_model(model, columns, rng, settings.free, sizes)
-        return cls(settled, data, rows, slopes, settings, limits, seed, until)
+        return cls(settled, data, rows, slopes, settings, limits, units, seed, until)
 
     @property
     def late(self) -> bool:
@@ -210,7 +212,7 @@ class _Study:
         answer : in which it is a curve.
         part : the function.
         """
-        tried = self.tried.setdefault(part.name, [])
+        tried = self.tried[part.name] = []
         best = answer
         for expr in self._proposals(answer, part):
             if self.late:
@@ -278,11 +280,12 @@ class _Study:
             expr = _without_freedom(one.expr, part)
             if expr is not None and self.limits.allow(expr) and expr.free_symbols <= {x}:
                 if one.complexity <= self.limits.max_complexity:
+                    expr = expr.xreplace({x: x / self.units[part.of]})
                     shapes.setdefault(skeleton(with_floats(expr)), expr)
         return list(shapes.values())[: settings.fitted]
 
     def _evidence(self, answer: _Answer, part: Part) -> Samples:
-        """Give what the curve of a function says of it, as samples."""
+        """Give what the curve of a function says of it, as samples; the column is in its unit."""
         place = [p.name for p in answer.system.parts].index(part.name)
         curve, block = answer.fit.curves[place], answer.fit.blocks[place]
         values = np.sort(self.rows.mesh.columns[part.of])
@@ -296,7 +299,8 @@ class _Study:
         size = float(np.max(np.abs(curve.values))) or 1.0
         errors = np.where(np.isfinite(errors), errors, size)
         noise = float(np.sqrt(np.mean(errors**2)))
-        return Samples(x[:, None], curve(x), (part.of,), part.name, "given", x, noise, errors)
+        X = x[:, None] / float(self.units[part.of])
+        return Samples(X, curve(x), (part.of,), part.name, "given", x, noise, errors)
 
     def points(self, answer: _Answer, part: Part) -> tuple[tuple[float, float], ...]:
         """Give (column, value) of what the slope at each row says of a function.
@@ -457,7 +461,7 @@ def search_free(
     search: Search,
     runs: Sequence[Trajectory],
     settings: dict[str, Any],
-    inputs: Mapping[str, sympy.Expr],
+    units: Mapping[str, sympy.Rational],
 ) -> Discovery:
     """Find the free functions of known equations, and search the equations of the other states.
 
@@ -466,14 +470,14 @@ def search_free(
     search : finds equations of trajectories.
     runs : the data.
     settings : of the search.
-    inputs : input name -> expression in ``t`` where it is known.
+    units : column, or ``t`` -> the unit in which it is a number near 1; 1 where it is so anyway.
 
     Raises InputError where the known equations cannot be read or fitted.
     """
     began, details = monotonic(), settings.get("settings", DISCOVERY)
     if settings.get("snap") is False:
         details = details.without_snapping()
-    run, known = runs[0], dict(settings["known"])
+    run, known, inputs = runs[0], dict(settings["known"]), settings["inputs"]
     model = read_model(known, run.states, (*run.names, "t"))
     demands = read_demands(
         run.states,
@@ -484,13 +488,13 @@ def search_free(
     budget, seed = Budget(settings.get("time_budget")), settings.get("seed", 0)
     limits = demands.limits(next(iter(model.equations)))
     until = budget.until(details.shares.choices)
-    study = _Study.of(model, runs, inputs, details, limits, seed, until)
+    study = _Study.of(model, runs, inputs, details, limits, units, seed, until)
     # What cannot be fitted is refused before anything is searched.
     others = _search_others(search, runs, settings, model)
     if others is not None and others.complete and others.verdict.level != NOT_FOUND:
         # What the other states do is then known better than their smoothed curves.
         whole = _with_others(model, others)
-        study = _Study.of(whole, runs, inputs, details, limits, seed, until)
+        study = _Study.of(whole, runs, inputs, details, limits, units, seed, until)
     steps = ["the curves", *(part.name for part in study.model.parts)]
     progress, complete = settings.get("progress"), True
 
@@ -504,6 +508,13 @@ def search_free(
         for done, part in enumerate(study.model.parts, 2):
             answer = study.explained(answer, part)
             report(done)
+        # A formula for one function may show what another one is.
+        while answer.laws and not study.late:
+            before = answer
+            for part in before.system.parts:
+                answer = study.explained(answer, part)
+            if answer is before or not answer.system.parts:
+                break
         loose, (answer, numbers) = answer, study.simplified(answer)
     except KeyboardInterrupt:
         complete, loose, numbers = False, answer, answer.numbers

@@ -11,6 +11,7 @@ import ast
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ import sympy
 
 from dynsr.discovery.free_parts import FREE, FreeSettings
 from dynsr.errors import InputError
-from dynsr.expression import check_name, compile_columns, parse, unknown_calls
+from dynsr.expression import FUNCTIONS, check_name, compile_columns, parse, unknown_calls
 from dynsr.fit import Part
 
 
@@ -143,6 +144,13 @@ def _check_call(name: str, call: ast.Call, state: str, names: Collection[str]) -
 
 def _read_part(own: sympy.Expr, state: str, names: Collection[str], parts: dict[str, Part]) -> Part:
     name = check_name(str(own.func), "function")
+    near = get_close_matches(name.lower(), FUNCTIONS, 1, 3 / 4)
+    if near or hasattr(math, name):
+        what = f"written nearly as {near[0]}" if near else "a function that formulas do not have"
+        raise InputError(
+            f"{name!r} in known of {state!r} is {what}; correct it, or give the free function "
+            "another name, such as f"
+        )
     if len(own.args) != 1 or not own.args[0].is_Symbol or str(own.args[0]) not in names:
         raise InputError(
             f"'{own}' in known of {state!r} must be a function of one column; the columns are: "

@@ -275,7 +275,7 @@ def in_fitting_units(search: Search) -> Search:
                     found = (
                         _search_both(one_search, runs, settings, hidden)
                         if hidden
-                        else search_free(one_search, runs, settings, settings["inputs"])
+                        else search_free(one_search, runs, settings, _sizes_in(Units.of(runs)))
                     )
                 elif vary:
                     found = search_apart(one_search, runs, settings, vary)
@@ -413,6 +413,11 @@ def _search_hidden_in(
     before, now = found.hidden_notes[name], restored.hidden_notes[name]
     said = {**restored.explanation, name: restored.explanation[name].replace(before, now)}
     return replace(restored, explanation=said)
+
+
+def _sizes_in(units: Units) -> dict[str, sympy.Rational]:
+    """Give the unit of each column and of the time."""
+    return {**units.columns, "t": units.time}
 
 
 def _measured_columns(runs: Sequence[Trajectory]) -> dict[str, list[np.ndarray]]:

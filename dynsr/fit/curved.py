@@ -56,10 +56,10 @@ class CurvedSettings:
     faint : what bending costs then, as a share of what the points say: it only fills gaps.
     """
 
-    knots: tuple[int, ...] = (14, 28, 56)
+    knots: tuple[int, ...] = (28, 56)
     rounds: int = 6
     close: float = 0.2
-    widest: float = 10.0
+    widest: float = 16.0
     starts: tuple[float, ...] = (1.0, 0.1, 10.0)
     points: int = 400
     rough: float = 1e-2
@@ -477,7 +477,8 @@ class CurvedFit:
         own = usual_scales(base, problem._owners[0], slopes)  # noqa: SLF001
         least = np.min(np.where(problem.ties > 0, own[:, None], np.inf), axis=0)
         for block, curve in zip(self.blocks, self.curves, strict=True):
-            least[block] = math.sqrt(float(np.mean(curve.values**2))) or 1.0
+            # All values together are as sure as one: a level moves them alike.
+            least[block] = float(np.linalg.norm(curve.values)) or 1.0
         return np.where(np.isfinite(least), least, 1.0)
 
 
@@ -516,29 +517,24 @@ def fit_curved(
     """
     best: CurvedFit | None = None
     for count in settings.knots:
-        if best is None:
-            curves = flat_curves(system, rows.mesh, count)
-            numbers = first_numbers(system, rows.mesh, curves, slopes, settings)
-            states = rows.mesh.start
-        else:
-            numbers, states = best.constants, best.found.states
-            own = {curve.name: curve for curve in best.curves}
-            curves = [
-                curve.with_values(own[curve.name](curve.knots))
-                for curve in flat_curves(system, rows.mesh, count)
-            ]
+        curves = flat_curves(system, rows.mesh, count)
         if not curves:
             break
         if best is None:
-            parts = np.cumsum([len(system.constants), *(len(c.knots) for c in curves)])[:-1]
-            numbers, *values = np.split(numbers, parts)
-            curves = [c.with_values(v) for c, v in zip(curves, values, strict=True)]
+            states = rows.mesh.start
+            every = first_numbers(system, rows.mesh, curves, slopes, settings)
+            ends = np.cumsum([len(system.constants), *(len(c.knots) for c in curves)])[:-1]
+            numbers, *values = np.split(every, ends)
+        else:
+            states, numbers = best.found.states, best.constants
+            before = {curve.name: curve for curve in best.curves}
+            values = [before[curve.name](curve.knots) for curve in curves]
         problem = _Curved(
             dict(system.equations),
             rows.mesh,
             along,
             system,
-            tuple(curves),
+            tuple(c.with_values(v) for c, v in zip(curves, values, strict=True)),
             tuple(numbers.tolist()),
             (0.0,) * len(curves),
         )
