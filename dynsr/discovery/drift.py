@@ -21,7 +21,7 @@ import sympy
 from dynsr.data import Samples
 from dynsr.discovery.following import open_constants
 from dynsr.expression import differentiate, evaluate, expand_terms, shown
-from dynsr.fit import constant_bits, refit, skeleton, tidy, with_floats
+from dynsr.fit import constant_bits, orthogonal, refit, skeleton, tidy, with_floats
 from dynsr.library import Place, Written, find_turning, structure_of, textbooks
 from dynsr.selection import (
     Subset,
@@ -314,21 +314,6 @@ class Lines:
 
     def _bits(self, squares: float) -> float:
         return self.rows / 2 * math.log2(max(squares, self.least, 1e-300) / self.rows)
-
-
-def orthogonal(columns: np.ndarray) -> np.ndarray:
-    """Give (N, r) orthonormal columns that span those given.
-
-    Parameters
-    ----------
-    columns : (N, P).
-    """
-    if not columns.size:
-        return np.zeros((len(columns), 0))
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    left, values, _ = np.linalg.svd(columns / size, full_matrices=False)
-    basis: np.ndarray = left[:, values > 1e-10 * values[0]]
-    return basis
 
 
 def place_among(state: str, columns: Mapping[str, np.ndarray]) -> Place:

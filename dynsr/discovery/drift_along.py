@@ -24,13 +24,12 @@ from dynsr.discovery.drift import (
     formula_bits,
     is_alike,
     is_timed,
-    orthogonal,
     say,
 )
 from dynsr.discovery.following import Course, Followed, open_constants
 from dynsr.discovery.rivals import columns_along
 from dynsr.expression import evaluate
-from dynsr.fit import Flow, Shooting
+from dynsr.fit import Flow, Shooting, orthogonal
 from dynsr.library import Place
 from dynsr.methods import recalled
 

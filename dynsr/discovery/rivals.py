@@ -25,6 +25,7 @@ from dynsr.fit import (
     free_constants,
     independent_rows,
     loosen,
+    orthogonal,
     refit,
     with_floats,
 )
@@ -221,13 +222,5 @@ def _left_over(z: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """What the columns cannot take from ``z``; NaN where they are not finite."""
     if not (np.all(np.isfinite(columns)) and np.all(np.isfinite(z))):
         return np.full(len(z), np.nan)
-    basis = _orthogonal(columns)
+    basis = orthogonal(columns)
     return np.asarray(z - basis @ (basis.T @ z))
-
-
-def _orthogonal(columns: np.ndarray) -> np.ndarray:
-    """(N, r) orthonormal columns that span those given."""
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    left, values, _ = np.linalg.svd(columns / size, full_matrices=False)
-    basis: np.ndarray = left[:, values > 1e-10 * values[0]]
-    return basis

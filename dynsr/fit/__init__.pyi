@@ -46,6 +46,7 @@ from .linear import (
     fit_ratio,
     fit_robustly,
     linearly_independent,
+    orthogonal,
 )
 from .losses import LOSSES, Loss, LossFunction, judge_by_loss, read_loss
 from .mixed import Mixed, MixedFit, MixedMesh, measure_runs
@@ -160,6 +161,7 @@ __all__ = [
     "noise_of",
     "one_a_shape",
     "one_of_each_shape",
+    "orthogonal",
     "pairs_alike",
     "polish",
     "precision_bits",

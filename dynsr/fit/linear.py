@@ -250,3 +250,21 @@ def linearly_independent(rows: np.ndarray, tolerance: float = 1e-6) -> np.ndarra
             kept.append(index)
             basis = np.vstack([basis, rest / size])
     return np.array(kept, dtype=int)
+
+
+def orthogonal(columns: np.ndarray) -> np.ndarray:
+    """Give (N, r) orthonormal columns that span those given.
+
+    Parameters
+    ----------
+    columns : (N, P).
+
+    >>> orthogonal(np.array([[1.0, 2.0], [0.0, 0.0]])).shape
+    (2, 1)
+    """
+    if not columns.size:
+        return np.zeros((len(columns), 0))
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    left, values, _ = np.linalg.svd(columns / size, full_matrices=False)
+    basis: np.ndarray = left[:, values > 1e-10 * values[0]]
+    return basis
