@@ -92,14 +92,17 @@ def _noise_between(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     orders = [order for order in (2, 4, 6, 8) if len(t) > order + 2]
     if not orders:
         raise InputError(f"{len(t)} rows are too few to estimate noise; give at least 5")
-    found = [[_moving_scale(t, column, order) for column in x.T] for order in orders]
+    found = []
+    for order in orders:
+        misses = interpolation_residuals(t, x, order)
+        found.append([_moving_scale(*pair, order) for pair in zip(misses.T, x.T, strict=True)])
     return np.min(found, axis=0)
 
 
-def _moving_scale(t: np.ndarray, x: np.ndarray, order: int) -> float:
+def _moving_scale(misses: np.ndarray, x: np.ndarray, order: int) -> float:
     """Give the size of the residuals of rows whose neighbours are not all the same value."""
     moves = ~_repeats(x, order)
-    return float(robust_scale(interpolation_residuals(t, x, order)[moves])) if moves.any() else 0.0
+    return float(robust_scale(misses[moves])) if moves.any() else 0.0
 
 
 def _repeats(x: np.ndarray, order: int) -> np.ndarray:

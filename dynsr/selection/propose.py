@@ -31,6 +31,8 @@ from dynsr.selection.shapes import bodies_of, wide_factors
 
 # Square of what is left of a unit column from which on it is rounding.
 _NOTHING = 1e-13
+# Of many sums that could be grown, so many are put in order at first.
+_FIRST = 20_000
 # Share of the misses by which two sums of as many terms differ that are two functions.
 _SAME = 1e-7
 
@@ -181,6 +183,13 @@ class _Layer:
         """Put others in the place of some of them."""
         for own in fields(self):
             getattr(self, own.name)[rows] = getattr(others, own.name)
+
+
+def _in_order(values: np.ndarray) -> Iterator[int]:
+    """Give the places of values, the least first; the first of them before the rest is sorted."""
+    bound = np.partition(values, _FIRST)[_FIRST] if len(values) > _FIRST else np.inf
+    for some in (np.flatnonzero(values <= bound), np.flatnonzero(values > bound)):
+        yield from some[np.argsort(values[some], kind="stable")].tolist()
 
 
 def _joined(layers: Sequence[_Layer]) -> _Layer:
@@ -408,8 +417,8 @@ class Proposer:
         chosen: dict[tuple[int, ...], list[tuple[int, int, int]]] = {}
         inside = self.library.inside[layer.places].sum(axis=1) + self.library.inside[tier, None]
         room = self._room(self.settings.fitted * width)
-        for flat in np.argsort(bits, axis=None, kind="stable"):
-            row, parent = divmod(int(flat), len(layer))
+        for flat in _in_order(bits.ravel()):
+            row, parent = divmod(flat, len(layer))
             if not bits[row, parent] < np.inf or not any(room):
                 break
             kind = min(int(inside[row, parent]), len(room) - 1)
