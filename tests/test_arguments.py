@@ -214,7 +214,8 @@ def test_a_fault_of_dynsr_stays_one():
 
 def test_a_check_leaves_signature_and_words_as_they_are():
     """Help, tab completion and scikit-learn see what they saw before."""
-    assert list(inspect.signature(dynsr.parse).parameters) == ["text", "names", "values"]
+    names = list(inspect.signature(dynsr.parse).parameters)
+    assert names == ["text", "names", "values", "functions"]
     assert (dynsr.parse.__doc__ or "").startswith("Read an expression")
     regressor = dynsr.DynsrRegressor(preset="quick")
     assert regressor.get_params()["preset"] == "quick"

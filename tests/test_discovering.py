@@ -14,7 +14,7 @@ from command_line import run
 
 from dynsr.cli.results import flatten
 from dynsr.data.system import LOTKA_VOLTERRA
-from dynsr.discovery import Discovery, RunParameters
+from dynsr.discovery import Discovery, FreeParts, RunParameters
 from dynsr.errors import InputError
 from dynsr.paper.protocol import paper_method
 
@@ -128,6 +128,7 @@ class Found:
     ensemble = {}
     by_run = RunParameters()
     delays = {}
+    free = FreeParts()
     volumes = {}
     hidden = {}
     hidden_notes = {}
@@ -284,7 +285,8 @@ def test_a_warning_is_shown_once_in_one_place(tmp_path, apart):
     code = (
         "from types import SimpleNamespace as N; from dynsr.cli.discovery import show_reasons; "
         "show_reasons(N(explanation={}, delays={}, hidden_notes={}, volumes={}, ensemble={}, "
-        "details={}, settings={}, constants={}, by_run=N(constants={})), {}, {'warned': ['once']})"
+        "details={}, settings={}, constants={}, free=N(sentences=[]), by_run=N(constants={})), "
+        "{}, {'warned': ['once']})"
     )
     own = subprocess.PIPE if apart else subprocess.STDOUT
     ran = subprocess.run(
@@ -548,6 +550,7 @@ def test_a_reason_is_printed_once(monkeypatch, capsys):
         constants={},
         ensemble={},
         by_run=RunParameters(),
+        free=FreeParts(),
         delays={},
         volumes={},
         hidden_notes={},

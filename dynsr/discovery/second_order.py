@@ -51,7 +51,7 @@ def search_orders(
     The better verdict is returned. The explanation says so where the order became 2.
     """
     free = asked.get("order") is None and asked.get("targets", "all") == "all"
-    if not free or any(asked.get(name) for name in _OF_FIRST):
+    if not free or any(_is_said(asked.get(name)) for name in _OF_FIRST):
         return search(runs, dict(asked))
     budget, states = Budget(asked.get("time_budget")), runs[0].states
     alone = len(runs[0].names) == 1
@@ -116,6 +116,11 @@ def _rank(found: Discovery) -> tuple[int, float]:
     own = found.verdict.states.values()
     level = LEVELS.index(found.verdict.level) if found.verdict.tested else len(LEVELS)
     return level, -min((state.r2 for state in own), default=0.0)
+
+
+def _is_said(value: Any) -> bool:
+    """Whether a setting says something; what it may be is checked in the search."""
+    return bool(len(value) if hasattr(value, "__len__") else value)
 
 
 def _say(found: Discovery, states: Sequence[str]) -> Discovery:

@@ -114,7 +114,7 @@ def take_steps(
     lines = [name for name, way in said.items() if way == "linear"]
     steps = find_unseen_steps(runs, [*drives, *lines])
     # The user's own slopes, and doses of an unknown volume, are those of whole runs.
-    whole = whole or bool(asked.get("slopes")) or any("dosing" in run.origin for run in runs)
+    whole = whole or asked.get("slopes") is not None or any("dosing" in run.origin for run in runs)
     parts = None if steps is None or whole else cut_at_unseen_steps(runs, steps)
     return Stepped(parts or runs, runs, steps, parts is not None, whole)
 
