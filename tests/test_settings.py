@@ -181,6 +181,7 @@ DISCOVERIES = [
     (two_waves(), DISCOVERY, {"time_budget": 300.0}),
     (oscillator_with_delay(), FEW_DELAYS, {"delays": True, "method": "sindy"}),
     (two_waves(), FEW_COUPLINGS, {"hidden": "y"}),
+    (rabbits(60, 0.03), DISCOVERY, {"known": {"x": "a*x - f(x)*y", "y": "x*y - 3*y"}}),
     ([growth(0.0)] * 2, DISCOVERY, {"vary": True, "method": "sindy"}),
 ]
 
