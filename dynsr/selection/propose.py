@@ -49,6 +49,8 @@ class ProposalSettings:
     parents : shorter sums from which the same one is reached at most.
     starts : constants inside a form beside one of these that are begun with, the likeliest.
     fitted : times as many are fitted as are grown further.
+    shorter : whether sums lose terms that do not pay as soon as they are grown. Where noise hides
+        terms, that leads to short sums that are no laws.
     whole : how many of the cheapest terms without a constant inside are thinned from all of them.
     kinds : numbers of constants inside for each of which as many sums are grown further.
     terms : terms of a sum at most.
@@ -71,6 +73,7 @@ class ProposalSettings:
     parents: int = 2
     starts: int = 1
     fitted: int = 2
+    shorter: bool = False
     whole: tuple[int, ...] = ()
     kinds: int = 4
     terms: int = 6
@@ -89,7 +92,7 @@ class ProposalSettings:
 
 PROPOSALS = ProposalSettings()
 # Exact values tell more sums apart.
-EXACT = ProposalSettings(beam=80, singles=320, steps=12, fitted=4, whole=(16,))
+EXACT = ProposalSettings(beam=80, singles=320, steps=12, fitted=4, shorter=True, whole=(16,))
 # Functions of several constants end at the law from few of their starts.
 RARE = ProposalSettings(
     starts=9,
@@ -292,7 +295,7 @@ class Proposer:
 
         A law with a term that tells nothing may be far behind, and first without it.
         """
-        while len(layer) and layer.places.shape[1] > 1:
+        while self.settings.shorter and len(layer) and layer.places.shape[1] > 1:
             without = self.evidence.misses(layer.left[:, None] + layer.losses)
             without = without - self.costs[layer.places]
             least = np.argmin(without, axis=1)
