@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy
+from looking import look_twice
 from measured_systems import run
 
 import dynsr
@@ -271,9 +272,7 @@ def test_exact_slopes_are_looked_at_again_beside_other_equations(name):
     laws, data, told = coupled(name)
     state = next(iter(laws))
     samples = choose_samples([data], state)
-    seen = look(samples, known={other: laws[other] for other in told})
-    if not seen.final:
-        seen = look(samples, earlier=[c.expr for c in seen.candidates], rare=True)
+    seen = look_twice(samples, known={other: laws[other] for other in told})
     assert seen.final
     beside = {s: np.roll(x, 40 * i) for i, (s, x) in enumerate(samples.columns.items())}
     assert evaluate(seen.candidates[0].expr, beside) == pytest.approx(

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import sympy
+from looking import look_twice
 from measured_systems import measured, run
 
 from dynsr.data import choose_samples
 from dynsr.expression import evaluate, parse
 from dynsr.methods import read_demands
-from dynsr.selection import look
 from dynsr.selection.alone import Alone
 from dynsr.selection.comparison import COMPARISON
 
@@ -67,14 +67,6 @@ def integrated(texts, start, end, rows):
     laws = {state: parse(text) for state, text in texts.items()}
     rhs = sympy.lambdify(list(map(sympy.Symbol, laws)), list(laws.values()))
     return laws, run(rhs, start, end, rows, tuple(laws), rtol=1e-11)
-
-
-def look_twice(samples, limits=None):
-    """Look among usual functions, and where that shows no law among rare ones."""
-    seen = look(samples, limits)
-    if seen.final:
-        return seen
-    return look(samples, limits, earlier=[c.expr for c in seen.candidates], rare=True)
 
 
 @pytest.mark.slow

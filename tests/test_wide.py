@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sympy
+from looking import look_twice
 from measured_systems import floats, measured
 
 from dynsr.data import Samples
@@ -12,7 +13,7 @@ from dynsr.expression import evaluate, parse
 from dynsr.fit import skeleton
 from dynsr.library import Library
 from dynsr.methods.demands import read_demands
-from dynsr.selection import ComparisonSettings, look
+from dynsr.selection import ComparisonSettings
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.renewal import renew, renewals
 
@@ -46,10 +47,7 @@ def test_a_sum_is_found_by_its_values(text):
     """Among thousands of terms the sum that has the values of a function comes up."""
     values = evaluate(parse(text), COLUMNS)
     samples = Samples(POINTS.T, values, ("x", "y"), "x", "given", np.arange(200.0))
-    seen = look(samples)
-    if not seen.final:
-        seen = look(samples, earlier=[c.expr for c in seen.candidates], rare=True)
-    best = seen.candidates[0].expr
+    best = look_twice(samples).candidates[0].expr
     beside = {"x": np.linspace(0.5, 4.0, 20), "y": np.linspace(6.0, 4.5, 20)}
     np.testing.assert_allclose(evaluate(best, beside), evaluate(parse(text), beside), rtol=1e-4)
 

@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from time import monotonic
 from typing import Any, TypeVar
 
@@ -27,7 +26,7 @@ from dynsr.discovery.intervals import take_apart
 from dynsr.discovery.parameters import Parameter, Parameters, ParametricSystem, find_names, fits
 from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
-from dynsr.discovery.result import Discovery, keep
+from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import (
     APPROXIMATION,
     LAW,
@@ -539,10 +538,7 @@ def search_free(
     measured = bool(set(arguments_of(found.equations)) - set(inputs))
     record["engines"] = name_engines([], engine, measured, True, False)
     found = replace(found, settings=record, engine=engine, seconds=monotonic() - began)
-    if settings.get("out") is not None:
-        # What was found is not lost where it cannot be kept.
-        with suppress(InputError, OSError):
-            keep(found, Path(settings["out"]).absolute())
+    keep_if_asked(found, settings.get("out"))
     return found
 
 

@@ -1776,6 +1776,21 @@ def keep(found: Discovery, folder: Path) -> list[Path]:
     return [] if not found.complete and _is_complete(saved) else [found.save(saved)]
 
 
+def keep_if_asked(found: Discovery, out: Any) -> None:
+    """Save a discovery in the folder that was asked for, where that can be done.
+
+    What was found is not lost where it cannot be kept.
+
+    Parameters
+    ----------
+    found : the discovery.
+    out : the folder; None where none was asked for.
+    """
+    if out is not None:
+        with suppress(InputError, OSError):
+            keep(found, Path(out).absolute())
+
+
 def _is_complete(path: Path) -> bool:
     try:
         return Discovery.load(path).complete

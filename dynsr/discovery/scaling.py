@@ -5,10 +5,8 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import monotonic
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -26,7 +24,7 @@ from dynsr.discovery.hidden import check_hidden, search_hidden
 from dynsr.discovery.intervals import printed_order
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.profile import Ends
-from dynsr.discovery.result import Discovery, keep, with_profiles
+from dynsr.discovery.result import Discovery, keep_if_asked, with_profiles
 from dynsr.discovery.second_order import search_orders
 from dynsr.discovery.start import Start
 from dynsr.discovery.told import with_told
@@ -337,10 +335,7 @@ def _keep_fitted(found: Discovery, out: str | Path | None) -> Discovery:
     """Keep volumes, and what all rows say in the place of what the windows said."""
     record = found.settings
     later = found.volumes or record.get("windows", {}).get("fitted") or "unseen_steps" in record
-    if out is not None and later:
-        # What was found is not lost where it cannot be kept.
-        with suppress(InputError, OSError):
-            keep(found, Path(out))
+    keep_if_asked(found, out if later else None)
     return found
 
 
@@ -356,13 +351,10 @@ def _search_both(
     if found is not None and (found.verdict.level == LAW or not found.complete):
         alone = None
     else:
-        left = None if budget.seconds is None else budget.until(1.0) - monotonic()
+        left = budget.left
         alone = search(runs, {**settings, "out": None, "time_budget": left})
     best = _better(found, alone, name)
-    if settings.get("out") is not None:
-        # What was found is not lost where it cannot be kept.
-        with suppress(InputError, OSError):
-            keep(best, Path(settings["out"]).absolute())
+    keep_if_asked(best, settings.get("out"))
     return best
 
 

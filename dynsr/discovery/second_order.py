@@ -8,15 +8,12 @@ another one, equations of second order are searched if those of first order are 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
-from time import monotonic
 from typing import Any
 
 from dynsr.data import Trajectory, carry, diagnose, turns_back
 from dynsr.discovery.orders import read_form
-from dynsr.discovery.result import Discovery, keep
+from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW, LEVELS
 from dynsr.errors import InputError
 from dynsr.jobs import Budget
@@ -61,17 +58,14 @@ def search_orders(
         found = search(runs, {**asked, "order": 1})
         second = False
     decided = not found.complete or not found.verdict.tested or found.verdict.level == LAW
-    left = None if budget.seconds is None else budget.until(1.0) - monotonic()
+    left = budget.left
     late = left is not None and left <= 0
     if decided or late or not (second or (not alone and _are_positions(runs))):
         return _say(found, states) if second else found
     rest = {**asked, "order": 1 if second else 2, "time_budget": left, "out": None}
     other = _search(search, runs, rest)
     best = found if other is None else min(found, other, key=_rank)
-    if asked.get("out") is not None and best is other:
-        # What was found is not lost where it cannot be kept.
-        with suppress(InputError, OSError):
-            keep(best, Path(asked["out"]).absolute())
+    keep_if_asked(best, asked.get("out") if best is other else None)
     if second is (best is found):
         return _say(best, states)
     no_better = "" if other is None else " Equations of second order are no better."

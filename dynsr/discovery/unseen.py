@@ -9,10 +9,7 @@ far less is left of the residuals there, a law is searched in the cut runs.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
-from time import monotonic
 from typing import Any
 from warnings import warn
 
@@ -29,9 +26,9 @@ from dynsr.data import (
     find_steps,
     find_unseen_steps,
 )
-from dynsr.discovery.result import Discovery, keep
+from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW
-from dynsr.errors import DynsrWarning, InputError
+from dynsr.errors import DynsrWarning
 from dynsr.fit import Measurements, fit_along, loosen_all
 from dynsr.jobs import Budget
 
@@ -142,16 +139,13 @@ def search_stepped(
     parts = None if steps is None else cut_at_unseen_steps(runs, steps)
     if steps is None or parts is None or not _hide(found, runs, steps, drives):
         return found, stepped
-    left = None if budget.seconds is None else budget.until(1.0) - monotonic()
+    left = budget.left
     if left is not None and left <= 0:
         return found, stepped
     again = search(parts, {**asked, "out": None, "time_budget": left})
     if again.verdict.level != LAW:
         return found, stepped
-    if asked.get("out") is not None:
-        # What was found is not lost where it cannot be kept.
-        with suppress(InputError, OSError):
-            keep(again, Path(asked["out"]).absolute())
+    keep_if_asked(again, asked.get("out"))
     return again, Stepped(parts, runs, steps, cut=True)
 
 

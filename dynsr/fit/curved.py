@@ -33,9 +33,8 @@ from dynsr.fit.collocation import (
     usual_scales,
 )
 from dynsr.fit.description import misses_bits
-from dynsr.fit.mixed import MixedMesh
+from dynsr.fit.mixed import MixedMesh, ScaledFit
 from dynsr.fit.settings import FIT, CollocationSettings
-from dynsr.fit.whole import interval_reach
 
 
 @dataclass(frozen=True)
@@ -346,22 +345,10 @@ class _Curved(Collocation):
 
 
 @dataclass(frozen=True, eq=False)
-class CurvedFit:
-    """A system with curves that was fitted.
-
-    Parameters
-    ----------
-    problem : the least-squares problem.
-    ways : (N, Q) directions in which its numbers could go.
-    found : its solution.
-    least : (k,) mean squared residual of a state, in units of its noise, below which nothing is
-        believed.
-    """
+class CurvedFit(ScaledFit):
+    """A system with curves that was fitted."""
 
     problem: _Curved
-    ways: np.ndarray
-    found: CollocationFit
-    least: np.ndarray
 
     @cached_property
     def constants(self) -> np.ndarray:
@@ -403,26 +390,9 @@ class CurvedFit:
         return np.array([part.sum() for part in np.split(each, np.cumsum(sizes)[:-1])])
 
     @property
-    def freedom(self) -> float:
-        """Measurements less what was fitted to them; without end where the noise is known."""
-        mesh = self.problem.mesh
-        if bool(np.all(mesh.known)):
-            return math.inf
-        return float(mesh.freedom(math.ceil(float(self.effective.sum()))))
-
-    @property
-    def reach(self) -> float:
-        """Standard errors that a 95 % interval reaches to either side."""
-        return interval_reach(self.freedom)
-
-    @cached_property
-    def scale(self) -> float:
-        """Variance of the residuals in units of the noise that was given: noise is an estimate."""
-        if not math.isfinite(self.freedom):
-            return 1.0
-        own = np.sum(self.found.misses**2, axis=0)
-        least = self.least * self.problem.mesh.rows
-        return max(float(np.sum(np.maximum(own, least))) / self.freedom, np.finfo(float).tiny)
+    def fitted(self) -> int:
+        """How many numbers were fitted: effective parameters, rounded up."""
+        return math.ceil(float(self.effective.sum()))
 
     @cached_property
     def covariance(self) -> np.ndarray:

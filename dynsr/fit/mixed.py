@@ -7,6 +7,8 @@ runs and 0 along others. Places of one parameter are kept alike.
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -284,7 +286,7 @@ class Mixed:
         found = problem.fit_tied(start, ways, states is not None)
         if found is None or not np.all(np.isfinite(found.misses)):
             return None
-        return MixedFit(self, problem, ways, found, rows.least)
+        return MixedFit(problem, ways, found, rows.least, self)
 
 
 def _put(expr: sympy.Expr, symbol: sympy.Symbol, parts: Sequence[sympy.Expr]) -> sympy.Expr:
@@ -299,23 +301,60 @@ def _put(expr: sympy.Expr, symbol: sympy.Symbol, parts: Sequence[sympy.Expr]) ->
 
 
 @dataclass(frozen=True, eq=False)
-class MixedFit:
-    """A mixed system that was fitted.
+class ScaledFit(ABC):
+    """A fit to states whose noise is an estimate: what it misses says how large noise is.
+
+    Parameters
+    ----------
+    problem : the least-squares problem.
+    ways : (N, Q) directions in which its numbers could go.
+    found : its solution.
+    least : (k,) mean squared residual of a state, in units of its noise, below which nothing is
+        believed.
+    """
+
+    problem: Collocation
+    ways: np.ndarray
+    found: CollocationFit
+    least: np.ndarray
+
+    @property
+    @abstractmethod
+    def fitted(self) -> int:
+        """How many numbers were fitted."""
+
+    @property
+    def freedom(self) -> float:
+        """Measurements less what was fitted to them; without end where the noise is known."""
+        mesh = self.problem.mesh
+        return math.inf if bool(np.all(mesh.known)) else float(mesh.freedom(self.fitted))
+
+    @property
+    def reach(self) -> float:
+        """Standard errors that a 95 % interval reaches to either side."""
+        return interval_reach(self.freedom)
+
+    @cached_property
+    def scale(self) -> float:
+        """Variance of the residuals in units of the noise that was given: noise is an estimate."""
+        if not math.isfinite(self.freedom):
+            return 1.0
+        own = np.sum(self.found.misses**2, axis=0)
+        least = self.least * self.problem.mesh.rows
+        return max(float(np.sum(np.maximum(own, least))) / self.freedom, np.finfo(float).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class MixedFit(ScaledFit):
+    """A mixed system that was fitted; its ways (P, Q) say which of its constants each number is.
 
     Parameters
     ----------
     mixed : the system.
-    problem : the least-squares problem.
-    ways : (P, Q) which of its constants each number is.
-    found : its solution.
-    least : (k,) mean squared residual of a state below which nothing is believed.
     """
 
-    mixed: Mixed
     problem: _Grouped
-    ways: np.ndarray
-    found: CollocationFit
-    least: np.ndarray
+    mixed: Mixed
 
     @cached_property
     def mean_squares(self) -> np.ndarray:
@@ -340,24 +379,9 @@ class MixedFit:
         return own
 
     @property
-    def freedom(self) -> float:
-        """Measurements less what was fitted to them; without end where the noise is known."""
-        mesh = self.problem.mesh
-        return np.inf if bool(np.all(mesh.known)) else float(mesh.freedom(len(self.theta)))
-
-    @property
-    def reach(self) -> float:
-        """Standard errors that a 95 % interval reaches to either side."""
-        return interval_reach(self.freedom)
-
-    @cached_property
-    def scale(self) -> float:
-        """Variance of the residuals in units of the noise that was given: noise is an estimate."""
-        if not np.isfinite(self.freedom):
-            return 1.0
-        own = np.sum(self.found.misses**2, axis=0)
-        least = self.least * self.problem.mesh.rows
-        return max(float(np.sum(np.maximum(own, least))) / self.freedom, np.finfo(float).tiny)
+    def fitted(self) -> int:
+        """How many numbers were fitted."""
+        return len(self.theta)
 
     @cached_property
     def covariance(self) -> np.ndarray:

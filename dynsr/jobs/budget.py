@@ -128,6 +128,11 @@ class Budget:
         """
         return float("inf") if self.seconds is None else self.began + share * self.seconds
 
+    @property
+    def left(self) -> float | None:
+        """Seconds that are left of it; None for as long as it takes."""
+        return None if self.seconds is None else self.until(1.0) - time.monotonic()
+
 
 class Clock:
     """One end, and what was said last by the work that it ends: the block behind ``with``.
