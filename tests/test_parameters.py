@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,6 +32,13 @@ def test_what_leaves_one_state_for_another_is_one_parameter():
     assert ParametricSystem.of(SIR).parameters.numbers == {"k1": 0.4, "k2": 0.1}
     sigma = ParametricSystem.of(LORENZ)
     assert sigma.equations["x"].free_symbols == {X, Y, sympy.Symbol("k1")}
+
+
+def test_a_first_value_is_of_a_state():
+    """A first value of something that has no equation is refused, by its name."""
+    known = ParametricSystem.of(SIR)
+    with pytest.raises(InputError, match="x0 has a value for 'Z', which has no equation"):
+        replace(known, x0={**known.x0, "Z": 1.0})
 
 
 @pytest.mark.parametrize("values", [(2.0, 3.0), (1.0, 1.0), (-0.3, -0.3)])

@@ -211,6 +211,8 @@ class ParametricSystem:
     units : column -> its unit, where units were given.
     discrete : whether it is a map from row to row.
 
+    Raises InputError where a first value is of a state that has no equation.
+
     >>> x, k = sympy.symbols("x k")
     >>> decay = ParametricSystem({"x": -k * x}, Parameters([Parameter("k", 2.0)]))
     >>> decay
@@ -229,6 +231,11 @@ class ParametricSystem:
     time_unit: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
     discrete: bool = False
+
+    def __post_init__(self) -> None:
+        """Check that first values are of states; raises InputError."""
+        if odd := self.x0.keys() - self.equations.keys():
+            raise InputError(f"x0 has a value for {min(odd)[:40]!r}, which has no equation")
 
     @classmethod
     def of(cls, system: System) -> ParametricSystem:
