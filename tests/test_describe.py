@@ -104,6 +104,8 @@ def test_an_option_that_is_offered_does_what_it_says(table):
     (option,) = [o for o in offered if o.startswith("--states")]
     assert offered[option] == "valve is a state too"
     assert dynsr.describe(table, states=option.split()[1]).states == ("level", "valve")
+    assert "--units columns" in offered
+    assert "--units columns" not in dynsr.describe({"t": T, "x": np.exp(-T)}).options
 
 
 @pytest.mark.parametrize("count", [1, 3, 4])

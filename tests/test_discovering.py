@@ -16,6 +16,7 @@ from dynsr.cli.results import flatten
 from dynsr.data.system import LOTKA_VOLTERRA
 from dynsr.discovery import Discovery, FreeParts, RunParameters
 from dynsr.errors import InputError
+from dynsr.expression.parsing import parse
 from dynsr.paper.protocol import paper_method
 
 T = np.linspace(0.0, 3.0, 151)
@@ -285,8 +286,8 @@ def test_a_warning_is_shown_once_in_one_place(tmp_path, apart):
     code = (
         "from types import SimpleNamespace as N; from dynsr.cli.discovery import show_reasons; "
         "show_reasons(N(explanation={}, delays={}, hidden_notes={}, volumes={}, ensemble={}, "
-        "details={}, settings={}, constants={}, free=N(sentences=[]), by_run=N(constants={})), "
-        "{}, {'warned': ['once']})"
+        "details={}, settings={}, constants={}, verdict=N(states={}), free=N(sentences=[]), "
+        "by_run=N(constants={})), {}, {'warned': ['once']})"
     )
     own = subprocess.PIPE if apart else subprocess.STDOUT
     ran = subprocess.run(
@@ -524,6 +525,35 @@ def test_another_discovery_gets_a_folder_of_its_own(tmp_path, monkeypatch):
         assert (said in result.stderr) == (seed == 1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["line-dynsr", "line-dynsr-2", "line.csv"]
     assert "give another folder" in refuse(*words, "--seed", 2, "-o", "line-dynsr")
+
+
+def test_equations_that_are_not_found_have_no_intervals(capsys):
+    """A reason that states share is there once, whatever its numbers, and intervals of constants
+    of equations that the data refuse are details.
+    """
+    from dynsr.cli.discovery import show_equations, show_reasons
+    from dynsr.discovery.verdict import StateVerdict, summarise
+
+    words = "the equations do not reproduce the data (R2 {})."
+    states = {
+        "x": StateVerdict("not found", words.format(0.31), 0.31),
+        "y": StateVerdict("not found", words.format(0.42), 0.42),
+        "z": StateVerdict("law", "reproduces the data.", 1.0),
+    }
+    found = Discovery(
+        dict(zip(states, map(parse, ("-2*x", "-3*y", "-4*z")), strict=True)),
+        {"x": ((-2.0, 0.1),), "y": ((-3.0, 0.1),), "z": ((-4.0, 0.1),)},
+        {},
+        {s: f"{s}' = 1: {own.level}; {own.reason} Found by sums." for s, own in states.items()},
+        verdict=summarise(states, 1.0),
+    )
+    show_equations(found)
+    show_reasons(found, {}, {})
+    short = capsys.readouterr().out
+    assert short.count("do not reproduce") == 1
+    assert "z'  z" in short and "x'  x" not in short and "y'  y" not in short
+    show_reasons(found, {}, {}, details=True)
+    assert "y'  y" in capsys.readouterr().out
 
 
 def test_a_reason_is_printed_once(monkeypatch, capsys):

@@ -145,6 +145,20 @@ def test_a_discovery_in_units(swing, tmp_path):
     assert found.unit_faults() == {}
 
 
+def test_a_constant_within_a_function_has_its_unit():
+    """In a saturation both the rate and the half point have units, in the shell as in the table."""
+    read_units({"x": "m"})
+    found = Discovery(
+        {"s": parse("-2*s/(s + 1.5)")},
+        {"s": ((-2.0, 0.1), (1.5, 0.1))},
+        {},
+        {},
+        settings={"column_units": {"s": "mol", "t": "h"}},
+    )
+    assert found.constant_units == {"s": ("mol/h", "mol")}
+    assert [one.unit for one in found.parameters.values()] == ["mol/h", "mol"]
+
+
 def test_a_variation_that_makes_no_sense_is_not_taken(swing):
     """With a length in the place of the angle, no equation holds its sine."""
     t, th, w = swing.to_numpy().T

@@ -563,8 +563,7 @@ def show_found(found: Discovery) -> dict[str, Any]:
     """
     write, left = (write_map_mathml, "[n+1]") if found.is_map else (to_mathml, "'")
     verdicts = found.verdict.states
-    known = "column_units" in found.settings
-    units = found.coefficient_units() if known else {}
+    units = found.constant_units
     return {
         "heading": found.heading,
         "level": found.verdict.level if found.verdict.tested else "",
@@ -590,13 +589,13 @@ def show_found(found: Discovery) -> dict[str, Any]:
                 "value": one.value,
                 "fitted": one.fitted_text,
                 "interval": one.interval_text,
-                "unit": units.get(state, {}).get(one.of, ""),
+                "unit": unit,
             }
             for state, own in found.constants.items()
-            for one, name in zip(own, found.constant_names[state], strict=True)
+            for one, name, unit in zip(own, found.constant_names[state], units[state], strict=True)
         ],
         "left": left,
-        "units": known,
+        "units": "column_units" in found.settings,
         "latex": found.latex(),
         "python": found.to_python(),
         "points": [point.text for point in list_fixed_points(found)],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
 from pathlib import Path
@@ -110,10 +111,16 @@ def _doubt(found: Discovery, state: str) -> str:
     own = found.verdict.states.get(state)
     if own is None or own.level == "law":
         return ""
-    reason = "" if own.reason in found.heading else f"{own.level}; {own.reason}"
+    # States of one level share a reason in the heading, but for their numbers.
+    shared = own.level == found.verdict.level and _bare(own.reason) in _bare(found.heading)
+    reason = "" if shared else f"{own.level}; {own.reason}"
     # Notes follow the name of the method.
     notes = found.explanation[state].partition("Found by ")[2].partition(".")[2]
     return f"{reason} {notes.strip()}".strip()
+
+
+def _bare(words: str) -> str:
+    return re.sub(r"[\d.]+", "", words)
 
 
 def _say(words: str, style: str = "") -> None:
@@ -139,24 +146,32 @@ def _print_equations(found: Discovery, lines: Sequence[str]) -> None:
 def _print_constants(found: Discovery, details: bool = False) -> None:
     """Print the constants in the order of the formulas, each with its interval and its unit.
 
-    With details, also as they were fitted, before any of them became a simple number.
+    An interval means something only where the equation follows the data. With details, constants
+    of other equations are shown too, and all as they were fitted, before any became a simple number.
     """
     if found.by_run.constants:
         output.console().print()
         output.console().print(Text(str(found.by_run)), soft_wrap=True)
-    rows = [(s, one) for s, own in found.constants.items() for one in own if not one.fixed]
+    wrong = {s for s, own in found.verdict.states.items() if own.level == "not found"}
+    in_units = "column_units" in found.settings
+    units = found.constant_units if in_units else {}
+    rows = [
+        (s, one, unit)
+        for s, own in found.constants.items()
+        for one, unit in zip(own, units.get(s, [""] * len(own)), strict=True)
+        if not one.fixed and (details or s not in wrong)
+    ]
     if not rows:
         return
-    units = found.coefficient_units() if "column_units" in found.settings else {}
     table = Table(box=None, pad_edge=False, header_style="bold")
     left = ("", "constant of", "unit")
     fitted = ("fitted",) if details else ()
-    for heading in (*left[:2], "value", *fitted, "95 % interval", *(left[2:] if units else ())):
+    for heading in (*left[:2], "value", *fitted, "95 % interval", *(left[2:] if in_units else ())):
         table.add_column(heading, justify="left" if heading in left else "right")
-    for state, one in rows:
+    for state, one, unit in rows:
         cells = [f"{state}'", one.of, f"{one.value:.6g}"]
         cells += [one.fitted_text] if details else []
-        cells += [one.interval_text, *([units[state].get(one.of, "")] if units else [])]
+        cells += [one.interval_text, *([unit] if in_units else [])]
         table.add_row(*map(Text, cells))
     screen = output.console()
     screen.print()

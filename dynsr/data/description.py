@@ -248,7 +248,7 @@ class Description:
         yield "labels", [", ".join(map(repr, self.labels))] if self.labels else []
         yield "left out", [f"{column!r}: {why}" for column, why in self.left_out.items()]
         yield "notes", list(self.notes)
-        yield "options", [f"{option}   {effect}" for option, effect in self.options.items()]
+        yield "to change", [f"{option}   {effect}" for option, effect in self.options.items()]
 
     def _dose(self, state: str) -> str:
         volume = self.volumes.get(state, "")
@@ -370,7 +370,9 @@ def _options(found: Description, amounts: Sequence[str]) -> Iterator[tuple[str, 
         else:
             yield f"--hold {name}=previous", f"{name} keeps its value until the next row"
     for name in found.states[-1:] if len(found.states) > 1 else ():
-        yield f"--inputs {','.join([*columns, name])}", f"{name} is an input, without an equation"
+        yield f"--inputs {','.join([*columns, name])}", f"{name} is an input and has no equation"
+    if found.units:
+        yield "--units columns", "checks the units of every equation, and gives constants theirs"
     for name in found.parameters if not found.named_by else ():
         yield f"--trajectory {name}", f"{name} only names the trajectories, and is in no equation"
     if found.labels and found.named_by:

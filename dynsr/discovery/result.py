@@ -802,6 +802,15 @@ class Discovery:
             parameter_names={},
         )
 
+    @property
+    def constant_units(self) -> Mapping[str, tuple[str, ...]]:
+        """State -> the units of its constants in the order of :attr:`constants`, "" if unknown."""
+        parameters = self.parameters
+        return {
+            state: tuple(parameters[name.removeprefix("-")].unit for name in names)
+            for state, names in self.constant_names.items()
+        }
+
     def coefficient_units(self) -> dict[str, dict[str, str]]:
         """State -> term -> the unit of its coefficient, in the units that ``discover`` was given.
 
