@@ -147,7 +147,7 @@ def _print_constants(found: Discovery, details: bool = False) -> None:
     """Print the constants in the order of the formulas, each with its interval and its unit.
 
     An interval means something only where the equation follows the data. With details, constants
-    of other equations are shown too, and all as they were fitted, before any became a simple number.
+    of other equations are shown too, and all as they were fitted, before they became simple.
     """
     if found.by_run.constants:
         output.console().print()
