@@ -107,19 +107,37 @@ def test_slow_tests_are_left_out_by_one_call_alone(tmp_path, arguments, slow, la
 
 
 @pytest.mark.skipif(os.name != "posix", reason="the scripts are of a POSIX shell")
-def test_continuous_integration_checks_and_runs_every_test(tmp_path):
-    """.ci/run calls the checks, then all tests; no job of the forge leaves the slow ones out."""
-    for name in (".ci/run", "scripts/check", "scripts/test", "bin/chromium"):
+@pytest.mark.parametrize("can", [True, False])
+def test_continuous_integration_checks_and_runs_every_test(tmp_path, can):
+    """.ci/run calls the checks, then all tests, and first installs what tests of pages and exports
+    need, or says which tests are skipped. No job of the forge leaves the slow ones out.
+    """
+    programs = ("chromium", "gcc", "gfortran", "octave-cli", "Rscript")
+    bring = "for p in $*; do case $p in octave) p=octave-cli ;; r-*) p=Rscript ;; esac; "
+    scripts = {
+        ".ci/run": (ROOT / ".ci" / "run").read_text(),
+        "scripts/check": "#!/bin/sh\necho check ${DYNSR_REQUIRE_CHROMIUM:-0}\n",
+        "scripts/test": "#!/bin/sh\necho test $*\n",
+        "bin/id": f"#!/bin/sh\necho {0 if can else 1000}\n",
+        "bin/apt-get": f"#!/bin/sh\n[ $1 = install ] && {bring}ln -sf id {tmp_path}/bin/$p; done\n",
+    }
+    for name, text in scripts.items():
         script = tmp_path / name
         script.parent.mkdir(exist_ok=True)
-        script.write_text(f'#!/bin/sh\necho "{name} $*"\n')
+        script.write_text(text)
         script.chmod(0o755)
-    shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci" / "run")
-    path = os.pathsep.join([str(tmp_path / "bin"), os.environ["PATH"]])
+    for name in ("bash", "dirname", "ln"):
+        (tmp_path / "bin" / name).symlink_to(shutil.which(name))
     done = subprocess.run(
-        [tmp_path / ".ci" / "run"], env={**os.environ, "PATH": path}, capture_output=True, text=True
+        [tmp_path / ".ci" / "run"],
+        env={"PATH": str(tmp_path / "bin")},
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    assert done.stdout.splitlines() == ["scripts/check ", "scripts/test --all"]
+    assert done.stdout.splitlines() == [f"check {int(can)}", "test --all"]
+    skipped = [line.partition(" ")[0] for line in done.stderr.splitlines()]
+    assert skipped == ([] if can else list(programs)), done.stderr
     assert "slow" not in (ROOT / ".github" / "workflows" / "ci.yml").read_text()
 
 
