@@ -11,6 +11,7 @@ import pytest
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery import DiscoverySettings
 from dynsr.discovery.result import Discovery
+from dynsr.discovery.verdict import StateVerdict, summarise
 from dynsr.errors import InputError
 from dynsr.expression import shown
 from dynsr.expression.parsing import parse
@@ -80,10 +81,29 @@ def test_the_page_holds_equations_pictures_and_fronts(page):
     """Two equations; pictures of states, phases, flow, slopes and residuals of each; two fronts."""
     reader = Reader()
     reader.feed(page)
-    assert page.count('class="equation"') == reader.seen.count("math") == 2
+    assert page.count('class="equation ') == reader.seen.count("math") == 2
     assert page.count('<svg class="picture"') == 7
     assert len(re.findall(r'class="front"', page)) == 2
     assert "1.0001*y" in page
+
+
+@pytest.mark.parametrize("level", ["law", "approximation", "not found"])
+def test_the_reason_is_open_unless_it_is_a_law(found, level):
+    """The reason of a law is folded, so that pictures come soon. Equations that the data refuse
+    have no fixed points, and a sentence says what their intervals are worth.
+    """
+    states = {s: StateVerdict(level, "because.", 0.5) for s in found.equations}
+    own = replace(
+        found,
+        verdict=summarise(states, 1.0),
+        explanation=dict.fromkeys(found.equations, "It is so."),
+    )
+    page = render_discovery(own)
+    folded = re.findall(r"<details><summary>Why it is a law</summary><p>It is so", page)
+    assert len(folded) == (2 if level == "law" else 0)
+    assert page.count(f'class="equation {level.replace(" ", "-")}"') == 2
+    assert ('id="fixed"' in page) is (level != "not found")
+    assert ("these intervals mean little" in page) is (level == "not found")
 
 
 def test_the_page_of_a_map_speaks_of_next_values():
@@ -247,7 +267,7 @@ def test_a_choice_that_the_search_did_not_find_is_explained():
     goes through the choice, and the page says that constants were fitted later.
     """
     front = ParetoFront([Candidate(parse("x"), 0.5, 2.0), Candidate(parse("sin(x)"), 0.1, 4.0)])
-    above = place_front(front, Candidate(parse("2*x"), 0.3, 5.0, "polishing"))
+    above = place_front(front, Candidate(parse("2*x"), 0.3, 5.0, "the fit to the states"))
     assert above.note.startswith("The chosen formula is above the front: sin(x) is no longer")
     assert "4 bits, RMSE 0.1" in above.note
     for loss, bits in ((0.3, 3.0), (0.05, 5.0), (0.1001, 4.0)):

@@ -147,7 +147,7 @@ def _note_of(front: ParetoFront, chosen: Candidate) -> str:
         best = min(below, key=lambda c: c.loss)
         return (
             f"The chosen formula is above the front: {shown(best.expr)} is no longer and misses"
-            f" the slopes less ({_cost(best)}). Slopes alone do not decide: formulas are"
+            f" the slopes less ({_cost(best)}). Slopes alone do not decide. Formulas are"
             " compared on whole trajectories, and constants are fitted to the states."
         )
     return (
@@ -175,6 +175,8 @@ def _ticks(largest: float) -> list[float]:
     return [k * step for k in range(max(1, math.ceil(largest / step - 1e-9)) + 1)]
 
 
+# What gave the chosen formula its constants.
+_FITTED = "the fit to the states"
 _MOST_RUNS = 3
 _MOST_PROFILES = 12
 _CURVE_ROWS = 21
@@ -217,6 +219,7 @@ def render_discovery(found: Discovery) -> str:
     Pictures need the data, which a loaded discovery does not have; the rest is always there.
     """
     samples, latex = _samples(found), found.latex()
+    refused = found.verdict.tested and found.verdict.level == "not found"
     return render_page(
         "discovery.html.j2",
         heading=_HEADINGS[found.verdict.level if found.verdict.tested else ""],
@@ -240,8 +243,10 @@ def render_discovery(found: Discovery) -> str:
             if state not in {**found.hidden, **dict.fromkeys(found.free.states)}
         },
         trajectories=list(_trajectories(found)),
-        fixed=_fixed_points(found),
-        flow=[picture] if (picture := show_flow(found)) else [],
+        # What the data refuse has no fixed points that anybody needs.
+        fixed=None if refused else _fixed_points(found),
+        flow=[picture] if not refused and (picture := show_flow(found)) else [],
+        refused=refused,
         left_out=max(0, len(found.trajectories) - _MOST_RUNS),
         left="[n+1]" if found.is_map else "'",
         targets=_TARGETS[found.is_map],
@@ -295,7 +300,7 @@ def _summary(found: Discovery) -> str:
 def _equation(found: Discovery, state: str) -> dict[str, Any]:
     expr = found.equations[state]
     text = f"{state}{'[n+1]' if found.is_map else chr(39)} = {shown(expr)}"
-    why = found.explanation.get(state, "")
+    why, own = found.explanation.get(state, ""), found.verdict.states.get(state)
     if why.startswith(f"{text}: "):
         why = why.removeprefix(f"{text}: ")
         why = why[:1].upper() + why[1:]
@@ -304,6 +309,7 @@ def _equation(found: Discovery, state: str) -> dict[str, Any]:
         "text": text,
         "mathml": (write_map_mathml if found.is_map else to_mathml)(expr, state),
         "why": why,
+        "level": own.level.replace(" ", "-") if own else "",
         "details": found.details.get(state, ""),
     }
 
@@ -503,7 +509,7 @@ def _front(found: Discovery, state: str, samples: tuple[Samples, np.ndarray] | N
         return place_front(found.front[state], shown(expr))
     with counting(found.own_bits):
         shown_bits = complexity(expr)
-    return place_front(found.front[state], Candidate(expr, loss, shown_bits, "polishing"))
+    return place_front(found.front[state], Candidate(expr, loss, shown_bits, _FITTED))
 
 
 def _trajectories(found: Discovery) -> Iterator[Picture]:
@@ -605,18 +611,20 @@ def _slopes(found: Discovery, pair: tuple[Samples, np.ndarray]) -> Iterator[Pict
     samples, predicted = pair
     unit, state = found.time_unit, samples.target
     kind = _TARGETS[found.is_map]
-    label = f"next {state}" if found.is_map else f"d{state}/dt"
-    taken = "in the data" if found.is_map else f"taken from the data by {samples.scheme}"
+    upper = state if len(state) == 1 else f"({state})"
+    label = f"next {state}" if found.is_map else f"d{upper}/dt"
+    scheme = {"gp": "a Gaussian process"}.get(samples.scheme, samples.scheme)
+    taken = "in the data" if found.is_map else f"taken from the data by {scheme}"
     count = len(samples.t)
     dense = f" There are {count}: the stronger the colour, the more of them lie there."
     how = dense if count > MOST_DOTS else ""
     yield Picture.of(
         draw_slopes(samples, predicted, unit, label),
-        f"The {kind} of {state}, {taken}, and what the equation says they are.{how}",
+        f"The {kind} of {state}, {taken}, and those of the equation.{how}",
     )
     yield Picture.of(
         draw_residuals(samples, predicted, unit, label),
-        f"The residuals of the {kind} of {state}, over time and counted.{how}",
+        f"The residuals of the {kind} of {state} over time, and how often each size occurs.{how}",
     )
 
 
@@ -679,10 +687,10 @@ def _scores(found: Discovery) -> Table | None:
         "Errors on the data",
         ("State", "Slopes", "Forecast", "Whole trajectory"),
         rows,
-        "Slopes: RMSE of the equation against the slopes of the data, in units of the state a "
-        "unit of time. Forecast: the median miss over 50 rows, as a share of the state's "
+        "Slopes: RMSE of the equation against the slopes of the data, in units of the state per "
+        "unit of time. Forecast: the median error over 50 rows, as a share of the state's "
         "standard deviation. Whole trajectory: RMSE of one integration from the first row to the "
-        "last; a chaotic system leaves any data in the end.",
+        "last. In a chaotic system it becomes large for every equation.",
     )
 
 
