@@ -28,6 +28,7 @@ from dynsr.data import (
     KnownNoise,
     Samples,
     SmoothedTrajectory,
+    StateNoise,
     Trajectory,
     carry,
     estimate_noise,
@@ -823,6 +824,7 @@ class Measurements:
         smoothed = [
             smooth(run, noise, forced=part) for run, part in zip(thinned, parts, strict=True)
         ]
+        smoothed = _with_common_noise(thinned, smoothed, noise)
         return cls(thinned, inputs, smoothed, derived or {}, sums=_noise_of_sums(thinned, smoothed))
 
     @classmethod
@@ -1156,6 +1158,57 @@ def _mix(run: Trajectory, states: Sequence[str]) -> np.ndarray | None:
         own = run.sums[state].others if state in run.sums else {}
         found[place] += [own.get(name, 0.0) for name in states]
     return found
+
+
+def _with_common_noise(
+    runs: Sequence[Trajectory],
+    smoothed: Sequence[SmoothedTrajectory],
+    laws: Sequence[StateNoise],
+) -> list[SmoothedTrajectory]:
+    """Give smoothed runs whose noise differs no more than the runs show.
+
+    Each run estimates the size of its noise from its own rows. Of few rows it is small by chance,
+    and that run then counts too much. Each logarithm of a size is moved to their mean by the share
+    of its variance that is chance (Efron and Morris 1973); what is none is found from all runs
+    (DerSimonian and Laird 1986).
+    """
+    if len(runs) < 2:
+        return list(smoothed)
+    noise = [own.noise.copy() for own in smoothed]
+    for place, (state, law) in enumerate(zip(runs[0].states, laws, strict=True)):
+        if any(state in run.noise or state in run.sums for run in runs):
+            continue
+        found = [
+            _size_of_noise(run, own, place, law) for run, own in zip(runs, smoothed, strict=True)
+        ]
+        seen = [i for i, (size, rows) in enumerate(found) if size > 0 and rows > 0]
+        if len(seen) < 2:
+            continue
+        sizes, rows = (np.array([found[i][j] for i in seen]) for j in (0, 1))
+        apart = np.log(sizes) - math.log(np.sum(rows * sizes**2) / np.sum(rows)) / 2
+        # The logarithm of a size that n rows tell has a variance of 1 / 2n.
+        weights = 2 * rows
+        beyond_chance = np.sum(weights * apart**2) - (len(seen) - 1)
+        spread = np.sum(weights) - np.sum(weights**2) / np.sum(weights)
+        differs = max(0.0, float(beyond_chance / spread))
+        for i, step in zip(seen, apart / (1 + weights * differs), strict=True):
+            noise[i][:, place] *= math.exp(-step)
+    return [replace(own, noise=sd) for own, sd in zip(smoothed, noise, strict=True)]
+
+
+def _size_of_noise(
+    run: Trajectory, own: SmoothedTrajectory, place: int, law: StateNoise
+) -> tuple[float, float]:
+    """Give the noise of a state in a run as a multiple of its law, and the rows behind it."""
+    rows = run.own_rows(run.states[place])
+    sd, noise = own.x_sd[rows, place], own.noise[rows, place]
+    expected = law.sd(np.hypot(own.x[rows, place], sd))
+    there = (expected > 0) & (noise > 0)
+    if not there.any():
+        return 0.0, 0.0
+    leverage = np.minimum((sd[there] / noise[there]) ** 2, 1.0)
+    size = float(np.median(noise[there] / expected[there]))
+    return size, float(np.sum(1 - leverage))
 
 
 def _noise_of_sums(
