@@ -49,6 +49,23 @@ def test_the_true_equations_are_a_law(noise):
             assert 0.6 < own.chi_square < 1.6
 
 
+@pytest.mark.parametrize(("constants", "level"), [("simple", "law"), ("odd", "approximation")])
+def test_simple_numbers_to_many_digits_are_no_chance(constants, level):
+    """Where solvers' errors would hide terms, constants of few digits still show that it is a law.
+
+    Exact data of a switch of two genes: with constants of two digits all terms are sure; with
+    constants of five digits, which any fit might end at, they are not.
+    """
+    k = ("2.8", "0.79", "0.091", "2.1", "0.57", "0.44", "0.65")
+    if constants == "odd":
+        k = ("2.8137", "0.79311", "0.091732", "2.1179", "0.57213", "0.44317", "0.65271")
+    genes = {
+        "a": parse(f"{k[0]}/(1 + b^4) - {k[1]}*a"),
+        "b": parse(f"{k[2]} + {k[3]}*a^2/({k[4]} + a^2) - {k[5]}*b/({k[6]} + b)"),
+    }
+    assert judge(genes, [measure(genes, [2.77, 1.49], 11.82, 300)]).level == level
+
+
 def test_noise_is_not_there_to_be_explained():
     """Noise of 0.4 of the spread leaves the true equations an R2 of 0.86, and they are found."""
     found = judge(OSCILLATOR, [measure(OSCILLATOR, [1.0, 0.0], 12, 200, 0.4)])

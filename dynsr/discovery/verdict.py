@@ -34,7 +34,7 @@ from dynsr.discovery.layers import cross_layers
 from dynsr.discovery.rivals import compare_rivals
 from dynsr.errors import InputError, one_line
 from dynsr.expression import evaluate, has_pole, shown
-from dynsr.fit import STABLE, Flow, ParetoFront, Shooting, noise_and_spread, tidy
+from dynsr.fit import STABLE, Flow, ParetoFront, Shooting, noise_and_spread, tidy, use_bits_together
 from dynsr.selection import is_left_open
 
 LAW, APPROXIMATION, NOT_FOUND = LEVELS = ("law", "approximation", "not found")
@@ -491,13 +491,38 @@ class _Bench:
         correlation, systematic = zip(
             *(_correlate(followed.lanes(i)) for i in range(k)), strict=True
         )
-        # Clean data are no surer than their solver, however well they are followed.
-        level = np.where(self.clean, np.maximum(chi, 1.0), np.maximum(chi, 1e-12))
-        ratios = self._ratios(slopes / np.sqrt(level)[owners][:, None])
+        # Clean data are no surer than their solver, however well they are followed: any curve may
+        # be. Only simple numbers that the data find to many digits are no chance.
+        simple = self._simplicity(followed, chi) >= self.settings.rival_bits
+        floor = np.where(self.clean, 1.0, 1e-12)
+        ratios = self._ratios(slopes / np.sqrt(np.maximum(chi, floor))[owners][:, None])
+        if np.any(simple & self.clean):
+            floor[simple] = 1e-12
+            sharp = self._ratios(slopes / np.sqrt(np.maximum(chi, floor))[owners][:, None])
+            ratios |= {s: sharp[s] for s, own in zip(self.equations, simple, strict=True) if own}
         forecast, surprise, allowed = self._forecast(followed)
         return _Evidence(
             chi, np.array(correlation), np.array(systematic), ratios, forecast, surprise, allowed
         )
+
+    def _simplicity(self, followed: Followed, chi: np.ndarray) -> np.ndarray:
+        """(k,) bits by which the constants of each equation are simple numbers and none by chance.
+
+        The constants are those of a linear fit to the misses, of which few rows are independent.
+        """
+        count, states = len(self.places), list(self.equations)
+        z, slopes, owners = followed.linearise()
+        rows = np.bincount(owners, minlength=len(states))
+        level = np.maximum(chi * rows / np.maximum(followed.independent, 1.0), 1e-12)
+        weight = 1 / np.sqrt(level)[owners]
+        weighed = slopes * weight[:, None]
+        covariance = _covariance(weighed)
+        shift = -(covariance @ (weighed.T @ (weight * z)))[:count]
+        fitted, covariance = self.values + shift, covariance[:count, :count]
+        found = np.zeros(len(states))
+        own = [states.index(place.state) for place in self.places.values()]
+        np.add.at(found, own, use_bits_together(fitted, covariance, self.values))
+        return found
 
     def _ratios(self, slopes: np.ndarray) -> dict[str, list[tuple[sympy.Expr | None, float]]]:
         """State -> (term, size of its coefficient over the standard error), inner numbers too."""

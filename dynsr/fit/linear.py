@@ -268,3 +268,21 @@ def orthogonal(columns: np.ndarray) -> np.ndarray:
     left, values, _ = np.linalg.svd(columns / size, full_matrices=False)
     basis: np.ndarray = left[:, values > 1e-10 * values[0]]
     return basis
+
+
+def know(
+    values: np.ndarray, covariance: np.ndarray, index: int, number: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give fitted values (P,) and their covariance (P, P) once one of them is known.
+
+    Parameters
+    ----------
+    values, covariance : as fitted.
+    index, number : which one is known, and what it is.
+
+    >>> know(np.array([1.1, 2.0]), np.array([[0.02, 0.01], [0.01, 0.02]]), 0, 1.0)[0]
+    array([1.  , 1.95])
+    """
+    column = covariance[:, index] / max(covariance[index, index], 1e-300)
+    moved = values + column * (float(number) - values[index])
+    return moved, covariance - np.outer(column, covariance[index])

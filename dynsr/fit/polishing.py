@@ -17,6 +17,7 @@ from dynsr.fit.collocation import AlongFit, Measurements, fit_along
 from dynsr.fit.constants import as_floats, free_constants
 from dynsr.fit.description import data_bits, shift_bits, written_bits, written_constant
 from dynsr.fit.forced import missing_terms
+from dynsr.fit.linear import know
 from dynsr.fit.noise import NOISY, Noise, is_noisy, noise_and_spread, residual_noise
 from dynsr.fit.settings import FIT, FitSettings
 from dynsr.fit.shooting import Match, fitted_values, match_trajectories, measure_errors, prepare
@@ -396,7 +397,7 @@ def simple_numbers(
         taken |= _simple_together(fit, whole, _ties(fit, list(whole), settings), settings)
     values, covariance = fit.constants.copy(), fit.covariance.copy()
     for i, number in taken.items():
-        values, covariance = _know(values, covariance, i, number)
+        values, covariance = know(values, covariance, i, number)
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return [
         taken[i] if i in taken else sympy.Float(written_constant(*own))
@@ -478,7 +479,7 @@ def _simple_together(
     """
     values, covariance = ties.values.copy(), ties.covariance.copy()
     for i, number in whole.items():
-        values, covariance = _know(values, covariance, i, number)
+        values, covariance = know(values, covariance, i, number)
     taken: dict[int, sympy.Expr] = {}
     distance, count = ties.distance, ties.count
     while np.all(np.isfinite(covariance)):
@@ -498,19 +499,10 @@ def _simple_together(
         if not options:
             break
         _, i, number, z = min(options, key=lambda option: option[:2])
-        values, covariance = _know(values, covariance, i, number)
+        values, covariance = know(values, covariance, i, number)
         taken |= {j: sign * number for j, sign in ties.partners[i].items()}
         distance, count = distance + z**2, count + 1
     return taken
-
-
-def _know(
-    values: np.ndarray, covariance: np.ndarray, index: int, number: sympy.Expr
-) -> tuple[np.ndarray, np.ndarray]:
-    """Give the constants and their covariance once one of them is known."""
-    column = covariance[:, index] / max(covariance[index, index], 1e-300)
-    moved = values + column * (float(number) - values[index])
-    return moved, covariance - np.outer(column, covariance[index])
 
 
 def _bits(match: Match, level: Noise) -> float:

@@ -17,6 +17,7 @@ from typing import TypeAlias
 import numpy as np
 import sympy
 
+from dynsr.fit.linear import know
 from dynsr.fit.settings import FIT, FitSettings
 
 
@@ -78,17 +79,26 @@ def simple_value(value: float, error: float, settings: FitSettings = FIT) -> sym
 def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """(P,) bits by which constants are likelier for lying on whole, half or short decimal numbers.
 
-    The logarithm of Bayes' factor of the prior of use against that of measured constants alone,
-    constant by constant; one that lies on none saves nothing.
+    Constant by constant; one that lies on none saves nothing.
+
+    Parameters
+    ----------
+    values, errors : (P,) fitted values and their standard errors.
+    """
+    return np.asarray(np.maximum(use_bits(values, errors), 0.0))
+
+
+def use_bits(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """(P,) logarithm of Bayes' factor of the prior of use against that of measured constants alone.
+
+    It is negative where a constant lies on no simple number.
 
     Parameters
     ----------
     values, errors : (P,) fitted values and their standard errors.
 
-    >>> on, off = np.array([1.0005, -9.81]), np.array([1.0237, -9.8137])
-    >>> errors = np.array([0.001, 0.003])
-    >>> bool(simplicity_bits(on, errors).sum() > simplicity_bits(off, errors).sum())
-    True
+    >>> use_bits(np.array([1.0005, 1.0237]), np.array([0.001, 0.001])).round()
+    array([ 7., -2.])
     """
     size = np.maximum(np.abs(values), 1e-300)
     finest = np.where(np.isfinite(errors), np.maximum(errors, 1e-6 * size), np.inf)
@@ -107,7 +117,37 @@ def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
         # Where the error spans several of them, one lies near whatever the value is.
         found += kind.use * np.where(finest > gap / 2, 1.0, density)
         most += kind.use
-    return np.asarray(np.maximum(np.log2(found / most), 0.0))
+    return np.asarray(np.log2(found / most))
+
+
+def use_bits_together(
+    values: np.ndarray, covariance: np.ndarray, written: np.ndarray
+) -> np.ndarray:
+    """(P,) the same of constants that were fitted together, by the chain rule of probability.
+
+    The constant that lies on a simple number most surely is known then, which leaves the others
+    smaller errors.
+
+    Parameters
+    ----------
+    values, covariance : (P,) fitted values, and their covariance (P, P).
+    written : (P,) the numbers that are written for them.
+
+    >>> both = np.array([[1.0, 0.999], [0.999, 1.0]])
+    >>> use_bits_together(np.array([1.0, 2.0]), 1e-4 * both, np.array([1.0, 2.0])).round()
+    array([4., 9.])
+    """
+    found, left = np.full(len(values), np.log2(MEASURED)), list(range(len(values)))
+    while left:
+        errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        bits = use_bits(values[left], errors[left])
+        best = int(np.argmax(bits))
+        if not bits[best] > 0:
+            break
+        place = left.pop(best)
+        found[place] = bits[best]
+        values, covariance = know(values, covariance, place, written[place])
+    return found
 
 
 def reach(number: Number, settings: FitSettings = FIT) -> float:
