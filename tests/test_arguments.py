@@ -3,6 +3,7 @@
 import inspect
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +12,7 @@ import pytest
 
 import dynsr
 from dynsr.arguments import checked, expected, fits
+from dynsr.discovery import DelaySettings, DiscoverySettings
 from dynsr.errors import DynsrError, InputError
 
 ODD = [
@@ -79,8 +81,9 @@ def usual() -> dict[str, Any]:
 
 
 # What makes a call with all else usual a short one.
+FEW_DELAYS = replace(DiscoverySettings(), delays=DelaySettings(grid=5, minima=1))
 SHORT: dict[str, dict[str, Any]] = {
-    "discover": {"preset": "quick", "jobs": 1, "method": "sindy"},
+    "discover": {"preset": "quick", "jobs": 1, "method": "sindy", "settings": FEW_DELAYS},
     "bootstrap": {"members": 2},
     "make_method": {"name": "sindy"},
     "printed_loss": {"method": "ga"},

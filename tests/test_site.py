@@ -44,6 +44,17 @@ def build(folder, *config, site_url=""):
     )
 
 
+def write_config(folder, home):
+    """Write a site of one page with the theme of the real one; give its settings."""
+    (folder / "docs").mkdir()
+    (folder / "docs" / "index.md").write_text(home)
+    config = folder / "mkdocs.yml"
+    nav = "docs_dir: docs\nextra_css: []\nextra_javascript: []\nplugins: []\nnav: [index.md]\n"
+    theme = f"theme: {{custom_dir: {ROOT / 'scripts' / 'site' / 'theme'}}}\n"
+    config.write_text(f"INHERIT: {ROOT / 'mkdocs.yml'}\n{theme}{nav}")
+    return config
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """Build the site once."""
@@ -58,14 +69,9 @@ def test_a_dead_link_ends_the_build(tmp_path):
     heading is none.
     """
     dead = ["there.md", "away.md#here", "#here", "there.png"]
-    (tmp_path / "docs").mkdir()
-    config = tmp_path / "mkdocs.yml"
-    nav = "docs_dir: docs\nextra_css: []\nextra_javascript: []\nplugins: []\nnav: [index.md]\n"
-    theme = f"theme: {{custom_dir: {ROOT / 'scripts' / 'site' / 'theme'}}}\n"
-    config.write_text(f"INHERIT: {ROOT / 'mkdocs.yml'}\n{theme}{nav}")
     text = "\n\n".join(f"[text]({target})" for target in ("#live", *dead))
-    (tmp_path / "docs" / "index.md").write_text(f"# Live\n\n{text}\n")
-    done = build(tmp_path / "site", "--config-file", str(config))
+    config = write_config(tmp_path, f"# Live\n\n{text}\n")
+    done = build(tmp_path / "site", "--config-file", config)
     assert done.returncode == 1, done.stderr
     # Each of them is a warning, and there is no other.
     said = [line for line in done.stderr.splitlines() if line.startswith("WARNING")]
@@ -174,9 +180,10 @@ def test_what_is_left_as_text_is_found(visible):
 
 def test_a_missing_address_below_a_folder_leads_home(tmp_path):
     """The page for a missing address loads nothing and links to where the site is served."""
-    done = build(tmp_path, site_url="https://example.org/dynsr/")
+    config = write_config(tmp_path, "# Home\n")
+    done = build(tmp_path / "site", "--config-file", config, site_url="https://example.org/dynsr/")
     assert done.returncode == 0, done.stderr
-    page = (tmp_path / "404.html").read_text("utf-8")
+    page = (tmp_path / "site" / "404.html").read_text("utf-8")
     assert re.findall(r'(?:href|src)="([^"]*)"', page) == ["data:,", "/dynsr/index.html"]
 
 
