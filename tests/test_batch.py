@@ -103,7 +103,13 @@ def test_the_shell_prints_the_table(tmp_path, monkeypatch):
     files = [str(file) for file in write(tmp_path, {"slow": 0.5, "fast": 2.0})]
     said = run("discover", *files, "--batch", "-q", "--jobs", "1").output
     assert "x' = -0.5*x" in said and "x' = -2*x" in said and "law" in said
-    assert (tmp_path / "batch-dynsr" / "each").is_dir()
+    each = tmp_path / "batch-dynsr" / "each"
+    assert {own.name.partition("-")[0] for own in each.iterdir()} == {"slow", "fast"}
+    # One of them has a report, and a line says which these are.
+    said = run("report", "batch-dynsr", code=2).output
+    assert "give one of its results: 'batch-dynsr" in said
+    run("report", next(each.iterdir()))
+    assert len(list(each.glob("*/report.html"))) == 1
 
 
 def test_a_record_says_in_a_few_words_what_was_found():

@@ -90,7 +90,7 @@ def test_the_appendix_has_the_papers_numbers_and_each_formula_once(records):
         "-12*w": "1", "-2*w - z^2/y": "2", "-2*w": "3, 5", "-4*w": "4",
     }  # fmt: skip
     assert ours["-4*w"]["As printed"] == pytest.approx(0.301, abs=1e-3)
-    assert ours["-2*w"]["Seconds a run, mean"] == 2.0
+    assert ours["-2*w"]["Seconds per run, mean"] == 2.0
     paper = [r for r in rows if r["By"] == "paper"]
     assert [(r["Runs"], r["As printed"]) for r in paper] == [
         ("1", 2.168), ("2", 0.552), ("3, 5", 0.417), ("4", 0.301),

@@ -455,6 +455,9 @@ def report(
     """Make one self-contained HTML report of a saved discovery or of a replication's results."""
     from dynsr.jobs import MANIFEST
 
+    if each := sorted((source / "each").glob("*/discovery.json")):
+        first = each[0].parent
+        raise InputError(f"{str(source)!r} is of a batch; give one of its results: {str(first)!r}")
     if (source / MANIFEST).exists() and not (source / "discovery.json").exists():
         _report_replication(source, out, json)
         return

@@ -177,7 +177,7 @@ def loss_table(records: Sequence[Record]) -> Table:
         "Corrected: paper",
         "Equation RMSE: ours",
         "Equation RMSE: paper",
-        "Seconds a run",
+        "Seconds per run",
     )
     rows = tuple(_losses(group) for group in groups(records))
     return Table(LOSSES, "Three kinds of loss, ours and the paper's", columns, rows, _NOTE_LOSSES)
@@ -209,7 +209,7 @@ def appendix_table(group: Group) -> Table:
 
     Runs that gave the same formula are one row.
     """
-    columns = ("By", "Runs", "Formula", "Stage", *LOSS_TITLES, "Seconds a run")
+    columns = ("By", "Runs", "Formula", "Stage", *LOSS_TITLES, "Seconds per run")
     ours = [
         (
             "ours",
