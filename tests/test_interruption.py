@@ -70,7 +70,7 @@ def test_ctrl_c_gives_the_best_so_far(decay, tmp_path, jobs):
     assert [path.name for path in (tmp_path / "records").iterdir()] == ["search-y-rational.json"]
     kept = {path.name for path in tmp_path.iterdir()}
     # Of the endless one the last state is kept, if it had the time.
-    assert kept - {"parts"} == {"discovery.json", "manifest.json", "records"}
+    assert kept - {"parts"} == {"data.csv", "discovery.json", "manifest.json", "records"}
     assert signal.getsignal(signal.SIGINT) is before
     saved = Discovery.load(found.save(tmp_path / "d.json"))
     assert not saved.complete and saved.equations == found.equations

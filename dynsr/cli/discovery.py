@@ -352,7 +352,7 @@ def discover(
         typer.Option(
             "--out",
             "-o",
-            help="Folder for discovery.json and report.html.",
+            help="Folder for discovery.json, report.html and a copy of the data.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,

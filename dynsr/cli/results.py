@@ -21,26 +21,43 @@ if TYPE_CHECKING:
 DiscoveryFile = Annotated[
     Path, typer.Argument(metavar="DISCOVERY.json", help="A discovery that was saved.")
 ]
+OwnData = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="[FILE]...",
+        help="The data that it was found in; by default data.csv next to the discovery.",
+    ),
+]
 
 
 def check_keeping(folder: Path) -> None:
     """Raise FolderTaken where what is to be kept would replace what dynsr did not write."""
-    from dynsr.data import check_replaceable, is_own_page
-    from dynsr.discovery import RECORD, is_own_record
+    from dynsr.data import DATA, check_replaceable, is_own_page
+    from dynsr.discovery import RECORD, is_own_data, is_own_record
     from dynsr.jobs import FolderTaken
 
     try:
         check_replaceable(folder / RECORD, is_own_record)
+        check_replaceable(folder / DATA, is_own_data(folder))
         check_replaceable(folder / "report.html", is_own_page)
     except InputError as error:
         raise FolderTaken(str(error)) from None
 
 
 def keep(found: Discovery, folder: Path | None) -> list[Path]:
-    """Save a discovery in a folder; gives the file. One cut short replaces no complete one."""
+    """Save a discovery and its data in a folder; gives the files.
+
+    One cut short replaces no complete one.
+    """
+    from dynsr.data import DATA
     from dynsr.discovery import keep as save
 
-    return [] if folder is None else save(found, folder)
+    if folder is None:
+        return []
+    files = save(found, folder)
+    if files and found.trajectories and folder / DATA not in files:
+        output.note("the data are too many to copy; commands on this discovery need their file")
+    return files
 
 
 def keep_report(found: Discovery, folder: Path | None) -> list[Path]:
@@ -117,7 +134,12 @@ def flatten(scores: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 def score(
     model: DiscoveryFile,
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Data to score it on.")],
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[FILE]...", help="Data to score it on; by default those that it was found in."
+        ),
+    ] = None,
     time_column: options.TimeColumn = None,
     states: options.StateColumns = None,
     inputs: options.Inputs = None,
@@ -138,21 +160,30 @@ def score(
         output.print_json(scores)
         return
     rows = [(name, _told(value)) for name, value in flatten(scores)]
-    output.print_table(f"{model} on {', '.join(map(str, files))}", ("score", "value"), rows)
+    output.print_table(f"{model} on {_names(files)}", ("score", "value"), rows)
 
 
 def _load_for(
     found: Discovery,
-    files: Sequence[Path],
+    files: Sequence[Path] | None,
     time_column: str | None,
     states: options.Names,
     inputs: options.Names,
     doses: options.Names,
     how: tuple[Any, Any, Any, Any, Any],
-) -> list[Trajectory]:
-    """Read files with the columns of a discovery, where they have them and no others are named."""
+) -> list[Trajectory] | None:
+    """Read files with the columns of a discovery, where they have them and no others are named.
+
+    Without files it is None, for the data of the discovery itself.
+    """
     from dynsr.data import clean_doses, cut_at_doses
 
+    if not files:
+        if any((time_column, states, inputs, doses, *how[:-1])):
+            raise InputError("options on how data are read go with a file; name it")
+        if not found.trajectories:
+            raise InputError("the data are not next to the discovery; name their file")
+        return None
     trajectory, _, _, decimal, say = how
     said, _ = read_doses(doses)
     sources, of_table = take_doses(files, doses, time_column, trajectory, decimal)
@@ -179,9 +210,7 @@ def _load_for(
 
 def profile(
     model: DiscoveryFile,
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="The data that it was found in.")
-    ],
+    files: OwnData = None,
     constant: Annotated[
         list[str] | None,
         typer.Option(
@@ -221,15 +250,13 @@ def profile(
         for own in profiles
     ]
     names = ("state", "place", "constant of", "value", "95 % interval", "by standard error")
-    output.print_table(f"{model} on {', '.join(map(str, files))}", names, rows)
+    output.print_table(f"{model} on {_names(files)}", names, rows)
     output.print_lines(*known.sentences)
 
 
 def suggest(
     model: DiscoveryFile,
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="The data that it was found in.")
-    ],
+    files: OwnData = None,
     rows: Annotated[
         int | None,
         typer.Option(
@@ -286,6 +313,10 @@ def suggest(
     output.print_table(f"Next experiments: {made.size}", made.columns, made.table())
 
 
+def _names(files: Sequence[Path] | None) -> str:
+    return ", ".join(map(str, files)) if files else "its data"
+
+
 def _told(value: Any) -> Any:
     """Give a value for a table; one that is not finite as a word."""
     finite = not isinstance(value, float) or math.isfinite(value)
@@ -321,7 +352,7 @@ def import_(
     json: options.Json = False,
 ) -> None:
     """Read a model of another tool: equations to simulate, score and start from, and its data."""
-    from dynsr.data import write_csv
+    from dynsr.data import DATA
     from dynsr.discovery import Discovery, write_lines
     from dynsr.export import read_petab, read_sbml
 
@@ -331,13 +362,11 @@ def import_(
     else:
         system = read_sbml(model)
     found = Discovery.from_system(system, runs)
-    files = []
+    files: list[Path] = []
     if out is not None:
-        if runs:
-            out.mkdir(parents=True, exist_ok=True)
-            write_csv(runs, out / "data.csv", force=force)
-            files.append(out / "data.csv")
-        files.append(found.save(out / "discovery.json"))
+        if force:
+            (out / DATA).unlink(missing_ok=True)
+        files = keep(found, out)
     if json:
         about: dict[str, Any] = {"equations": found.equations}
         about |= {"parameters": system.parameters.numbers}
@@ -398,6 +427,7 @@ def export(
     """Write a saved discovery, with named parameters, for another tool."""
     from dataclasses import replace
 
+    from dynsr.data import DATA
     from dynsr.export import FORMATS, Source, find_format, save_format, write_format
 
     if to is None:
@@ -411,14 +441,14 @@ def export(
         return
     chosen = find_format(to)
     found = load_discovery(model)
-    own = (model if model.is_dir() else model.parent) / "data.csv"
-    if not files and chosen.with_data and own.exists():
+    own = (model if model.is_dir() else model.parent) / DATA
+    if not files and not found.trajectories and chosen.with_data and own.exists():
         output.note(f"data: {own}")
         files = [own]
     if files:
         how = (None, None, None, None, _say_to(json))
         runs = _load_for(found, files, None, None, None, None, how)
-        found = replace(found, trajectories=tuple(runs))
+        found = replace(found, trajectories=tuple(runs or ()))
     source = Source.of(found)
     if out is not None:
         written = save_format(source, to, out, force)

@@ -7,6 +7,7 @@ from .dose_tables import add_doses, load_with_doses
 from .dosing import Dosing, clean_dose, clean_doses, cut_at_doses, split_volume
 from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
+from .kept import DATA, KeptData, digest, read_kept, write_kept
 from .known_noise import KnownNoise
 from .name_parts import bracketed_unit
 from .noise_model import StateNoise, measurement_noise, robust_scale
@@ -52,6 +53,7 @@ from .writing import (
 )
 
 __all__ = [
+    "DATA",
     "DEFINITIONS",
     "PAPER_SYSTEMS",
     "SCHEMES",
@@ -64,6 +66,7 @@ __all__ = [
     "Dosing",
     "Forced",
     "Hold",
+    "KeptData",
     "KnownNoise",
     "MeasuredSum",
     "OddSettings",
@@ -103,6 +106,7 @@ __all__ = [
     "describe",
     "describe_table",
     "diagnose",
+    "digest",
     "estimate_noise",
     "find_definition",
     "find_forced",
@@ -123,6 +127,7 @@ __all__ = [
     "odd_values",
     "open_part",
     "own_folder",
+    "read_kept",
     "read_names_only",
     "read_sums",
     "read_trajectories",
@@ -140,6 +145,7 @@ __all__ = [
     "weak_form",
     "write_bytes",
     "write_csv",
+    "write_kept",
     "write_new",
     "write_own",
     "write_page",

@@ -14,7 +14,7 @@ from .prediction import predict
 from .problem import DISCOVERY, DiscoverySettings
 from .profile import Profile
 from .records import RECORD, is_own_record
-from .result import Discovery, Inclusion, keep, load
+from .result import Discovery, Inclusion, is_own_data, keep, load
 from .scoring import (
     Score,
     equation_rmse,
@@ -72,6 +72,7 @@ __all__ = [
     "explain_order",
     "identifiability",
     "inputs_in",
+    "is_own_data",
     "is_own_record",
     "iterate",
     "keep",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -15,21 +16,28 @@ import sympy
 
 from dynsr.arguments import checked
 from dynsr.data import (
+    DATA,
     Hold,
+    KeptData,
     Samples,
     System,
     Trajectory,
     carry,
     check_hold,
+    check_replaceable,
     check_time_unit,
     choose_samples,
     cut_at_doses,
+    digest,
     in_unit,
+    read_kept,
     read_sums,
     sample_input,
     settle_hold,
     split_volume,
     take_trajectories,
+    write_kept,
+    write_own,
 )
 from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.by_state import ByState
@@ -88,7 +96,7 @@ from dynsr.engines import (
     linearise,
     refuse_idle,
 )
-from dynsr.errors import DynsrError, EngineError, EngineUnavailable, InputError, need
+from dynsr.errors import DynsrError, DynsrWarning, EngineError, EngineUnavailable, InputError, need
 from dynsr.expression import (
     Units,
     arguments_of,
@@ -119,7 +127,7 @@ from dynsr.fit import (
     rmse,
     score_candidate,
 )
-from dynsr.jobs import check_seed, from_plain, to_plain
+from dynsr.jobs import RecordError, check_seed, from_plain, read_json, to_plain
 from dynsr.selection import ComparisonSettings, forecast_miss
 
 if TYPE_CHECKING:
@@ -1667,7 +1675,9 @@ class Discovery:
     def load(cls, path: str | Path) -> Discovery:
         """Read a discovery from the JSON file at ``path``; nothing in it is ever run.
 
-        Raises InputError when there is no such file or it holds something else.
+        Its data come with it where they are next to it, as ``discover(..., out=...)`` keeps them.
+        A table that was changed since is left out, with a warning. Raises InputError when there is
+        no such file or it holds something else.
         """
         further = {
             "fitted": dict[str, tuple[float, ...]],
@@ -1681,9 +1691,11 @@ class Discovery:
             "delays": dict[str, Delay],
             "volumes": dict[str, Parameter],
             "free": FreeParts,
+            "data": KeptData,
         }
         fields = read_discovery(Path(path), _functions_of, **further, verdict=Verdict | None)
-        return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY})
+        runs = _read_data(Path(path), fields.pop("data", None))
+        return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY, "trajectories": runs})
 
     def __repr__(self) -> str:
         """Write the verdict, and below it the equations, one a line."""
@@ -1774,15 +1786,59 @@ def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
 def keep(found: Discovery, folder: Path) -> list[Path]:
     """Save a discovery in a folder and give the file; one cut short replaces no complete one.
 
+    Its data are saved next to it unless they are very many, so that the folder is all that later
+    steps need.
+
     Parameters
     ----------
     found : the discovery.
-    folder : the folder of :data:`RECORD`.
+    folder : the folder of :data:`RECORD` and :data:`dynsr.data.DATA`.
 
-    Raises InputError when the file cannot be written, or one that is no discovery is there.
+    Raises InputError when a file cannot be written, or one is there that dynsr did not write.
     """
     saved = folder / RECORD
-    return [] if not found.complete and _is_complete(saved) else [found.save(saved)]
+    if not found.complete and _is_complete(saved):
+        return []
+    written = write_kept(found.trajectories)
+    if written is None:
+        return [found.save(saved)]
+    text, kept = written
+    table, same = folder / DATA, text.encode()
+    # Before a record is written that no longer says what this file was.
+    check_replaceable(table, lambda content: content == same or is_own_data(folder)(content))
+    write_discovery(saved, {**found.as_record(), "data": to_plain(kept, whole=False)})
+    write_own(table, text, lambda _: True)
+    return [saved, table]
+
+
+def is_own_data(folder: Path) -> Callable[[bytes], bool]:
+    """Give what knows the content of the data that :func:`keep` saved in a folder.
+
+    Parameters
+    ----------
+    folder : that of the discovery.
+    """
+
+    def is_own(content: bytes) -> bool:
+        try:
+            return bool(read_json(folder / RECORD)["data"]["sha256"] == digest(content))
+        except (RecordError, LookupError, TypeError):
+            return False
+
+    return is_own
+
+
+def _read_data(path: Path, kept: KeptData | None) -> tuple[Trajectory, ...]:
+    """Give the data of a saved discovery; none where no table or another one is next to it."""
+    table = path.parent / DATA
+    if kept is None or not table.is_file():
+        return ()
+    content = table.read_bytes()
+    if digest(content) != kept.sha256:
+        said = f"{str(table)!r} was changed since it was saved and is left out; give the data again"
+        warnings.warn(said, DynsrWarning, stacklevel=4)
+        return ()
+    return read_kept(content, kept)
 
 
 def keep_if_asked(found: Discovery, out: Any) -> None:

@@ -108,16 +108,17 @@ def _dumps(plain: Any) -> str:
     return json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def to_plain(value: Any) -> Any:
+def to_plain(value: Any, whole: bool = True) -> Any:
     """Bring a value to what strict JSON holds.
 
     Dataclasses become mappings of their fields, arrays and sets lists, formulas and paths text;
     a number that is not finite becomes None, and anything else its name or that of its class.
+    Unless ``whole``, fields that are None are left out, so that they read back as None.
 
     >>> to_plain({"x": (1, float("inf"))})
     {'x': [1, None]}
     """
-    return _bring(value, True)
+    return _bring(value, whole)
 
 
 def _bring(value: Any, whole: bool) -> Any:
