@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 import sympy
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
+from dynsr.discovery.delayed import search_delayed
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow
+from dynsr.expression import parse
 from dynsr.fit import ParetoFront
+from dynsr.jobs import TimeUp
 from dynsr.selection import ComparisonSettings
 from tests.command_line import run
 
@@ -84,7 +89,8 @@ def test_the_same_table_is_scored_and_reported_without_a_column_of_the_delayed_s
 def test_terms_that_make_up_for_the_error_of_a_delay_are_dropped():
     """Of the sums that a delay was fitted with, the first has the two terms of the law."""
     delayed = Delayed.of([as_run(hutchinson())], DelaySettings(minima=1))
-    best = delayed.candidates(ComparisonSettings(), [1.5])[0]
+    fits = delayed.candidates(ComparisonSettings(), [1.5])
+    best = min(fits, key=lambda fit: fit.bits)
     assert set(best.equations["x"].as_coefficients_dict()) == {X, X * BEFORE}
 
 
@@ -147,3 +153,65 @@ def test_what_has_no_delay_is_refused_in_one_line(tmp_path):
     table = tmp_path / "x.csv"
     np.savetxt(table, np.column_stack(data), header="t,x", delimiter=",", comments="")
     assert "must be auto" in run("discover", table, "--delays", "soon", code=2).output
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Give a clock that only stands still or is put forward, in the place of the machine's."""
+    now = [1000.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    return now
+
+
+def study(monkeypatch, clock, seconds):
+    """Search three delays, each search of which takes some seconds; give budgets and the answer."""
+    given = []
+    run = as_run(hutchinson())
+
+    def search(runs, settings):
+        given.append(settings["time_budget"])
+        clock[0] += seconds
+        columns = [name for name in runs[0].names if name.endswith("_delayed")]
+        expr = parse("x - x*x_delayed") if columns else parse("x")
+        return Discovery({"x": expr}, {"x": ()}, {}, {"x": ""})
+
+    monkeypatch.setattr(Delayed, "candidates", lambda *_: iter(()))
+    monkeypatch.setattr(Delayed, "fit", lambda *_: None)
+    monkeypatch.setattr(Delayed, "explained", lambda *_: 1.0)
+    asked = {"time_budget": 12.0, "inputs": {}}
+    return given, search_delayed(search, [run], asked, [1.0, 2.0, 4.0], {})
+
+
+def test_each_search_of_a_delay_has_its_part_of_the_time_that_is_left(monkeypatch, clock):
+    """Three delays share what is left, and each may be searched with twice."""
+    given, found = study(monkeypatch, clock, 2.0)
+    assert given == [12 / 6, 10 / 4, 8 / 2]
+    assert found.delays and "ended_by_budget" not in found.settings
+
+
+def test_no_delay_is_searched_when_the_time_is_over(monkeypatch, clock):
+    """What is not searched is said, and a delay that nothing confirmed has no verdict."""
+    given, found = study(monkeypatch, clock, 12.5)
+    assert given == [12 / 6]
+    assert found.delays and not found.verdict.tested
+    assert found.settings["ended_by_budget"] == ["delays"]
+
+
+def test_a_scan_that_takes_too_long_leaves_a_search_without_delays(monkeypatch, clock):
+    """The scan ends by its part of the time, and the rest is for the equations."""
+    given = []
+
+    def slow(*_):
+        clock[0] += 100.0
+        raise TimeUp
+        yield
+
+    def search(runs, settings):
+        given.append((runs[0].names, settings["time_budget"]))
+        return Discovery({"x": parse("x")}, {"x": ()}, {}, {"x": ""})
+
+    monkeypatch.setattr(Delayed, "candidates", slow)
+    asked = {"time_budget": 12.0, "inputs": {}}
+    found = search_delayed(search, [as_run(hutchinson())], asked, [], {})
+    assert [names for names, _ in given] == [("x",)] and 0 < given[0][1] < 0.01
+    assert found.settings["ended_by_budget"] == ["delays"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -15,8 +16,9 @@ from dynsr.data import Trajectory
 from dynsr.discovery.delays import Delayed, DelayFit
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import LAW, LEVELS, NOT_FOUND, explain, judge
+from dynsr.discovery.verdict import LAW, LEVELS, NOBODY, NOT_FOUND, explain, judge
 from dynsr.errors import InputError
+from dynsr.jobs import Budget, finish_by
 from dynsr.selection import ComparisonSettings
 
 # Share of the variance of the states that equations explain with their own delayed states.
@@ -75,40 +77,101 @@ def search_delayed(
     inputs : input name -> expression in ``t`` where it is known.
     """
     began, details = monotonic(), settings.get("settings", DISCOVERY)
+    budget = Budget(settings.get("time_budget"))
     delayed = Delayed.of(runs, details.delays)
     comparison = details.selection.comparison
     most = len(asked) or details.delays.searched
-    begun = _begin(delayed, comparison, inputs, most, asked)
+    fits: list[DelayFit] = []
+
+    def scan() -> list[_Begun]:
+        for fit in delayed.candidates(comparison, asked):
+            fits.append(fit)  # noqa: PERF402 (a scan that is cut leaves what it found)
+        return _begin(delayed, fits, inputs, most)
+
+    def from_found() -> list[_Begun]:
+        return _begin(delayed, fits, inputs, most)
+
+    def without() -> list[_Begun]:
+        return []
+
+    shares = details.shares
+    begun, late = finish_by(budget.until(shares.searches), scan, without)
+    if late:
+        begun, _ = finish_by(budget.until(shares.choices), from_found, without)
     begun = begun or [_Begun(delay, delayed) for delay in asked]
     answers: list[Discovery] = []
-    out, budget = settings.get("out"), settings.get("time_budget")
-    apart = begun[:most]
-    own = dict(settings)
-    if budget is not None:
-        own["time_budget"] = budget / max(2 * len(apart), 1)
+    out, apart = settings.get("out"), begun[:most]
     for number, first in enumerate(apart, start=1):
-        delay = first.delay
+        # Each delay is searched with twice.
+        own = {**settings, "time_budget": budget.rest(2 * (len(apart) - number + 1))}
+        if answers and budget.is_over:
+            late = True
+            break
         own["out"] = None if out is None else Path(out) / f"delay-{number}"
-        found = search(first.delayed.columns(delay, delay), {**own, **first.start})
+        found = search(first.delayed.columns(first.delay, first.delay), {**own, **first.start})
         if not found.complete:
             return found
+        study = _Study(delayed, search, comparison, inputs, own)
+        answer, cut = finish_by(
+            budget.until(1.0),
+            partial(study.fitted, first, found),
+            partial(study.unfitted, first, found),
+        )
+        late |= cut
+        answers.append(answer)
+        if answer.verdict.level == LAW:
+            break
+    if not answers or not (answers[-1].delays or budget.is_over):
+        answers.append(search(runs, {**settings, "time_budget": budget.rest()}))
+    best = min(answers, key=_rank)
+    if late:
+        ended = [*best.settings.get("ended_by_budget", ()), "delays"]
+        best = replace(best, settings={**best.settings, "ended_by_budget": ended})
+    return replace(best, seconds=monotonic() - began)
+
+
+def _rank(found: Discovery) -> int:
+    """The better verdict is first; one that was not made is last."""
+    return LEVELS.index(found.verdict.level) if found.verdict.tested else len(LEVELS)
+
+
+@dataclass(frozen=True)
+class _Study:
+    """What the searches with several delays have in common.
+
+    Parameters
+    ----------
+    delayed, search, comparison, inputs : as in :func:`search_delayed`.
+    own : settings of a search with one delay.
+    """
+
+    delayed: Delayed
+    search: Search
+    comparison: ComparisonSettings
+    inputs: Mapping[str, sympy.Expr]
+    own: Mapping[str, Any]
+
+    def fitted(self, first: _Begun, found: Discovery) -> Discovery:
+        """Give what was found with a delay after the delay was fitted with the constants."""
+        delayed, comparison, delay = self.delayed, self.comparison, first.delay
         fit = delayed.fit(found.equations, delay, comparison)
         if fit is not None:
-            again = {**own, "out": None, "start": found}
-            near = search(fit.delayed.columns(fit.delay, fit.delay), again)
+            again = {**self.own, "out": None, "start": found}
+            near = self.search(fit.delayed.columns(fit.delay, fit.delay), again)
             fit = delayed.fit(near.equations, fit.delay, comparison) or fit
             found = near
         # Errors of a delayed state look like further terms: a short sum may take fewer bits.
         short = delayed.fit(first.equations, delay, comparison) if first.equations else None
         if short is not None and (fit is None or short.bits < fit.bits):
-            found, fit = _as_found(found, short, inputs), short
-        answers.append(_with_delays(delayed, found, fit, delay, inputs))
-        if answers[-1].verdict.level == LAW:
-            break
-    if not answers or not answers[-1].delays:
-        answers.append(search(runs, dict(settings)))
-    best = min(answers, key=lambda found: LEVELS.index(found.verdict.level))
-    return replace(best, seconds=monotonic() - began)
+            found, fit = _as_found(found, short, self.inputs), short
+        return _with_delays(delayed, found, fit, delay, self.inputs)
+
+    def unfitted(self, first: _Begun, found: Discovery) -> Discovery:
+        """Give what was found with a delay that is not fitted, without a verdict."""
+        if not self.delayed.delays_in(found.equations, first.delay):
+            return found
+        unknown = replace(found, verdict=NOBODY)
+        return _with_delays(self.delayed, unknown, None, first.delay, self.inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,18 +196,14 @@ class _Begun:
 
 
 def _begin(
-    delayed: Delayed,
-    comparison: ComparisonSettings,
-    inputs: Mapping[str, sympy.Expr],
-    most: int,
-    asked: Sequence[float],
+    delayed: Delayed, fits: Sequence[DelayFit], inputs: Mapping[str, sympy.Expr], most: int
 ) -> list[_Begun]:
     """Give delays, and the curves of sums that follow the runs with their own delayed states.
 
     Of an oscillation a delay longer by a period explains slopes as well, and a very short one too.
     """
     found: list[_Begun] = []
-    for fit in delayed.candidates(comparison, asked):
+    for fit in sorted(fits, key=lambda fit: fit.bits):
         one = _Begun(fit.delay, fit.delayed, fit.equations)
         delays = delayed.delays_in(fit.equations, fit.delay)
         if delays and one.is_apart(found, delayed.settings.far):

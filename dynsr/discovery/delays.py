@@ -192,8 +192,8 @@ class Delayed:
 
     def candidates(
         self, comparison: ComparisonSettings, asked: Sequence[float] = ()
-    ) -> list[DelayFit]:
-        """Give delays with the sums that they were fitted with, those of fewest bits first.
+    ) -> Iterator[DelayFit]:
+        """Give delays with the sums that they were fitted with, as they are found.
 
         Parameters
         ----------
@@ -207,16 +207,14 @@ class Delayed:
         else:
             bounds = self._minima(scan, shortest)
         begin = max([self.longest, *asked]) * (1 + settings.far)
-        fits = []
         for pair in bounds:
             near = float(minimize_scalar(scan.bits, bounds=pair, method="bounded").x)
             own = [self.fit(exprs, near, comparison, begin) for _, exprs in scan.sums(near)]
             fitted = [f for f in own if f is not None and f.delay > settings.sure * f.error]
-            fits += fitted
+            yield from fitted
             if fitted:
                 best = min(fitted, key=lambda fit: fit.bits)
-                fits += self._thin(best, comparison, begin)
-        return sorted(fits, key=lambda fit: fit.bits)
+                yield from self._thin(best, comparison, begin)
 
     def _thin(
         self, fit: DelayFit, comparison: ComparisonSettings, begin: float

@@ -351,8 +351,7 @@ def _search_both(
     if found is not None and (found.verdict.level == LAW or not found.complete):
         alone = None
     else:
-        left = budget.left
-        alone = search(runs, {**settings, "out": None, "time_budget": left})
+        alone = search(runs, {**settings, "out": None, "time_budget": budget.rest()})
     best = _better(found, alone, name)
     keep_if_asked(best, settings.get("out"))
     return best

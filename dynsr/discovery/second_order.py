@@ -58,11 +58,9 @@ def search_orders(
         found = search(runs, {**asked, "order": 1})
         second = False
     decided = not found.complete or not found.verdict.tested or found.verdict.level == LAW
-    left = budget.left
-    late = left is not None and left <= 0
-    if decided or late or not (second or (not alone and _are_positions(runs))):
+    if decided or budget.is_over or not (second or (not alone and _are_positions(runs))):
         return _say(found, states) if second else found
-    rest = {**asked, "order": 1 if second else 2, "time_budget": left, "out": None}
+    rest = {**asked, "order": 1 if second else 2, "time_budget": budget.rest(), "out": None}
     other = _search(search, runs, rest)
     best = found if other is None else min(found, other, key=_rank)
     keep_if_asked(best, asked.get("out") if best is other else None)

@@ -139,10 +139,9 @@ def search_stepped(
     parts = None if steps is None else cut_at_unseen_steps(runs, steps)
     if steps is None or parts is None or not _hide(found, runs, steps, drives):
         return found, stepped
-    left = budget.left
-    if left is not None and left <= 0:
+    if budget.is_over:
         return found, stepped
-    again = search(parts, {**asked, "out": None, "time_budget": left})
+    again = search(parts, {**asked, "out": None, "time_budget": budget.rest()})
     if again.verdict.level != LAW:
         return found, stepped
     keep_if_asked(again, asked.get("out"))

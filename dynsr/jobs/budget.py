@@ -33,6 +33,8 @@ T = TypeVar("T")
 _GRACE, _LEAST_GRACE = 0.1, 0.2
 # An end that fell where nothing may be cut comes again after so many seconds.
 _AGAIN = 0.05
+# Seconds of a step for which none are left.
+_MOMENT = 1e-3
 _IMPORTS = "<frozen importlib._bootstrap>"
 
 
@@ -108,7 +110,7 @@ class Budget:
     """
 
     seconds: float | None = None
-    began: float = field(default_factory=time.monotonic)
+    began: float = field(default_factory=lambda: time.monotonic())  # noqa: PLW0108 (the clock of then)
 
     def __post_init__(self) -> None:
         """Check the seconds; raises InputError."""
@@ -132,6 +134,22 @@ class Budget:
     def left(self) -> float | None:
         """Seconds that are left of it; None for as long as it takes."""
         return None if self.seconds is None else self.until(1.0) - time.monotonic()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing is left of it."""
+        return self.left is not None and self.left <= 0
+
+    def rest(self, parts: int = 1) -> float | None:
+        """Give the seconds that are left for each of some parts; None for as long as they take.
+
+        Where none are left it is a moment, in which a search gives what needs no time.
+
+        Parameters
+        ----------
+        parts : how many.
+        """
+        return None if self.left is None else max(self.left, _MOMENT) / parts
 
 
 class Clock:
