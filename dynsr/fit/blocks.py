@@ -80,7 +80,7 @@ class RowsFit:
     exprs : state -> equation, whose constants are the start.
     blocks : the fits of all blocks that could be fitted.
     failed : (run, first row, row after the last) of those that could not.
-    most : mean squared residual of a block up to which the equations hold in it.
+    most : mean squared residual of a block up to which the equations are true in it.
     noisy : whether the states are noisy; their noise is then an estimate.
     """
 

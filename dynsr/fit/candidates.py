@@ -47,7 +47,7 @@ class Candidate:
 def rmse(predicted: np.ndarray, actual: np.ndarray) -> float:
     """Root of the mean squared difference; inf where a prediction is not a finite number.
 
-    Actual values that are NaN, where nothing was measured, are none to be compared with.
+    Actual values that are NaN, where nothing was measured, are not compared with.
     """
     told = ~np.isnan(actual)
     with np.errstate(all="ignore"):
@@ -175,8 +175,8 @@ class ParetoFront:
     def knee(self) -> Candidate:
         """The candidate at the sharpest bend: the largest drop in log loss a bit of complexity.
 
-        Measured as the distance below the line that joins the ends of the front in the plane of
-        complexity and log loss.
+        Measured as the distance under the straight line that joins the ends of the front in the
+        plane of complexity and log loss.
         """
         if len(self.candidates) < 3:
             return self.best_fit

@@ -1,12 +1,12 @@
 """Collocation: a whole system fitted to the measured states without a march through time.
 
-The states at every row and the constants are unknowns of one least-squares problem: squared misses
-in units of the noise, plus the squared defects of the fourth-order Lobatto IIIA rule (Hermite and
-Simpson; Hargraves and Paris 1987) between rows times a weight that grows until the system holds
-strictly. Only whole arrays are evaluated, the normal equations are banded, and the smoothed data
-are the start, so that a fit takes milliseconds, cannot diverge, follows chaotic motion over the
-whole run (a weak-constraint trajectory; Ramsay et al. 2007, Biegler 2010), and is stable for stiff
-systems, since the rule is implicit.
+The states at every row and the constants are unknowns of one least-squares problem: squared
+residuals in units of the noise, plus the squared defects of the fourth-order Lobatto IIIA rule
+(Hermite and Simpson; Hargraves and Paris 1987) between rows times a weight that grows until the
+system holds strictly. Only whole arrays are evaluated, the normal equations are banded, and the
+smoothed data are the start, so that a fit takes milliseconds, cannot diverge, follows chaotic
+motion over the whole run (a weak-constraint trajectory; Ramsay et al. 2007, Biegler 2010), and is
+stable for stiff systems, since the rule is implicit.
 """
 
 from __future__ import annotations
@@ -243,7 +243,7 @@ class Linearised:
     """The normal equations of a fit with its states eliminated.
 
     ``information`` (P, P) and ``pull`` (P,): half the second and half the first derivative of the
-    sum of squares by the constants when the states follow; ``squares`` is what is left of it when
+    sum of squares by the constants when the states follow; ``squares`` is what remains of it when
     the states alone move.
     """
 
@@ -253,7 +253,7 @@ class Linearised:
 
     @property
     def gram(self) -> np.ndarray:
-        """(P + 1, P + 1) products of the slopes by all constants, and of the misses as the last."""
+        """(P + 1, P + 1) products of the slopes by all constants, and of the residuals last."""
         pull = self.pull[:, None]
         return np.block([[self.information, pull], [pull.T, np.array([[self.squares]])]])
 
@@ -287,9 +287,9 @@ class _Point:
 class _Gathered:
     """The normal equations at a trial point, of states and constants together.
 
-    ``band`` holds those of the states as LAPACK's pbtrf reads them, ``sides`` (n k, 1 + P) what
+    ``band`` contains those of the states as LAPACK's pbtrf reads them, ``sides`` (n k, 1 + P) what
     they are pulled by, ``products`` (1 + P, 1 + P) the products of defects and their derivatives
-    by constants, ``squares`` the sum of squared misses.
+    by constants, ``squares`` the sum of squared residuals.
     """
 
     band: np.ndarray
@@ -344,7 +344,7 @@ class Collocation:
 
     @cached_property
     def _owners(self) -> tuple[np.ndarray, np.ndarray]:
-        """(P,) place of the equation that holds each constant, and its place among those there."""
+        """(P,) place of the equation of each constant, and its place among those there."""
         states = self.mesh.states
         counts = [len(free_constants(self.exprs[s], f"constant {s} ")[1]) for s in states]
         ranks = np.concatenate([np.arange(count) for count in counts])
@@ -363,7 +363,7 @@ class Collocation:
 
     @cached_property
     def _bent(self) -> tuple[np.ndarray, np.ndarray]:
-        """(P,) whether a constant is no factor of a term, and whether it stands in an exponent."""
+        """(P,) whether a constant is no factor of a term, and whether it is in an exponent."""
         shapes, values = self._template
         inside, exponents = set(values), set()
         for expr in shapes.values():
@@ -694,9 +694,10 @@ class Collocation:
     def _eliminate(
         self, gathered: _Gathered, damping: float
     ) -> tuple[Linearised, np.ndarray, np.ndarray]:
-        """Take the states out: what is left, the factor of their banded block, and what it whitens.
+        """Take the states out: what remains, the factor of their banded block, and what it whitens.
 
-        The whitened pulls are (n k, 1 + P): that of the misses and defects, then of the constants.
+        The whitened pulls are (n k, 1 + P): that of the residuals and defects, then of the
+        constants.
         """
         band = gathered.band.copy(order="F")
         band[-1] *= 1 + damping * 1e-3
@@ -881,7 +882,7 @@ class Measurements:
         return replace(self, runs=runs, smoothed=smoothed, sums=sums)
 
     def known(self, states: Sequence[str]) -> np.ndarray:
-        """(k,) whether the noise of states is known as it stands, and no estimate.
+        """(k,) whether the noise of states is known, and not an estimate.
 
         Parameters
         ----------
@@ -1169,7 +1170,7 @@ def _with_common_noise(
 
     Each run estimates the size of its noise from its own rows. Of few rows it is small by chance,
     and that run then counts too much. Each logarithm of a size is moved to their mean by the share
-    of its variance that is chance (Efron and Morris 1973); what is none is found from all runs
+    of its variance that is chance (Efron and Morris 1973); what is not is found from all runs
     (DerSimonian and Laird 1986).
     """
     if len(runs) < 2:
@@ -1310,7 +1311,7 @@ class AlongFit:
 
     @cached_property
     def scale(self) -> float:
-        """Variance of the misses in units of the noise that was given: noise is an estimate."""
+        """Variance of the residuals in units of the noise that was given: noise is an estimate."""
         if self._certain:
             return 1.0
         return max(float(np.sum(self.found.misses**2)) / self.freedom, 1e-12)

@@ -414,7 +414,7 @@ class CurvedFit(ScaledFit):
 
     @cached_property
     def bits(self) -> float:
-        """Bits of what is missed, of the constants and of the curves, without those of the form.
+        """Bits of the residuals, of the constants and of the curves, without those of the form.
 
         They are those of the marginal likelihood: a curve is believed to bend as little as its
         cost says, and to be of its own size; a constant to be of its usual size.

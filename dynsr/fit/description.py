@@ -45,7 +45,7 @@ def data_bits(residual: np.ndarray, noise: Noise) -> float:
 def mean_error_bits(residual: np.ndarray, resolution: float) -> np.ndarray:
     """Bits a row, mean log2(1 + |r| / resolution), of each row of ``residual`` (..., n).
 
-    Equation 5 of Udrescu et al. (2020) as it stands. It is linear below the resolution where
+    Equation 5 of Udrescu et al. (2020) as printed. It is linear below the resolution where
     :func:`data_bits` is square: it ranks formulas before any noise is known, from a resolution
     far below the residuals, where it grows as data_bits does.
 
@@ -96,15 +96,15 @@ def constant_bits(rows: float) -> float:
 def misses_bits(
     mean_squares: np.ndarray, rows: np.ndarray, known: np.ndarray | bool = False
 ) -> float:
-    """Bits of what a system misses of its states: sum_s m_s/2 log2(mean squared miss of s).
+    """Bits of the residuals of a system: sum_s m_s/2 log2(mean squared residual of s).
 
-    The logarithm is that of a likelihood whose noise is what is missed; where the noise is known,
-    it is the mean squared miss itself, less 1, over ln 2. A state that was never measured misses
-    what its own equation says of it, in units that are known.
+    The logarithm is that of a likelihood whose noise is the residuals; where the noise is known,
+    it is the mean squared residual itself, less 1, over ln 2. A state that was never measured
+    misses what its own equation says of it, in units that are known.
 
     Parameters
     ----------
-    mean_squares : (k,) mean squared miss of every state, in units of its noise; of one without
+    mean_squares : (k,) mean squared residual of every state, in units of its noise; of one without
         rows the sum of the squares.
     rows : (k,) independent rows of every state, :func:`dynsr.fit.independent_rows`.
     known : (k,) whether the noise of a state is known.

@@ -129,13 +129,13 @@ def approach(
 def _roughly(settings: FitSettings) -> FitSettings:
     """Give the settings of a fit that ends where it is no law that is fitted.
 
-    Close to a law each step leaves a small part of the misses; elsewhere they creep.
+    Close to a law each step leaves a small part of the residuals; elsewhere they creep.
     """
     return replace(settings, match_losses=settings.match_losses[:1], match_gain=_STRIDE)
 
 
 def _size(match: Match) -> float:
-    """Root mean square of the misses, in units of the states' spread; inf where there are none."""
+    """Root mean square of the residuals, in units of the states' spread; inf without any."""
     if not match.success or not len(match.misses):
         return np.inf
     return float(np.sqrt(np.mean(match.misses**2)))

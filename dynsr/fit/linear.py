@@ -167,8 +167,8 @@ def _fit_and_gain(
 class RatioFit:
     """Coefficients of a fitted ratio N / D.
 
-    ``numerator`` (a,) and ``denominator`` (b,) stand before the columns given; ``residual`` (n,) is
-    y - N / D, and ``weight`` (n,) the 1 / |D| that the repeated fit has come to.
+    ``numerator`` (a,) and ``denominator`` (b,) are the factors of the columns given; ``residual``
+    (n,) is y - N / D, and ``weight`` (n,) the 1 / |D| that the repeated fit has come to.
     """
 
     numerator: np.ndarray

@@ -1,4 +1,4 @@
-"""Losses: what the user counts a miss for, in the place of its square."""
+"""Losses: what the user counts a residual for, in the place of its square."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Loss:
 
 
 def read_loss(given: Any) -> Loss | None:
-    """Read a loss; None for squared misses, which everything counts by itself.
+    """Read a loss; None for squared residuals, which everything counts by itself.
 
     Parameters
     ----------

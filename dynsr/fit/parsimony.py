@@ -5,7 +5,7 @@ and of the differences that made the slopes. It has a pattern, so that a longer 
 a little of it on thousands of rows, and counted by rows that seems worth many bits. But a term of
 the law takes misses down from its own size to those errors. So the limits of a formula are looked
 at - a term less, a constant gone to 0, a slowly varying function at its limit - and the shorter
-one is kept while the misses stay of the same size.
+one is kept while the residuals stay of the same size.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _AT_ZERO: dict[Any, Callable[[sympy.Expr], sympy.Expr]] = {
 def limits(expr: sympy.Expr) -> list[sympy.Expr]:
     """Give the formulas that a formula tends to as one of its numbers or functions vanishes.
 
-    A sum loses a term, above or below a fraction line or inside a function; a function of a small
+    A sum loses a term, in a numerator or denominator or inside a function; a function of a small
     argument becomes the first term of its series.
 
     >>> x, y = sympy.symbols("x y")
@@ -69,9 +69,9 @@ def _shorter(node: sympy.Expr) -> Iterator[sympy.Expr]:
 
 
 def without_flat_line(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> sympy.Expr | None:
-    """Give a ratio with its mean below the line where what stands there hardly changes; else None.
+    """Give a ratio with the mean of its denominator where that hardly changes; else None.
 
-    Of noisy slopes it cannot be told from the ratio, which has a constant more.
+    In noisy slopes it cannot be distinguished from the ratio, which has a constant more.
 
     Parameters
     ----------
@@ -107,9 +107,9 @@ def collapse(
     Parameters
     ----------
     candidate : the formula that has been chosen.
-    others : formulas found beside it; a shorter one that misses as little takes its place.
+    others : formulas found next to it; a shorter one with as small residuals takes its place.
     samples, noise : what it is fitted to, and what cannot be explained there.
-    settings : ``alike``, the factor within which misses are of the same size.
+    settings : ``alike``, the factor within which residuals are of the same size.
 
     What takes more bits in all is not taken. Where the slopes are noisy, or where nothing explains
     them, the candidate stays: there bits decide.
@@ -158,7 +158,7 @@ def _next(
 
 
 def _misses(candidate: Candidate, samples: Samples) -> np.ndarray:
-    """Quantiles of the sizes of the misses: also of the few rows where a term is at work."""
+    """Quantiles of the sizes of the residuals: also of the few rows where a term is at work."""
     misses = np.abs(samples.y - evaluate(candidate.expr, samples.columns))
     if not np.all(np.isfinite(misses)):
         return np.full(len(_QUANTILES), np.inf)

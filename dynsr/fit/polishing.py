@@ -180,7 +180,7 @@ def _polish_noisy(
 
 
 def _follows(fit: Fit, states: Sequence[str], runs: Data, settings: FitSettings) -> bool:
-    """Say whether the misses of every state are of the size of its measurement noise."""
+    """Say whether the residuals of every state are of the size of its measurement noise."""
     if isinstance(fit, AlongFit):
         return bool(np.all(fit.found.mean_squares <= settings.followed**2))
     runs = _plain(runs)
@@ -246,8 +246,8 @@ def _drop_terms(
 ) -> Fit:
     """Take out constant after constant that the data do not tell from 0, least sure first.
 
-    A constant goes where the bits that its term saves are more than those that the misses cost by
-    the linearised fit, and the fit without it confirms it.
+    A constant goes where the bits that its term saves are more than those that the residuals cost
+    by the linearised fit, and the fit without it confirms it.
     """
     for _ in range(len(fit.constants)):
         numbers, errors = as_floats(fit.constants), fit.errors
@@ -286,7 +286,7 @@ def _whole_numbers(
 
     States made by a solver of loose tolerance follow the law only up to its errors, which a
     chaotic system amplifies over long windows until noise no longer hides them, so that the fit
-    comes to rest many standard errors beside the law. Over short windows whole numbers, which
+    comes to rest many standard errors away from the law. Over short windows whole numbers, which
     are used most, are taken where misses rise by less than the share ``settings.solver``. Gives
     the fit to go on from too: the one over short windows where these numbers need it.
     """
@@ -406,7 +406,7 @@ def simple_numbers(
 
 
 def _ties(fit: Estimate, held: Sequence[int], settings: FitSettings) -> Ties:
-    """Give the constants of a fit that are one; those that are known stand alone."""
+    """Give the constants of a fit that are one; those that are known are alone."""
     # The space keeps these names apart from any name of a column.
     symbols = [sympy.Symbol(f"constant {i}") for i in range(len(fit.constants))]
     shapes, known = fit.put(symbols), frozenset(held)

@@ -1,9 +1,9 @@
 """Profile likelihood: what the data say of one constant when all others are fitted again.
 
-The constant is held at one value after the other; the other constants and the states of the joint
+The constant is fixed at one value after the other; the other constants and the states of the joint
 fit (:mod:`dynsr.fit.collocation`) are fitted again at each. How far the sum of squares rises bounds
 the constant (Raue et al. 2009, Bioinformatics 25, 1923): the interval ends where the rise over the
-estimated variance of the misses passes the square of Student's quantile, and where it never does
+estimated variance of the residuals passes the square of Student's quantile, and where it never does
 the data leave that side open. Near a fit whose sum of squares is a parabola this is Wald's interval
 from the standard error; elsewhere that one is wrong and this one is not.
 """
@@ -24,7 +24,7 @@ from dynsr.fit.whole import interval_reach
 
 @dataclass(frozen=True)
 class ProfileSettings:
-    """The numbers that decide a profile likelihood; they stand in a discovery's record.
+    """The numbers that decide a profile likelihood; they are kept in a discovery's record.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ PROFILE: ProfileSettings = ProfileSettings()
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A fit with one constant held.
+    """A fit with one constant fixed.
 
     Parameters
     ----------
-    value : where it is held.
-    rise : of the sum of squares above the best fit, in units of the variance of the misses.
+    value : at which it is fixed.
+    rise : of the sum of squares above the best fit, in units of the variance of the residuals.
     constants : (P,) all constants.
     states : (k, n) the trajectory.
     """
@@ -87,7 +87,7 @@ class Rises:
     Parameters
     ----------
     held : the fits, by the value of the constant.
-    best : the fit in which nothing is held.
+    best : the fit in which nothing is fixed.
     low, high : the ends of the interval; None where the data leave that side open.
     limit : the rise at which the interval ends.
     """
@@ -108,10 +108,10 @@ class Profiling:
     problem : the least-squares problem.
     ways : (P, Q) how each of P constants goes with each of Q parameters: the identity, or one
         column for constants that are one, 1 or -1 at each of them.
-    best : the fit in which nothing is held, with a rise of 0.
+    best : the fit in which nothing is fixed, with a rise of 0.
     errors : (Q,) standard errors there.
     cost : the sum of squares there.
-    scale : variance of the misses in units of the noise that was given.
+    scale : variance of the residuals in units of the noise that was given.
     freedom : measurements less what was fitted to them.
     settings : the numbers that decide.
     """
@@ -196,12 +196,12 @@ class Profiling:
         return self.reach**2
 
     def hold(self, index: int, value: float, near: Held) -> Held | None:
-        """Hold one parameter and fit the rest again; None where the system cannot be fitted there.
+        """Fix one parameter and fit the rest again; None where the system cannot be fitted there.
 
         Parameters
         ----------
         index : its place.
-        value : where it is held.
+        value : at which it is fixed.
         near : the fit that is the start.
         """
         step = value - self._values(near.constants)[index]

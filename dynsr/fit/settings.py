@@ -11,7 +11,7 @@ from dynsr.expression import Vocabulary
 
 @dataclass(frozen=True)
 class CollocationSettings:
-    """Settings of the fit of whole systems; they stand in a run's record.
+    """Settings of the fit of whole systems; they are kept in a run's record.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class CollocationSettings:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Settings of the fits of constants; they change results, so they stand in a run's record.
+    """Settings of the fits of constants; they change results, so they are kept in a run's record.
 
     Parameters
     ----------
@@ -51,28 +51,28 @@ class FitSettings:
     match_trials : integrations of trial steps of one loss at most.
     match_substeps : steps of order 8 between two rows, at most, unless the equations are stiff.
     match_longest : intervals of the longest windows with fitted starts.
-    match_follows : longer windows are taken while misses grow by less than this factor.
-    match_reach : longer windows are tried where their misses are, before the fit, within this
+    match_follows : longer windows are taken while residuals grow by less than this factor.
+    match_reach : longer windows are tried where their residuals are, before the fit, within this
         factor of those of the shorter ones.
-    followed : misses of a state beyond so many times its noise show a wrong equation; then each
+    followed : residuals of a state beyond so many times its noise show a wrong equation; then each
         state is fitted alone.
-    noisy_width : robust sizes of the misses that are the unit of the Cauchy loss of noisy data;
+    noisy_width : robust sizes of the residuals that are the unit of the Cauchy loss of noisy data;
         2.385 gives 95 % of the efficiency of least squares under Gaussian noise.
     snap : whether constants become simple numbers at all; 0, 1 and -1, which change what terms a
         formula has, are looked at in any case.
-    alike : misses on exact data within this factor are of the same size, and the shorter formula
+    alike : residuals on exact data within this factor are of the same size, and the shorter formula
         is taken.
     confirmed : share of the way that states go in ten intervals up to which equations may miss
         exact states.
-    explained : share of the slopes' size above which misses show that a formula is no law.
+    explained : share of the slopes' size above which residuals show that a formula is no law.
     pinned : relative standard error that denominators above 8 and more than two digits ask for.
     solver : share of the measurements that the likelihood ratio of whole numbers may come to over
         short windows of states made by a solver of loose tolerance.
     sure : probability, given the prior of use, above which a constant is taken for a simple number.
     within : a simple number lies within so many standard errors of the fitted value.
     joint : level of the likelihood ratio that all simple numbers together must pass.
-    vocabulary : functions and operators that a varied formula may hold; None allows all.
-    along : how constants are fitted along noisy states at the end; simple numbers are judged by
+    vocabulary : functions and operators that a varied formula may contain; None allows all.
+    along : how constants are fitted along noisy states at the end; simple numbers are tested by
         differences of some units in a sum of squares of thousands, so that it takes more steps.
     strict : the same for a law that is fitted to all rows of long records, which keep to it
         strictly.

@@ -29,7 +29,7 @@ STABLE = 2.5
 _ROUNDING = 1e-9
 # An interval is cut into at most 2^6 stable steps; what is stiffer still diverges.
 _MOST_HALVINGS = 6
-# loss -> (rho(z), rho'(z)) of the squared residual z in units of the misses.
+# loss -> (rho(z), rho'(z)) of the squared residual z in units of the residuals.
 LOSSES: dict[str, tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]] = {
     "linear": (lambda z: z, np.ones_like),
     "soft_l1": (lambda z: 2 * (np.sqrt(1 + z) - 1), lambda z: 1 / np.sqrt(1 + z)),
@@ -69,9 +69,9 @@ def _diagonal(blocks: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """Misses of a flow at the rows of all windows, in units of each state's ``spread``.
+    """Residuals of a flow at the rows of all windows, in units of each state's ``spread``.
 
-    Where a spread is inf nothing was measured: the miss is 0 and counts as none.
+    Where a spread is inf nothing was measured: the residual is 0 and does not count.
 
     With ``free`` starts each window begins at a fitted state and is compared with its own first
     measurement too; otherwise it begins at that measurement. ``spread`` is (k,), or (m + 1, k, W)
@@ -118,13 +118,13 @@ class Shooting:
 
     @cached_property
     def told(self) -> np.ndarray:
-        """(rows, k, W) whether a state was measured, at the rows of the misses."""
+        """(rows, k, W) whether a state was measured, at the rows of the residuals."""
         there = np.broadcast_to(np.isfinite(self._spreads()), self.windows.x.shape)
         return there[0 if self.free else 1 :]
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """(k,) measurements of every state among the misses."""
+        """(k,) measurements of every state among the residuals."""
         return np.asarray(np.count_nonzero(self.told, axis=(0, 2)))
 
     def missed(self, misses: np.ndarray) -> np.ndarray:
@@ -133,7 +133,7 @@ class Shooting:
         return misses * np.where(self.told, spread, 0.0)
 
     def sizes(self, misses: np.ndarray) -> np.ndarray:
-        """(k,) robust size of the misses where there are measurements."""
+        """(k,) robust size of the residuals where there are measurements."""
         if self.told.all():
             return robust_scale(misses, axis=(0, 2))
         each = [own[told] for own, told in zip(misses.swapaxes(0, 1), self._by_state, strict=True)]
@@ -144,7 +144,7 @@ class Shooting:
         return self.told.swapaxes(0, 1)
 
     def unit(self, misses: np.ndarray) -> np.ndarray:
-        """(k,) unit of the weights: ``width`` robust sizes of the misses, not below rounding."""
+        """(k,) unit of the weights: ``width`` robust sizes of the residuals, not below rounding."""
         return np.maximum(self.width * self.sizes(misses), 1e-13)
 
     def minimise(
@@ -159,7 +159,7 @@ class Shooting:
         """Fit constants (P,) and starts (k, W), misses weighed in units of their present size.
 
         Ends after ``most`` steps or ``trials`` integrations of trial steps, or when a step lowers
-        the loss by less than the share ``gain``, or than a thousandth where misses are rounding.
+        the loss by less than the share ``gain``, or than a thousandth where residuals are rounding.
         """
         rho, weigh = LOSSES[loss]
         track = self._track(constants, starts)
@@ -207,10 +207,11 @@ class Shooting:
 
         With residuals z in units of their robust size, the score of the Cauchy loss is
         psi = z / (1 + z^2): B sums its squares over rows, and A = mean(psi') sum x x', with
-        psi' = (1 - z^2) / (1 + z^2)^2 averaged over each state. Without free starts misses of one
-        window are correlated, and B takes the sum of a window for one row. With free starts each
-        score is divided by 1 - h, h the share of a measurement in its own fit, and the whole is
-        multiplied by how many rows count as one where misses keep their sign longer than noise.
+        psi' = (1 - z^2) / (1 + z^2)^2 averaged over each state. Without free starts residuals of
+        one window are correlated, and B takes the sum of a window for one row. With free starts
+        each score is divided by 1 - h, h the share of a measurement in its own fit, and the whole
+        is multiplied by how many rows count as one where residuals keep their sign longer than
+        noise.
         """
         misses, by_constant, by_start = self.linearise(constants, starts)
         unit = self.unit(misses)[:, None]
@@ -229,7 +230,7 @@ class Shooting:
         square = (misses / unit) ** 2
         curved = (1 - square) / (1 + square) ** 2 * self.told
         curvature = (np.sum(curved, axis=(0, 2)) / np.maximum(self.counts, 1))[:, None]
-        # Below a tenth the misses are no noise about a fit, and no curvature is left to divide by.
+        # Below a tenth the residuals are no noise about a fit, and nothing is there to divide by.
         level = np.maximum(curvature, 0.1) / unit**2
         expected = _by_lane(np.broadcast_to(level, misses.shape))
         bread = np.linalg.pinv(np.einsum("wrp,wr,wrq->pq", scaled, expected, scaled))
@@ -251,7 +252,7 @@ class Shooting:
         return found
 
     def _inflation(self, misses: np.ndarray) -> float:
-        """Give the rows that count as one of the state whose misses keep their sign longest."""
+        """Give the rows that count as one of the state whose residuals keep their sign longest."""
         if not self.told.all():
             # Signs are those of one measured row after another.
             return max(self._inflation_of(misses[:, [i]], i) for i in range(misses.shape[1]))
@@ -304,7 +305,7 @@ class Match:
     ``errors`` gives for every state its constants in order of appearance as (value, standard
     error); ``misses`` are those of the integrated states, window after window, in units of each
     state's spread, and ``loss`` is the median of their sizes; ``success`` says whether the fit
-    could be done at all. ``fitted`` gives for every state, beside ``errors``, what each constant
+    could be done at all. ``fitted`` gives for every state, next to ``errors``, what each constant
     was before it became a simple number, and ``reach`` how many standard errors a 95 % interval
     around that reaches to either side.
     """
@@ -318,7 +319,7 @@ class Match:
 
     @property
     def loss(self) -> float:
-        """Give the median size of the misses; inf where there are none."""
+        """Give the median size of the residuals; inf where there are none."""
         return float(np.median(np.abs(self.misses))) if len(self.misses) else np.inf
 
     @classmethod
@@ -381,7 +382,7 @@ def build_shooting(
 ) -> Shooting:
     """Cut the runs into windows of ``length`` intervals, starts ``free`` or measured.
 
-    Misses are in units of each state's spread, or of ``deviations``: for every run the standard
+    Residuals are in units of each state's spread, or of ``deviations``: for every run the standard
     deviation (n, columns of the run's states) of the noise of each measurement.
     """
     runs = carry(runs)
@@ -441,7 +442,7 @@ def measure_covariance(
 
     Parameters
     ----------
-    flow : the equations with their P constants as symbols, which may stand in several places.
+    flow : the equations with their P constants as symbols, which may be in several places.
     values : (P,) of the constants.
     runs : trajectories of the same columns.
     inputs : input name -> expression in ``t``, where it is known.
@@ -568,7 +569,7 @@ def drives_of(
 ) -> list[Driven]:
     """Give for every trajectory its driven columns and the time, (d + 1, n), at any n times.
 
-    A column without an expression is held between rows as the trajectory says.
+    A column without an expression goes from row to row as the trajectory says.
     """
     exact = {name: inputs[name] for name in driven if name in inputs}
     return [
@@ -588,7 +589,7 @@ def drives_of(
 def _fit(
     shooting: Shooting, constants: np.ndarray, settings: FitSettings
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Give the constants, their errors and the misses; None when the start diverges."""
+    """Give the constants, their errors and the residuals; None when the start diverges."""
     starts = shooting.windows.x[0]
     with np.errstate(all="ignore"):
         pace = choose_pace(shooting, constants, starts, settings.match_substeps)
@@ -632,7 +633,7 @@ def _covariance(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -
 def choose_pace(
     shooting: Shooting, constants: np.ndarray, starts: np.ndarray, most: int = FIT.match_substeps
 ) -> Pace:
-    """Take finer steps until that moves the states less than rounding or than their misses.
+    """Take finer steps until that moves the states less than rounding or than their residuals.
 
     Stiff systems begin with steps short enough to be stable, of which an interval has 64 at most.
     """

@@ -45,7 +45,7 @@ _LARGEST_WHOLE = 100
 
 
 def simple_value(value: float, error: float, settings: FitSettings = FIT) -> sympy.Expr | None:
-    """Give the simple number that a fitted value stands for; None where that cannot be told.
+    """Give the simple number that a fitted value stands for; None where that is not sure.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def reach(number: Number, settings: FitSettings = FIT) -> float:
     """Give the standard errors within which a number may stand for a constant.
 
     A factor 1 is no number of a formula but its absence, like a term whose factor is 0, and is
-    judged like that.
+    tested like that.
 
     >>> reach(sympy.Rational(3, 2)), reach(sympy.Integer(-1))
     (2.0, 3.0)

@@ -185,7 +185,7 @@ class _Snapper:
 
 
 def _special(number: sympy.Expr) -> int | None:
-    """Give 0, 1 and -1, which alone change the frame that holds the numbers."""
+    """Give 0, 1 and -1, which alone change the frame that the numbers are in."""
     return int(number) if number in (0, 1, -1) else None
 
 
@@ -220,7 +220,7 @@ def snap(
 
 
 def normal_forms(expr: sympy.Expr) -> list[sympy.Expr]:
-    """Give a ratio in every form in which one coefficient below the line is 1; else itself.
+    """Give a ratio in every form in which one coefficient of the denominator is 1; else itself.
 
     A ratio does not change when both sides are multiplied by a number, so its constants are only
     simple in the right form.
@@ -352,7 +352,7 @@ def one_a_shape(ranked: Iterable[Candidate]) -> list[Candidate]:
 def score_snapped(
     candidate: Candidate, samples: Samples, noise: Noise, settings: FitSettings = FIT
 ) -> Candidate:
-    """Snap a candidate and score it anew."""
+    """Snap a candidate and score it again."""
     expr = snap(candidate.expr, samples, noise, settings)
     return score_candidate(expr, samples, candidate.source)
 

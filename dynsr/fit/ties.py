@@ -1,7 +1,7 @@
 """Ties: constants that are one, fitted in several places.
 
 What is of one kind obeys one law, what leaves one column enters another, and a difference counts
-both its sides alike. Data that do not tell such constants apart measure one constant twice, and
+both its sides alike. Data that cannot distinguish such constants measure one constant twice, and
 know it better so.
 """
 
@@ -115,8 +115,8 @@ def find_ties(
 ) -> Ties:
     """Give the constants of a fit that are one, as far as its data tell.
 
-    Constants may be one where they stand at the same place of the same term: of another equation,
-    of a twin of it under names that change places (all its constants at once, or one), or of
+    Constants may be one where they are at the same place of the same term: of another equation,
+    of the same one under names that change places (all its constants at once, or one), or of
     another column of the same equation. They are where the fitted values
     are likelier so (Bayes' factor) by more bits than choosing the tie costs, and the likelihood
     ratio of the linearised fit allows it.
@@ -162,7 +162,7 @@ def find_ties(
 def _offered(
     shapes: Mapping[str, sympy.Expr], places: Mapping[sympy.Symbol, int]
 ) -> tuple[list[tuple[int, int]], list[frozenset[tuple[int, int]]]]:
-    """Give the pairs of constants that may be one, and the sets of pairs that make twins equal."""
+    """Give pairs of constants that may be one, and sets of pairs that make equations equal."""
     columns = list(shapes)
     terms = {state: sympy.Add.make_args(expr) for state, expr in shapes.items()}
     floats = {s: e.xreplace(dict.fromkeys(places, _ANY)) for s, e in shapes.items()}
@@ -181,7 +181,7 @@ def _offered(
 def _within(
     terms: Mapping[str, Sequence[sympy.Expr]], places: Mapping[sympy.Symbol, int]
 ) -> Iterator[tuple[int, int]]:
-    """Give the pairs of constants of one equation that stand at like powers of columns."""
+    """Give the pairs of constants of one equation that are at like powers of columns."""
     for own in terms.values():
         for one, another in combinations(own, 2):
             if _is_plain(one, places) and _is_plain(another, places):
@@ -195,7 +195,7 @@ def pairs_alike(
 ) -> list[tuple[int, int]]:
     """Give the pairs of constants that one number may stand for: what leaves one state for another.
 
-    They stand at the same place of the same term of two equations, or at like powers of two columns
+    They are at the same place of the same term of two equations, or at like powers of two columns
     in one, as in ``k*(y - x)``.
 
     Parameters

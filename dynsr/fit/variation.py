@@ -85,10 +85,10 @@ def improve(
 
 
 def loosen(expr: sympy.Expr) -> sympy.Expr:
-    """Make every coefficient of the sums above and below a fraction line a float again.
+    """Make every coefficient of the sums of numerator and denominator a float again.
 
-    Below the line the last coefficient stays, since the whole is only given up to a factor; where
-    it is a float, both sides are divided by it.
+    The last coefficient of the denominator stays, since the whole is only given up to a factor;
+    where it is a float, both sides are divided by it.
 
     >>> x, y = sympy.symbols("x y")
     >>> loosen((x - 3 * y) / (2 - x)), loosen(3 * y / (1 + 1.5 * x))

@@ -1,10 +1,10 @@
 """Whole runs: constants fitted to noisy states over windows as long as the system can be followed.
 
 A window whose start is fitted tells less of the constants the shorter it is: half of what it
-measures goes into the start. So windows grow, from where the shorter ones ended, while the misses
-stay those of noise (a chaotic system ends this early). Once the system follows the data, its own
-misses tell how noise grows with the states, and rows are weighed by that (generalised least
-squares with an estimated variance function; Carroll and Ruppert 1988, chapter 2).
+measures goes into the start. So windows grow, from where the shorter ones ended, while the
+residuals stay those of noise (a chaotic system ends this early). Once the system follows the data,
+its own residuals tell how noise grows with the states, and rows are weighed by that (generalised
+least squares with an estimated variance function; Carroll and Ruppert 1988, chapter 2).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class StatesFit:
 
     @property
     def sizes(self) -> np.ndarray:
-        """(k,) robust size of the misses of every state, in state units."""
+        """(k,) robust size of the residuals of every state, in state units."""
         return self.shooting.sizes(self.shooting.missed(self.misses))
 
     @property
@@ -116,7 +116,7 @@ def fit_states(
     inputs : input name -> expression in ``t``, where it is known.
     settings : losses, windows and trials.
     deviations : for every run the standard deviation (n, k) of the noise of each measurement; by
-        default that of each state, and how it grows with the state where the misses show that.
+        default that of each state, and how it grows with the state where the residuals show that.
     near : a fit of similar equations, whose windows, weights and starts are taken over.
     """
     flow, values, _ = prepare(exprs, runs, inputs)
@@ -164,9 +164,9 @@ def _in_reach(
     begin: np.ndarray,
     settings: FitSettings,
 ) -> bool:
-    """Say whether longer windows begin with misses that a descent can bring down.
+    """Say whether longer windows begin with residuals that a descent can bring down.
 
-    Where errors grow so much within a window, as in chaos, its misses have a minimum at every
+    Where errors grow so much within a window, as in chaos, its residuals have a minimum at every
     turn, and a descent of hundreds of steps would end in one of them.
     """
     shooting, constants, starts = best
@@ -179,7 +179,7 @@ def _in_reach(
 
 
 def _large(shooting: Shooting, misses: np.ndarray) -> np.ndarray:
-    """(k,) size that a tenth of the misses exceed: errors grow towards the end of a window."""
+    """(k,) size that a tenth of the residuals exceed: errors grow towards the end of a window."""
     sizes = zip(np.abs(misses).swapaxes(0, 1), shooting.told.swapaxes(0, 1), strict=True)
     return np.array([np.quantile(own[told], 0.9) if told.any() else 0.0 for own, told in sizes])
 
@@ -195,7 +195,7 @@ def _lengths(first: int, longest: int) -> list[int]:
 def _step(
     shooting: Shooting, constants: np.ndarray, starts: np.ndarray, settings: FitSettings
 ) -> Shooting:
-    """Take the longest step of the integration that moves states less than their misses."""
+    """Take the longest step of the integration that moves states less than their residuals."""
     steps = np.diff(shooting.windows.t, axis=0)
     even = np.ptp(steps) <= 1e-6 * np.mean(steps) and not shooting.windows.jumps
     strides = _STRIDES if even else (1,)
@@ -266,7 +266,7 @@ def _grows(
 def _weigh(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Shooting:
     """Give each row its own deviation, sqrt(a^2 + (b x)^2) of each state, where misses show b.
 
-    The likelihood of the misses decides, by 2 nats at least: one more number for a state.
+    The likelihood of the residuals decides, by 2 nats at least: one more number for a state.
     """
     with np.errstate(all="ignore"):
         found = shooting.flow.run(shooting.windows, starts, constants, shooting.pace)
@@ -290,7 +290,7 @@ def _weigh(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Sho
 
 
 def _variance(misses: np.ndarray, shape: np.ndarray) -> tuple[float, float]:
-    """Negative log likelihood of misses whose variance has this shape, and its robust factor."""
+    """Negative log likelihood of residuals whose variance has this shape, and its robust factor."""
     square = misses**2 / shape
     factor = max(float(robust_scale(np.sqrt(square))) ** 2, 1e-300)
     # Few wild rows must not look like noise that grows.

@@ -58,7 +58,7 @@ _TOO_CLOSE = 0.3
 
 @dataclass(frozen=True)
 class ComparisonSettings:
-    """Settings of a comparison of whole systems; they stand in a run's record.
+    """Settings of a comparison of whole systems; they are kept in a run's record.
 
     Parameters
     ----------
@@ -67,23 +67,23 @@ class ComparisonSettings:
         states; those have a pattern, and terms would be found for it.
     coarse, dense : the same where an oscillation takes fewer rows than ``dense``: what is between
         rows so far apart looks like noise, and slopes are rough.
-    loose : noise, as a share of the spread, below which a system is held to its own solution no
-        more strictly in units of the spread.
+    loose : noise, as a share of the spread, below which the defects of a system count no more than
+        at this noise.
     alone : formulas of each state that are fitted with the other states read off their curves.
-    sums : sums of terms of other equations, and of what hangs from a joint, that are fitted alone.
+    sums : sums of terms of other equations, and of a joint's acceleration, that are fitted alone.
     alone_softness : weight of the defects along smoothed states, which are not quite those of a
         system.
-    softness : weight of the defects along a system that misses its data, and where whole
-        polynomials and what hangs from a joint are begun.
+    softness : weight of the defects of a system that does not follow its data, and at the start of
+        whole polynomials and of equations with a joint.
     pruned : of these, how many lose the terms that do not pay.
     again : how often terms are looked for along the best system found.
     gain : bits that this must save for it to go on.
     together : the best of them that enter whole systems.
     behind : bits that they may take more than the best of them.
     near : the same, once a system leaves nothing but noise.
-    doubtful : noise, as a share of the spread, above which slopes tell other methods nothing more.
+    doubtful : noise, as a share of the spread, above which slopes are of no use to other methods.
     apart : rms difference of two equations, as a share of the slopes' spread, from which on one
-        must be told apart from the other: as few as 1 % off is another law.
+        must be distinguished from the other: a formula that is 1 % off is another law.
     pieces : pieces of a run that are integrated where the whole cannot be.
     reproduces : least mean R2 of an integration from the fitted start over the whole run.
     evaluations : of the right-hand sides for each row that this integration takes at most.
@@ -91,7 +91,7 @@ class ComparisonSettings:
         most so many bits more.
     rounds : changes taken at most.
     tried : changes, those expected to save most first, that are fitted in a round.
-    excess : mean squared miss beyond that of noise, in units of it, that is noise too: its size
+    excess : mean squared residual beyond that of noise, in units of it, that is noise too: its size
         is an estimate.
     rows : rows of the data at most.
     parts : which parts of the search and of the bits take part.

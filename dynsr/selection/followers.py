@@ -48,10 +48,10 @@ class FollowerSettings:
     degree : of these.
     steps : of an integration over a run, at least.
     rows : rows of all runs that are compared, at most.
-    runs : runs that are followed, at most.
+    runs : runs that are integrated, at most.
     reach : spreads by which an integration may leave the data.
     tie : R2 within which the sum of fewest terms is the better one.
-    given : followers that are given.
+    given : sums that are given as an answer.
     """
 
     degrees: tuple[int, ...] = (1, 2, 3)

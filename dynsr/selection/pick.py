@@ -82,7 +82,7 @@ _MEDIAN_ERROR = 1.166
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Settings of the choice of one equation a state; they stand in a run's record.
+    """Settings of the choice of one equation a state; they are kept in a run's record.
 
     Parameters
     ----------
@@ -91,11 +91,11 @@ class SelectionSettings:
     compared : formulas that are compared on held-back data.
     window : intervals of a forecast.
     errors : medians of forecast errors within so many standard errors of their ratio are equal.
-    finest : share of the spread below which no forecast errors are told apart.
+    finest : share of the spread below which forecast errors are equal.
     fit : how constants are fitted and snapped.
     comparison : how whole systems are compared.
     look : the first look at exact slopes.
-    loss : the user's own loss, by which description lengths count misses; None for squares.
+    loss : the user's own loss, by which description lengths count residuals; None for squares.
     """
 
     snapped: int = 6
