@@ -508,7 +508,7 @@ class _Bench:
     def _simplicity(self, followed: Followed, chi: np.ndarray) -> np.ndarray:
         """(k,) bits by which the constants of each equation are simple numbers and none by chance.
 
-        The constants are those of a linear fit to the misses, of which few rows are independent.
+        The constants are those of a linear fit to the residuals, of which few rows are independent.
         """
         count, states = len(self.places), list(self.equations)
         z, slopes, owners = followed.linearise()
