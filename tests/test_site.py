@@ -123,23 +123,26 @@ def test_formulas_are_set(browser, site, page):
     assert [url for url in browser.requests() if not url.startswith(("file:", "data:"))] == []
 
 
-@pytest.mark.parametrize("width", [PHONE, DESK])
-def test_no_page_scrolls_sideways_or_complains(browser, site, width):
-    """What is wide, such as a table or a signature, scrolls in a box of its own; the console of the
-    browser says nothing.
-    """
-    boxes = ".md-typeset__scrollwrap, .arithmatex, pre, .jp-OutputArea-output, .katex, svg, nav"
-    out = (
-        "[...document.querySelectorAll('article *')]"
-        f".filter(e => !e.parentElement.closest('{boxes}') && e.getBoundingClientRect().width)"
-        ".filter(e => e.getBoundingClientRect().right > innerWidth + 1)"
-        ".map(e => e.outerHTML.slice(0, 80))"
-    )
-    for page in sorted(site.rglob("*.html")):
-        browser.open(page, width)
-        assert browser.run("document.documentElement.scrollWidth") <= width, page
-        assert browser.run(out) == [], page
-        assert browser.complaints() == [], page
+@pytest.mark.parametrize(
+    ("inside", "says"),
+    [
+        ("<p style='width: 700px'>wide</p>", ["scrolls sideways, to 7"]),
+        (
+            "<div style='overflow: hidden'><p style='width: 700px'>cut off</p></div>",
+            ["beyond the edge: <p style"],
+        ),
+        ("<pre style='overflow: auto'><b style='display: block; width: 700px'>x</b></pre>", []),
+        ("<script>console.error('lost')</script>", ["console: "]),
+    ],
+)
+def test_what_is_wrong_with_an_opened_page_is_found(browser, tmp_path, opened, inside, says):
+    """``scripts/check`` opens each page: wide things scroll in a box, and the console is silent."""
+    page = tmp_path / "page.html"
+    page.write_text(f"<meta name=viewport content='width=device-width'><article>{inside}</article>")
+    faults = list(opened.find_faults(browser, page, PHONE))
+    assert len(faults) == len(says)
+    assert all(fault.startswith(own) for fault, own in zip(faults, says, strict=True)), faults
+    assert "scripts/site/opened.py" in (ROOT / "scripts" / "check").read_text("utf-8")
 
 
 def test_the_options_are_read_on_a_phone_without_scrolling(browser, site):
@@ -161,14 +164,25 @@ def test_no_markdown_and_no_tex_is_left_as_text(browser, site, visible):
         assert "$$" not in browser.run("document.querySelector('article').innerText")
 
 
-@pytest.fixture(scope="module")
-def visible():
-    """Load the script that ``scripts/check`` runs on the built pages."""
-    path = ROOT / "scripts" / "site" / "visible.py"
-    spec = importlib.util.spec_from_file_location("visible", path)
+def load_script(name):
+    """Load a script that ``scripts/check`` runs on the built pages."""
+    path = ROOT / "scripts" / "site" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def visible():
+    """Load the one that reads the pages."""
+    return load_script("visible")
+
+
+@pytest.fixture(scope="module")
+def opened():
+    """Load the one that opens the pages in a browser."""
+    return load_script("opened")
 
 
 def test_what_is_left_as_text_is_found(visible):
