@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data.samples import Samples
 from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.prediction import predict
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate
 from dynsr.fit.constants import free_constants
@@ -123,6 +124,17 @@ def test_a_column_that_is_no_longer_read_goes_with_its_term():
     run = Trajectory(t, np.column_stack([np.sin(3 * t), np.exp(-t / 2)]) + noise, ("x", "y"))
     found = polish({"y": parse("0.001*x - 0.49*y")}, [run], {}, {}, {})
     assert found.exprs == {"y": parse("-0.5*y")}
+
+
+def test_a_constant_within_a_function_stays_however_unsure():
+    """Of 2/(y + 0.2), where y goes from 1 to 4, the 0.2 is not told from 0 and stays."""
+    t = np.linspace(0, 3, 40)
+    law = {"y": parse("2/(y + 0.2)")}
+    y = predict(law, [1.0], t).x + 0.05 * np.random.default_rng(0).normal(size=(40, 1))
+    found = polish({"y": parse("2.1/(y + 0.3)")}, [Trajectory(t, y, ("y",))], {}, {}, {})
+    assert sympy.denom(found.exprs["y"]).is_Add
+    (value, error), *_ = sorted(found.errors["y"])
+    assert abs(value) < 3 * error
 
 
 def test_a_pick_that_was_put_first_is_explained_beside_a_shorter_rival():

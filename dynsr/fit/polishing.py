@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol, TypeAlias
 
@@ -244,21 +244,25 @@ def _drop_terms(
     inputs: Mapping[str, sympy.Expr],
     settings: FitSettings,
 ) -> Fit:
-    """Take out constant after constant that the data do not tell from 0, least sure first.
+    """Take out term after term whose factor the data do not tell from 0, least sure first.
 
-    A constant goes where the bits that its term saves are more than those that the residuals cost
-    by the linearised fit, and the fit without it confirms it.
+    A term goes where the bits that it saves are more than those that the residuals cost by the
+    linearised fit, and the fit without it confirms it. A constant within a function stays, however
+    unsure: without it the function is another one, which the search has compared.
     """
     for _ in range(len(fit.constants)):
         numbers, errors = as_floats(fit.constants), fit.errors
         written = [
             sympy.Float(written_constant(v, e)) for v, e in zip(fit.constants, errors, strict=True)
         ]
-        before = sum(map(complexity, fit.put(written).values()))
+        now = fit.put(written).values()
+        before, terms = sum(map(complexity, now)), _count_terms(now)
         gains = {}
         for i, (value, error) in enumerate(zip(fit.constants, errors, strict=True)):
             without = fit.put([*written[:i], sympy.S.Zero, *written[i + 1 :]])
             if any(e.has(sympy.zoo, sympy.nan) for e in without.values()):
+                continue
+            if _count_terms(without.values()) == terms:
                 continue
             if any(missing_terms(without[s], [term]) for s, term in settings.must if s in without):
                 continue
@@ -274,6 +278,10 @@ def _drop_terms(
             break
         fit = shorter
     return fit
+
+
+def _count_terms(exprs: Iterable[sympy.Expr]) -> int:
+    return sum(len(sympy.Add.make_args(sympy.expand(e))) - (e == 0) for e in exprs)
 
 
 def _whole_numbers(
