@@ -365,6 +365,15 @@ def discover(
             rich_help_panel=options.SEARCH,
         ),
     ] = False,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Spread the search, or the files of a batch, over the workers of a Dask "
+            "scheduler: tcp://node1:8786.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = None,
     details: Annotated[
         bool,
         typer.Option(
@@ -391,6 +400,7 @@ def discover(
     change them. Ctrl-C ends the search with the best equations so far.
     """
     from dynsr.engines import find_engine
+    from dynsr.jobs import on_cluster
 
     # An engine that is unknown or absent is reported before anything is read.
     find_engine(engine)
@@ -443,7 +453,8 @@ def discover(
             "doses": said,
             "dose_table": table,
         }
-        _discover_each(files or [], out, asked, jobs, json, quiet)
+        with on_cluster(cluster):
+            _discover_each(files or [], out, asked, jobs, json, quiet)
         return
     notes = Notes(quiet)
     with notes:
@@ -468,7 +479,7 @@ def discover(
             given_beside = [*(hold or []), *(doses or []), *(noise or [])]
             _refuse_columns(time_column, states, trajectory, given, given_beside, quantity, decimal)
             data, formulas = _training_data(str(system), engine)
-        with SearchProgress(quiet) as progress:
+        with on_cluster(cluster), SearchProgress(quiet) as progress:
             found, folder = _search_in(
                 _folders(out, files[0].stem if files else str(system), json),
                 data,

@@ -104,7 +104,9 @@ def discover_each(
     if twice:
         raise InputError(f"file {twice[0]!r} is given twice; give it once")
     folder = RunFolder(Path(out).absolute())
-    given = _Doses(Path(dose_table), tuple(map(Path, files))) if dose_table is not None else None
+    # Workers of a cluster may be in other folders.
+    places = tuple(Path(file).absolute() for file in files)
+    given = _Doses(Path(dose_table).absolute(), places) if dose_table is not None else None
     shared = {"version": __version__, "settings": fingerprint(repr(to_plain(settings)))}
     folder.claim("batch", shared, alone=(EACH,))
     assert folder.path is not None
@@ -147,7 +149,13 @@ def _make_task(
     read = [file] if doses is None else [file, doses.table]
     content = [own.read_bytes() if own.is_file() else b"" for own in read]
     key = fingerprint(*content, repr(to_plain(dict(settings))), __version__)
-    arguments = (file, out.with_name(f"{out.name}-{key}"), dict(settings), doses)
+    arguments = (
+        str(file),
+        file.absolute(),
+        out.with_name(f"{out.name}-{key}"),
+        dict(settings),
+        doses,
+    )
     died = partial(_died, file)
     return Task(name, str(file), discover_one, arguments, Discovered, key, _USUAL, died)
 
@@ -158,13 +166,18 @@ def _died(file: Path, reason: str) -> Discovered:
 
 
 def discover_one(
-    file: Path, out: Path, settings: Mapping[str, Any], doses: _Doses | None, report: Report
+    name: str,
+    file: Path,
+    out: Path,
+    settings: Mapping[str, Any],
+    doses: _Doses | None,
+    report: Report,
 ) -> Discovered:
     """Find the equations of one file of a batch.
 
     Parameters
     ----------
-    file : the table.
+    name, file : the table as it was asked for, and where it is.
     out : the folder of its discovery.
     settings : of :func:`discover`.
     doses : their table, where there is one.
@@ -176,11 +189,11 @@ def discover_one(
         found = discover(data, out=out, jobs=1, progress=False, **used)
     except (DynsrError, MemoryError) as error:
         reason = one_line(error) or type(error).__name__
-        return Discovered(str(file), FAILED, reason, (), time.monotonic() - began)
+        return Discovered(name, FAILED, reason, (), time.monotonic() - began)
     lines = tuple(write_lines(found.equations, found.settings))
     taken = time.monotonic() - began
     level, reason = found.verdict.level, found.verdict.reason
-    return Discovered(str(file), level, reason, lines, taken, found.complete)
+    return Discovered(name, level, reason, lines, taken, found.complete)
 
 
 def _with_doses(

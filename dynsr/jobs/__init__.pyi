@@ -1,4 +1,5 @@
 from .budget import Budget, End, TimeUp, Turn, finish_by, time_limit
+from .cluster import on_cluster
 from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_notebook, say_left
 from .garbage import let_garbage_wait
 from .interrupts import heard_again, interrupt_again, is_repeated, signal_again, signal_main
@@ -51,6 +52,7 @@ __all__ = [
     "is_lost",
     "is_repeated",
     "let_garbage_wait",
+    "on_cluster",
     "printing",
     "read_json",
     "read_manifest",
