@@ -124,7 +124,7 @@ def test_the_shell_takes_and_shows_delays(tmp_path):
 def test_mackey_and_glass_are_found_in_exact_data():
     """x' = 0.2 x(t - 17) / (1 + x(t - 17)^10) - 0.1 x on its chaotic attractor."""
     t, x = solve(lambda x, b: 0.2 * b / (1 + b**10) - 0.1 * x, 17, 0.9, 300, 0.05)
-    found = discover((t[::15], x[::15, None]), delays=17.5, jobs=1)
+    found = discover((t[::15], x[::15, None]), delays=17.5, preset="quick", jobs=1)
     assert found.delays["x_delayed"].value == pytest.approx(17, rel=1e-3)
     truth = 0.2 * BEFORE / (1 + BEFORE**10) - 0.1 * X
     apart = sympy.lambdify((X, BEFORE), found.equations["x"] - truth)
