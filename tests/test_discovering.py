@@ -134,6 +134,7 @@ class Found:
     hidden = {}
     hidden_notes = {}
     further = {}
+    trajectories = ()
 
     def __init__(self, settings):
         """Keep the settings."""
