@@ -14,6 +14,7 @@ from rich.text import Text
 
 from dynsr.cli import discovery as discovering
 from dynsr.cli import output
+from dynsr.discovery import result
 from dynsr.discovery.result import Discovery
 from dynsr.jobs import take_lost
 from dynsr.jobs.screen import Screen, is_lost, printing
@@ -122,10 +123,10 @@ def test_a_result_is_saved_before_it_is_shown(data, tmp_path, monkeypatch):
 def test_what_cannot_be_saved_is_shown(data, tmp_path, monkeypatch, capsys):
     """Where the file cannot be written the equations are on the screen, and the error comes."""
 
-    def refuse(self, path):
+    def refuse(path, record):
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(Discovery, "save", refuse)
+    monkeypatch.setattr(result, "write_discovery", refuse)
     saves = pytest.warns(UserWarning, match="No space left")
     with saves, pytest.raises(OSError, match="No space"):
         discovering.discover([data], preset="quick", functions="none", jobs=1, out=tmp_path / "o")
