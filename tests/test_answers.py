@@ -37,7 +37,7 @@ def test_the_source_and_the_bits_are_those_of_the_answer():
     x = solve(lambda _, s: [s[1], -0.2 * s[1] - 0.5 * s[0] ** 3], [1.0, 0.5], t, 0.03)
     found = dynsr.discover({"t": t, "x": x[:, 0], "v": x[:, 1]}, **QUICK)
     assert str(found.equations["x"]) == "v" and len(found.equations["v"].args) == 2
-    assert found.explanation["x"].endswith("Found by sums of terms along the states.")
+    assert found.explanation["x"].endswith("Found by sums of terms fitted to the states.")
     assert "every column" not in found.explanation["v"]
     for state, expr in found.equations.items():
         assert found.details[state].startswith(f"{state}' = {shown(tidy(expr))} takes ")

@@ -221,6 +221,8 @@ def test_code_in_a_saved_file_is_never_run(found, tmp_path):
     path.write_text(json.dumps(record))
     with pytest.raises(InputError):
         Discovery.load(path)
+    with pytest.raises(InputError, match=r"nowhere.json'.*; check its name"):
+        Discovery.load(tmp_path / "nowhere.json")
 
 
 def test_a_relative_folder_is_that_of_the_caller(decay, tmp_path, monkeypatch):

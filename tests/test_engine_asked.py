@@ -202,7 +202,7 @@ def test_noisy_data_are_followed_by_the_engine(julia):
     noisy = add_noise(DECAY, 0.03, np.random.default_rng(1))
     found = discover(noisy, preset="quick", functions=(), engine="julia", jobs=1)
     engines = found.settings["engines"]
-    assert engines["search"] == "none (NumPy along the states)" and "regress" not in engines
+    assert engines["search"] == "none (NumPy on the states)" and "regress" not in engines
     assert not julia.regressed and len(julia.integrated) == 1
     confirmed = found.settings["confirmed"]
     assert (confirmed["engine"], confirmed["versions"]) == ("julia", julia.versions())

@@ -298,7 +298,7 @@ def name_engines(
     """
     own = [method.engine for method in methods]
     regress = dict.fromkeys(find_engine(one).name for one in own if one is not None)
-    where = ["along the states"] * along + ["on the slopes"] * (looked or None in own)
+    where = ["on the states"] * along + ["on the slopes"] * (looked or None in own)
     return {
         **({"search": f"none (NumPy {' and '.join(where)})"} if where else {}),
         **({"regress": ", ".join(regress)} if regress else {}),

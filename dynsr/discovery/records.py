@@ -92,7 +92,8 @@ def read_discovery(
     try:
         record = read_json(path)
     except RecordError as error:
-        raise InputError(f"{error}; save it again") from None
+        remedy = "save it again" if path.exists() else "check its name"
+        raise InputError(f"{error}; {remedy}") from None
     if not isinstance(record, dict) or not str(record.get("format")).startswith(_FORMAT):
         raise InputError(f"{label!r} is no saved discovery; give one that save() wrote")
     if record["format"] != FORMAT:

@@ -219,7 +219,7 @@ def explore_one(
     began = time.monotonic()
     exprs = explore(state, data, settings.comparison)
     samples = data.samples(state)
-    named = "sums of terms along the states"
+    named = "sums of terms fitted to the states"
     candidates = tuple(score_candidate(e, samples, named) for e in exprs)
     report(Progress("sums of terms", 0, None, ParetoFront(candidates)))
     return Found(state, EXPLORATION, candidates, time.monotonic() - began)
@@ -355,7 +355,7 @@ def explore_tasks(
     return [
         Task(
             _search_name(state, EXPLORATION),
-            f"{state}' along the states",
+            f"{state}' from the states",
             explore_one,
             (state, data, settings),
             Found,
