@@ -213,6 +213,12 @@ def test_a_broken_file_is_refused(tmp_path, text):
         Discovery.load(path)
 
 
+def test_a_file_that_is_not_there_is_said_so(tmp_path):
+    """The remedy is its name, not to save it again."""
+    with pytest.raises(InputError, match=r"nowhere.json'.*; check its name"):
+        Discovery.load(tmp_path / "nowhere.json")
+
+
 def test_code_in_a_saved_file_is_never_run(found, tmp_path):
     """An equation that is Python code is refused by the parser."""
     record = found.as_record()
@@ -221,8 +227,6 @@ def test_code_in_a_saved_file_is_never_run(found, tmp_path):
     path.write_text(json.dumps(record))
     with pytest.raises(InputError):
         Discovery.load(path)
-    with pytest.raises(InputError, match=r"nowhere.json'.*; check its name"):
-        Discovery.load(tmp_path / "nowhere.json")
 
 
 def test_a_relative_folder_is_that_of_the_caller(decay, tmp_path, monkeypatch):
