@@ -10,7 +10,7 @@ from .holding import Hold, check_hold, choose_hold
 from .kept import DATA, KeptData, digest, read_kept, write_kept
 from .known_noise import KnownNoise
 from .name_parts import bracketed_unit
-from .noise_model import StateNoise, measurement_noise, robust_scale
+from .noise_model import StateNoise, is_still, measurement_noise, robust_scale, scale_of
 from .observation import at_own_rows, carry, told_rows
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
 from .reading import (
@@ -116,6 +116,7 @@ __all__ = [
     "in_unit",
     "is_own_page",
     "is_part",
+    "is_still",
     "join_samples",
     "load_columns",
     "load_with_doses",
@@ -134,6 +135,7 @@ __all__ = [
     "remove_stale",
     "robust_scale",
     "sample_input",
+    "scale_of",
     "settle_hold",
     "smooth",
     "smooth_column",

@@ -11,7 +11,12 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from dynsr.data.determinism import Orbit, Pairs, forced_share, nearest_pairs
-from dynsr.data.noise_model import interpolation_residuals, measurement_noise, robust_scale
+from dynsr.data.noise_model import (
+    interpolation_residuals,
+    measurement_noise,
+    robust_scale,
+    scale_of,
+)
 from dynsr.data.observation import at_own_rows
 from dynsr.data.samples import Samples
 from dynsr.data.slopes import choose_samples, smooth_column
@@ -413,9 +418,8 @@ def _beside_trend(orbit: Orbit, pairs: Pairs, settings: DiagnosisSettings) -> Pa
     Rows of few runs are near, not equal: slopes that bend between them differ as well. What an
     equation of the columns explains of that is no missing state.
     """
-    points = (orbit.points - orbit.points.mean(axis=0)) / np.maximum(
-        orbit.points.std(axis=0), 1e-300
-    )
+    scales = [scale_of(column) for column in orbit.points.T]
+    points = (orbit.points - orbit.points.mean(axis=0)) / scales
     rows, width = points.shape
     best, left = pairs, pairs.share
     for degree in range(1, settings.trend + 1):

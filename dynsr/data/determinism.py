@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dynsr.data.noise_model import scale_of
+
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
@@ -84,7 +86,7 @@ def nearest_pairs(orbit: Orbit, neighbours: int = 6, nearest: float = 0.5) -> Pa
     neighbours : pairs a row.
     nearest : share of all pairs, the nearest ones, that is kept.
     """
-    points = orbit.points / np.maximum(np.std(orbit.points, axis=0), 1e-300)
+    points = orbit.points / [scale_of(column) for column in orbit.points.T]
     gap = memory(orbit)
     asked = min(len(points), 2 * gap + 1 + neighbours)
     # A query for one neighbour gives flat arrays, and finds nothing but the row itself.

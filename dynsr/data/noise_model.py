@@ -25,6 +25,24 @@ _FEWEST = 5
 _SAME = 2
 
 
+def is_still(values: np.ndarray, rounded: float = 0.0) -> bool:
+    """Whether values (n,) of a column do not differ, but for this share of their size.
+
+    >>> is_still(np.array([3.0, 3.0])), is_still(np.array([3.0, 3.1]))
+    (True, False)
+    """
+    return bool(np.ptp(values) <= rounded * np.max(np.abs(values)))
+
+
+def scale_of(values: np.ndarray) -> float:
+    """Give the standard deviation of values (n,); of a column that is still its size, or 1.
+
+    >>> scale_of(np.array([1.0, 3.0])), scale_of(np.array([3.0, 3.0])), scale_of(np.zeros(2))
+    (1.0, 3.0, 1.0)
+    """
+    return float(np.max(np.abs(values)) if is_still(values) else np.std(values)) or 1.0
+
+
 def robust_scale(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
     """Give 1.4826 times the median of |values|: the standard deviation of normal values.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynsr.data.forcing import Forced, find_forced
-from dynsr.data.noise_model import StateNoise, measurement_noise
+from dynsr.data.noise_model import StateNoise, is_still, measurement_noise
 from dynsr.data.observation import at_own_rows, carry
 from dynsr.data.samples import SCHEMES, Samples, join_samples
 from dynsr.data.slopes import (
@@ -76,7 +76,9 @@ def _with_velocities(
     for state in velocities:
         x = smoothed.x[:, run.index(state)]
         chosen = scheme if scheme != "auto" else _choose_first(smoothed, state, settings).scheme
-        slopes.append(smooth_column(run.t, x, chosen))
+        found = smooth_column(run.t, x, chosen)
+        # A state that does not change has no slope, but for the rounding of what fits it.
+        slopes.append(replace(found, slope=np.zeros_like(found.slope)) if is_still(x) else found)
     rows = slice(max(s.rows.start for s in slopes), min(s.rows.stop for s in slopes))
     columns = [s.slope[rows.start - s.rows.start : rows.stop - s.rows.start] for s in slopes]
     if forced is not None:

@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 from scipy.special import fdtrc
 
-from dynsr.data import Samples, Trajectory, near_rows_leave_open
+from dynsr.data import Samples, Trajectory, near_rows_leave_open, scale_of
 from dynsr.discovery.drift import Drift, drift_of_rows, place_among
 from dynsr.discovery.drift_exact import same_in_time
 from dynsr.discovery.following import Place, open_constants
@@ -133,7 +133,7 @@ class _Step:
 
     @property
     def spread(self) -> float:
-        return max(float(np.std(self.samples.y)), 1e-300)
+        return scale_of(self.samples.y)
 
     @property
     def finest(self) -> float:

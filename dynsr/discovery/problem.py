@@ -706,6 +706,8 @@ class Problem:
         data = self.measurements
         assert data is not None
         pools = {f.target: [c.expr for c in f.candidates] for f in explored}
+        if not all(pools.values()):
+            return None
         exprs = self._with_known({state: pool[0] for state, pool in pools.items()})
         comparison = self.settings.selection.comparison
 

@@ -17,7 +17,7 @@ import sympy
 from scipy.special import chdtrc
 
 from dynsr.arguments import Renamed, renamed
-from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose
+from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose, is_still
 from dynsr.discovery.by_state import ByState
 from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
 from dynsr.discovery.drift_along import Along
@@ -374,7 +374,7 @@ class _Bench:
         plain, spread = noise_and_spread(runs)
         whole = [np.broadcast_to(plain, r.x.shape) for r in runs] if noise is None else noise
         whole = [np.where(r.measured, own, np.inf) for r, own in zip(runs, whole, strict=True)]
-        spread = np.maximum(spread[columns], 1e-300)
+        spread = spread[columns]
         every = np.concatenate([level[:, columns] for level in whole])
         there = np.isfinite(every)
         squares = np.sum(np.where(there, every, 0.0) ** 2, axis=0)
@@ -751,16 +751,14 @@ class _Bench:
         self, place: int, evidence: _Evidence | None, found: StateVerdict, rows: float
     ) -> bool:
         """Say whether a state does nothing but carry noise."""
-        if self.spread[place] <= 1e-12 * self._size(place):
+        state = list(self.equations)[place]
+        if all(is_still(run.x[:, run.index(state)], 1e-12) for run in self.runs):
             return True
         if evidence is None or not self._leaves_noise(place, evidence, found, rows):
             return False
         # What jumps from row to row looks like noise to its neighbours, and may follow a map.
-        causes = diagnose(self.course.runs, list(self.equations)[place])
+        causes = diagnose(self.course.runs, state)
         return bool(self.noise[place] > 0.7 and not any(c.kind in _JUMPING for c in causes))
-
-    def _size(self, place: int) -> float:
-        return float(abs(self._means[place])) or 1e-280
 
     def _lacking(self, place: int, expr: sympy.Expr, r2: float, evidence: _Evidence | None) -> str:
         if expr == 0:

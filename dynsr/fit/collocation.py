@@ -33,7 +33,9 @@ from dynsr.data import (
     carry,
     estimate_noise,
     find_forced,
+    is_still,
     join_samples,
+    scale_of,
     smooth,
     told_rows,
 )
@@ -149,10 +151,9 @@ class Mesh:
 
     @cached_property
     def spread(self) -> np.ndarray:
-        """(k,) standard deviation of the smoothed states, never 0."""
-        return np.maximum(
-            np.std(self.start, axis=0), 1e-12 * np.abs(self.start).max(axis=0) + 1e-300
-        )
+        """(k,) scale of the smoothed states, more than their rounding."""
+        scales = [scale_of(column) for column in self.start.T]
+        return np.maximum(scales, 1e-12 * np.abs(self.start).max(axis=0))
 
     @cached_property
     def columns(self) -> dict[str, np.ndarray]:
@@ -895,11 +896,15 @@ class Measurements:
         return np.logical_or(sure, never)
 
     @cached_property
-    def _spread(self) -> np.ndarray:
-        """(k,) standard deviation of what was measured of each state; 0 where nothing was."""
+    def _seen(self) -> list[np.ndarray]:
+        """What was measured of each state."""
         columns = np.concatenate([run.observed for run in self.runs]).T
-        there = (own[~np.isnan(own)] for own in columns)
-        return np.array([np.std(own) if len(own) else 0.0 for own in there])
+        return [own[~np.isnan(own)] for own in columns]
+
+    @cached_property
+    def _spread(self) -> np.ndarray:
+        """(k,) scale of what was measured of each state; 0 where nothing was."""
+        return np.array([scale_of(own) if len(own) else 0.0 for own in self._seen])
 
     @cached_property
     def deviations(self) -> list[np.ndarray]:
@@ -915,13 +920,14 @@ class Measurements:
     def noise_share(self) -> float:
         """Median over the measured states of the noise, its root mean square, as a share of spread.
 
-        Noise may grow with the state: rows at rest near 0, however many, say little of it.
+        Noise may grow with the state: rows at rest near 0, however many, say little of it. A state
+        that never changes says nothing of it.
         """
-        spread = self._spread
         noise = np.concatenate(self.deviations)
-        measured = np.any(np.isfinite(noise), axis=0)
+        moving = np.array([len(own) > 0 and not is_still(own) for own in self._seen])
+        measured = np.any(np.isfinite(noise), axis=0) & moving
         own = [math.sqrt(np.mean(column[np.isfinite(column)] ** 2)) for column in noise.T[measured]]
-        return float(np.median(own / np.maximum(spread[measured], 1e-300)))
+        return float(np.median(own / self._spread[measured])) if own else 0.0
 
     @property
     def may_be_exact(self) -> bool:

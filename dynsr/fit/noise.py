@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynsr.data import SCHEMES, Samples, Trajectory, measurement_noise
+from dynsr.data import SCHEMES, Samples, Trajectory, measurement_noise, scale_of
 from dynsr.expression import REAL_RESOLUTION, evaluate
 from dynsr.fit.candidates import Candidate
 
@@ -130,7 +130,7 @@ def noise_and_spread(runs: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray
 
 
 def spread_of(runs: Sequence[Trajectory]) -> np.ndarray:
-    """(k,) standard deviation of each state where it was measured, or of its curve if nowhere.
+    """(k,) scale of each state where it was measured, or of its curve if nowhere.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def spread_of(runs: Sequence[Trajectory]) -> np.ndarray:
     for place in range(len(runs[0].states)):
         seen = np.concatenate([run.x[run.measured[:, place], place] for run in runs])
         whole = seen if len(seen) else np.concatenate([run.x[:, place] for run in runs])
-        found.append(float(np.std(whole)))
+        found.append(scale_of(whole))
     return np.array(found)
 
 

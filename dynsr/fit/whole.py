@@ -85,6 +85,8 @@ class StatesFit:
         curvature = float(np.mean((1 - square) / (1 + square) ** 2, where=told))
         score = float(np.mean(square / (1 + square) ** 2, where=told))
         lost = float(np.sum(np.log1p(theirs**2)) - np.sum(np.log1p(square)))
+        if score == 0:
+            return math.inf if lost > 0 else 0.0
         return lost * max(curvature, 0.1) / score
 
 
