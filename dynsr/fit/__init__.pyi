@@ -76,7 +76,7 @@ from .shooting import (
     prepare,
     read_inputs,
 )
-from .simple import simplicity_bits, use_bits, use_bits_together
+from .simple import simplicity_bits, use_bits_together
 from .snapping import one_a_shape, score_snapped, snap_best, tidy
 from .ties import Names, exchanges, pairs_alike, ways_alike
 from .variation import improve, loosen, with_floats
@@ -187,7 +187,6 @@ __all__ = [
     "tidy",
     "told_bits",
     "untouched_match",
-    "use_bits",
     "use_bits_together",
     "ways_alike",
     "with_floats",
