@@ -44,7 +44,12 @@ def _dynsr(
         typer.echo(context.get_help())
 
 
-_DATA, _DISCOVERY, _PAPER, _CARE = "Systems and data", "Discovery", "The paper", "Care"
+_DATA, _DISCOVERY, _PAPER, _CARE = (
+    "Systems and data",
+    "Discovery",
+    "The paper",
+    "Installation and checks",
+)
 
 for _panel, _command, _example in (
     (_DATA, data.systems, "systems pendulum"),

@@ -394,7 +394,7 @@ def discover(
         ),
     ] = False,
 ) -> None:
-    """Find the equation of every state from data, and check them by integrating.
+    """Find the equation of every state from data, and check it by integration.
 
     The roles of the columns are guessed and shown; --time, --states, --inputs and --trajectory
     change them. Ctrl-C ends the search with the best equations so far.
