@@ -1,7 +1,9 @@
+import warnings
+
 import numpy as np
 import pytest
 
-from dynsr.fit.linear import fit_linear, fit_robustly
+from dynsr.fit.linear import fit_linear, fit_robustly, know
 
 
 @pytest.mark.parametrize("columns", [1, 2, 4])
@@ -31,3 +33,14 @@ def test_bad_rows_do_not_move_a_robust_fit(rows):
     plain = np.linalg.lstsq(design[0], z, rcond=None)[0]
     assert np.allclose(found, expected, atol=2e-5)
     assert not np.allclose(plain, expected, atol=0.1)
+
+
+@pytest.mark.parametrize("variance", [0.0, np.inf])
+def test_a_known_number_that_says_nothing_of_others_leaves_them(variance):
+    """One that is exact already, or that the data leave open, moves no other, without a warning."""
+    covariance = np.array([[variance, 0.5 * variance], [0.5 * variance, 2.0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        values, left = know(np.array([3.0, 5.0]), covariance, 0, 1e300)
+    assert values.tolist() == [1e300, 5.0]
+    assert left.tolist() == [[0.0, 0.0], [0.0, 2.0]]

@@ -7,6 +7,7 @@ rows and 3 columns) it takes eleven times as long as :func:`fit_robustly`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -277,12 +278,18 @@ def know(
 
     Parameters
     ----------
-    values, covariance : as fitted.
+    values, covariance : as fitted. One of no variance, or of an infinite one, says nothing of the
+        others, which stay as they are.
     index, number : which one is known, and what it is.
 
     >>> know(np.array([1.1, 2.0]), np.array([[0.02, 0.01], [0.01, 0.02]]), 0, 1.0)[0]
     array([1.  , 1.95])
     """
-    column = covariance[:, index] / max(covariance[index, index], 1e-300)
+    variance = float(covariance[index, index])
+    if not 0 < variance < math.inf:
+        moved, left = values.copy(), covariance.copy()
+        moved[index], left[index], left[:, index] = float(number), 0.0, 0.0
+        return moved, left
+    column = covariance[:, index] / variance
     moved = values + column * (float(number) - values[index])
     return moved, covariance - np.outer(column, covariance[index])
