@@ -375,7 +375,8 @@ def test_a_band_contains_the_truth_as_often_as_it_says():
     settings = DiscoverySettings(free=FreeSettings(fitted=0))
     shares = []
     for seed in range(10):
-        found = discover(tank(0.05, seed), known=TANK, jobs=1, settings=settings)
+        known = {"known": TANK, "settings": settings, "preset": "quick"}
+        found = discover(tank(0.05, seed), jobs=1, **known)
         part = found.free["f"]
         x = np.linspace(*part.span, 200)
         low, high = part.band(x)
