@@ -304,8 +304,8 @@ def score_table(records: Iterable[ZooRecord]) -> Table:
             _percent([r.is_law for r in group]),
             _coverage(group),
             sum(bool(r.failure) for r in group),
-            median(r.seconds for r in group),
-            max(r.seconds for r in group),
+            median(r.processor for r in group),
+            max(r.processor for r in group),
         )
         for (noise, method), group in _groups(records)
     ]
