@@ -493,28 +493,28 @@ class _Bench:
         )
         # Clean data are no surer than their solver, however well they are followed: any curve may
         # be. Only simple numbers that the data find to many digits are no chance.
-        simple = self._simplicity(followed, chi) >= self.settings.rival_bits
-        floor = np.where(self.clean, 1.0, 1e-12)
-        ratios = self._ratios(slopes / np.sqrt(np.maximum(chi, floor))[owners][:, None])
-        if np.any(simple & self.clean):
-            floor[simple] = 1e-12
-            sharp = self._ratios(slopes / np.sqrt(np.maximum(chi, floor))[owners][:, None])
-            ratios |= {s: sharp[s] for s, own in zip(self.equations, simple, strict=True) if own}
+        sharp = np.maximum(chi, 1e-12)
+        level = np.where(self.clean, np.maximum(chi, 1.0), sharp)
+        ratios = self._ratios(slopes / np.sqrt(level)[owners][:, None])
+        if self.clean.any():
+            each = sharp * rows / np.maximum(followed.independent, 1.0)
+            simple = self._simplicity(z, slopes, each[owners]) >= self.settings.rival_bits
+            level = np.where(simple, sharp, level)
+            surer = self._ratios(slopes / np.sqrt(level)[owners][:, None])
+            ratios |= {s: surer[s] for s, own in zip(self.equations, simple, strict=True) if own}
         forecast, surprise, allowed = self._forecast(followed)
         return _Evidence(
             chi, np.array(correlation), np.array(systematic), ratios, forecast, surprise, allowed
         )
 
-    def _simplicity(self, followed: Followed, chi: np.ndarray) -> np.ndarray:
+    def _simplicity(self, z: np.ndarray, slopes: np.ndarray, squares: np.ndarray) -> np.ndarray:
         """(k,) bits by which the constants of each equation are simple numbers and none by chance.
 
-        The constants are those of a linear fit to the residuals, of which few rows are independent.
+        The constants are those of a linear fit to the residuals (N,), which have these mean squares
+        for each independent row.
         """
         count, states = len(self.places), list(self.equations)
-        z, slopes, owners = followed.linearise()
-        rows = np.bincount(owners, minlength=len(states))
-        level = np.maximum(chi * rows / np.maximum(followed.independent, 1.0), 1e-12)
-        weight = 1 / np.sqrt(level)[owners]
+        weight = 1 / np.sqrt(squares)
         weighed = slopes * weight[:, None]
         covariance = _covariance(weighed)
         shift = -(covariance @ (weighed.T @ (weight * z)))[:count]

@@ -262,14 +262,14 @@ def _drop_terms(
             without = fit.put([*written[:i], sympy.S.Zero, *written[i + 1 :]])
             if any(e.has(sympy.zoo, sympy.nan) for e in without.values()):
                 continue
-            if _count_terms(without.values()) == terms:
-                continue
             if any(missing_terms(without[s], [term]) for s, term in settings.must if s in without):
                 continue
             saved = before - sum(map(complexity, without.values()))
-            gains[i] = saved - shift_bits(value, max(error, 1e-300))
+            gain = saved - shift_bits(value, max(error, 1e-300))
+            if gain > 0 and _count_terms(without.values()) < terms:
+                gains[i] = gain
         best = max(gains, key=lambda i: gains[i], default=None)
-        if best is None or gains[best] <= 0:
+        if best is None:
             break
         less = fit.put([*numbers[:best], sympy.S.Zero, *numbers[best + 1 :]])
         shorter = _fit(loosen_all(less), runs, inputs, settings, near=fit)

@@ -23,13 +23,13 @@ import numpy as np
 import pandas as pd
 import sympy
 from scipy.integrate import solve_ivp
+from shell import DYNSR, is_near
 from zoo import write_page
 
 import dynsr
 from dynsr.expression import compile_columns, evaluate, parse
 from dynsr.report import Table
 
-DYNSR = Path(sys.executable).with_name("dynsr")
 BEGIN, END = "<!-- scale -->\n", "<!-- end of scale -->\n"
 
 
@@ -136,12 +136,8 @@ def count_right(
     """Count the equations that are the law's within 1 % at rows whose columns are mixed."""
     rng = np.random.default_rng(0)
     columns = {name: rng.permutation(table[name].to_numpy()) for name in law}
-    right = 0
-    for state, expr in law.items():
-        true = evaluate(expr, columns)
-        off = np.abs(evaluate(found[state], columns) - true)
-        right += bool(np.max(off) < 0.01 * np.max(np.abs(true)))
-    return right
+    pairs = ((evaluate(found[s], columns), evaluate(law[s], columns)) for s in law)
+    return sum(is_near(*pair) for pair in pairs)
 
 
 def measure(

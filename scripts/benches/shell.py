@@ -107,7 +107,11 @@ def is_right(state: str, text: str, case: Case, columns: dict[str, np.ndarray]) 
         found = evaluate(parse(text), columns)
     except (ValueError, KeyError, sympy.SympifyError):
         return False
-    true = evaluate(parse(case.equations[state]), columns)
+    return is_near(found, evaluate(parse(case.equations[state]), columns))
+
+
+def is_near(found: np.ndarray, true: np.ndarray) -> bool:
+    """Whether values are the law's to 1 % of its size."""
     return bool(np.max(np.abs(found - true)) < 0.01 * np.max(np.abs(true)))
 
 
