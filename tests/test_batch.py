@@ -1,19 +1,26 @@
 """Batch: a discovery for each of many files, and a table of them."""
 
+import re
 from dataclasses import replace
+from urllib.parse import unquote
 
 import numpy as np
+import pandas as pd
 import pytest
 from command_line import run
 from fake_methods import DiesOnce
 
-from dynsr.discovery import discover_each
+from dynsr.discovery import discover_each, read_batch
 from dynsr.discovery.batch import Discovered
 from dynsr.errors import InputError
+from dynsr.jobs import RecordError
 from dynsr.methods import RationalSearch
 
 T = np.linspace(0.0, 4.0, 60)
-QUICK = {"method": RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1)}
+QUICK = {
+    "report": False,
+    "method": RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1),
+}
 RATES = {"slow": 0.5, "fast": 2.0, "late": 1.25}
 
 
@@ -86,6 +93,31 @@ def test_files_of_one_name_have_folders_of_their_own(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_batch_leaves_a_table_and_a_page(tmp_path):
+    """Each file has a row with verdict, equations and a link to its report; a bad one has none."""
+    files = write(tmp_path, {"a strain": 0.5})
+    (tmp_path / "bad.csv").write_text("t,x\n0,1\n1,2\n")
+    out = tmp_path / "out"
+    rows = discover_each([*files, tmp_path / "bad.csv"], out, jobs=1, **{**QUICK, "report": True})
+    table = pd.read_csv(out / "discoveries.csv").fillna("")
+    assert list(table["verdict"]) == ["law", "failed"]
+    assert list(table["equations"]) == ["x' = -0.5*x", ""]
+    assert "give at least 8" in table["reason"][1]
+    assert (out / table["report"][0]).is_file() and not table["report"][1]
+    page = (out / "report.html").read_text()
+    (address,) = re.findall('href="(each/[^"]+)"', page)
+    assert unquote(address) == table["report"][0]
+    assert "1 law, 1 failed." in page and "x&#39; = -0.5*x" in page
+    assert read_batch(out) == rows
+    # What is no page of dynsr is not replaced, and is said before the work.
+    (out / "report.html").write_text("mine")
+    with pytest.raises(InputError, match="is there and not of dynsr"):
+        discover_each(files, out, jobs=1, **{**QUICK, "report": True})
+    with pytest.raises(RecordError, match="no manifest of a dynsr batch"):
+        read_batch(tmp_path)
+
+
+@pytest.mark.slow
 def test_two_workers_of_which_one_dies_make_the_same_table(tmp_path):
     """A worker that is gone in the middle of a file changes nothing of the table."""
     files = write(tmp_path, RATES)
@@ -105,11 +137,18 @@ def test_the_shell_prints_the_table(tmp_path, monkeypatch):
     assert "x' = -0.5*x" in said and "x' = -2*x" in said and "law" in said
     each = tmp_path / "batch-dynsr" / "each"
     assert {own.name.partition("-")[0] for own in each.iterdir()} == {"slow", "fast"}
-    # One of them has a report, and a line says which these are.
-    said = run("report", "batch-dynsr", code=2).output
-    assert "give one of its results: 'batch-dynsr" in said
-    run("report", next(each.iterdir()))
-    assert len(list(each.glob("*/report.html"))) == 1
+    assert len(list(each.glob("*/report.html"))) == 2
+    # The page and the table are made again from the records alone.
+    page = (tmp_path / "batch-dynsr" / "report.html").read_text()
+    for name in ("report.html", "discoveries.csv"):
+        (tmp_path / "batch-dynsr" / name).unlink()
+    run("report", "batch-dynsr")
+    again = (tmp_path / "batch-dynsr" / "report.html").read_text()
+    # They are sorted by their names then.
+    rows = re.compile("<tr.*?</tr>")
+    assert sorted(rows.findall(again)) == sorted(rows.findall(page))
+    assert len(rows.findall(page)) == 3
+    assert "leave -o out" in run("report", "batch-dynsr", "-o", "a.html", code=2).output
 
 
 def test_a_record_says_in_a_few_words_what_was_found():

@@ -52,6 +52,7 @@ EXCEPTIONS = {
     ("discovery/free_parts.py", "report"): "FreePart.plot is the function's own verb",
     ("discovery/suggesting.py", "report"): "Suggestion.plot is the suggestion's own verb",
     ("engines/equilibria.py", "report"): "Branches.plot is the branches' own verb",
+    ("discovery/batch.py", "report"): "a batch leaves a page of its files",
     ("discovery/result.py", "export"): "Discovery.export is the result's own verb",
 }
 

@@ -360,7 +360,7 @@ def discover(
         bool,
         typer.Option(
             "--batch",
-            help="Each file is a system of its own: find the equations of each, and show a table. "
+            help="Each file is a system of its own: find the equations of each, and make a table. "
             "The same command continues; files may be added.",
             rich_help_panel=options.SEARCH,
         ),
@@ -536,7 +536,8 @@ def _discover_each(
     ]
     output.print_table("Discoveries", ("file", "verdict", "equations", "seconds"), cells)
     if not quiet:
-        output.note(f"each discovery is kept in {folder / 'each'}")
+        output.note(f"saved: {folder / 'discoveries.csv'}")
+        output.note(f"open: {folder / 'report.html'}")
 
 
 def _refuse_columns(

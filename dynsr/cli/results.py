@@ -468,7 +468,8 @@ def report(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="DISCOVERY.json|RESULTS", help="A saved discovery, or a replication's folder."
+            metavar="DISCOVERY.json|RESULTS",
+            help="A saved discovery, or the folder of a batch or a replication.",
         ),
     ],
     out: Annotated[
@@ -482,12 +483,13 @@ def report(
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Make one self-contained HTML report of a saved discovery or of a replication's results."""
+    """Make one self-contained HTML report of a saved discovery, a batch or a replication."""
+    from dynsr.discovery import EACH
     from dynsr.jobs import MANIFEST
 
-    if each := sorted((source / "each").glob("*/discovery.json")):
-        first = each[0].parent
-        raise InputError(f"{str(source)!r} is of a batch; give one of its results: {str(first)!r}")
+    if (source / EACH).is_dir():
+        _report_batch(source, out, json)
+        return
     if (source / MANIFEST).exists() and not (source / "discovery.json").exists():
         _report_replication(source, out, json)
         return
@@ -498,6 +500,19 @@ def report(
         output.print_json({"report": target})
     else:
         output.note(f"open: {target}")
+
+
+def _report_batch(folder: Path, out: Path | None, json: bool) -> None:
+    from dynsr.discovery import read_batch
+    from dynsr.report import write_batch
+
+    if out is not None:
+        raise InputError("the page of a batch is in its folder, next to the reports; leave -o out")
+    _, page = files = write_batch(read_batch(folder), folder)
+    if json:
+        output.print_json({"report": page, "files": files})
+    else:
+        output.note(f"open: {page}")
 
 
 def _report_replication(folder: Path, out: Path | None, json: bool) -> None:

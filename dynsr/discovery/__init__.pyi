@@ -1,4 +1,4 @@
-from .batch import Discovered, discover_each
+from .batch import EACH, Discovered, discover_each, read_batch
 from .by_run import RunParameters
 from .cut_short import beside_data, keep_formulas
 from .delays import Delay, DelaySettings
@@ -32,6 +32,7 @@ from .verdict import Rival, StateVerdict, TermCertainty, Verdict, VerdictSetting
 
 __all__ = [
     "DISCOVERY",
+    "EACH",
     "RECORD",
     "Alternative",
     "Constant",
@@ -80,6 +81,7 @@ __all__ = [
     "load",
     "pair_rows",
     "predict",
+    "read_batch",
     "score_expressions",
     "trajectory_loss",
     "trajectory_losses",

@@ -13,17 +13,31 @@ from typing import Any
 from joblib import effective_n_jobs
 
 from dynsr import __version__
-from dynsr.data import Columns, load_with_doses
+from dynsr.data import Columns, check_replaceable, is_own_page, load_with_doses
 from dynsr.discovery.orders import write_lines
 from dynsr.discovery.search import discover
 from dynsr.errors import DynsrError, InputError, one_line
-from dynsr.jobs import RunFolder, Step, Task, Watch, check_jobs, fingerprint, run_tasks, to_plain
+from dynsr.jobs import (
+    RunFolder,
+    Step,
+    Task,
+    Watch,
+    check_jobs,
+    fingerprint,
+    read_manifest,
+    read_record,
+    run_tasks,
+    to_plain,
+)
 from dynsr.methods import Report
 
 # Level of a file in which nothing could be searched.
 FAILED = "failed"
 # Folder of each file's own discovery, in that of the batch.
 EACH = "each"
+# The page of each discovery, and that of the batch.
+_PAGE = "report.html"
+_WORK = "batch"
 # Rough seconds of a file on one core, from which the time left is first guessed.
 _USUAL = 60.0
 
@@ -40,6 +54,8 @@ class Discovered:
     equations : the equations, a line each.
     seconds : wall time.
     complete : whether the search came to its end.
+    folder : that of its discovery and its report, from the folder of the batch; None where there
+        is none.
     """
 
     file: str
@@ -48,6 +64,7 @@ class Discovered:
     equations: tuple[str, ...]
     seconds: float
     complete: bool = True
+    folder: str | None = None
 
     @property
     def summary(self) -> str:
@@ -67,6 +84,7 @@ def discover_each(
     jobs: int = -1,
     progress: Callable[[Step], None] | None = None,
     dose_table: str | Path | None = None,
+    report: bool = True,
     **settings: Any,
 ) -> list[Discovered]:
     """Find the equations of each of many files, which are no runs of one system.
@@ -82,6 +100,8 @@ def discover_each(
     progress : called with a :class:`Step` as files end, and every half second in between.
     dose_table : a table of the doses of all files, as :func:`dynsr.add_doses` takes it. A column
         ``file`` names the file of each dose.
+    report : write the report of each discovery, and a page and a table of all files,
+        ``report.html`` and ``discoveries.csv`` in ``out``.
     settings : of :func:`discover`, the same for all files.
 
     Gives one record for each file, in their order. A file that cannot be used has a record that
@@ -95,6 +115,8 @@ def discover_each(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_csv(Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",)), f"{folder}/decay.csv")
     ...     found = discover_each([f"{folder}/decay.csv"], f"{folder}/out", jobs=1, preset="quick")
+    ...     sorted(path.name for path in Path(f"{folder}/out").iterdir())
+    ['discoveries.csv', 'each', 'manifest.json', 'records', 'report.html']
     >>> found[0].level, found[0].equations
     ('law', ("x' = -0.5*x",))
     """
@@ -108,15 +130,39 @@ def discover_each(
     places = tuple(Path(file).absolute() for file in files)
     given = _Doses(Path(dose_table).absolute(), places) if dose_table is not None else None
     shared = {"version": __version__, "settings": fingerprint(repr(to_plain(settings)))}
-    folder.claim("batch", shared, alone=(EACH,))
+    folder.claim(_WORK, shared, alone=(EACH,))
     assert folder.path is not None
+    check_replaceable(folder.path / _PAGE, is_own_page)
     tasks = [
-        _make_task(Path(file), name, folder.path / EACH / name, settings, given)
+        _make_task(Path(file), name, folder.path / EACH / name, settings, given, report)
         for file, name in zip(files, _names([Path(file) for file in files]), strict=True)
     ]
     workers = effective_n_jobs(check_jobs(jobs))
     with Watch(progress, {task.name: task.seconds for task in tasks}, workers) as watch:
-        return run_tasks(tasks, folder, jobs, watch, finished=lambda record: record.done)
+        rows = run_tasks(tasks, folder, jobs, watch, finished=lambda record: record.done)
+    if report:
+        from dynsr.report import write_batch
+
+        write_batch(rows, folder.path)
+    return rows
+
+
+def read_batch(folder: str | Path) -> list[Discovered]:
+    """Read what a batch found up to now, by the names of the files.
+
+    Parameters
+    ----------
+    folder : the one that :func:`discover_each` was given as ``out``.
+
+    Raises InputError when no file is finished, RecordError when a record is damaged or the folder
+    is no batch's.
+    """
+    read_manifest(Path(folder), _WORK)
+    places = sorted((Path(folder) / RunFolder.records).glob("[!.]*.json"))
+    rows = [read_record(place, Discovered)[0] for place in places]
+    if not rows:
+        raise InputError(f"{str(folder)!r} has no finished file; run the batch first")
+    return sorted(rows, key=lambda row: row.file)
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -144,7 +190,12 @@ class _Doses:
 
 
 def _make_task(
-    file: Path, name: str, out: Path, settings: Mapping[str, Any], doses: _Doses | None
+    file: Path,
+    name: str,
+    out: Path,
+    settings: Mapping[str, Any],
+    doses: _Doses | None,
+    page: bool,
 ) -> Task:
     read = [file] if doses is None else [file, doses.table]
     content = [own.read_bytes() if own.is_file() else b"" for own in read]
@@ -155,6 +206,7 @@ def _make_task(
         out.with_name(f"{out.name}-{key}"),
         dict(settings),
         doses,
+        page,
     )
     died = partial(_died, file)
     return Task(name, str(file), discover_one, arguments, Discovered, key, _USUAL, died)
@@ -171,6 +223,7 @@ def discover_one(
     out: Path,
     settings: Mapping[str, Any],
     doses: _Doses | None,
+    page: bool,
     report: Report,
 ) -> Discovered:
     """Find the equations of one file of a batch.
@@ -181,19 +234,23 @@ def discover_one(
     out : the folder of its discovery.
     settings : of :func:`discover`.
     doses : their table, where there is one.
+    page : whether the report of the discovery is written.
     report : hears of the search.
     """
     began = time.monotonic()
     try:
         data, used = (file, settings) if doses is None else _with_doses(file, settings, doses)
         found = discover(data, out=out, jobs=1, progress=False, **used)
+        if page and found.complete:
+            found.report(out / _PAGE)
     except (DynsrError, MemoryError) as error:
         reason = one_line(error) or type(error).__name__
         return Discovered(name, FAILED, reason, (), time.monotonic() - began)
     lines = tuple(write_lines(found.equations, found.settings))
     taken = time.monotonic() - began
     level, reason = found.verdict.level, found.verdict.reason
-    return Discovered(name, level, reason, lines, taken, found.complete)
+    where = f"{EACH}/{out.name}" if page and found.complete else None
+    return Discovered(name, level, reason, lines, taken, found.complete, where)
 
 
 def _with_doses(

@@ -1,3 +1,4 @@
+from .batch import write_batch
 from .discovery import list_fixed_points, show_flow, write_report
 from .page import Picture, render_page, write_table
 from .plots import (
@@ -32,6 +33,7 @@ __all__ = [
     "render_page",
     "show_flow",
     "to_bytes",
+    "write_batch",
     "write_report",
     "write_table",
 ]
