@@ -12,6 +12,7 @@ from scipy.optimize import curve_fit
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
 from dynsr.discovery import RunParameters
+from dynsr.jobs import FolderTaken
 from tests.command_line import run
 
 X = sympy.Symbol("x")
@@ -182,6 +183,31 @@ def test_a_law_whose_constants_differ_is_found_where_one_set_fits_no_run():
     assert [abs(p.value) for p in own] == pytest.approx([0.5, 0.8, 1.2], rel=0.02)
     assert found.verdict.level == "law"
     assert found.settings["vary"] is True
+
+
+def test_known_equations_are_fitted_to_each_run_before_anything_is_searched():
+    """Their numbers cannot be right in each run: structures that are a law need no search."""
+    curves = [logistic(k, 2.0, 0.1) for k in (0.4, 0.6, 0.9)]
+    asked = {"vary": True, "known": {"x": "0.5*x - 0.3*x**2"}, "jobs": 1}
+    found = discover(list(as_runs(curves, 0.01)), **asked)
+    assert found.settings["methods"] == ["known"]
+    assert found.verdict.level == "law"
+    (own,) = found.by_run.constants.values()
+    assert [p.value for p in own] == pytest.approx([0.2, 0.3, 0.45], rel=0.02)
+
+
+@pytest.mark.slow
+def test_runs_without_a_constant_that_differs_are_kept_in_one_folder(tmp_path):
+    """Each search has a folder in it, and the law of all runs is the result of the folder."""
+    runs = list(as_runs([logistic(0.5, 2.0, start) for start in (0.1, 0.2)], 0.01))
+    asked = {"vary": True, "jobs": 1, "preset": "quick", "out": tmp_path / "out"}
+    found = discover(runs, **asked)
+    assert found.verdict.level == "law" and not found.by_run.constants
+    assert load(tmp_path / "out").equations == found.equations
+    assert {"run-1", "run-2", "together"} <= {own.name for own in (tmp_path / "out").iterdir()}
+    assert discover(runs, **asked).equations == found.equations
+    with pytest.raises(FolderTaken, match="other options"):
+        discover(runs, **asked, seed=1)
 
 
 @pytest.mark.slow

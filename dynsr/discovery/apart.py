@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
@@ -10,11 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from dynsr import __version__
 from dynsr.data import Trajectory
+from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import DISCOVERY
-from dynsr.discovery.result import Discovery
+from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW, LEVELS
+from dynsr.engines import DEFAULT_ENGINE, find_engine
 from dynsr.errors import InputError
+from dynsr.expression import arguments_of, to_text
+from dynsr.fit import ParetoFront, read_inputs
+from dynsr.jobs import RunFolder, fingerprint, to_plain
+from dynsr.methods import DEFAULT_PRESET
 
 Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
 Asked = bool | tuple[str, ...]
@@ -51,6 +58,8 @@ def search_apart(
 ) -> Discovery:
     """Search some runs alone and give the law of all, with constants that may differ.
 
+    Where equations are known for all states, they come first, with the constants of each run: the
+    numbers that are given cannot be right in every run. Where they are a law, nothing is searched.
     Where none differs, or what differs leaves no law, all runs are searched together too.
 
     Parameters
@@ -61,43 +70,100 @@ def search_apart(
     asked : what :func:`check_vary` gave.
     """
     began = monotonic()
+    _claim(runs, settings, asked)
     found = _search_apart(search, runs, settings, asked)
     record = {**found.settings, "vary": asked if isinstance(asked, bool) else list(asked)}
-    return replace(found, settings=record, seconds=monotonic() - began)
+    found = replace(found, settings=record, seconds=monotonic() - began)
+    keep_if_asked(found, settings.get("out"))
+    return found
+
+
+def _claim(runs: Sequence[Trajectory], settings: Mapping[str, Any], asked: Asked) -> None:
+    """Make the folder that of this discovery; raises FolderTaken when it is another one's.
+
+    Each search has a folder of its own in it.
+    """
+    own = {n: value for n, value in settings.items() if n not in ("out", "progress", "jobs")}
+    digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
+    about = {
+        "vary": asked if isinstance(asked, bool) else list(asked),
+        "version": __version__,
+        "data": f"{sum(map(len, runs))} rows of {', '.join(runs[0].names)}, {digest}",
+    }
+    key = fingerprint(repr(to_plain(own)))
+    RunFolder(_inside(settings, "")).claim("discovery", about, key)
+
+
+def _inside(settings: Mapping[str, Any], name: str) -> Path | None:
+    """Give a folder in the one that was asked for; None where none was."""
+    out = settings.get("out")
+    return None if out is None else Path(out).absolute() / name
 
 
 def _search_apart(
     search: Search, runs: Sequence[Trajectory], settings: dict[str, Any], asked: Asked
 ) -> Discovery:
+    known = _as_known(runs, settings)
+    given = None if known is None else _vary([known], runs, asked)
+    if given is not None and given.by_run.constants and given.verdict.level == LAW:
+        return given
     varying = settings.get("settings", DISCOVERY).vary
     alone: list[Discovery] = []
     faults: list[InputError] = []
     chosen = _most_telling(runs)[: varying.searched]
-    budget, out = settings.get("time_budget"), settings.get("out")
+    budget = settings.get("time_budget")
     if budget is not None:
         settings = {**settings, "time_budget": budget / (1 + len(chosen))}
     for place in chosen:
-        own = {**settings, "out": None if out is None else Path(out) / f"run-{place + 1}"}
+        own = {**settings, "out": _inside(settings, f"run-{place + 1}")}
         try:
             alone.append(search([_without_constants(runs[place])], own))
         except InputError as error:
             faults.append(error)
     if alone and not all(found.complete for found in alone):
         return _of_all(alone[0], runs)
+    every = {**settings, "out": _inside(settings, "together")}
     varied = _vary(alone, runs, asked)
     if varied is not None and varied.by_run.constants and varied.verdict.level == LAW:
         return varied
     if varied is not None and varied.by_run.follows and not varied.by_run.constants:
         # It is a law of the known inputs of the runs as any other.
         begun = {"start": settings.get("start") or varied}
-        found = search(runs, {**settings, **begun})
+        found = search(runs, {**every, **begun})
         return replace(found, by_run=varied.by_run) if found.verdict.level == LAW else varied
-    together = search(runs, dict(settings))
+    together = search(runs, every)
     if not together.complete or together.verdict.level == LAW:
         return together
     again = _vary([*alone, together], runs, asked)
     better = [found for found in (varied, again) if found is not None and found.by_run.runs]
     return min([*better, together], key=lambda found: LEVELS.index(found.verdict.level))
+
+
+def _as_known(runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery | None:
+    """Give the known equations as a discovery; None where they are not those of all states."""
+    run, details = runs[0], settings.get("settings", DISCOVERY)
+    equations = read_inputs(settings.get("known") or {}, (*run.names, "t"))
+    if set(equations) != set(run.states) or settings.get("order") not in (None, 1):
+        return None
+    if settings.get("snap") is False:
+        details = details.without_snapping()
+    inputs = settings["inputs"]
+    engine = find_engine(settings.get("engine", DEFAULT_ENGINE))
+    measured = bool(set(arguments_of(equations)) - set(inputs))
+    record = {
+        **record_hold(run, inputs, False, settings.get("hold")),
+        "known": {s: to_text(e) for s, e in equations.items()},
+        "method": "known",
+        "methods": ["known"],
+        "preset": settings.get("preset", DEFAULT_PRESET),
+        "seed": settings.get("seed", 0),
+        "engine": engine.name,
+        "engines": name_engines([], engine, measured, along=True),
+        "version": __version__,
+        "details": to_plain(details),
+    }
+    nothing = {s: ParetoFront() for s in equations}
+    return Discovery(equations, {}, nothing, {}, tuple(runs), inputs, record, engine=engine)
 
 
 def _vary(found: Sequence[Discovery], runs: Sequence[Trajectory], asked: Asked) -> Discovery | None:

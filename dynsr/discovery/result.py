@@ -1673,7 +1673,11 @@ class Discovery:
 
     @classmethod
     def load(cls, path: str | Path) -> Discovery:
-        """Read a discovery from the JSON file at ``path``; nothing in it is ever run.
+        """Read a discovery that was saved; nothing in it is ever run.
+
+        Parameters
+        ----------
+        path : the JSON file, or the folder that ``discover(..., out=...)`` kept it in.
 
         Its data come with it where they are next to it, as ``discover(..., out=...)`` keeps them.
         A table that was changed since is left out, with a warning. Raises InputError when there is
@@ -1693,8 +1697,10 @@ class Discovery:
             "free": FreeParts,
             "data": KeptData,
         }
-        fields = read_discovery(Path(path), _functions_of, **further, verdict=Verdict | None)
-        runs = _read_data(Path(path), fields.pop("data", None))
+        place = Path(path)
+        place = place / RECORD if place.is_dir() else place
+        fields = read_discovery(place, _functions_of, **further, verdict=Verdict | None)
+        runs = _read_data(place, fields.pop("data", None))
         return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY, "trajectories": runs})
 
     def __repr__(self) -> str:
@@ -1869,7 +1875,7 @@ def load(path: str | Path) -> Discovery:
 
     Parameters
     ----------
-    path : the JSON file.
+    path : the JSON file, or the folder that ``discover(..., out=...)`` kept it in.
 
     Raises InputError when there is no such file or it holds something else.
 
