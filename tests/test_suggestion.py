@@ -206,6 +206,22 @@ def test_an_alternative_that_runs_away_is_told_apart():
     assert len(made.alternatives) >= 2 and math.isfinite(made.best.bits)
 
 
+def test_a_first_run_that_an_alternative_cannot_make_again_has_no_row():
+    """A longer span makes an alternative explode from the first start, but not from every start."""
+    t, x = solved(lambda _, s: s, [1.0], 2.0, 40)
+    x = x + 0.1 * np.random.default_rng(0).standard_normal(x.shape)
+    front = [dynsr.Candidate(dynsr.parse("0.2*x**2"), 0.2, 8.0)]
+    found = replace(found_in(t, x, x="x"), front={"x": dynsr.ParetoFront(front)})
+    settings = SuggestionSettings(plausible=1e9, farthest=1e9)
+    assert found.suggest(settings=settings).again is not None
+    made = found.suggest(span=6.0, settings=settings)
+    assert made.again is None and made.experiments
+    assert "first run again" not in repr(made)
+    # From each of the starts the equation found is beyond numbers.
+    with pytest.raises(InputError, match="ask for a shorter span"):
+        found.suggest(span=1e4)
+
+
 @pytest.mark.slow
 def test_a_formula_that_holds_the_answer_is_no_alternative():
     """What has one term more can always do what the answer does: nothing tells them apart."""

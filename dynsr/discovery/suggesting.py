@@ -144,7 +144,8 @@ class Suggestion:
     Parameters
     ----------
     experiments : the best of those that were tried.
-    again : the first run of the data made once more, for comparison.
+    again : the first run of the data made once more, for comparison; None where the equations, or
+        those of an alternative, cannot be integrated over it.
     alternatives : what they distinguish from the answer; empty where they determine its constants.
     equations : the answer, fitted to the data.
     times : (n,) rows of each experiment.
@@ -154,7 +155,7 @@ class Suggestion:
     """
 
     experiments: tuple[Experiment, ...]
-    again: Experiment
+    again: Experiment | None
     alternatives: tuple[Alternative, ...]
     equations: Equations
     times: np.ndarray
@@ -185,9 +186,10 @@ class Suggestion:
     def table(self) -> list[tuple[Any, ...]]:
         """Give a row for each experiment, and one for the first run made again."""
         named = [(str(i), own) for i, own in enumerate(self.experiments, 1)]
+        named += [] if self.again is None else [("first run again", self.again)]
         return [
             (name, *own.start.values(), *[own.inputs] * bool(self.best.inputs), own.bits)
-            for name, own in [*named, ("first run again", self.again)]
+            for name, own in named
         ]
 
     def to_frame(self) -> pd.DataFrame:
@@ -309,16 +311,20 @@ def suggest(
     states, driven = list(equations), _driven(models, data)
     plans = list(_plans(data, states, driven, tried.range, rng, settings))
     found = [own for plan in plans for own in tried.experiments(plan, states, settings)]
-    first = next((own for own in found if own.again), None)
+    first = [own for own in found if own.again]
     others_tried = [own for own in found if not own.again]
-    if first is None or not others_tried:
-        raise InputError("the equations cannot be integrated over an experiment of this span")
+    if not others_tried:
+        raise InputError(
+            f"the equations cannot be integrated over an experiment of {np.ptp(times):.4g}; ask "
+            "for a shorter span"
+        )
     near = tried.best_of(others_tried, settings, settings.refined)
-    first, *near = [tried.refine(own, settings) for own in (first, *near)]
+    again = next((tried.refine(own, settings) for own in first), None)
+    near = [tried.refine(own, settings) for own in near]
     best = tried.best_of(near, settings, settings.shown)
     return Suggestion(
         tuple(own.experiment for own in best),
-        first.experiment,
+        None if again is None else again.experiment,
         tuple(own for own, _ in taken),
         answer.found.exprs,
         times,
