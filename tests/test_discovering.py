@@ -431,12 +431,15 @@ def decay_of_y(path):
 
 
 def test_simulate_a_saved_discovery(kept):
-    """A saved discovery is integrated from another start."""
+    """A saved discovery is integrated from another start, by default from that of its data."""
     _, saved = kept
     found = json.loads(run("simulate", saved, "--x0", "4", "--span", "0,2", "--json").stdout)
     t, x = np.array(found["columns"]["t"]), np.array(found["columns"]["x"])
     assert np.allclose(x, 4 * np.exp(-0.5 * t), rtol=1e-3)
-    assert "needs a start state" in refuse("simulate", saved)
+    again = json.loads(run("simulate", saved, "--json").stdout)["columns"]
+    assert again["t"][0] == 0.0 and again["t"][-1] == pytest.approx(T[-1])
+    assert np.allclose(again["x"], again["x"][0] * np.exp(-0.5 * np.array(again["t"])), rtol=1e-3)
+    assert "leave --reltol" in refuse("simulate", saved, "--reltol", "1e-3")
 
 
 def test_report_of_a_saved_discovery(kept, tmp_path):

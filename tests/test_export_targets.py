@@ -443,7 +443,9 @@ def test_the_command_writes_formats(noisy, tmp_path):
     """Without --to the formats are listed; text goes to stdout or to a file that is not there."""
     found = noisy.rename({"k1": "bite"})
     saved = replace(found, settings={"engine": "embedded"}).save(tmp_path / "discovery.json")
-    listed = json.loads(command("export", saved, "--json").stdout)
+    listed = json.loads(command("export", "--json").stdout)
+    assert listed == json.loads(command("export", saved, "--json").stdout)
+    assert "give the discovery to write" in command("export", "--to", "julia", code=2).stderr
     assert [one["format"] for one in listed] == list(FORMATS)
     assert "bite" in command("export", saved, "--to", "julia").stdout
     out = tmp_path / "found.m"

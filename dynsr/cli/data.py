@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,9 @@ import typer
 from dynsr.cli import options, output
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError
+
+# Relative and absolute error of an integration, unless others are asked for.
+_RELTOL, _ABSTOL = 1e-6, 1e-9
 
 if TYPE_CHECKING:
     import numpy as np
@@ -388,62 +392,63 @@ def simulate(
     out: options.OutFile = None,
     force: options.Force = False,
     engine: options.OwnEngine = None,
-    reltol: options.Reltol = 1e-6,
-    abstol: options.Abstol = 1e-9,
+    reltol: options.Reltol = _RELTOL,
+    abstol: options.Abstol = _ABSTOL,
     json: options.Json = False,
 ) -> None:
     """Integrate a known system, own equations or a saved discovery from a start state.
 
-    Without --out the table goes to stdout.
+    A discovery begins where its data begin, and ends where they end. Without --out the table goes
+    to stdout.
     """
     check_out(out, force)
-    from dynsr.engines import refuse_idle
     from dynsr.engines import simulate as integrate
 
     if model and (model.endswith(".json") or Path(model).exists()):
         found = load_discovery(Path(model))
-        if found.is_map:
-            refuse_idle(engine, "a map is iterated")
-            _deliver_map(found, inputs, x0, span, dt, out, json, force)
-            return
-        system = _discovered_system(found, Path(model).stem, inputs, x0)
-        engine = engine or str(found.engine)
-    else:
-        system = choose_system(model, equations, inputs, x0)
+        if (reltol, abstol) != (_RELTOL, _ABSTOL):
+            raise InputError(
+                "a discovery is integrated with a relative error of 1e-8 in each step; leave "
+                "--reltol and --abstol out"
+            )
+        made = _integrate(found, inputs, x0, span, dt, engine)
+        deliver(made, out, json, {"system": Path(model).stem}, force=force)
+        return
+    system = choose_system(model, equations, inputs, x0)
     times = choose_times(system, span, dt)
     start = options.read_numbers(x0, "--x0", len(system.states))
     made = integrate(system, start, times, reltol, abstol, engine or DEFAULT_ENGINE)
     deliver(made, out, json, {"system": system.name}, force=force)
 
 
-def _deliver_map(
+def _integrate(
     found: Discovery,
     inputs: Sequence[str] | None,
     x0: str | None,
     span: str | None,
     dt: float | None,
-    out: Path | None,
-    json: bool,
-    force: bool,
-) -> None:
-    """Iterate a saved map, a row a step of 1 unless --dt says otherwise."""
-    system = _discovered_system(found, "map", inputs, x0)
-    times = choose_times(system, span, 1.0 if dt is None else dt)
-    made = found.simulate(system.x0, times, system.inputs)
-    deliver(made, out, json, {"system": system.name}, force=force)
+    engine: str | None,
+) -> Trajectory:
+    """Integrate a discovery, or iterate a map; by default from the start to the end of its data."""
+    import sympy
 
-
-def _discovered_system(
-    found: Discovery, name: str, inputs: Sequence[str] | None, x0: str | None
-) -> System:
     from dynsr.data import System
-    from dynsr.expression import to_text
 
-    equations = {state: to_text(expr) for state, expr in found.equations.items()}
-    formulas = {name: to_text(expr) for name, expr in found.inputs.items()}
-    start = options.read_numbers(x0, "--x0", len(equations))
+    states, known, here = tuple(found.equations), found.data_summary, bool(found.trajectories)
+    begin = {} if known is None else known.start
+    own = [begin[s] for s in states] if begin.keys() >= set(states) else None
+    start = options.read_numbers(x0, "--x0", len(states)) or own
     if start is None:
-        raise InputError("a discovery needs a start state: --x0, one number a state")
-    return System.from_strings(
-        equations, x0=start, inputs={**formulas, **read_equations(inputs or [])}, name=name
-    )
+        raise InputError(
+            "a discovery without its data needs a start state: --x0, one number a state"
+        )
+    # With the data come the inputs, and the history of delays.
+    first = None if x0 is None and here else start
+    given = read_equations(inputs or [])
+    if here and span is None and dt is None:
+        return found.simulate(first, None, given, engine)
+    resting = System("discovery", states, (sympy.S.Zero,) * len(states), tuple(map(float, start)))
+    if known is not None:
+        resting = replace(resting, train=known.span, step=known.step)
+    times = choose_times(resting, span, 1.0 if dt is None and found.is_map else dt)
+    return found.simulate(first, times, given, engine)

@@ -110,11 +110,16 @@ Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes; -1 uses ever
 Reltol = Annotated[float, typer.Option(help="Relative tolerance.", rich_help_panel=NUMERICS)]
 Abstol = Annotated[float, typer.Option(help="Absolute tolerance.", rich_help_panel=NUMERICS)]
 Step = Annotated[
-    float | None, typer.Option("--dt", help="Seconds between samples.", rich_help_panel=DATA)
+    float | None,
+    typer.Option(
+        "--dt",
+        help="Time between rows, in the unit of the data or else seconds.",
+        rich_help_panel=DATA,
+    ),
 ]
 Span = Annotated[
     str | None,
-    typer.Option(help="First and last time in seconds, such as 0,10.", rich_help_panel=DATA),
+    typer.Option(help="First and last time, such as 0,10.", rich_help_panel=DATA),
 ]
 Start = Annotated[
     str | None,

@@ -393,7 +393,10 @@ def complete_format(incomplete: str) -> Iterator[tuple[str, str]]:
 
 
 def export(
-    model: DiscoveryFile,
+    model: Annotated[
+        Path | None,
+        typer.Argument(metavar="[DISCOVERY.json]", help="A discovery that was saved."),
+    ] = None,
     to: Annotated[
         str | None,
         typer.Option(
@@ -440,6 +443,8 @@ def export(
             output.print_table("Formats", ("format", "what it is", "file"), rows)
         return
     chosen = find_format(to)
+    if model is None:
+        raise InputError(f"give the discovery to write as {to}, its folder or its discovery.json")
     found = load_discovery(model)
     own = (model if model.is_dir() else model.parent) / DATA
     if not files and not found.trajectories and chosen.with_data and own.exists():
