@@ -21,6 +21,8 @@ from dynsr.errors import InputError
 _MAD = 1.4826
 # Rows of a column that has neighbours on either side of some row.
 _FEWEST = 5
+# Rows that are worked on at a time.
+_AT_ONCE = 20_000
 # Steps in a row without a change that show that values were rounded.
 _SAME = 2
 
@@ -60,13 +62,22 @@ def interpolation_weights(t: np.ndarray, order: int) -> np.ndarray:
 
 
 def interpolation_residuals(t: np.ndarray, x: np.ndarray, order: int) -> np.ndarray:
-    """Miss of each point from the polynomial through its ``order`` neighbours, per unit noise."""
-    _, weights = barycentric_weights(np.lib.stride_tricks.sliding_window_view(t, order + 1))
-    weights /= weights[:, [order // 2]]
-    values = np.lib.stride_tricks.sliding_window_view(x, order + 1, axis=0)
-    misses = np.einsum("ij,i...j->i...", weights, values)
-    norm = np.linalg.norm(weights, axis=1)
-    return misses / norm.reshape(-1, *[1] * (x.ndim - 1))
+    """Miss of each point from the polynomial through its ``order`` neighbours, per unit noise.
+
+    Of times that are even but for rounding, all points have the same weights.
+    """
+    ulp = np.finfo(float).eps * max(abs(t[0]), abs(t[-1]))
+    if np.ptp(np.diff(t)) <= 2 * ulp:
+        weights = interpolation_weights(np.arange(order + 1.0), order)[0]
+        shifted = (w * x[j : len(x) - order + j] for j, w in enumerate(weights))
+        return np.asarray(sum(shifted))
+    found = np.empty((len(t) - order, *x.shape[1:]))
+    for first in range(0, len(found), _AT_ONCE):
+        own = slice(first, first + _AT_ONCE + order)
+        weights = interpolation_weights(t[own], order)
+        values = np.lib.stride_tricks.sliding_window_view(x[own], order + 1, axis=0)
+        found[first : first + _AT_ONCE] = np.einsum("ij,i...j->i...", weights, values)
+    return found
 
 
 def measurement_noise(trajectory: Trajectory) -> np.ndarray:

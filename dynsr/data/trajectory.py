@@ -416,7 +416,8 @@ def check_rows(rows: Any, count: int) -> None:
     dynsr.errors.InputError: array([0.5]) cannot be taken of 3 rows; give a slice or whole numbers
     """
     try:
-        fits = np.arange(count)[rows].ndim == 1
+        # An array without a size of its own: a record may be long, and its blocks many.
+        fits = np.broadcast_to(0, (count,))[rows].ndim == 1
     except (IndexError, TypeError, ValueError):
         fits = False
     if not fits:

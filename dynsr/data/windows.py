@@ -10,12 +10,14 @@ function of decreasing returns (Nemhauser, Wolsey and Fisher 1978).
 
 A window may also take every second row, every fourth, ...: it is longer and sees more of
 slow motion, but what happens between its rows is lost. The error of a row is therefore its noise
-and, added up over the window, by how much a cubic through the rows misses those between them.
+and, added up over the window, by how much a cubic through the rows misses those between them. Where
+states go further than their spread from row to row, that miss of the slope acts for many times the
+time that a spread takes, and counts as many times.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
@@ -112,12 +114,15 @@ def choose_windows(
     noise = np.maximum(_noise_of(runs) / scale[: len(runs[0].states)], _ROUNDING)
     best: tuple[float, list[Window]] | None = None
     # The error of rows next to each other is known from that of every second one.
-    errors = _errors(records, noise, 2) / 2.0**8
+    errors, pace = _errors(records, noise, 2) / 2.0**8, np.zeros(len(noise))
     for stride in _strides(runs, settings):
-        errors = errors if stride == 1 else _errors(records, noise, stride)
+        # Rows that are whole periods apart lie on smooth curves and near each other.
+        if stride > 1:
+            errors = np.maximum(errors, _errors(records, noise, stride))
+        pace = np.maximum(pace, _steps(records, noise, stride) / stride)
         windows, gain, terms = _design(records, settings, stride)
         length = np.mean([len(window) for window in windows])
-        missed = np.log(noise**2 + length * errors)
+        missed = np.log(noise**2 + length * errors * np.maximum(stride * pace, 1.0) ** 2)
         value = len(noise) * gain - terms * float(np.sum(missed))
         if best is None or value > best[0]:
             best = value, windows
@@ -169,21 +174,40 @@ def _errors(records: Sequence[_Record], noise: np.ndarray, stride: int) -> np.nd
 
     Less that of the noise, whose own chance is never believed to be an error.
     """
-    half, squares, count = stride // 2, np.zeros(len(noise)), 0
-    for record in records:
-        x, n = record.columns[:, : len(noise)], len(record.t) - 6 * half
-        if n < 1:
-            continue
-        outer, inner = (
-            x[:n] + x[6 * half :],
-            x[2 * half : n + 2 * half] + x[4 * half : n + 4 * half],
-        )
-        missed = x[3 * half : n + 3 * half] - (9 * inner - outer) / 16
-        squares, count = squares + np.sum(missed**2, axis=0), count + n
+    half = stride // 2
+
+    def missed(x: np.ndarray) -> np.ndarray:
+        n = len(x) - 6 * half
+        inner = x[2 * half : n + 2 * half] + x[4 * half : n + 4 * half]
+        inner *= 9 / 16
+        inner -= (x[:n] + x[6 * half :]) / 16
+        return np.subtract(x[3 * half : n + 3 * half], inner, out=inner)
+
+    return _mean_squares(records, 6 * half, missed, _OF_CUBIC * noise**2)
+
+
+def _steps(records: Sequence[_Record], noise: np.ndarray, stride: int) -> np.ndarray:
+    """(k,) how far states go in so many rows: root mean square, less that of the noise."""
+    return np.sqrt(_mean_squares(records, stride, lambda x: x[stride:] - x[:-stride], 2 * noise**2))
+
+
+def _mean_squares(
+    records: Sequence[_Record],
+    lost: int,
+    take: Callable[[np.ndarray], np.ndarray],
+    noise: np.ndarray,
+) -> np.ndarray:
+    """(k,) mean squares of what is taken of columns, whose rows it shortens, less noise (k,)."""
+    long = [record for record in records if len(record.t) > lost]
+    count = sum(len(record.t) - lost for record in long)
     if not count:
         return np.zeros(len(noise))
-    chance = 1 + 4 / np.sqrt(count)
-    found: np.ndarray = np.maximum(squares / count - chance * _OF_CUBIC * noise**2, 0.0)
+    squares = np.zeros(len(noise))
+    for j in range(len(noise)):
+        for record in long:
+            own = take(record.columns[:, j])
+            squares[j] += float(own @ own)
+    found: np.ndarray = np.maximum(squares / count - (1 + 4 / np.sqrt(count)) * noise, 0.0)
     return found
 
 
