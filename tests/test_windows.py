@@ -1,12 +1,15 @@
 """Long records: searched on the windows that tell most, fitted to and tested on every row."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
 from scipy.optimize import least_squares
 
+from dynsr.cli.discovery import show_files, show_reasons
+from dynsr.cli.results import score_discovery
 from dynsr.data import (
     StateNoise,
     Trajectory,
@@ -19,9 +22,10 @@ from dynsr.discovery import DISCOVERY, Discovery, discover
 from dynsr.discovery.every_row import on_every_row, take_windows
 from dynsr.discovery.verdict import StateVerdict, Verdict
 from dynsr.expression import parse
-from dynsr.fit import fit_blocks
+from dynsr.fit import ParetoFront, fit_blocks
 from dynsr.fit.blocks import cut_blocks
 from dynsr.methods import RationalSearch
+from dynsr.report.discovery import render_discovery
 
 RNG = np.random.default_rng(3)
 T = np.linspace(0.0, 100.0, 4001)
@@ -192,3 +196,32 @@ def test_own_slopes_go_with_the_windows():
     _, windows, own = take_windows([run], FEW, slopes, 1000)
     np.testing.assert_array_equal(own["x"][0], slopes["x"][windows[0].rows])
     assert discover(run, slopes=slopes, **QUICK).equations["x"] == parse("0.8*y")
+
+
+def test_an_alias_is_no_slow_motion():
+    """Rows that are whole periods apart lie still; of them no window is made, however long."""
+    t = np.arange(2.0**15)
+    for period in (64, 49.75):
+        angle = 2 * np.pi * t / period
+        run = Trajectory(t, np.column_stack([np.sin(angle), np.cos(angle)]), ("x", "y"))
+        noisy = replace(run, x=run.x + NOISE * RNG.standard_normal(run.x.shape))
+        for own in (run, noisy):
+            chosen = choose_windows([own], WindowSettings(count=1, rows=30))
+            assert max(window.stride for window in chosen) < period / 4
+
+
+@pytest.mark.slow
+def test_windows_name_themselves(capsys):
+    """The report, the scores and the file of the data say that they are of the windows."""
+    run = turning()
+    windows = [Window(0, i, i + 100) for i in (0, 800, 2000)]
+    found = on_every_row(law(run, windows), [run], windows, SETTINGS)
+    found = replace(found, front=dict.fromkeys(TURN, ParetoFront(())))
+    says = "3 windows of 4,001 rows"
+    assert f"found on {says}. These 300 rows are" in render_discovery(found)
+    show_files(found, [Path("here/data.csv")], Path("here"))
+    assert f"data.csv ({says})" in " ".join(capsys.readouterr().err.split())
+    scores = score_discovery(found, [run], None, "embedded")
+    assert scores == {"data": found.score(found.trajectories)}
+    show_reasons(found, scores, {}, details=True)
+    assert f"the data here are {says}" in " ".join(capsys.readouterr().out.split())

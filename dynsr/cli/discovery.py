@@ -98,7 +98,9 @@ def show_reasons(
     for words in found.details.values() if details else ():
         _say(words)
     if scores:
-        _print_scores(scores)
+        from dynsr.discovery import name_windows
+
+        _print_scores(scores, name_windows(found.settings))
     # What is on the screen already is not shown again.
     again = () if output.is_one_place() else ("warned",)
     for kind in ("guessed", "warned") if details else again:
@@ -193,7 +195,7 @@ def by_state(scores: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return rows
 
 
-def _print_scores(scores: Mapping[str, Any]) -> None:
+def _print_scores(scores: Mapping[str, Any], windows: str) -> None:
     rows = by_state(scores)
     names = [name for name in _SCORES if any(name in row for row in rows.values())]
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -206,6 +208,7 @@ def _print_scores(scores: Mapping[str, Any]) -> None:
     screen.print()
     screen.print(table)
     meanings = "; ".join(f"{_SCORES[name][0]}: {_SCORES[name][1]}" for name in names)
+    meanings += f"; the data here are {windows}" if windows else ""
     screen.print(Text(meanings, style="dim"), soft_wrap=not screen.is_terminal)
 
 
@@ -215,9 +218,14 @@ def _number(value: Any) -> str:
 
 def show_files(found: Discovery, saved: Sequence[Path], folder: Path | None) -> None:
     """Say on stderr how long it took, where the files are, and how to go on after an interrupt."""
+    from dynsr.data import DATA
+    from dynsr.discovery import name_windows
+
     output.note(f"{found.seconds:.1f} s")
+    windows = name_windows(found.settings)
     for path in saved:
-        output.note(f"{'open' if path.suffix == '.html' else 'saved'}: {path}")
+        rows = f" ({windows})" if windows and path.name == DATA else ""
+        output.note(f"{'open' if path.suffix == '.html' else 'saved'}: {path}{rows}")
     if not found.complete:
         where = f"what is finished is kept in {folder}; " if folder is not None else ""
         goes_on = "the same command goes on from there" if where else "with --out it could go on"

@@ -68,8 +68,14 @@ def keep_report(found: Discovery, folder: Path | None) -> list[Path]:
 def score_discovery(
     found: Discovery, data: Sequence[Trajectory], system: str | None, engine: str
 ) -> dict[str, Any]:
-    """Score on the data, and for a known system against the truth by every loss that it has."""
-    scores: dict[str, Any] = {"data": found.score(list(data))}
+    """Score on the data, and for a known system against the truth by every loss that it has.
+
+    Of long records, whose windows were searched, these are the data.
+    """
+    from dynsr.discovery import name_windows
+
+    scored = found.trajectories if name_windows(found.settings) else data
+    scores: dict[str, Any] = {"data": found.score(list(scored))}
     if system is not None:
         from dynsr.data import find_system
         from dynsr.paper import score_as_printed

@@ -3,6 +3,7 @@ from .by_run import RunParameters
 from .cut_short import beside_data, keep_formulas
 from .delays import Delay, DelaySettings
 from .estimator import DynsrRegressor
+from .every_row import name_windows
 from .free_parts import FreePart, FreeParts, FreeSettings
 from .hybrid import HybridModel
 from .identifying import Identifiability, IdentifiabilitySettings, identifiability
@@ -79,6 +80,7 @@ __all__ = [
     "keep",
     "keep_formulas",
     "load",
+    "name_windows",
     "pair_rows",
     "predict",
     "read_batch",

@@ -104,7 +104,7 @@ def on_every_row(
         "rows": total,
         "searched": [[w.run + 1, w.first + 1, w.last, w.stride] for w in windows],
     }
-    said = f" Found on {len(windows)} windows of {total:,} rows"
+    said = f" Found on {name_windows({'windows': record})}"
     try:
         fit = None if _stays(found) else _fit(found, runs, settings)
     except KeyboardInterrupt:
@@ -125,6 +125,20 @@ def on_every_row(
         return _say(found, record, f"{said}; it does not hold in all of them: {where}.")
     found = _with_constants(found, fit, settings.selection.fit)
     return _say(found, record, f"{said}, and fitted to all of them, which agree.")
+
+
+def name_windows(settings: Mapping[str, Any]) -> str:
+    """Say on which windows of long records a discovery was found; "" where all rows were searched.
+
+    Parameters
+    ----------
+    settings : those of the discovery.
+
+    >>> name_windows({"windows": {"rows": 30_000, "searched": [[1, 1, 200, 1], [1, 901, 1100, 1]]}})
+    '2 windows of 30,000 rows'
+    """
+    record = settings.get("windows")
+    return f"{len(record['searched'])} windows of {record['rows']:,} rows" if record else ""
 
 
 def _stays(found: Discovery) -> bool:

@@ -208,8 +208,8 @@ def discover(
         better than any of them, because it uses no slopes.
     slopes : state -> your own slopes, one array, or one for each trajectory.
     out : a folder that keeps every finished task, the result as discovery.json, and the data as
-        data.csv, with which :func:`dynsr.load` reads it. The same call on it continues where it
-        stopped.
+        data.csv (of long records, the windows that were searched), with which :func:`dynsr.load`
+        reads it. The same call on it continues where it stopped.
     progress : a function that is called with a :class:`Step` as tasks end, and every half second
         while they run. True shows live lines, as a notebook does by default; False shows none.
     snap : whether constants become simple numbers where the data allow it. False leaves them as

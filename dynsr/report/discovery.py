@@ -31,6 +31,7 @@ from dynsr.discovery import (
     StateVerdict,
     inputs_in,
     iterate,
+    name_windows,
     pair_rows,
     predict,
     write_map_mathml,
@@ -294,6 +295,8 @@ def _summary(found: Discovery) -> str:
     start, end = found.trajectories[0].t[[0, -1]]
     unit = f" {found.time_unit}" if found.time_unit else ""
     over = f"from t = {start:g} to {end:g}{unit}" if count == 1 else f"in {count} trajectories"
+    if windows := name_windows(found.settings):
+        return f"{known}, found on {windows}. These {rows} rows are the data of this report."
     return f"{known}, from {rows} rows {over}."
 
 
