@@ -151,6 +151,15 @@ def test_exact_blocks_give_the_constant_to_many_digits():
     assert blocks.differing(0.95) == []
 
 
+def test_simple_numbers_of_exact_rows_stay_simple():
+    """A third is written as a third, and no decimal takes its place."""
+    blocks = fit_blocks(
+        {"x": 2.666667 * Y, "y": -2.666667 * X}, [turning((8 / 3,))], {}, None, 1e-5, 1000
+    )
+    third = sympy.Rational(8, 3)
+    assert blocks.choose_numbers([(8 / 3, 1e-9), (-8 / 3, 1e-9)]) == [third, -third]
+
+
 @pytest.mark.parametrize("noise", [0.0, pytest.param(NOISE, marks=pytest.mark.slow)])
 def test_a_law_that_changes_is_no_law_of_all_rows(noise):
     """Windows before the change show a law; the rows after it are named in the verdict."""

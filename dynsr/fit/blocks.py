@@ -165,15 +165,20 @@ class RowsFit:
             with which these were found. Simple ones stay unless the rows rule them out.
         settings : the numbers that decide.
         """
+        simple = [simple_value(value, error, settings) for value, error in written]
+        pairs = zip(simple, written, strict=True)
+        kept = [n if n is not None and float(n) == value else None for n, (value, _) in pairs]
         if self.noisy:
-            simple = [simple_value(value, error, settings) for value, error in written]
-            pairs = zip(simple, written, strict=True)
-            kept = [n if n is not None and float(n) == value else None for n, (value, _) in pairs]
             return simple_numbers(self, kept, settings)
         # What solvers miss by is no chance, so that no standard error bounds it.
+        stays = np.abs([v for v, _ in written] - self.constants) <= settings.confirmed * np.abs(
+            self.constants
+        )
         return [
-            sympy.Float(value if abs(value - own) <= settings.confirmed * abs(own) else float(own))
-            for (value, _), own in zip(written, self.constants, strict=True)
+            (sympy.Float(value) if number is None else number) if same else sympy.Float(float(own))
+            for number, (value, _), own, same in zip(
+                kept, written, self.constants, stays, strict=True
+            )
         ]
 
 
