@@ -35,6 +35,7 @@ from dynsr.fit import (
     fit_curved,
     measure_runs,
 )
+from dynsr.fit.curved import place_knots
 from tests.command_line import run
 
 X, Y = sympy.symbols("x y")
@@ -505,19 +506,28 @@ def test_two_functions_are_found_in_turns():
     assert any("can take up changes of each other" in note for note in found.free.notes)
 
 
+def test_knots_are_apart_where_most_of_the_data_are_in_one_place():
+    """A column that decays to 0 has half of its values within rounding of it."""
+    knots = place_knots(10.0 * np.exp(-np.arange(60.0)), 28)
+    assert np.diff(knots).min() >= 10.0 / 27 / 2 * (1 - 1e-9)
+    assert knots[[0, -1]].tolist() == [10.0 * np.exp(-59.0), 10.0]
+
+
 @pytest.mark.slow
-def test_a_growth_rate_is_found_in_one_batch():
-    """Monod's rate and the yield from biomass and substrate at 2 % noise."""
+@pytest.mark.parametrize(("noise", "size"), [(0.02, 1.0), (0.0, 1.0), (0.0, 1e6), (0.0, 1e-6)])
+def test_a_growth_rate_is_found_in_one_batch(noise, size):
+    """Monod's rate and the yield from biomass and substrate, in any unit, until all is eaten."""
 
     def slopes(_, z):
         grown = 0.6 * z[1] / (1.5 + z[1]) * z[0]
         return [grown, -grown / 0.45]
 
-    batch = follow(slopes, [0.1, 10.0], 16, 60, 0.02, 1, ("X", "S"))
+    batch = follow(slopes, [0.1, 10.0], 16, 60, noise, 1, ("X", "S"))
+    batch = Trajectory(batch.t, size * batch.x, batch.states)
     found = discover(batch, known={"X": "mu(S)*X", "S": "-mu(S)*X/Y"}, jobs=1)
     assert found.verdict.level == "law"
     S = np.linspace(0.5, 9, 20)
-    np.testing.assert_allclose(found.free["mu"](S), 0.6 * S / (1.5 + S), rtol=0.03)
+    np.testing.assert_allclose(found.free["mu"](size * S), 0.6 * S / (1.5 + S), rtol=0.03)
     assert found.free.constants["Y"].value == pytest.approx(0.45, rel=0.01)
 
 

@@ -262,6 +262,8 @@ class _Study:
 
     def _proposals(self, answer: _Answer, part: Part) -> list[sympy.Expr]:
         """Give formulas that the curve of a function allows, the likeliest first."""
+        if not self.settings.free.fitted:
+            return []
         samples = self._evidence(answer, part)
         selection, settings = self.settings.selection, self.settings.free
         x = sympy.Symbol(part.of)

@@ -32,7 +32,7 @@ class FreeSettings:
     curved : how curves are fitted.
     points : values of its column at which a curve says what formula it may be, evenly spaced and
         where the data are.
-    fitted : formulas that are fitted in the place of a curve.
+    fitted : formulas that are fitted in the place of a curve; 0 leaves all of them curves.
     shown : of these, how many a result names, the best first.
     drawn : points of a picture.
     digits : digits of the formulas that are compared.

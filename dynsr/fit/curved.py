@@ -140,9 +140,9 @@ def place_knots(values: np.ndarray, count: int) -> np.ndarray:
     """
     own = np.unique(values)
     count = min(count, len(own))
-    ranks = np.linspace(0.0, 1.0, len(own)) + (own - own[0]) / max(np.ptp(own), 1e-300)
-    found = np.interp(np.linspace(0.0, 2.0, count), ranks, own)
-    return np.unique(found)
+    # A spline whose knots nearly coincide has no numbers to speak of next to them.
+    even = np.linspace(own[0], own[-1], count)
+    return np.unique((np.quantile(own, np.linspace(0.0, 1.0, count)) + even) / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -445,7 +445,9 @@ class CurvedFit(ScaledFit):
                 found.states.T, found.constants, problem.mesh.driven[:, :rows], steps
             )
         own = usual_scales(base, problem._owners[0], slopes)  # noqa: SLF001
-        least = np.min(np.where(problem.ties > 0, own[:, None], np.inf), axis=0)
+        # A formula that is 0 may leave no number in any equation.
+        each = np.where(problem.ties > 0, own[:, None], np.inf)
+        least = np.min(each, axis=0, initial=np.inf)
         for block, curve in zip(self.blocks, self.curves, strict=True):
             # All values together are as sure as one: a level moves them alike.
             least[block] = float(np.linalg.norm(curve.values)) or 1.0
