@@ -114,5 +114,10 @@ def test_steps_between_rows_hide_no_law(noise: float) -> None:
     assert float(found.equations["v"].coeff("u")) == pytest.approx(2, abs=0.02)
     assert float(found.equations["v"].coeff("v")) == pytest.approx(-2, abs=0.02)
     assert len(found.equations["v"].args) == 2
-    assert found.settings["unseen_steps"] == {"inputs": ["u"], "intervals": 7, "cut": True}
+    record = found.settings["unseen_steps"]
+    times = record.pop("times")
+    assert record == {"inputs": ["u"], "intervals": 7, "cut": True}
+    # Each step is between two rows, 0.1 apart.
+    assert len(times) == 7 and times[0] == pytest.approx([1.9, 2.0])
+    assert [end - begin for begin, end in times] == pytest.approx([0.1] * 7)
     assert "Measure more often around the steps" in found.explanation["v"]

@@ -68,17 +68,20 @@ class Stepped:
         record = {
             "inputs": list(self.steps.inputs),
             "intervals": self.steps.count,
+            "times": self._times(self.steps),
             "cut": self.cut,
         }
         words = {s: f"{why} {said}" for s, why in found.explanation.items()}
         record = {**found.settings, "unseen_steps": record}
         return replace(found, explanation=words, settings=record)
 
+    def _times(self, steps: UnseenSteps) -> list[list[float]]:
+        """Give the times of the rows before and after each step, run by run."""
+        pairs = zip(self.whole, steps.rows, strict=True)
+        return [run.t[row : row + 2].tolist() for run, rows in pairs for row in rows]
+
     def _words(self, steps: UnseenSteps) -> str:
-        run, rows = next(
-            (r, own) for r, own in zip(self.whole, steps.rows, strict=True) if len(own)
-        )
-        begin, end = run.t[rows[0] : rows[0] + 2]
+        begin, end = self._times(steps)[0]
         names, one = " and ".join(steps.inputs), len(steps.inputs) == 1
         where = f"{names} step{'s' * one} between rows, such as from t = {begin:g} to {end:g}."
         does = (

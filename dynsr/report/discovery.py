@@ -354,13 +354,12 @@ def _profiles(found: Discovery) -> Iterator[Picture]:
         return
     some = every[:_MOST_PROFILES]
     left_out = f" The first {len(some)} of {len(every)} are drawn." if some != every else ""
-    if some:
-        yield Picture.of(
-            draw_profiles(some),
-            "The profile likelihood of each constant: the constant is fixed, and all others are "
-            "fitted again. The shaded interval ends where the fit is clearly worse. The dashed "
-            f"parabola is that of the standard error.{left_out}",
-        )
+    # Two in a picture, so that pictures fill a page of any width.
+    for first in range(0, len(some), 2):
+        pair = some[first : first + 2]
+        names = " and ".join(f"{own.of} in {own.state}'" for own in pair)
+        last = first + len(pair) == len(some)
+        yield Picture.of(draw_profiles(pair), f"Constant of {names}.{left_out if last else ''}")
 
 
 def _known(found: Discovery) -> str:
