@@ -63,7 +63,7 @@ from dynsr.discovery.tasks import (
     late_choice,
     late_search,
     look_again_tasks,
-    look_tasks,
+    look_task,
     pick_tasks,
     plan_tasks,
     search_tasks,
@@ -673,9 +673,11 @@ class _Steps:
         """Look at the slopes of every state first, then again with the results of others."""
         problem, settings = self.problem, self.problem.settings.selection
         demands = problem.demands
-        tasks = look_tasks(samples, demands, settings, self.key)
-        # Workers take longer to start than all of it.
-        found = self._take(watch, tasks, "searches", _late_in(samples))
+        found: list[Found] = []
+        # Workers take longer to start than all of it, and each state is looked at with the others.
+        for own in samples.values():
+            task = look_task(own, found, demands, settings, self.key)
+            found += self._take(watch, [task], "searches", _late_in(samples))
         ended: list[str] = []
         for source in (name for name in MORE_LOOKS if name in self.first):
             now = [f.target for f in found if f.final]

@@ -50,6 +50,7 @@ from dynsr.selection import (
     explains_all,
     explore,
     look,
+    look_around,
     pick_equation,
     rank_by_length,
     trivial_candidates,
@@ -226,12 +227,18 @@ def explore_one(
 
 
 def look_one(
-    samples: Samples, limits: Limits, settings: SelectionSettings, report: Report = silent
+    samples: Samples,
+    known: Mapping[str, sympy.Expr],
+    limits: Limits,
+    settings: SelectionSettings,
+    report: Report = silent,
 ) -> Found:
     """Look for a sum or ratio of a few terms that exact slopes leave no doubt of."""
     began = time.monotonic()
     trivial = trivial_candidates(samples)
     found = Look(tuple(c for c in trivial if explains_all(c, samples)), final=True)
+    if not found.candidates and known:
+        found = look_around(samples, limits, known, settings.look, settings.fit)
     if not found.candidates:
         found = look(samples, limits, settings.look, settings.fit)
     report(Progress("first look", 0, None, ParetoFront(found.candidates)))
@@ -294,21 +301,32 @@ def start_tasks(
     ]
 
 
-def look_tasks(
-    samples: Mapping[str, Samples], demands: Demands, settings: SelectionSettings, key: str
-) -> list[Task]:
-    """Give a task for every state that has a first look at its slopes."""
-    return [
-        Task(
-            _search_name(state, FIRST_LOOK),
-            f"{state}' at a first look",
-            look_one,
-            (own, demands.limits(state), settings),
-            Found,
-            key,
-        )
-        for state, own in samples.items()
-    ]
+def look_task(
+    samples: Samples,
+    found: Sequence[Found],
+    demands: Demands,
+    settings: SelectionSettings,
+    key: str,
+) -> Task:
+    """Give the task of a state that has a first look at its slopes.
+
+    Parameters
+    ----------
+    samples : of the state.
+    found : what was found of the states before it.
+    demands : what the user asks.
+    settings : the numbers that decide.
+    key : digest of all that the result depends on.
+    """
+    known = {f.target: f.candidates[0].expr for f in found if f.final}
+    return Task(
+        _search_name(samples.target, FIRST_LOOK),
+        f"{samples.target}' at a first look",
+        look_one,
+        (samples, known, demands.limits(samples.target), settings),
+        Found,
+        key,
+    )
 
 
 def look_again_tasks(

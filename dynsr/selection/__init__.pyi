@@ -6,7 +6,7 @@ from .comparison import (
     most_of_noise,
     noise_shown,
 )
-from .first_look import Look, look
+from .first_look import Look, look, look_around
 from .followers import Follower, FollowerSettings, Trail, find_followers
 from .hidden import (
     HIDDEN,
@@ -83,6 +83,7 @@ __all__ = [
     "lead_alone",
     "lead_with",
     "look",
+    "look_around",
     "may_be_exact",
     "most_of_noise",
     "move_inside",

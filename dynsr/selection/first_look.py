@@ -24,6 +24,8 @@ from dynsr.fit import (
     FitSettings,
     constant_bits,
     free_constants,
+    loosen,
+    one_of_each_shape,
     refit,
     score_candidate,
     simplest_form,
@@ -47,7 +49,7 @@ from dynsr.selection.joints import hinged_sums
 from dynsr.selection.parts import Parts
 from dynsr.selection.propose import EXACT, PROPOSALS, RARE, ProposalSettings, propose
 from dynsr.selection.relations import is_left_open
-from dynsr.selection.twins import exchanged
+from dynsr.selection.twins import exchanged, shifted
 
 SOURCE = "the first look"
 # Share of its size by which a column leaves its middle where functions must be the same.
@@ -149,6 +151,45 @@ def look(
         if _is_law(seen):
             return seen
         return search.conclude(search.rare(found) if rare else search.proposed(found))
+
+
+def look_around(
+    samples: Samples,
+    limits: Limits,
+    known: Mapping[str, sympy.Expr],
+    settings: LookSettings = LOOK,
+    fit: FitSettings = FIT,
+) -> Look:
+    """Look whether the equation is that of another state, with columns as far from it in the table.
+
+    The cells of a ring, the tanks of a chain or the oscillators of a lattice obey one law. Where it
+    is found for one of them, the others need no search.
+
+    Parameters
+    ----------
+    samples : of the state whose equation is sought.
+    limits : what the user allows.
+    known : equations of other states.
+    settings : the numbers that decide.
+    fit : how simple numbers are taken, and whether any are written.
+
+    Gives a law, or nothing.
+
+    >>> x = np.random.default_rng(0).uniform(1, 2, (60, 3))
+    >>> s = Samples(x, 3 * x[:, 2] * x[:, 0], ("x", "y", "z"), "z", "given", np.arange(60.0))
+    >>> look_around(s, Limits(), {"x": sympy.sympify("3*x*y")}).candidates[0].expr
+    3*x*z
+    """
+    if not settings.parts.has("look-twins"):
+        return Look()
+    terms = {s: sympy.Add.make_args(expr) for s, expr in known.items() if not expr.is_Symbol}
+    others = {s: sympy.Add(*map(loosen, own)) for s, own in terms.items()}
+    search = _Search(samples, limits, settings, fit, others)
+    names = samples.names
+    with np.errstate(all="ignore"):
+        ways = (shifted(expr, s, samples.target, names) for s, expr in others.items())
+        seen = search.conclude(list(search.take(search.refitted(one_of_each_shape(ways)))))
+    return seen if _is_law(seen) else Look()
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,24 @@ def exchanged(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) 
     return one_of_each_shape(expr.xreplace(names) for names in ways)
 
 
+def shifted(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) -> sympy.Expr:
+    """Write an equation for another state, each column as far from it in the table as before.
+
+    Parameters
+    ----------
+    expr : the equation.
+    state, other : whose it is, and whose it is to be.
+    columns : names in the order of the table, which is taken for a circle.
+
+    >>> x, y, z = sympy.symbols("x y z")
+    >>> shifted(2.5 * x * y - 0.5 * x, "x", "z", ["x", "y", "z"])
+    2.5*x*z - 0.5*z
+    """
+    names = [sympy.Symbol(name) for name in columns]
+    far = columns.index(other) - columns.index(state)
+    return expr.xreplace({n: names[(i + far) % len(names)] for i, n in enumerate(names)})
+
+
 def first_of_each(exprs: Mapping[str, sympy.Expr], columns: Sequence[str]) -> list[str]:
     """Name the states whose equations are no twin of one before them.
 
