@@ -10,7 +10,9 @@ from dynsr.selection.evidence import Evidence
 from dynsr.selection.propose import propose
 
 
-def _propose(law: str, *, noise: float, seed: int = 0, rows: int = 120) -> list[sympy.Expr]:
+def _propose(
+    law: str, *, noise: float, seed: int = 0, rows: int = 120, near: str | None = None
+) -> list[sympy.Expr]:
     rng = np.random.default_rng(seed)
     points = rng.uniform(0.2, 3.0, (2, rows))
     expr = sympy.sympify(law)
@@ -19,7 +21,8 @@ def _propose(law: str, *, noise: float, seed: int = 0, rows: int = 120) -> list[
     y = (truth + size * rng.standard_normal(rows)) / size
     evidence = Evidence(("x", "y"), points, y, np.eye(rows) / size, 0.0, float(rows))
     place = Place("x", ("x", "y"), ("x", "y"), ())
-    return propose(evidence, place, lambda _: True)
+    begun = None if near is None else sympy.sympify(near)
+    return propose(evidence, place, lambda _: True, near=begun)
 
 
 @pytest.mark.parametrize(
@@ -45,6 +48,18 @@ def test_terms_that_a_beam_passes_by_are_found() -> None:
     """A sum whose terms alone and in pairs say little is found, with more products around it."""
     law = "0.8*x - 0.75*x*y + 0.2*x*y**2 - 0.3*x**2"
     best = _propose(law, noise=0.002)[0]
+    assert skeleton(best) == skeleton(sympy.sympify(law))
+
+
+@pytest.mark.parametrize(
+    "near",
+    ["1.5*x - 0.7*x**2 - 0.6*x*y", "x - x*y", "x - x*y**2 - y", "x - x**2 + y - x*y + y**2 + 1"],
+    ids=["law", "one term less", "one term wrong", "three terms more"],
+)
+def test_the_law_is_found_near_an_equation(near: str) -> None:
+    """Begun with the law it stays; terms that are missing, wrong or superfluous are mended."""
+    law = "1.5*x - 0.7*x**2 - 0.6*x*y"
+    best = _propose(law, noise=0.01, near=near)[0]
     assert skeleton(best) == skeleton(sympy.sympify(law))
 
 

@@ -13,7 +13,7 @@ from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings, compare_systems, explore
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
-from dynsr.selection.rates import shared_bits
+from dynsr.selection.rates import shared_bits, with_shared
 from dynsr.selection.renewal import renew, renewals
 from dynsr.selection.shapes import rounded
 from dynsr.selection.subsets import taken_whole, without
@@ -53,6 +53,19 @@ def test_one_rate_has_one_constant():
     assert apart.sum() == 0
     unknown = of({"x": "-0.5*x*y", "y": "0.5*x*y"}, np.inf)
     assert unknown.sum() == 0
+
+
+def test_what_two_equations_share_changes_in_both():
+    """A rate that one equation loses for another goes from the others too, in its proportion; what
+    they do not share stays, and where nothing is shared there is no other system.
+    """
+    system = floats({"s": "1.2 - 0.8*s*x", "x": "0.4*s*x - 0.1*x"})
+    rate = parse("1.2 - 2*s*x/(s + 0.5)")
+    (both,) = with_shared(system, "s", floats({"s": "1.2 - 2*s*x/(s + 0.5)"})["s"])
+    assert both["x"].equals(parse("s*x/(s + 0.5) - 0.1*x"))
+    assert both["s"].equals(rate)
+    assert with_shared(system, "x", floats({"x": "0.4*s*x - 0.1*x^2"})["x"]) == []
+    assert with_shared(system, "s", floats({"s": "1.5 - 0.7*s*x"})["s"]) == []
 
 
 def test_constants_inside_a_rate_are_shared_too():

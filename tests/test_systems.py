@@ -33,7 +33,6 @@ from dynsr.selection.changes import (
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.renewal import renewals
 from dynsr.selection.shapes import bodies_of
-from dynsr.selection.systems import _prefer_reproducing as prefer_reproducing
 from dynsr.selection.systems import distinct_shapes, integrate
 
 TRUTHS = {
@@ -166,10 +165,10 @@ def test_nested_forms_are_among_what_was_compared():
 
 @pytest.mark.slow
 def test_rivals_are_other_functions():
-    """A rival is another function along the states by the share asked for; of 10^5 % none."""
+    """A rival is another function along the states by the share asked for; of 10^9 % none."""
     choice = found("Lotka-Volterra")
     assert any(choice.different(0.02).values())
-    assert not any(choice.different(1000.0).values())
+    assert not any(choice.different(1e7).values())
 
 
 def test_clean_data_come_back_as_they_are():
@@ -344,20 +343,6 @@ def test_demands_are_obeyed():
     assert not any(e.atoms(sympy.Function) for e in choice.exprs.values())
     fits = SystemComparison(measured(name).mesh(("x", "y")), settings)
     assert fits.fit({"x": parse("x"), "y": parse("0.1*x*y")}) is None
-
-
-def test_a_system_that_reproduces_is_preferred():
-    """Of systems within so many bits that one is taken whose integration follows the run."""
-    comparison = SystemComparison(measured("SIR").mesh(("S", "J")), SETTINGS)
-    true = comparison.fit({s: parse(e) for s, e in TRUTHS["SIR"].items()})
-    still = comparison.fit({"S": parse("-0.01"), "J": parse("0.001")})
-    assert integrate(true) > 0.97 > SETTINGS.reproduces > integrate(still)
-    still = replace(still, bits=true.bits - 30)
-    for reach, taken in ((40.0, true), (20.0, still)):
-        fits = SimpleNamespace(
-            settings=ComparisonSettings(unfollowed=reach), fits=lambda: iter([still, true])
-        )
-        assert prefer_reproducing(fits, still) is taken
 
 
 def test_shapes_are_told_apart_by_more_than_numbers():

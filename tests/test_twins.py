@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from itertools import permutations
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from dynsr.selection import ComparisonSettings, compare_systems
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.renewal import renew
-from dynsr.selection.twins import exchanged, families, first_of_each, with_twins
+from dynsr.selection.twins import exchanged, families, with_twins
 
 SETTINGS = ComparisonSettings()
 # Two genes that switch each other on; what is made of one decays faster.
@@ -41,26 +40,6 @@ RING = {
 def switched(rows=100):
     """Measurements of the two genes at 1 %."""
     return measured(tuple(GENES.items()), (0.15, 0.9), 9.0, rows, 0.01)
-
-
-@pytest.mark.parametrize("system", [GENES, ROTORS, RING], ids=["genes", "rotors", "ring"])
-def test_what_is_of_one_kind_is_written_once(system):
-    """However the equations are ordered, the first stands for all; it holds for another no more
-    once that has a term more.
-    """
-    for order in permutations(system):
-        exprs = floats({state: system[state] for state in order})
-        assert first_of_each(exprs, list(system)) == [order[0]]
-    *_, last = system
-    exprs = floats(system) | floats({last: system[last] + f" - 0.1*{last}^2"})
-    assert last in first_of_each(exprs, list(system))
-
-
-def test_inputs_change_no_places():
-    """What two states feel of inputs of their own makes them no twins: these are no states."""
-    exprs = floats({"x": "0.5*u - 0.3*x", "y": "0.4*v - 0.2*y"})
-    assert first_of_each(exprs, ["x", "y"]) == ["x", "y"]
-    assert first_of_each(exprs, ["x", "y", "u", "v"]) == ["x"]
 
 
 def test_families_are_made_of_what_was_found():
@@ -123,7 +102,6 @@ def test_a_term_of_no_size_makes_no_twin():
     data = measured(tuple(true.items()), (1.5, 0.2), 12.0, 200, 0.01)
     comparison = SystemComparison(data.mesh(("x", "y")), SETTINGS)
     fit = comparison.fit(floats({**true, "y": "-0.8*x + 0.01*y"}))
-    assert first_of_each(fit.exprs, ["x", "y"]) == ["x"]
     assert comparison.fit(floats(true)).bits < fit.bits
     assert prune(comparison, fit, "y").exprs["y"].free_symbols == {sympy.Symbol("x")}
 

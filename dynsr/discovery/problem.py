@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -86,7 +86,6 @@ from dynsr.selection import (
     SelectionSettings,
     SystemChoice,
     SystemComparison,
-    SystemFit,
     best_so_far,
     compare_systems,
     families,
@@ -710,21 +709,16 @@ class Problem:
             return None
         exprs = self._with_known({state: pool[0] for state, pool in pools.items()})
         comparison = self.settings.selection.comparison
-
-        @cache
-        def ends(fit: SystemFit) -> bool:
-            exact = may_be_exact(fit, data)
-            return exact and self._confirmed(loosen_all(fit.exprs)) is not None
-
         choice, cut = finish_by(
             self.until("searches"),
-            lambda: self._compare(exprs, pools, ends),
+            lambda: self.compare(exprs, pools),
             lambda: best_so_far(exprs, self._compared),
         )
         if cut:
             self.cut.append("comparison")
             return choice if choice.fit is not None else None
-        if self.confirmed or (choice.fit is not None and ends(choice.fit)):
+        fit = choice.fit
+        if fit is not None and may_be_exact(fit, data) and self._confirmed(loosen_all(fit.exprs)):
             return SystemChoice(self.confirmed[-1].exprs)
         if data.noise_share > comparison.doubtful or choice.explains(comparison):
             return choice
@@ -733,22 +727,15 @@ class Problem:
     def compare(
         self, picked: Mapping[str, sympy.Expr], pools: Mapping[str, Sequence[sympy.Expr]]
     ) -> SystemChoice:
-        """Let whole systems compete on the states where noise makes slopes unsure."""
-        if self.measurements is None:
-            return SystemChoice(dict(picked))
-        return self._compare(picked, pools)
+        """Let whole systems compete on the states where noise makes slopes unsure.
 
-    def _compare(
-        self,
-        exprs: Mapping[str, sympy.Expr],
-        pools: Mapping[str, Sequence[sympy.Expr]],
-        ends: Callable[[SystemFit], bool] = lambda _: False,
-    ) -> SystemChoice:
-        """Compare systems, and believe the best where it shows far less noise than was thought."""
+        The best is believed where it shows far less noise than was thought.
+        """
         comparison, data = self.settings.selection.comparison, self._noisy_measurements
-        assert data is not None
+        if self.measurements is None or data is None:
+            return SystemChoice(dict(picked))
         self.believed.clear()
-        choice = compare_systems(exprs, pools, data, comparison, self._compared, ends)
+        choice = compare_systems(picked, pools, data, comparison, self._compared)
         fit = choice.fit
         believed = _BELIEVED * comparison.parts.has("belief")
         while fit is not None and not self.confirmed and len(self.believed) < believed:

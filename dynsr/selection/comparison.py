@@ -42,7 +42,7 @@ from dynsr.selection.evidence import Evidence
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
 from dynsr.selection.propose import ProposalSettings, propose, term_bits
-from dynsr.selection.rates import shared_bits
+from dynsr.selection.rates import shared_bits, with_shared
 from dynsr.selection.twins import with_twins
 
 Equations = dict[str, sympy.Expr]
@@ -76,8 +76,8 @@ class ComparisonSettings:
     softness : weight of the defects of a system that does not follow its data, and at the start of
         whole polynomials and of equations with a joint.
     pruned : of these, how many lose the terms that do not pay.
-    again : how often terms are looked for along the best system found.
-    gain : bits that this must save for it to go on.
+    again : how often masses are tied, and terms are looked for along the best hidden state.
+    gain : bits that a change must save for others to be looked for.
     together : the best of them that enter whole systems.
     behind : bits that they may take more than the best of them.
     near : the same, once a system leaves nothing but noise.
@@ -87,8 +87,6 @@ class ComparisonSettings:
     pieces : pieces of a run that are integrated where the whole cannot be.
     reproduces : least mean R2 of an integration from the fitted start over the whole run.
     evaluations : of the right-hand sides for each row that this integration takes at most.
-    unfollowed : a system that reproduces the runs is taken for one that does not where it takes at
-        most so many bits more.
     rounds : changes taken at most.
     tried : changes, those expected to save most first, that are fitted in a round.
     excess : mean squared residual beyond that of noise, in units of it, that is noise too: its size
@@ -119,7 +117,6 @@ class ComparisonSettings:
     pieces: int = 10
     reproduces: float = 0.9
     evaluations: int = 50
-    unfollowed: float = 40.0
     rounds: int = 12
     tried: int = 8
     excess: float = 0.15
@@ -303,16 +300,20 @@ class SystemComparison:
         return before
 
     def changed(self, fit: SystemFit, state: str, expr: sympy.Expr) -> list[Equations]:
-        """Give a system with one equation changed, and first with its twins changed as it is.
+        """Give a system with one equation changed, and first with others changed as it is.
+
+        These are its twins, and those that contain what it loses.
 
         Parameters
         ----------
         fit : the system.
         state, expr : whose equation changes, and what it becomes.
         """
-        if not self.settings.parts.has("changed-twins"):
-            return [{**fit.exprs, state: expr}]
-        return with_twins(fit.exprs, state, expr, self.mesh.states)
+        has = self.settings.parts.has
+        shared = with_shared(fit.exprs, state, expr) if has("changed-shared") else []
+        if not has("changed-twins"):
+            return [*shared, {**fit.exprs, state: expr}]
+        return [*shared, *with_twins(fit.exprs, state, expr, self.mesh.states)]
 
     def fit_anew(self, exprs: Equations) -> SystemFit | None:
         """Fit from the constants given and the smoothed states; of two fits the better is kept.
@@ -400,6 +401,7 @@ class SystemComparison:
         others: Sequence[tuple[str, sympy.Expr]] = (),
         *,
         functions: bool = True,
+        near: sympy.Expr | None = None,
     ) -> list[sympy.Expr]:
         """Give the sums of terms of the library that are expected to take the fewest bits.
 
@@ -409,11 +411,14 @@ class SystemComparison:
         evidence : what the data say of it.
         others : states and equations of theirs; what stands in these costs less.
         functions : whether others than their terms and products of the columns are terms.
+        near : an equation that is begun with; by default sums are grown from nothing.
         """
         demands, settings = self.settings.demands, self.settings.proposals
         place, allow = self._place(state), demands.limits(state).check
         offered = demands.offered
-        return propose(evidence, place, allow, offered, others, settings, functions=functions)
+        return propose(
+            evidence, place, allow, offered, others, settings, functions=functions, near=near
+        )
 
     def _has_pole(self, fit: CollocationFit) -> bool:
         """Whether a fraction line passes through 0 where the columns are."""

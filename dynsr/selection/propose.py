@@ -241,12 +241,33 @@ class Proposer:
                 if enough is not None and enough(best := self._front_first(found), left):
                     return best
             self._thin_whole(found)
-            for _ in range(self.settings.rounds):
-                if not self._exchange(found):
-                    break
-            for one in self._ranked(found):
-                self._thin(one, found)
+            self._refine(found)
         return self._front_first(found)
+
+    def near(self, places: Sequence[int]) -> list[Sum]:
+        """Give the best sums that come of one by adding, exchanging and dropping forms in turn.
+
+        Parameters
+        ----------
+        places : of its forms in the library, whose constants inside do not move.
+        """
+        found: dict[tuple[int, ...], Sum] = {}
+        every = np.flatnonzero(np.isfinite(self.costs))
+        with np.errstate(all="ignore"):
+            begun = self._fit(np.array([places]), np.zeros((1, len(places), self.library.most)))
+            begun = begun.some(np.isfinite(begun.left))
+            for layer in (begun, self._grow(begun, every)):
+                self._note(layer, found)
+            self._refine(found)
+        return self._front_first(found)
+
+    def _refine(self, found: dict[tuple[int, ...], Sum]) -> None:
+        """Exchange forms of the best sums while that finds better ones, then drop some."""
+        for _ in range(self.settings.rounds):
+            if not self._exchange(found):
+                break
+        for one in self._ranked(found):
+            self._thin(one, found)
 
     def _grow_from_nothing(
         self, tier: np.ndarray, before: Sequence[_Layer], found: dict[tuple[int, ...], Sum]
@@ -624,6 +645,7 @@ def propose(
     *,
     functions: bool = True,
     enough: Callable[[list[sympy.Expr], int], bool] | None = None,
+    near: sympy.Expr | None = None,
 ) -> list[sympy.Expr]:
     """Give the sums of terms of the library that are expected to take the fewest bits.
 
@@ -639,9 +661,11 @@ def propose(
         products of the columns are terms.
     enough : whether sums of the cheapest terms, the best first, are such that no others are sought;
         it is told how many times more terms are still to be taken in.
+    near : an equation that is begun with; by default sums are grown from nothing.
     """
     names = place.columns
-    own = (*offered, *cited_terms((expr for _, expr in others), place.state))
+    begun = () if near is None else bodies_of(near)
+    own = (*begun, *offered, *cited_terms((expr for _, expr in others), place.state))
     kinds = replace(settings.library, functions=functions)
     beside = evidence.names[len(names) :]
     library = Library.of(names, evidence.points, place.angles or (), own, kinds, beside)
@@ -664,6 +688,8 @@ def propose(
         return list(dict.fromkeys(one.write(library) for one in sums))
 
     proposer = Proposer(evidence, library, costs, settings)
+    if begun:
+        return written(proposer.near(range(len(begun))))
     if enough is None:
         return written(proposer.best())
     return written(proposer.best(lambda sums, left: enough(written(sums), left)))

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import sympy
 
-from dynsr.fit import free_constants
+from dynsr.fit import free_constants, skeleton
 
 # Shares of the terms of two equations that have one constant: of products, of bare columns.
 _SAME, _BARE = 0.5, 0.2
@@ -58,6 +58,46 @@ def shared_bits(
                 saved[mine] = np.maximum(saved[mine], gained)
         known.append(own)
     return saved
+
+
+def with_shared(
+    exprs: Mapping[str, sympy.Expr], state: str, expr: sympy.Expr
+) -> list[dict[str, sympy.Expr]]:
+    """Give a system with one equation changed, and what it shares with others changed there too.
+
+    Where other equations contain terms that the equation loses, these are replaced by those that it
+    gains, in the same proportion. Nothing is given where no other equation contains such terms.
+
+    Parameters
+    ----------
+    exprs : state -> equation.
+    state, expr : whose equation changes, and what it becomes.
+
+    >>> x, y = sympy.symbols("x y")
+    >>> system = {"x": -1.5 * x * y, "y": 0.75 * x * y - 0.3 * y}
+    >>> with_shared(system, "x", -2.0 * x * y / (x + 0.5))
+    [{'x': -2.0*x*y/(x + 0.5), 'y': 1.0*x*y/(x + 0.5) - 0.3*y}]
+    """
+    before, after = _by_shape(exprs[state]), _by_shape(expr)
+    kept = {shape for shape, _, _ in before} & {shape for shape, _, _ in after}
+    lost = {
+        shape: number for shape, number, _ in before if shape not in kept and shape.free_symbols
+    }
+    gained = [number * body for shape, number, body in after if shape not in kept]
+    changed = {**exprs, state: expr}
+    for other, own in exprs.items():
+        terms = _by_shape(own)
+        ratios = [number / lost[shape] for shape, number, _ in terms if shape in lost]
+        if other != state and ratios:
+            rest = [number * body for shape, number, body in terms if shape not in lost]
+            changed[other] = sympy.Add(*rest, *(ratios[0] * term for term in gained))
+    return [changed] if any(changed[o] != exprs[o] for o in exprs if o != state) else []
+
+
+def _by_shape(expr: sympy.Expr) -> list[tuple[sympy.Expr, sympy.Expr, sympy.Expr]]:
+    """Give the shape of each term of a sum, its factor and the rest of it."""
+    pairs = (term.as_coeff_Mul() for term in sympy.Add.make_args(expr))
+    return [(skeleton(body), number, body) for number, body in pairs]
 
 
 def _terms(

@@ -3,24 +3,19 @@
 Alone, an equation is looked for with the others read off their smoothed curves. Where rows are few
 these are off, and so is what follows them best. The states of a system that follows the data are
 better curves, and with its other equations beside it, their constants free, a new one has to make
-up for no errors of theirs. A term that another equation has costs no more than naming it.
+up for no errors of theirs. A term that another equation has costs no more than naming it. Begun
+with the equation as it is, terms are added, exchanged and dropped.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import sympy
 
 from dynsr.fit import skeleton
-from dynsr.selection.changes import prune, while_better
+from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise
 from dynsr.selection.evidence import Evidence
-from dynsr.selection.shapes import is_plain
 from dynsr.selection.twins import exchanged
-
-# Degree of a short polynomial that is good enough where it leaves only noise.
-_DEGREE = 2
 
 
 def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
@@ -40,11 +35,13 @@ def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[s
     if evidence is None:
         return []
     others = [(s, expr) for s, expr in fit.exprs.items() if s != state]
-    return comparison.propose(state, evidence, others)
+    return comparison.propose(state, evidence, others, near=fit.exprs[state])
 
 
 def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
-    """Fit systems with one equation proposed anew, for as long as that takes fewer bits.
+    """Propose the equations of a system anew in turn, until none of them saves more than a bit.
+
+    All are proposed again once one has saved more.
 
     Parameters
     ----------
@@ -52,21 +49,23 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
     best : the system.
     """
     settings = comparison.settings
-
-    def renewed(best: SystemFit) -> Iterator[SystemFit]:
-        settled = leaves_noise(best, settings)
-        for state, own in best.exprs.items():
-            if own.is_Symbol:
-                continue
-            plain = is_plain(own) and sympy.total_degree(own) <= _DEGREE
-            anew = [] if settled and plain else renewals(comparison, best, state)
-            anew = [*anew[: settings.tried], *twins(comparison, best, state)]
-            systems = [one for expr in anew for one in comparison.changed(best, state, expr)]
-            for fit in filter(None, map(comparison.fit_anew, systems)):
-                close = fit.bits < best.bits + settings.behind
-                yield prune(comparison, fit, state) if close else fit
-
-    return while_better(renewed, best, settings.rounds)
+    states = [state for state, expr in best.exprs.items() if not expr.is_Symbol]
+    asked = list(states)
+    while asked:
+        state = asked.pop(0)
+        anew = renewals(comparison, best, state)[: settings.tried]
+        anew += twins(comparison, best, state)
+        systems = [one for expr in anew for one in comparison.changed(best, state, expr)]
+        fits = [
+            prune(comparison, fit, state) if fit.bits < best.bits + settings.behind else fit
+            for fit in filter(None, map(comparison.fit_anew, systems))
+        ]
+        first = min(fits, key=lambda fit: fit.bits, default=best)
+        if first.bits < best.bits - settings.gain:
+            place = states.index(state)
+            asked = [*states[place + 1 :], *states[: place + 1]]
+        best = min(best, first, key=lambda fit: fit.bits)
+    return best
 
 
 def twins(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:

@@ -9,9 +9,8 @@ equation, for as long as that takes fewer bits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
 import sympy
@@ -33,7 +32,6 @@ from dynsr.selection.comparison import (
     SystemFit,
     apart_by,
     leaves_noise,
-    may_be_exact,
 )
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.integration import integrate
@@ -160,7 +158,6 @@ def compare_systems(
     data: Measurements,
     settings: ComparisonSettings = COMPARISON,
     known: Compared | None = None,
-    ends: Callable[[SystemFit], bool] = lambda _: False,
 ) -> SystemChoice:
     """Give the equations whose terms the states support best, climbing from ``exprs``.
 
@@ -171,7 +168,6 @@ def compare_systems(
     data : the measured states, their noise and smoothed curves.
     settings : the numbers that decide.
     known : what an earlier comparison of the same data by the same settings learnt.
-    ends : whether a system leaves no doubt, so that nothing more is looked for.
 
     An equation that nothing beats comes back as it was given, and so does one that is one bare
     column, such as q' = v. All come back so where the data cannot be followed, and where their
@@ -192,8 +188,8 @@ def compare_systems(
     found = _search(pools, data, comparison, known.alone)
     if not found:
         return SystemChoice(dict(exprs))
-    best = known.refined.get(found[0]) or _refine(found[0], data, comparison, ends)
-    known.refined[found[0]] = best
+    best = known.refined.get(found[0]) or _refine(comparison, found[0])
+    known.refined[found[0]] = known.refined[best] = best
     same = {s: skeleton(best.exprs[s]) == skeleton(with_floats(exprs[s])) for s in states}
     chosen = {s: exprs[s] if same[s] else best.exprs[s] for s in states}
     return SystemChoice(chosen, best, _closest(comparison, best))
@@ -237,66 +233,17 @@ def follow_anything(
     yield from whole_polynomials(comparison, alone, exprs)
 
 
-def _refine(
-    best: SystemFit,
-    data: Measurements,
-    comparison: SystemComparison,
-    ends: Callable[[SystemFit], bool],
-) -> SystemFit:
-    """Look for terms along the end of a search, and for other functions in its equations."""
-    settings, states = comparison.settings, tuple(best.exprs)
-    has = settings.parts.has
-
-    @cache
-    def refine(fit: SystemFit) -> SystemFit:
-        # What belongs together is passed by where one equation at a time is changed.
-        coupled = try_couplings(comparison, fit) if has("couplings") else fit
-        renewed = renew(comparison, coupled) if has("renewal") else coupled
-        again = has("couplings") and renewed is not fit
-        return try_couplings(comparison, renewed) if again else renewed
-
-    # A system that follows the data is the best smoother: terms are looked for along it again.
-    for number in range(settings.again * has("along")):
-        if has("end-exact") and ends(best):
-            return best
-        if number and may_be_exact(best, data):
-            # What exact states confirm is often but one function away.
-            refined = refine(best)
-            if refined is not best and ends(refined):
-                return refined
-        if _need_not_go_on(best, data, number, settings):
-            break
-        follower = _search_along(best, data, comparison)
-        if follower is None:
-            break
-        best = follower
-
-    best = refine(best)
-    for state in states:
-        best = prune(comparison, best, state)
-    return _prefer_reproducing(comparison, best) if has("reproducing") else best
-
-
-def _need_not_go_on(
-    best: SystemFit, data: Measurements, number: int, settings: ComparisonSettings
-) -> bool:
-    """Whether a system that leaves only noise ends the search along it."""
-    if not settings.parts.has("end-noise"):
-        return False
-    return (number > 0 or data.noise_share < settings.doubtful) and leaves_noise(best, settings)
-
-
-def _search_along(
-    fit: SystemFit, data: Measurements, comparison: SystemComparison
-) -> SystemFit | None:
-    """Look for terms along the states of a system; None where no others take fewer bits."""
-    settings, exprs = comparison.settings, fit.exprs
-    follower = data.along(fit.fit.states, tuple(exprs))
-    alone = {s: Alone.of(s, follower, settings) for s, e in exprs.items() if not e.is_Symbol}
-    found = {s: [e, *(alone[s].rank_sums() if s in alone else ())] for s, e in exprs.items()}
-
-    others = _search(found, follower, comparison, alone)
-    return others[0] if others and others[0].bits < fit.bits - settings.gain else None
+def _refine(comparison: SystemComparison, best: SystemFit) -> SystemFit:
+    """Look for other equations beside the rest of a system, and drop terms that do not pay."""
+    has = comparison.settings.parts.has
+    # What belongs together is passed by where one equation at a time is changed.
+    coupled = try_couplings(comparison, best) if has("couplings") else best
+    renewed = renew(comparison, coupled) if has("renewal") else coupled
+    if has("couplings") and renewed is not best:
+        renewed = try_couplings(comparison, renewed)
+    for state in tuple(renewed.exprs):
+        renewed = prune(comparison, renewed, state)
+    return renewed
 
 
 def _search(
@@ -408,16 +355,6 @@ def _climb(
             break
         fit = best
     return fit
-
-
-def _prefer_reproducing(comparison: SystemComparison, best: SystemFit) -> SystemFit:
-    """Give the best system that an integration from its start confirms, if one is close enough."""
-    settings = comparison.settings
-    close = [f for f in comparison.fits() if f.bits <= best.bits + settings.unfollowed]
-    for fit in sorted(close, key=lambda f: f.bits)[:12]:
-        if integrate(fit, settings.evaluations) > settings.reproduces:
-            return fit
-    return best
 
 
 def _closest(

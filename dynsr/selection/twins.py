@@ -49,25 +49,6 @@ def shifted(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) ->
     return expr.xreplace({n: names[(i + far) % len(names)] for i, n in enumerate(names)})
 
 
-def first_of_each(exprs: Mapping[str, sympy.Expr], columns: Sequence[str]) -> list[str]:
-    """Name the states whose equations are no twin of one before them.
-
-    Parameters
-    ----------
-    exprs : state -> equation.
-    columns : names that may be exchanged.
-
-    >>> x, y = sympy.symbols("x y")
-    >>> first_of_each({"x": 2.0 * x - 1.5 * x * y, "y": 0.5 * y - 0.3 * x * y}, ["x", "y"])
-    ['x']
-    """
-    first: list[str] = []
-    for state, expr in exprs.items():
-        if not any(_find(exprs[one], one, expr, state, columns) for one in first):
-            first.append(state)
-    return first
-
-
 def with_twins(
     exprs: Mapping[str, sympy.Expr], state: str, expr: sympy.Expr, columns: Sequence[str]
 ) -> list[dict[str, sympy.Expr]]:
