@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol, TypeAlias
 
@@ -16,7 +16,6 @@ from dynsr.expression import complexity, number_bits
 from dynsr.fit.collocation import AlongFit, Measurements, fit_along
 from dynsr.fit.constants import as_floats, free_constants
 from dynsr.fit.description import data_bits, shift_bits, written_bits, written_constant
-from dynsr.fit.forced import missing_terms
 from dynsr.fit.linear import know
 from dynsr.fit.noise import NOISY, Noise, is_noisy, noise_and_spread, residual_noise
 from dynsr.fit.settings import FIT, FitSettings
@@ -146,7 +145,7 @@ def _polish_noisy(
     inputs: Mapping[str, sympy.Expr],
     settings: FitSettings,
 ) -> Match:
-    """Fit all constants to the states, drop terms that do not pay, and take simple numbers."""
+    """Fit all constants to the states, and take simple numbers."""
     fit = _fit(loosen_all(exprs), runs, inputs, settings)
     if len(exprs) > 1 and (fit is None or not _follows(fit, list(exprs), runs, settings)):
         # One wrong equation would bend the constants of all: each reads the others off the data.
@@ -154,7 +153,6 @@ def _polish_noisy(
         return _together(alone)
     if fit is None:
         return untouched_match(exprs, runs, inputs, settings)
-    fit = _drop_terms(fit, runs, inputs, settings)
     numbers: list[sympy.Expr] = as_floats(fit.constants)
     if settings.snap:
         fit, whole = _whole_numbers(fit, runs, inputs, settings)
@@ -236,52 +234,6 @@ def loosen_all(exprs: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
     {'q': v, 'v': -2.0*q}
     """
     return {s: e if e.is_Symbol or e == 0 else loosen(e) for s, e in exprs.items()}
-
-
-def _drop_terms(
-    fit: Fit,
-    runs: Data,
-    inputs: Mapping[str, sympy.Expr],
-    settings: FitSettings,
-) -> Fit:
-    """Take out term after term whose factor the data do not tell from 0, least sure first.
-
-    A term goes where the bits that it saves are more than those that the residuals cost by the
-    linearised fit, and the fit without it confirms it. A constant within a function stays, however
-    unsure: without it the function is another one, which the search has compared.
-    """
-    for _ in range(len(fit.constants)):
-        numbers, errors = as_floats(fit.constants), fit.errors
-        written = [
-            sympy.Float(written_constant(v, e)) for v, e in zip(fit.constants, errors, strict=True)
-        ]
-        now = fit.put(written).values()
-        before, terms = sum(map(complexity, now)), _count_terms(now)
-        gains = {}
-        for i, (value, error) in enumerate(zip(fit.constants, errors, strict=True)):
-            without = fit.put([*written[:i], sympy.S.Zero, *written[i + 1 :]])
-            if any(e.has(sympy.zoo, sympy.nan) for e in without.values()):
-                continue
-            if any(missing_terms(without[s], [term]) for s, term in settings.must if s in without):
-                continue
-            saved = before - sum(map(complexity, without.values()))
-            gain = saved - shift_bits(value, max(error, 1e-300))
-            if gain > 0 and _count_terms(without.values()) < terms:
-                gains[i] = gain
-        best = max(gains, key=lambda i: gains[i], default=None)
-        if best is None:
-            break
-        less = fit.put([*numbers[:best], sympy.S.Zero, *numbers[best + 1 :]])
-        shorter = _fit(loosen_all(less), runs, inputs, settings, near=fit)
-        surely = settings.surely_zero**2
-        if shorter is None or fit.ratio(shorter) > max(surely, gains[best] * 2 * math.log(2)):
-            break
-        fit = shorter
-    return fit
-
-
-def _count_terms(exprs: Iterable[sympy.Expr]) -> int:
-    return sum(len(sympy.Add.make_args(sympy.expand(e))) - (e == 0) for e in exprs)
 
 
 def _whole_numbers(
