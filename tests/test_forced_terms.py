@@ -130,6 +130,19 @@ def test_a_term_in_an_equation_that_is_not_searched_is_one_line() -> None:
         dynsr.discover(prey(0.0), targets="x", must={"y": "x"}, jobs=1)
 
 
+@pytest.mark.slow
+def test_a_term_that_is_finite_nowhere_is_one_line() -> None:
+    """Nothing could be fitted with it; a number within it may move to where it can."""
+    t = np.linspace(0, 6, 120)
+    x = 2 * np.exp(-0.5 * t) + 0.02 * np.random.default_rng(0).normal(size=120)
+    run = dynsr.Trajectory(t, x[:, None], ("x",))
+    with pytest.raises(InputError, match=r"'log\(x - 5\)' of must is finite at no row"):
+        dynsr.discover(run, must={"x": "log(x - 5)"}, **QUICK | {"functions": None})
+    found = dynsr.discover(run, must={"x": "log(x - 5.0)"}, **QUICK | {"functions": None})
+    assert found.equations["x"].has(sympy.log)
+    assert found.verdict.level != "law"
+
+
 def test_the_shell_forces_terms_too(tmp_path: Path) -> None:
     """--must, twice here, reaches the record and the equation."""
     data = tmp_path / "logistic.csv"

@@ -141,7 +141,9 @@ def test_a_discovery_in_units(swing, tmp_path):
     assert "rad/s^2" in (tmp_path / "out" / "report.html").read_text("utf-8")
     found = Discovery.load(tmp_path / "out" / "discovery.json")
     assert found.equations == {"th": parse("w"), "w": parse("-0.3*w - 9.81*sin(th)")}
-    assert found.coefficient_units()["w"] == {"w": "1/s", "sin(th)": "rad/s^2"}
+    assert found.constant_units["w"] == ("1/s", "rad/s^2")
+    with pytest.warns(DeprecationWarning, match="constant_units has the units"):
+        assert found.coefficient_units()["w"] == {"w": "1/s", "sin(th)": "rad/s^2"}
     assert found.unit_faults() == {}
 
 

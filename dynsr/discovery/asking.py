@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import sympy
 
-from dynsr.data import Samples
+from dynsr.data import Samples, Trajectory
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
-from dynsr.expression import to_text
+from dynsr.expression import evaluate, shown, to_text
 from dynsr.fit import ParetoFront, free_constants, loosen, score_candidate
 from dynsr.methods import AbstractMethod, AskedMethod, Demands
 from dynsr.selection import SelectionSettings
@@ -55,6 +56,38 @@ def settle(settings: SelectionSettings, demands: Demands) -> SelectionSettings:
         fit=replace(settings.fit, vocabulary=demands.vocabulary, must=demands.must),
         comparison=replace(settings.comparison, demands=demands),
     )
+
+
+def check_must(demands: Demands, runs: Sequence[Trajectory]) -> Demands:
+    """Give the demands; refuse a term that must be in an equation and is finite at no row.
+
+    Parameters
+    ----------
+    demands : what is asked.
+    runs : the data.
+
+    >>> run = Trajectory(np.arange(3.0), np.ones((3, 1)), ("x",))
+    >>> check_must(Demands(must=(("x", sympy.log(sympy.Symbol("x") - 5)),)), [run])
+    Traceback (most recent call last):
+    ...
+    dynsr.errors.InputError: term 'log(x - 5)' of must is finite at no row of these data; ...
+    """
+    for _, term in demands.must:
+        # A number within a term is fitted, and may move.
+        if term.atoms(sympy.Float):
+            continue
+        with np.errstate(all="ignore"):
+            values = [evaluate(term, _columns_of(run)) for run in runs]
+        if not any(np.any(np.isfinite(own)) for own in values):
+            raise InputError(
+                f"term {shown(term)!r} of must is finite at no row of these data; correct it, or "
+                "leave it out"
+            )
+    return demands
+
+
+def _columns_of(run: Trajectory) -> dict[str, np.ndarray]:
+    return {"t": run.t, **dict(zip(run.names, run.columns.T, strict=True))}
 
 
 def ask_methods(

@@ -820,10 +820,16 @@ class Discovery:
         }
 
     def coefficient_units(self) -> dict[str, dict[str, str]]:
-        """State -> term -> the unit of its coefficient, in the units that ``discover`` was given.
+        """State -> term -> the unit of its coefficient: :attr:`constant_units` has these now.
 
         Raises InputError when there are none, MissingExtra without pint.
         """
+        warnings.warn(
+            "Discovery.coefficient_units() ends next release; constant_units has the units of all "
+            "constants, and parameters shows them",
+            DeprecationWarning,
+            stacklevel=3,
+        )
         units = self._units()
         return {
             state: {

@@ -27,6 +27,7 @@ from dynsr.discovery.asked import check_asked
 from dynsr.discovery.asking import (
     add_conserved,
     ask_methods,
+    check_must,
     searched_states,
     settle,
 )
@@ -316,7 +317,7 @@ def discover(
         nonnegative=nonnegative,
         units=column_units(runs[0], units),
     )
-    settings = replace(settings, selection=settle(settings.selection, demands))
+    settings = replace(settings, selection=settle(settings.selection, check_must(demands, runs)))
     states = searched_states(form.searched(targeted), demands)
     bits = read_own_bits(complexity)
     given = read_inputs(known or {}, (*runs[0].names, "t"))

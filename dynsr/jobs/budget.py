@@ -96,6 +96,10 @@ class Turn:
         return time.monotonic() + self.end.left * min(1.0, self.share * self.workers)
 
 
+def _now() -> float:
+    return time.monotonic()
+
+
 @dataclass(frozen=True)
 class Budget:
     """The seconds that a whole run may take; None for as long as it takes.
@@ -110,7 +114,7 @@ class Budget:
     """
 
     seconds: float | None = None
-    began: float = field(default_factory=lambda: time.monotonic())  # noqa: PLW0108 (the clock of then)
+    began: float = field(default_factory=_now)
 
     def __post_init__(self) -> None:
         """Check the seconds; raises InputError."""
