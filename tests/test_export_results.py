@@ -3,6 +3,7 @@
 import re
 import sys
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ from scipy.integrate import solve_ivp
 from targets import loaded, need_module, need_tool, run
 
 import dynsr
-from dynsr.data import Trajectory, write_csv
-from dynsr.discovery import Delay, Discovery
+from dynsr.data import Trajectory
+from dynsr.discovery import Delay, Discovery, keep
 from dynsr.errors import InputError
 from dynsr.export import FORMATS, Source, make_casadi, make_control, make_do_mpc
 from dynsr.expression import parse
@@ -370,14 +371,14 @@ def test_julia_and_modelica_have_the_delay(late):
 
 
 def test_a_saved_problem_takes_the_data_next_to_it(tmp_path):
-    """Without --data the command takes data.csv of the folder, or says that it needs the data."""
+    """Without --data the command takes those kept in the folder, or says that it needs the data."""
     need_module("libsbml")
-    _, runs = saved("differs", tmp_path)
+    found, runs = saved("differs", tmp_path)
     asked = ("export", tmp_path, "--to", "petab", "-o", tmp_path / "problem")
     assert (
         "a saved result does not keep; give them with --data FILE" in command(*asked, code=2).output
     )
-    write_csv(runs, tmp_path / "data.csv")
-    assert "data.csv" in command(*asked).stderr
+    keep(replace(found, trajectories=tuple(runs)), tmp_path)
+    command(*asked)
     rows = (tmp_path / "problem" / "measurements.tsv").read_text().splitlines()
     assert len(rows) == 1 + 2 * 2 * len(T)

@@ -436,7 +436,6 @@ def export(
     """Write a saved discovery, with named parameters, for another tool."""
     from dataclasses import replace
 
-    from dynsr.data import DATA
     from dynsr.export import FORMATS, Source, find_format, save_format, write_format
 
     if to is None:
@@ -448,14 +447,10 @@ def export(
         else:
             output.print_table("Formats", ("format", "what it is", "file"), rows)
         return
-    chosen = find_format(to)
+    find_format(to)
     if model is None:
         raise InputError(f"give the discovery to write as {to}, its folder or its discovery.json")
     found = load_discovery(model)
-    own = (model if model.is_dir() else model.parent) / DATA
-    if not files and not found.trajectories and chosen.with_data and own.exists():
-        output.note(f"data: {own}")
-        files = [own]
     if files:
         how = (None, None, None, None, _say_to(json))
         runs = _load_for(found, files, None, None, None, None, how)

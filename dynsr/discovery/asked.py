@@ -56,3 +56,16 @@ _KINDS: dict[str, tuple[Any, str]] = {
     "progress": (lambda v: v is None or callable(v), "a function"),
     "settings": (lambda v: hasattr(v, "selection"), "DiscoverySettings"),
 }
+
+
+def is_said(value: Any) -> bool:
+    """Whether a setting says something; what it may be is checked in the search.
+
+    Parameters
+    ----------
+    value : of the setting; arrays and collections say something where they are not empty.
+
+    >>> is_said({}), is_said([0.0]), is_said(None)
+    (False, True, False)
+    """
+    return bool(len(value) if hasattr(value, "__len__") else value)

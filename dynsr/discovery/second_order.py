@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from dynsr.data import Trajectory, carry, diagnose, turns_back
+from dynsr.discovery.asked import is_said
 from dynsr.discovery.orders import read_form
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW, LEVELS
@@ -48,7 +49,7 @@ def search_orders(
     The better verdict is returned. The explanation says so where the order became 2.
     """
     free = asked.get("order") is None and asked.get("targets", "all") == "all"
-    if not free or any(_is_said(asked.get(name)) for name in _OF_FIRST):
+    if not free or any(is_said(asked.get(name)) for name in _OF_FIRST):
         return search(runs, dict(asked))
     budget, states = Budget(asked.get("time_budget")), runs[0].states
     alone = len(runs[0].names) == 1
@@ -108,11 +109,6 @@ def _rank(found: Discovery) -> tuple[int, float]:
     own = found.verdict.states.values()
     level = LEVELS.index(found.verdict.level) if found.verdict.tested else len(LEVELS)
     return level, -min((state.r2 for state in own), default=0.0)
-
-
-def _is_said(value: Any) -> bool:
-    """Whether a setting says something; what it may be is checked in the search."""
-    return bool(len(value) if hasattr(value, "__len__") else value)
 
 
 def _say(found: Discovery, states: Sequence[str]) -> Discovery:

@@ -26,6 +26,7 @@ from dynsr.data import (
     find_steps,
     find_unseen_steps,
 )
+from dynsr.discovery.asked import is_said
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW
 from dynsr.errors import DynsrWarning
@@ -114,7 +115,7 @@ def take_steps(
     lines = [name for name, way in said.items() if way == "linear"]
     steps = find_unseen_steps(runs, [*drives, *lines])
     # The user's own slopes, and doses of an unknown volume, are those of whole runs.
-    whole = whole or asked.get("slopes") is not None or any("dosing" in run.origin for run in runs)
+    whole = whole or is_said(asked.get("slopes")) or any("dosing" in run.origin for run in runs)
     parts = None if steps is None or whole else cut_at_unseen_steps(runs, steps)
     return Stepped(parts or runs, runs, steps, parts is not None, whole)
 

@@ -32,7 +32,6 @@ class Format:
     check : raises InputError where it cannot express the equations.
     folder : writes it where it is several files: name -> text.
     delays : whether it can express states as they were some time before.
-    with_data : whether it contains the data.
     """
 
     title: str
@@ -44,7 +43,6 @@ class Format:
     check: Callable[[Source], object] | None = None
     folder: Callable[[Source], dict[str, str]] | None = None
     delays: bool = False
-    with_data: bool = False
 
 
 FORMATS: dict[str, Format] = {
@@ -76,7 +74,6 @@ FORMATS: dict[str, Format] = {
         needs=("libsbml", "sbml"),
         check=sbml.check_petab,
         folder=sbml.write_petab,
-        with_data=True,
     ),
     "casadi": Format("CasADi", ".py", models.write_casadi, models.CONTROL, True),
     "control": Format("python-control", ".py", models.write_control, models.CONTROL, True),
