@@ -200,9 +200,10 @@ class Flow:
         columns = [sympy.Symbol(n) for n in (*self.rhs, *map(str, self.constants))]
         entries, found = [], []
         for i, expr in enumerate(self.rhs.values()):
+            own = expr.free_symbols
             for j, column in enumerate(columns):
                 # The step itself of what jumps stays in the states.
-                slope = differentiate(expr, column)
+                slope = differentiate(expr, column) if column in own else sympy.S.Zero
                 if slope != 0:
                     entries.append((i, j))
                     found.append(slope)
