@@ -102,6 +102,13 @@ def test_noise_asks_for_longer_windows_and_exact_rows_for_near_ones():
     assert choose_windows([Trajectory(T, np.sin(T)[:, None], ("x",))], FEW)[0].stride == 1
 
 
+def test_a_map_leaves_out_no_row():
+    """The same noise asks for every row where each follows from the one before."""
+    slow = Trajectory(T, np.sin(0.02 * T)[:, None] + 0.1 * RNG.standard_normal((len(T), 1)), ("x",))
+    assert take_windows([slow], FEW, None, 1000)[1][0].stride > 1
+    assert {w.stride for w in take_windows([slow], FEW, None, 1000, discrete=True)[1]} == {1}
+
+
 def test_short_runs_are_taken_whole():
     """Of many short runs, as many are taken as the windows have rows together."""
     runs = [

@@ -55,7 +55,7 @@ class WindowSettings:
     5
     """
 
-    above: int = 20_000
+    above: int = 5_000
     count: int = 5
     rows: int = 200
     tried: int = 1000
@@ -89,7 +89,7 @@ class Window:
 
 
 def choose_windows(
-    runs: Sequence[Trajectory], settings: WindowSettings | None = None
+    runs: Sequence[Trajectory], settings: WindowSettings | None = None, thinned: bool = True
 ) -> list[Window]:
     """Choose the stretches of trajectories that are most informative of their equations.
 
@@ -97,6 +97,7 @@ def choose_windows(
     ----------
     runs : trajectories of the same columns.
     settings : how many stretches of how many rows.
+    thinned : whether a stretch may be one row in many. A map goes from each row to the next.
 
     Gives them in the order of the data. A trajectory that is shorter than a window is taken whole.
 
@@ -115,7 +116,7 @@ def choose_windows(
     best: tuple[float, list[Window]] | None = None
     # The error of rows next to each other is known from that of every second one.
     errors, pace = _errors(records, noise, 2) / 2.0**8, np.zeros(len(noise))
-    for stride in _strides(runs, settings):
+    for stride in _strides(runs, settings) if thinned else [1]:
         # Rows that are whole periods apart lie on smooth curves and near each other.
         if stride > 1:
             errors = np.maximum(errors, _errors(records, noise, stride))

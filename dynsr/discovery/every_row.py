@@ -44,6 +44,7 @@ def take_windows(
     settings: WindowSettings,
     slopes: Mapping[str, Any] | None,
     most: float,
+    discrete: bool = False,
 ) -> tuple[list[Trajectory], list[Window], dict[str, Any] | None]:
     """Give the rows that are searched: all of them, or the windows of long records.
 
@@ -53,13 +54,14 @@ def take_windows(
     settings : which rows of long records are searched.
     slopes : state -> the user's own, one array or one for each trajectory.
     most : rows up to which all are searched.
+    discrete : whether a map is sought, which leaves out no row.
 
     Gives the trajectories; the windows that they are, none where all rows are searched; and the
     slopes at their rows.
     """
     if sum(map(len, runs)) <= most:
         return list(runs), [], None if slopes is None else dict(slopes)
-    windows = choose_windows(runs, settings)
+    windows = choose_windows(runs, settings, thinned=not discrete)
     own = {s: [_of_run(all_, w.run)[w.rows] for w in windows] for s, all_ in (slopes or {}).items()}
     return cut_to_windows(runs, windows), windows, own or None
 

@@ -251,10 +251,11 @@ def in_fitting_units(search: Search) -> Search:
         every, deciding = runs, settings.get("settings", DISCOVERY)
         check_asked(runs[0].states, seed, settings=deciding, slopes=settings.get("slopes"))
         # Where runs have constants of their own, a window would be another run, and the start of a
-        # hidden state is a constant of a run.
-        most = math.inf if vary or hidden else deciding.windows.above
+        # hidden state is a constant of a run. Maps and delays are not fitted to all rows later.
+        sizes, unfitted = deciding.windows, discrete or delays is not False
+        most = math.inf if vary or hidden else sizes.block if unfitted else sizes.above
         runs, windows, settings["slopes"] = take_windows(
-            runs, deciding.windows, settings.get("slopes"), most
+            runs, deciding.windows, settings.get("slopes"), most, discrete
         )
         bits = read_own_bits(settings.get("complexity"))
         until = Budget(settings.get("time_budget")).until(1.0)
