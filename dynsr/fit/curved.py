@@ -140,9 +140,14 @@ def place_knots(values: np.ndarray, count: int) -> np.ndarray:
     """
     own = np.unique(values)
     count = min(count, len(own))
+    ranks = np.linspace(0.0, 1.0, len(own)) + (own - own[0]) / max(np.ptp(own), 1e-300)
+    found = np.interp(np.linspace(0.0, 2.0, count), ranks, own)
     # A spline whose knots nearly coincide has no numbers to speak of next to them.
-    even = np.linspace(own[0], own[-1], count)
-    return np.unique((np.quantile(own, np.linspace(0.0, 1.0, count)) + even) / 2)
+    kept = [found[-1]]
+    for knot in found[-2::-1]:
+        if kept[-1] - knot > np.ptp(own) / count**2:
+            kept.append(knot)
+    return np.array([found[0], *kept[-2::-1]]) if len(kept) > 1 else np.unique(found)
 
 
 @dataclass(frozen=True, eq=False)
