@@ -120,20 +120,51 @@ def _tied(names: list[str], columns: Mapping[str, np.ndarray]) -> dict[str, bool
     return {name: tell for name, own in zip(logs, kept, strict=True) if own}
 
 
-def _bound(names: list[str], columns: Mapping[str, np.ndarray]) -> set[str]:
-    """Name the columns in a relation of the second degree; those of the first are not asked for."""
+def have_a_fixed_sum(columns: Mapping[str, np.ndarray]) -> bool:
+    """Whether some weighted sum of the columns stays the same, or one of them does.
+
+    Parameters
+    ----------
+    columns : name -> (n,) values along exact data.
+
+    >>> t = np.linspace(0.0, 6.0, 200)
+    >>> have_a_fixed_sum({"x": np.exp(-t), "y": 2 - 3 * np.exp(-t)})
+    True
+    >>> have_a_fixed_sum({"x": np.exp(-t), "y": np.sin(t)})
+    False
+    """
+    unit = _standardised(list(columns), columns)
+    return unit is None or len(_independent(unit)) < len(unit)
+
+
+def _standardised(names: list[str], columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """(names, n) some rows less their means, over their spreads; None where one stays the same."""
     rows = np.array([columns[name] for name in names], dtype=float)
     rows = rows[:, :: max(1, rows.shape[1] // _ROWS)]
     spread = np.std(rows, axis=1)
     if not (np.all(np.isfinite(rows)) and np.all(spread > 0)):
-        return set()
-    unit = (rows - rows.mean(axis=1)[:, None]) / spread[:, None]
-    # Of columns that a straight line ties, the last ones say nothing of their own.
+        return None
+    unit: np.ndarray = (rows - rows.mean(axis=1)[:, None]) / spread[:, None]
+    return unit
+
+
+def _independent(unit: np.ndarray) -> list[int]:
+    """Give the places of columns (names, n) that no line ties to those before them."""
     kept: list[int] = []
-    for place in range(len(names)):
+    for place in range(len(unit)):
         sizes = np.linalg.svd(unit[[*kept, place]], compute_uv=False)
         if sizes[-1] > _VANISHES * sizes[0]:
             kept.append(place)
+    return kept
+
+
+def _bound(names: list[str], columns: Mapping[str, np.ndarray]) -> set[str]:
+    """Name the columns in a relation of the second degree; those of the first are not asked for."""
+    unit = _standardised(names, columns)
+    if unit is None:
+        return set()
+    # Of columns that a straight line ties, the last ones say nothing of their own.
+    kept = _independent(unit)
     pairs = list(combinations_with_replacement(kept, 2))
     products = [unit[i] * unit[j] for i, j in pairs]
     terms = np.array([np.ones(unit.shape[1]), *unit[kept], *products])
