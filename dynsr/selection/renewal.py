@@ -9,6 +9,7 @@ with the equation as it is, terms are added, exchanged and dropped.
 
 from __future__ import annotations
 
+import numpy as np
 import sympy
 
 from dynsr.fit import skeleton
@@ -48,8 +49,12 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
     comparison : fits the systems.
     best : the system.
     """
-    settings = comparison.settings
-    states = [state for state, expr in best.exprs.items() if not expr.is_Symbol]
+    settings, mesh = comparison.settings, comparison.mesh
+    # What does not change says nothing of an equation.
+    left, right = mesh.ends
+    moves = np.any(mesh.start[left] != mesh.start[right], axis=0)
+    moving = {s for s, moved in zip(mesh.states, moves, strict=True) if moved}
+    states = [s for s, expr in best.exprs.items() if s in moving and not expr.is_Symbol]
     asked = list(states)
     while asked:
         state = asked.pop(0)
