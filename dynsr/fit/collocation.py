@@ -47,8 +47,6 @@ from dynsr.fit.shooting import Driven, drives_of
 COLLOCATION = CollocationSettings()
 # Share of the largest eigenvalue of the scaled information below which a direction is rounding.
 _SILENT = 1e-12
-# Intervals after which a solution begins anew where it is asked how far states are off it.
-_APART = 10
 # How far one step may take a constant in a function, as a multiple of it, and an exponent.
 _FACTOR, _EXPONENT = 3.0, 1.0
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
@@ -551,7 +549,8 @@ class Collocation:
             return None
         squares = np.sum(self._missed(states) ** 2, axis=1) + self._unresolved(states, constants)
         # Where the steps came to rest early, the states do not follow the system yet.
-        squares += np.sum(_add_up(self._defects(states, constants)) ** 2, axis=1)
+        defects = self._defects(states, constants)
+        squares += self.settings.stiffness[-1] * np.sum(defects**2, axis=1)
         squares /= np.maximum(self.mesh.rows, 1.0)
         return self.as_fit(states, constants, squares, information)
 
@@ -759,18 +758,6 @@ def usual_scales(own: np.ndarray, owners: np.ndarray, slopes: np.ndarray) -> np.
         sizes, more = (np.sqrt(np.mean(values**2, axis=-1)) for values in (own, slopes))
         scales: np.ndarray = sizes[owners] / more
     return np.where(np.isfinite(scales) & (scales > 0), scales, 1.0)
-
-
-def _add_up(defects: np.ndarray) -> np.ndarray:
-    """(k, m) by how much states are off a solution that left them up to some intervals before.
-
-    Small defects of one sign lead far away.
-    """
-    k, m = defects.shape
-    parts = np.zeros((k, -(-m // _APART), _APART))
-    parts.reshape(k, -1)[:, :m] = defects
-    found: np.ndarray = np.cumsum(parts, axis=2).reshape(k, -1)[:, :m]
-    return found
 
 
 @dataclass(frozen=True, eq=False)

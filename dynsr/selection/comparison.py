@@ -501,7 +501,8 @@ def noise_shown(fit: SystemFit) -> dict[str, float] | None:
     ----------
     fit : the system.
     """
-    mesh, squares = fit.problem.mesh, fit.fit.mean_squares
+    mesh = fit.problem.mesh
+    squares = np.sum(fit.fit.misses**2, axis=0) / np.maximum(mesh.rows, 1.0)
     fitted = mesh.rows.sum() / mesh.freedom(len(fit.fit.constants))
     shown = np.where((mesh.rows > 0) & ~mesh.known, squares * fitted, 1.0)
     if np.min(shown) >= _TOO_CLOSE:

@@ -18,7 +18,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import evaluate, expand_terms
-from dynsr.fit import Collocation, CollocationFit, Measurements, skeleton
+from dynsr.fit import Measurements, skeleton
 from dynsr.library import Written
 from dynsr.selection.alone import Alone
 from dynsr.selection.changes import prune
@@ -29,7 +29,6 @@ from dynsr.selection.comparison import (
     SystemFit,
     apart_by,
 )
-from dynsr.selection.integration import follow
 from dynsr.selection.renewal import renew
 from dynsr.selection.shapes import bare_terms, rounded
 from dynsr.selection.terms import products
@@ -194,11 +193,7 @@ def _without_rounding(expr: sympy.Expr) -> sympy.Expr:
 
 @dataclass(frozen=True, eq=False)
 class HiddenComparison(SystemComparison):
-    """Fits systems in which a hidden state enters by one term alone.
-
-    Where no measurement limits a state, small defects of it may be magnified until they follow the
-    noise of another one. So a system that comes close misses what its own solution misses.
-    """
+    """Fits systems in which a hidden state enters by one term alone."""
 
     coupling: Coupling = field(kw_only=True)
 
@@ -213,33 +208,6 @@ class HiddenComparison(SystemComparison):
         if not self.coupling.keeps(exprs[self.coupling.state]):
             return None
         return super().fit_near(exprs, near)
-
-    def _count(self, problem: Collocation, found: CollocationFit | None) -> SystemFit | None:
-        fit = super()._count(problem, found)
-        if fit is None or fit.bits > self._least() + self.settings.behind:
-            return fit
-        settings, ways = self.settings, []
-        # Neighbours part on a chaotic run, so that no solution follows the whole of it.
-        for pieces in (1, settings.pieces):
-            squares = self._missed(fit, follow(fit, settings.evaluations, pieces))
-            if np.all(np.isfinite(squares)):
-                ways.append(
-                    replace(fit.fit, mean_squares=np.maximum(fit.fit.mean_squares, squares))
-                )
-        scales = problem.scales(fit.fit)
-        own = [SystemFit(problem, way, self.bits(way, scales)) for way in ways]
-        return min(own, key=lambda one: one.bits, default=None)
-
-    def _least(self) -> float:
-        """Fewest bits of a system so far."""
-        return min((fit.bits for fit in self.fits()), default=np.inf)
-
-    def _missed(self, fit: SystemFit, states: np.ndarray) -> np.ndarray:
-        """(k,) mean squared residuals of states (n, k), in units of the noise."""
-        mesh = self.mesh
-        missed = (mesh.seen(states.T).T - mesh.x) * mesh.weights
-        squares = np.sum(np.where(mesh.weights > 0, missed, 0.0) ** 2, axis=0)
-        return squares / np.maximum(mesh.rows, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
