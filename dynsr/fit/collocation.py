@@ -774,6 +774,8 @@ class Measurements:
     fineness : times as many parts between rows as noise asks for.
     sums : (n, k) noise of what was measured in the place of states, for each run; nothing where
         each was measured itself.
+    places : for each run (n,) where its rows are among those of a mesh; by default the time between
+        two is cut as their states ask for.
     """
 
     runs: Sequence[Trajectory]
@@ -783,6 +785,7 @@ class Measurements:
     finest: float = 1e-5
     fineness: int = 1
     sums: Sequence[np.ndarray] = ()
+    places: Sequence[np.ndarray] | None = None
 
     @classmethod
     def of(
@@ -954,12 +957,14 @@ class Measurements:
         return self.fineness * found
 
     @cached_property
-    def _places(self) -> list[np.ndarray]:
+    def _places(self) -> Sequence[np.ndarray]:
         """(n,) where the rows of each run are among those that are put between them too.
 
         Where rows were lost the time between two is cut into more parts, so that these are as long
         as elsewhere.
         """
+        if self.places is not None:
+            return self.places
         steps = [np.diff(run.t) for run in self.runs]
         every = np.concatenate(steps)
         longest = _LONGEST * float(np.median(every))
@@ -1065,7 +1070,8 @@ class Measurements:
             slope[:, own] = _slopes_at(nodes, found, rows)
             smoothed.append(replace(smooth_run, x=x, slope=slope))
             first += len(nodes)
-        return replace(self, smoothed=smoothed)
+        # Other curves may ask for other steps, but these states are those of the mesh as it was.
+        return replace(self, smoothed=smoothed, places=self._places)
 
     def beside(self, state: str) -> dict[str, sympy.Expr]:
         """Give the equations without which a state cannot be fitted: x' = v of a made column v.
