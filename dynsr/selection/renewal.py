@@ -3,11 +3,14 @@
 Alone, an equation is looked for with the others read off their smoothed curves. Where rows are few
 these are off, and so is what follows them best. The states of a system that follows the data are
 better curves, and with its other equations beside it, their constants free, a new one has to make
-up for no errors of theirs. A term that another equation has costs no more than naming it. Begun
-with the equation as it is, terms are added, exchanged and dropped.
+up for no errors of theirs. A term that another equation has costs no more than naming it. Where the
+system leaves only noise, terms of the equation are added, exchanged and dropped.
 """
 
 from __future__ import annotations
+
+import math
+from collections.abc import Iterator
 
 import numpy as np
 import sympy
@@ -29,20 +32,20 @@ def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[s
     state : whose equation is proposed anew.
     """
     settings = comparison.settings
+    settled = leaves_noise(fit, settings)
     # The states of a system that misses them are not quite those of another.
-    weight = None if leaves_noise(fit, settings) else settings.softness
+    weight = None if settled else settings.softness
     nodes = settings.proposals.nodes
     evidence = Evidence.in_place(fit.fit, fit.problem, state, comparison.columns, nodes, weight)
     if evidence is None:
         return []
     others = [(s, expr) for s, expr in fit.exprs.items() if s != state]
-    return comparison.propose(state, evidence, others, near=fit.exprs[state])
+    # What is far from a law is no start for one.
+    return comparison.propose(state, evidence, others, near=fit.exprs[state] if settled else None)
 
 
 def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
-    """Propose the equations of a system anew in turn, until none of them saves more than a bit.
-
-    All are proposed again once one has saved more.
+    """Propose each equation of a system anew and take the best, until that saves less than a bit.
 
     Parameters
     ----------
@@ -54,21 +57,20 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
     left, right = mesh.ends
     moves = np.any(mesh.start[left] != mesh.start[right], axis=0)
     moving = {s for s, moved in zip(mesh.states, moves, strict=True) if moved}
-    states = [s for s, expr in best.exprs.items() if s in moving and not expr.is_Symbol]
-    asked = list(states)
-    while asked:
-        state = asked.pop(0)
-        anew = renewals(comparison, best, state)[: settings.tried]
-        anew += twins(comparison, best, state)
-        systems = [one for expr in anew for one in comparison.changed(best, state, expr)]
-        fits = [
-            prune(comparison, fit, state) if fit.bits < best.bits + settings.behind else fit
-            for fit in filter(None, map(comparison.fit_anew, systems))
-        ]
-        first = min(fits, key=lambda fit: fit.bits, default=best)
-        if first.bits < best.bits - settings.gain:
-            place = states.index(state)
-            asked = [*states[place + 1 :], *states[: place + 1]]
+
+    def renewed(fit: SystemFit) -> Iterator[SystemFit]:
+        for state in (s for s, expr in fit.exprs.items() if s in moving and not expr.is_Symbol):
+            anew = renewals(comparison, fit, state)[: settings.tried]
+            anew += twins(comparison, fit, state)
+            systems = [one for expr in anew for one in comparison.changed(fit, state, expr)]
+            for one in filter(None, map(comparison.fit_anew, systems)):
+                close = one.bits < fit.bits + settings.behind
+                yield prune(comparison, one, state) if close else one
+
+    saved = math.inf
+    while saved > settings.gain:
+        first = min(renewed(best), key=lambda fit: fit.bits, default=best)
+        saved = best.bits - first.bits
         best = min(best, first, key=lambda fit: fit.bits)
     return best
 
