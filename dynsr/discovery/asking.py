@@ -53,7 +53,7 @@ def settle(settings: SelectionSettings, demands: Demands) -> SelectionSettings:
     """
     return replace(
         settings,
-        fit=replace(settings.fit, vocabulary=demands.vocabulary, must=demands.must),
+        fit=replace(settings.fit, vocabulary=demands.vocabulary),
         comparison=replace(settings.comparison, demands=demands),
     )
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import sympy
-
 from dynsr.expression import Vocabulary
 
 
@@ -76,7 +74,6 @@ class FitSettings:
         differences of some units in a sum of squares of thousands, so that it takes more steps.
     strict : the same for a law that is fitted to all rows of long records, which keep to it
         strictly.
-    must : (state, term) that the equation of the state keeps, however unsure its coefficient.
     """
 
     most_constants: int = 12
@@ -111,7 +108,6 @@ class FitSettings:
     vocabulary: Vocabulary | None = None
     along: CollocationSettings = CollocationSettings(steps=40, gain=1e-8)
     strict: CollocationSettings = CollocationSettings(stiffness=(1e5, 1e7, 1e9))
-    must: tuple[tuple[str, sympy.Expr], ...] = ()
 
 
 FIT = FitSettings()
