@@ -29,7 +29,7 @@ def test_four_discoveries_that_are_ended_end_in_the_same_result(tmp_path):
     spec.loader.exec_module(script)
     counts = {"parent": 1, "worker": 1, "interrupt": 1, "terminate": 1}
     with script.warmed() as warm:
-        tally = script.torture(counts, 18, script.Work(tmp_path, SEARCH, 1, warm))
+        tally = script.torture(counts, 1, script.Work(tmp_path, SEARCH, 1, warm))
     assert tally.trials == counts
     assert tally.faults == []
     assert sum(tally.hits.values()) > 2
