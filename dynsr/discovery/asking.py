@@ -77,17 +77,13 @@ def check_must(demands: Demands, runs: Sequence[Trajectory]) -> Demands:
         if term.atoms(sympy.Float):
             continue
         with np.errstate(all="ignore"):
-            values = [evaluate(term, _columns_of(run)) for run in runs]
+            values = [evaluate(term, run.by_name) for run in runs]
         if not any(np.any(np.isfinite(own)) for own in values):
             raise InputError(
                 f"term {shown(term)!r} of must is finite at no row of these data; correct it, or "
                 "leave it out"
             )
     return demands
-
-
-def _columns_of(run: Trajectory) -> dict[str, np.ndarray]:
-    return {"t": run.t, **dict(zip(run.names, run.columns.T, strict=True))}
 
 
 def ask_methods(

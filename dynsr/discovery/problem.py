@@ -732,13 +732,13 @@ class Problem:
         The best is believed where it shows far less noise than was thought.
         """
         comparison, data = self.settings.selection.comparison, self._noisy_measurements
-        if self.measurements is None or data is None:
+        if self.confirmed or data is None:
             return SystemChoice(dict(picked))
         self.believed.clear()
         choice = compare_systems(picked, pools, data, comparison, self._compared)
         fit = choice.fit
         believed = _BELIEVED * comparison.parts.has("belief")
-        while fit is not None and not self.confirmed and len(self.believed) < believed:
+        while fit is not None and len(self.believed) < believed:
             less = noise_shown(fit)
             if less is None or not (self.believed or choice.explains(comparison)):
                 break

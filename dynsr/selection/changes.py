@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
@@ -154,7 +155,10 @@ def _without_line(comparison: SystemComparison, fit: SystemFit, state: str) -> s
 
 
 def while_better(
-    make: Callable[[SystemFit], Iterable[SystemFit]], best: SystemFit, often: int
+    make: Callable[[SystemFit], Iterable[SystemFit]],
+    best: SystemFit,
+    often: float = math.inf,
+    gain: float = 0.0,
 ) -> SystemFit:
     """Take the best of what is made of a system, for as long as that takes fewer bits.
 
@@ -163,12 +167,13 @@ def while_better(
     make : gives other systems for one.
     best : the system that is begun with.
     often : times at most.
+    gain : bits that one must save for others to be made of it.
     """
-    for _ in range(often):
+    saved, times = math.inf, 0
+    while saved > gain and times < often:
         first = min(make(best), key=lambda fit: fit.bits, default=best)
-        if first.bits >= best.bits:
-            break
-        best = first
+        saved, times = best.bits - first.bits, times + 1
+        best = min(best, first, key=lambda fit: fit.bits)
     return best
 
 

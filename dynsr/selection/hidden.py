@@ -270,7 +270,6 @@ def find_hidden(
     begun.sort(key=lambda one: one.bits)
     # A state that needs no hidden one takes fewer bits alone.
     least = [one.bits for one in (*begun[:1], alone) if one is not None]
-    # A system that follows the noise may take the fewest bits: integration shows it later.
     for one in begun[: settings.improved]:
         if one.bits <= min(least) + comparison.behind:
             yield _finish(one, settings)

@@ -134,7 +134,10 @@ def have_a_fixed_sum(columns: Mapping[str, np.ndarray]) -> bool:
     False
     """
     unit = _standardised(list(columns), columns)
-    return unit is None or len(_independent(unit)) < len(unit)
+    if unit is None:
+        return True
+    sizes = np.linalg.svd(unit, compute_uv=False)
+    return bool(sizes[-1] <= _VANISHES * sizes[0])
 
 
 def _standardised(names: list[str], columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
@@ -148,23 +151,17 @@ def _standardised(names: list[str], columns: Mapping[str, np.ndarray]) -> np.nda
     return unit
 
 
-def _independent(unit: np.ndarray) -> list[int]:
-    """Give the places of columns (names, n) that no line ties to those before them."""
-    kept: list[int] = []
-    for place in range(len(unit)):
-        sizes = np.linalg.svd(unit[[*kept, place]], compute_uv=False)
-        if sizes[-1] > _VANISHES * sizes[0]:
-            kept.append(place)
-    return kept
-
-
 def _bound(names: list[str], columns: Mapping[str, np.ndarray]) -> set[str]:
     """Name the columns in a relation of the second degree; those of the first are not asked for."""
     unit = _standardised(names, columns)
     if unit is None:
         return set()
     # Of columns that a straight line ties, the last ones say nothing of their own.
-    kept = _independent(unit)
+    kept: list[int] = []
+    for place in range(len(names)):
+        sizes = np.linalg.svd(unit[[*kept, place]], compute_uv=False)
+        if sizes[-1] > _VANISHES * sizes[0]:
+            kept.append(place)
     pairs = list(combinations_with_replacement(kept, 2))
     products = [unit[i] * unit[j] for i, j in pairs]
     terms = np.array([np.ones(unit.shape[1]), *unit[kept], *products])

@@ -9,14 +9,13 @@ system leaves only noise, terms of the equation are added, exchanged and dropped
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
 import sympy
 
 from dynsr.fit import skeleton
-from dynsr.selection.changes import prune
+from dynsr.selection.changes import prune, while_better
 from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.twins import exchanged
@@ -67,12 +66,7 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
                 close = one.bits < fit.bits + settings.behind
                 yield prune(comparison, one, state) if close else one
 
-    saved = math.inf
-    while saved > settings.gain:
-        first = min(renewed(best), key=lambda fit: fit.bits, default=best)
-        saved = best.bits - first.bits
-        best = min(best, first, key=lambda fit: fit.bits)
-    return best
+    return while_better(renewed, best, gain=settings.gain)
 
 
 def twins(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
