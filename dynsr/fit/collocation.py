@@ -550,7 +550,8 @@ class Collocation:
         squares = np.sum(self._missed(states) ** 2, axis=1) + self._unresolved(states, constants)
         # Where the steps came to rest early, the states do not follow the system yet.
         defects = self._defects(states, constants)
-        squares += self.settings.stiffness[-1] * np.sum(defects**2, axis=1)
+        left = self.settings.stiffness[-1] * np.sum(defects**2, axis=1)
+        squares += np.maximum(left - self.settings.expected * defects.shape[1], 0.0)
         squares /= np.maximum(self.mesh.rows, 1.0)
         return self.as_fit(states, constants, squares, information)
 

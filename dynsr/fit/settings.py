@@ -18,12 +18,15 @@ class CollocationSettings:
     steps : steps of a stage at most.
     gain : a stage ends when a step lowers the sum of squares by less than this share.
     difference : step of the numerical derivatives, relative to a state's spread and a constant.
+    expected : mean squared defect, times its last weight, that does not speak against a system:
+        between 0 and 1, for what a solver of loose tolerance leaves in measured states.
     """
 
     stiffness: tuple[float, ...] = (1e1, 1e3, 1e5)
     steps: int = 12
     gain: float = 1e-4
     difference: float = 1e-7
+    expected: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -267,8 +267,10 @@ class SystemComparison:
         """
         fit, mesh = self.settings.fit, self.mesh
         noise = float(np.median(mesh.unit / mesh.spread))
-        most = fit.stiffness[-1] * min(1.0, (noise / self.settings.loose) ** 2)
-        return replace(fit, stiffness=tuple(min(weight, most) for weight in fit.stiffness))
+        held = min(1.0, (noise / self.settings.loose) ** 2)
+        most = fit.stiffness[-1] * held
+        stages = tuple(min(weight, most) for weight in fit.stiffness)
+        return replace(fit, stiffness=stages, expected=1 - held)
 
     def fit_near(self, exprs: Equations, near: SystemFit) -> SystemFit | None:
         """Fit from a system that is almost the same, going back no further than needed.
