@@ -152,3 +152,14 @@ def test_a_line_below_two_terms_is_written_once():
     once = bits({"x": f"0.4*x/{line} + 0.3*sin(y)/{line}"}, ["x", "y"])
     twice = bits({"x": f"0.4*x/{line} + 0.3*sin(y)/{other}"}, ["x", "y"])
     assert once < twice - 10
+
+
+def test_states_are_of_one_kind_only_where_all_that_is_written_says_so():
+    """A third term makes Lorenz's z' what y' is with y and z exchanged, but x' knows them apart."""
+    flow = {"x": "10.0*y - 10.0*x", "y": "28.0*x - 1.0*x*z - 1.0*y"}
+    extra = bits({**flow, "z": "1.0*x*y - 2.7*z + 0.1*x"}, ["x", "y", "z"])
+    assert bits({**flow, "z": "1.0*x*y - 2.7*z"}, ["x", "y", "z"]) < extra
+    # Where x' has both alike, all can be exchanged.
+    flow["x"] = "10.0*y + 9.0*z - 8.0*x"
+    alike = bits({**flow, "z": "1.1*x*y - 2.7*z + 0.1*x"}, ["x", "y", "z"])
+    assert alike < extra - 4

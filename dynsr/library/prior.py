@@ -261,6 +261,8 @@ class Written:
     def has_twin(self, state: str, terms: Sequence[Term], states: Sequence[str]) -> bool:
         """Whether an equation is an earlier one with the names of states exchanged.
 
+        States of one kind can be exchanged in all that is written, and not in two equations alone.
+
         Parameters
         ----------
         state, terms : whose equation it is, and its terms.
@@ -270,7 +272,14 @@ class Written:
         # Two products of columns are alike by chance.
         if len(own) < _TOLD and all(factor.plain for term in own for factor in term):
             return False
-        return any(is_twin(theirs, other, own, state, states) for other, theirs in self.equations)
+        every = {**dict(self.equations), state: own}
+        return any(
+            all(
+                renamed(every[s], way) == every[n] for s, n in way.items() if {s, n} <= every.keys()
+            )
+            for other, theirs in self.equations
+            for way in ways_of_twin(theirs, other, own, state, states)
+        )
 
 
 @dataclass(frozen=True)
@@ -482,24 +491,38 @@ class Prior:
         return min(bits, self._says("repeated", True) + math.log2(len(written.factors)))
 
 
-def is_twin(
+def ways_of_twin(
     own: frozenset[Term], other: str, terms: frozenset[Term], state: str, states: Sequence[str]
-) -> bool:
-    """Whether an equation is another one with the names of states exchanged."""
+) -> list[dict[str, str]]:
+    """Give the exchanges of the names of states by which the equation of another is one's own.
+
+    Parameters
+    ----------
+    own, other : the terms of the other equation, and whose it is.
+    terms, state : the same of the equation.
+    states : of the system.
+    """
     if len(own) != len(terms) or _shapes(own) != _shapes(terms):
-        return False
+        return []
+    plain = {name: name for name in states}
     if len(states) > _EXCHANGED:
-        ways: Iterable[dict[str, str]] = [{other: state, state: other}]
+        ways: Iterable[dict[str, str]] = [{**plain, other: state, state: other}]
     else:
         ways = (dict(zip(states, way, strict=True)) for way in permutations(states))
-    return any(way.get(other, other) == state and _renamed(own, way) == terms for way in ways)
+    return [way for way in ways if way[other] == state and renamed(own, way) == terms]
 
 
 def _shapes(terms: frozenset[Term]) -> Counter[tuple[str, ...]]:
     return Counter(tuple(f.template for f in term) for term in terms)
 
 
-def _renamed(terms: frozenset[Term], way: Mapping[str, str]) -> frozenset[Term]:
+def renamed(terms: frozenset[Term], way: Mapping[str, str]) -> frozenset[Term]:
+    """Give terms with other names of columns.
+
+    Parameters
+    ----------
+    terms, way : of an equation, and name -> name.
+    """
     return frozenset(
         tuple(sorted(Factor(f.template, tuple(way.get(c, c) for c in f.columns)) for f in term))
         for term in terms
