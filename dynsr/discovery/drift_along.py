@@ -275,7 +275,7 @@ class Along:
         values = np.array([place.value for place in places.values()])
         # Where the equations diverge their starts are nowhere.
         starts = [
-            np.where(np.isfinite(found), found, s.windows.x[0])
+            np.where(np.isfinite(found), found, s.starts)
             for s, found in zip(shootings, self.followed.starts, strict=True)
         ]
 

@@ -127,6 +127,8 @@ class Course:
     states : the k states that are followed; other columns are read from the data.
     inputs : input name -> expression in ``t`` where it is known.
     thinned : how many measurements of the data one here replaces.
+    curves : for each run (n, k) states at its rows, from which the fits of starts begin; nothing
+        where they begin at the measurements.
     """
 
     runs: tuple[Trajectory, ...]
@@ -134,6 +136,7 @@ class Course:
     states: tuple[str, ...]
     inputs: Mapping[str, sympy.Expr]
     thinned: float = 1.0
+    curves: tuple[np.ndarray, ...] = ()
 
     @classmethod
     def of(
@@ -143,6 +146,7 @@ class Course:
         states: Sequence[str],
         inputs: Mapping[str, sympy.Expr],
         rows: int,
+        curves: Sequence[np.ndarray] = (),
     ) -> Course:
         """Take every so many-th row, so that ``rows`` are left at most."""
         every = max(1, math.ceil(sum(map(len, runs)) / rows))
@@ -151,7 +155,8 @@ class Course:
         thin = tuple(runs[i].select(rows) for i, rows in pairs)
         own = tuple(noise[i][rows] for i, rows in pairs)
         total, left = (sum(int(np.sum(run.measured)) for run in some) for some in (runs, thin))
-        return cls(thin, own, tuple(states), inputs, total / left)
+        kept = tuple(curves[i][rows] for i, rows in pairs) if curves else ()
+        return cls(thin, own, tuple(states), inputs, total / left, kept)
 
     @property
     def longest(self) -> int:
@@ -182,7 +187,11 @@ class Course:
         windows = cut_windows(times, [r.x[:, columns] for r in runs], drives, size, most)
         level = [self.noise[i][:, places] for i in some]
         noise = cut_windows(times, level, drives, size, most).x
-        return Shooting(flow, windows, noise, True)
+        begun = None
+        if self.curves:
+            curves = [self.curves[i][:, places] for i in some]
+            begun = cut_windows(times, curves, drives, size, most).x[0]
+        return Shooting(flow, windows, noise, True, begun=begun)
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +293,7 @@ def follow(
     starts : where the starts begin, (k, W) for each group; the measured ones by default.
     free : fit the constants too; only for a single group, others keep their constants.
     """
-    begin = list(starts) or [s.windows.x[0] for s in shootings]
+    begin = list(starts) or [s.starts for s in shootings]
     parts = (1,) if starts else _PARTS
     with np.errstate(all="ignore"):
         chosen = list(shootings)
@@ -305,7 +314,7 @@ def follow(
 
 def _choose_pace(shooting: Shooting, constants: np.ndarray) -> Pace:
     """Take finer steps until that moves no state by more than a tenth of its noise."""
-    starts = shooting.windows.x[0]
+    starts = shooting.starts
     pace, coarse = shooting.pace, shooting.misses(constants, starts)
     for finer in finer_paces(1, 16):
         fine = replace(shooting, pace=finer).misses(constants, starts)

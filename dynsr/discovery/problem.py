@@ -55,6 +55,7 @@ from dynsr.fit import (
     approach,
     confirm,
     description_length,
+    fit_along,
     is_noisy,
     loosen_all,
     match_trajectories,
@@ -676,10 +677,30 @@ class Problem:
             front={s: own for s, own in found.front.items() if s not in self.known},
             rivals=rivals,
             settings=self.settings.verdict,
+            curves=self._curves(found.equations),
         )
         laws = {s: e for s, e in found.equations.items() if verdict.states[s].level == LAW}
         missed = self._missed_slopes(laws)
         return hold_to_slopes(verdict, missed, self.settings.verdict)
+
+    def _curves(self, equations: Mapping[str, sympy.Expr]) -> list[np.ndarray]:
+        """(n, k) states of each run that follow both noisy data and equations; or nothing.
+
+        A chaotic flow that starts at a noisy row may end far from where the data go.
+        """
+        data = self.measurements
+        if data is None or len(data.runs) != len(self.runs):
+            return []
+        fit = fit_along(equations, data)
+        if fit is None:
+            return []
+        names = tuple(equations)
+        along = data.along(fit.found.states, names).smoothed
+        own = [self.runs[0].index(name) for name in names]
+        return [
+            np.column_stack([np.interp(run.t, one.t, one.x[:, place]) for place in own])
+            for run, one in zip(self.runs, along, strict=True)
+        ]
 
     def _missed_slopes(self, equations: Mapping[str, sympy.Expr]) -> dict[str, tuple[float, float]]:
         """State -> median miss of its slopes and their error, as shares of their size."""

@@ -251,6 +251,7 @@ def judge(
     causes: Mapping[str, str] | None = None,
     settings: VerdictSettings = JUDGE,
     fixed: Collection[sympy.Expr] = (),
+    curves: Sequence[np.ndarray] = (),
 ) -> Verdict:
     """Say of every equation whether it is a law of the data, an approximation, or not found.
 
@@ -266,6 +267,8 @@ def judge(
     causes : state -> a sentence that says what its data lack; by default what they tell.
     settings : the numbers that decide.
     fixed : terms whose factors are known.
+    curves : for each run (n, k) values of the states, in the order of the equations, from which the
+        fits of starts begin; by default they begin at the measurements.
 
     >>> t = np.linspace(0, 3, 61)
     >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
@@ -274,7 +277,7 @@ def judge(
     """
     try:
         with np.errstate(all="ignore"):
-            bench = _Bench.of(equations, runs, inputs or {}, noise, settings, fixed)
+            bench = _Bench.of(equations, runs, inputs or {}, noise, settings, fixed, curves)
             return _judge(bench, front or {}, rivals, causes or {})
     except (ArithmeticError, np.linalg.LinAlgError, InputError) as error:
         # What cannot be followed at all is no fault of the search.
@@ -368,6 +371,7 @@ class _Bench:
         noise: Sequence[np.ndarray] | None,
         settings: VerdictSettings,
         fixed: Collection[sympy.Expr] = (),
+        curves: Sequence[np.ndarray] = (),
     ) -> _Bench:
         runs = carry(runs)
         columns = [runs[0].index(state) for state in equations]
@@ -387,7 +391,7 @@ class _Bench:
             dict(equations),
             opened,
             places,
-            Course.of(runs, own, tuple(equations), inputs, settings.rows),
+            Course.of(runs, own, tuple(equations), inputs, settings.rows, curves),
             spread,
             typical / spread,
             clean,
@@ -440,7 +444,7 @@ class _Bench:
         """Give by how much an error of the start grows over a window: median and greatest."""
         found = []
         for shooting in shootings:
-            starts = shooting.windows.x[0]
+            starts = shooting.starts
             with np.errstate(all="ignore"):
                 _, reached = shooting.flow.run_sensitive(shooting.windows, starts, self.values)
             unit = self.spread[:, None] / self.spread

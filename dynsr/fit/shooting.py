@@ -74,7 +74,8 @@ class Shooting:
     Where a spread is inf nothing was measured: the residual is 0 and does not count.
 
     With ``free`` starts each window begins at a fitted state and is compared with its own first
-    measurement too; otherwise it begins at that measurement. ``spread`` is (k,), or (m + 1, k, W)
+    measurement too; otherwise it begins at that measurement. Where ``begun`` (k, W) is given, fits
+    of the starts begin there. ``spread`` is (k,), or (m + 1, k, W)
     where each row has its own. ``width`` widens the unit of the weights: at 2.385 a Cauchy fit has
     95 % of the efficiency of least squares under Gaussian noise (Holland and Welsch 1977); at 1 it
     trusts the best half of the rows.
@@ -86,6 +87,12 @@ class Shooting:
     free: bool
     pace: Pace = PLAIN
     width: float = 1.0
+    begun: np.ndarray | None = None
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(k, W) where fits of the starts begin; at the first measurements by default."""
+        return self.windows.x[0] if self.begun is None else self.begun
 
     def misses(self, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """(rows, k, W) found minus measured; NaN where the flow diverges."""
