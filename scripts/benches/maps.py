@@ -3,7 +3,7 @@
 Gaussian noise, a share of the standard deviation of all states pooled, as published for Lorenz'
 flow (Fung et al. 2025). Neither a library nor the size of the noise is told. A draw counts where
 every equation has the terms of the true one and no other. Every draw is kept in the folder of
---out; the next call goes on where this one was stopped.
+--out; the next call goes on where this one was stopped. With --page the table goes into that page.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ from dynsr.fit import loosen, skeleton
 from dynsr.jobs import RunFolder, Task, Watch, fingerprint, run_tasks
 from dynsr.methods import Report
 from dynsr.report import Table
+
+
+BEGIN, END = "<!-- maps -->\n", "<!-- end of maps -->\n"
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,7 @@ def read_options() -> argparse.Namespace:
     parser.add_argument("--without", default="", help="parts of the searches left out, by commas")
     parser.add_argument("--jobs", type=int, default=-1, help="draws at a time")
     parser.add_argument("--out", type=Path, default=Path("results/maps"))
+    parser.add_argument("--page", type=Path, help="page of the docs to write the table into")
     return parser.parse_args()
 
 
@@ -226,6 +230,10 @@ def main() -> None:
         raise SystemExit(2) from None
     table = make_table(draws)
     (options.out / "maps.md").write_text(table.to_markdown(), encoding="utf-8")
+    if options.page is not None:
+        from zoo import write_page
+
+        write_page(options.page, table.to_markdown(), (BEGIN, END))
     Console(width=160).print(table.to_rich())
 
 
