@@ -42,7 +42,7 @@ from dynsr.selection.evidence import Evidence
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
 from dynsr.selection.propose import ProposalSettings, propose, term_bits
-from dynsr.selection.rates import shared_bits, with_shared
+from dynsr.selection.rates import shared_bits
 from dynsr.selection.twins import with_twins
 
 Equations = dict[str, sympy.Expr]
@@ -311,11 +311,9 @@ class SystemComparison:
         fit : the system.
         state, expr : whose equation changes, and what it becomes.
         """
-        has = self.settings.parts.has
-        shared = with_shared(fit.exprs, state, expr) if has("changed-shared") else []
-        if not has("changed-twins"):
-            return [*shared, {**fit.exprs, state: expr}]
-        return [*shared, *with_twins(fit.exprs, state, expr, self.mesh.states)]
+        if not self.settings.parts.has("changed-twins"):
+            return [{**fit.exprs, state: expr}]
+        return with_twins(fit.exprs, state, expr, self.mesh.states)
 
     def fit_anew(self, exprs: Equations) -> SystemFit | None:
         """Fit from the constants given and the smoothed states; of two fits the better is kept.

@@ -7,9 +7,11 @@ form with every window at once). The map and its target stand for all rows of th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import sympy
 from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError
 
@@ -86,12 +88,12 @@ class Evidence:
         cls,
         fit: CollocationFit,
         problem: Collocation,
-        state: str,
+        parts: Mapping[str, tuple[float, sympy.Expr]],
         names: tuple[str, ...],
         nodes: int,
         softness: float | None,
     ) -> Evidence | None:
-        """Take what is to stand in the place of one equation of a system, all others set free.
+        """Take what is to stand in the place of parts of a system, all the rest set free.
 
         The states of a system that follows the data are better curves than smoothed ones, and
         nothing has to make up for errors of the other equations.
@@ -99,7 +101,8 @@ class Evidence:
         Parameters
         ----------
         fit, problem : the system.
-        state : whose equation it is.
+        parts : state -> factor of what is sought in its equation, and the sum of terms of the
+            equation in the place of which it is.
         names : the columns, the time the last.
         nodes : points at most, between which values are interpolated.
         softness : weight of the defects; None for that of the fit.
@@ -110,7 +113,8 @@ class Evidence:
         if np.count_nonzero(mesh.h == 0) > nodes:
             return None
         places, spread = spread_over(mesh, nodes)
-        probes = Probes(np.full(len(spread), mesh.states.index(state)), spread)
+        owners = np.repeat([mesh.states.index(state) for state in parts], len(spread))
+        probes = Probes(owners, np.tile(spread, (len(parts), 1)))
         try:
             gram = problem.normal(fit.states, fit.constants, probes, softness).gram
         except (LinAlgError, ValueError):
@@ -118,13 +122,21 @@ class Evidence:
         if not np.all(np.isfinite(gram)):
             return None
         points = problem.points(fit.states, fit.constants)[:, places]
-        own = evaluate(fit.exprs[state], dict(zip(names, points, strict=True)))
-        # The equation as it was is taken out, and the misses are left to what takes its place.
-        count = len(fit.constants)
-        step = np.eye(len(gram))
-        step[-1, count:-1] = -own
-        owners = [s for s, e in fit.exprs.items() for _ in free_constants(e, "c")[1]]
-        others = [place for place, owner in enumerate(owners) if owner != state]
+        columns = dict(zip(names, points, strict=True))
+        # What was there is taken out, and the misses are left to what takes its place.
+        count, width = len(fit.constants), len(spread)
+        step = np.zeros((count + width + 1, len(gram)))
+        step[:count, :count] = np.eye(count)
+        for place, (factor, part) in enumerate(parts.values()):
+            own = slice(count + place * width, count + (place + 1) * width)
+            step[count:-1, own] = factor * np.eye(width)
+            step[-1, own] = -evaluate(part, columns)
+        step[-1, -1] = 1.0
+        constants = [
+            (s, v) for s, e in fit.exprs.items() for v in free_constants(e, "c")[1].values()
+        ]
+        out = {(s, float(v)) for s, (_, part) in parts.items() for v in part.atoms(sympy.Float)}
+        others = [place for place, (s, v) in enumerate(constants) if (s, float(v)) not in out]
         left = without(step @ gram @ step.T, others, count)
         return cls._of_gram(names, points, left, float(mesh.rows.sum()))
 

@@ -20,7 +20,7 @@ PARTS: Mapping[str, str] = {
     "end-alone": "one that every other choice of terms misses by far more is such an equation",
     "joints": "what hangs from a joint, in noise",
     "citing": "sums with terms of other equations",
-    "changed-shared": "terms that two equations share change in both",
+    "fluxes": "terms that several equations share proposed anew in all of them",
     "changed-twins": "twins change as the equation that they repeat",
     "couplings": "systems tied by a mass matrix",
     "renewal": "one equation of a system proposed anew, along its states",

@@ -665,7 +665,9 @@ def propose(
     """
     names = place.columns
     begun = () if near is None else bodies_of(near)
-    own = (*begun, *offered, *cited_terms((expr for _, expr in others), place.state))
+    # What one state loses another gains: the whole of an equation is a term of the others.
+    whole = [expr for _, expr in others if expr.is_Add]
+    own = (*begun, *offered, *cited_terms((expr for _, expr in others), place.state), *whole)
     kinds = replace(settings.library, functions=functions)
     beside = evidence.names[len(names) :]
     library = Library.of(names, evidence.points, place.angles or (), own, kinds, beside)
@@ -677,6 +679,11 @@ def propose(
         # To write a form in SymPy takes longer than all else here.
         asked = form.own is not None or allow is not None or weighed
         body = form.write(evidence.names, starts[0]) if asked else sympy.S.One
+        if body.is_Add and form.own is not None:
+            terms = bodies_of(body)
+            if allow is None or all(map(allow, terms)):
+                costs[i] = each + sum(term_bits(term, place, stands) for term in terms)
+            continue
         if allow is None or allow(body):
             inside = len(body.atoms(sympy.Float)) if form.own is not None else form.constants
             written_out = prior.term_bits(form.read(names), place, stands) + _own_bits(body)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import sympy
@@ -19,6 +21,9 @@ from dynsr.fit import free_constants, skeleton
 _SAME, _BARE = 0.5, 0.2
 # Bits from which on constants agree.
 _SURE = 1.0
+_Terms = Mapping[sympy.Expr, tuple[sympy.Expr, sympy.Expr]]
+# Standard errors by which factors of two terms are not one.
+_APART = 3.0
 # Integration itself is not surer, as a share of the value.
 _FINEST = 1e-6
 
@@ -60,38 +65,87 @@ def shared_bits(
     return saved
 
 
-def with_shared(
-    exprs: Mapping[str, sympy.Expr], state: str, expr: sympy.Expr
-) -> list[dict[str, sympy.Expr]]:
-    """Give a system with one equation changed, and what it shares with others changed there too.
-
-    Where other equations contain terms that the equation loses, these are replaced by those that it
-    gains, in the same proportion. Nothing is given where no other equation contains such terms.
+@dataclass(frozen=True)
+class Flux:
+    """A sum of terms that several equations of a system contain, each in its own proportion.
 
     Parameters
     ----------
-    exprs : state -> equation.
-    state, expr : whose equation changes, and what it becomes.
+    parts : state -> the factor by which its equation contains the sum, that of the first is 1, and
+        the sum as it is there.
+    rest : state -> what else its equation contains.
+    """
+
+    parts: Mapping[str, tuple[float, sympy.Expr]]
+    rest: Mapping[str, sympy.Expr]
+
+    def replaced(self, exprs: Mapping[str, sympy.Expr], expr: sympy.Expr) -> dict[str, sympy.Expr]:
+        """Give the system with another sum in the place of this one.
+
+        Parameters
+        ----------
+        exprs : state -> equation.
+        expr : the other sum.
+        """
+        changed = {s: self.rest[s] + sympy.Float(f) * expr for s, (f, _) in self.parts.items()}
+        return {**exprs, **changed}
+
+
+def fluxes(
+    exprs: Mapping[str, sympy.Expr], constants: np.ndarray, errors: np.ndarray
+) -> list[Flux]:
+    """Give the sums of terms that equations share, those of most equations first.
+
+    A term whose factors in two equations differ from those of the others by more than their errors
+    is shared with the flux, and there once more by itself.
+
+    Parameters
+    ----------
+    exprs : state -> equation with its constants.
+    constants, errors : (P,) and their standard errors.
 
     >>> x, y = sympy.symbols("x y")
-    >>> system = {"x": -1.5 * x * y, "y": 0.75 * x * y - 0.3 * y}
-    >>> with_shared(system, "x", -2.0 * x * y / (x + 0.5))
-    [{'x': -2.0*x*y/(x + 0.5), 'y': 1.0*x*y/(x + 0.5) - 0.3*y}]
+    >>> system = {"x": 0.5 * x - 1.5 * x * y, "y": 0.75 * x * y - 0.3 * y}
+    >>> (flux,) = fluxes(system, np.array([0.5, -1.5, 0.75, -0.3]), np.full(4, 0.01))
+    >>> flux.parts
+    {'x': (1.0, -1.5*x*y), 'y': (-0.5, 0.75*x*y)}
+    >>> flux.replaced(system, -2.0 * x * y**2)["y"]
+    1.0*x*y**2 - 0.3*y
     """
-    before, after = _by_shape(exprs[state]), _by_shape(expr)
-    kept = {shape for shape, _, _ in before} & {shape for shape, _, _ in after}
-    lost = {
-        shape: number for shape, number, _ in before if shape not in kept and shape.free_symbols
-    }
-    gained = [number * body for shape, number, body in after if shape not in kept]
-    changed = {**exprs, state: expr}
-    for other, own in exprs.items():
-        terms = _by_shape(own)
-        ratios = [number / lost[shape] for shape, number, _ in terms if shape in lost]
-        if other != state and ratios:
-            rest = [number * body for shape, number, body in terms if shape not in lost]
-            changed[other] = sympy.Add(*rest, *(ratios[0] * term for term in gained))
-    return [changed] if any(changed[o] != exprs[o] for o in exprs if o != state) else []
+    terms = {s: {shape: (n, body) for shape, n, body in _by_shape(e)} for s, e in exprs.items()}
+    error_of = dict(zip(constants.tolist(), errors.tolist(), strict=True))
+    found: dict[frozenset[sympy.Expr], Flux] = {}
+    for first, second in combinations(terms, 2):
+        shapes = [x for x in terms[first] if x in terms[second] and x.free_symbols]
+        holders = [s for s, own in terms.items() if shapes and own.keys() >= set(shapes)]
+        if holders and frozenset(shapes) not in found:
+            flux = {shape: terms[holders[0]][shape] for shape in shapes}
+            parts, rest = {}, {}
+            for state in holders:
+                parts[state], rest[state] = _split(terms[state], flux, error_of)
+            found[frozenset(shapes)] = Flux(parts, rest)
+    return sorted(found.values(), key=lambda one: -len(one.parts))
+
+
+def _split(
+    own: _Terms, flux: _Terms, error_of: Mapping[float, float]
+) -> tuple[tuple[float, sympy.Expr], sympy.Expr]:
+    """Give the factor that most terms of a flux have in an equation, these, and what is left."""
+
+    def apart(shape: sympy.Expr, factor: float) -> tuple[float, bool]:
+        mine, theirs = float(own[shape][0]), float(flux[shape][0])
+        error = math.hypot(error_of.get(mine, 0.0), factor * error_of.get(theirs, 0.0))
+        return mine - factor * theirs, abs(mine - factor * theirs) > _APART * error
+
+    factors = [float(own[shape][0] / flux[shape][0]) for shape in flux]
+    factor = min(factors, key=lambda one: sum(apart(shape, one)[1] for shape in flux))
+    shared: list[sympy.Expr] = []
+    left = [n * body for shape, (n, body) in own.items() if shape not in flux]
+    for shape in flux:
+        number, body = own[shape]
+        more, is_apart = apart(shape, factor)
+        (left if is_apart else shared).append((more if is_apart else number) * body)
+    return (factor, sympy.Add(*shared)), sympy.Add(*left)
 
 
 def _by_shape(expr: sympy.Expr) -> list[tuple[sympy.Expr, sympy.Expr, sympy.Expr]]:

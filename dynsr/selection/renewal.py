@@ -9,15 +9,16 @@ system leaves only noise, terms of the equation are added, exchanged and dropped
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import sympy
 
 from dynsr.fit import skeleton
 from dynsr.selection.changes import prune, while_better
-from dynsr.selection.comparison import SystemComparison, SystemFit, leaves_noise
+from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, leaves_noise
 from dynsr.selection.evidence import Evidence
+from dynsr.selection.rates import fluxes
 from dynsr.selection.twins import exchanged
 
 
@@ -30,17 +31,29 @@ def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[s
     fit : the system.
     state : whose equation is proposed anew.
     """
+    own = fit.exprs[state]
+    others = {s: expr for s, expr in fit.exprs.items() if s != state}
+    # What is far from a law is no start for one.
+    near = own if leaves_noise(fit, comparison.settings) else None
+    return _propose(comparison, fit, {state: (1.0, own)}, others, near)
+
+
+def _propose(
+    comparison: SystemComparison,
+    fit: SystemFit,
+    parts: Mapping[str, tuple[float, sympy.Expr]],
+    others: Equations,
+    near: sympy.Expr | None = None,
+) -> list[sympy.Expr]:
+    """Give the sums that are expected to do best in the place of parts, beside what is left."""
     settings = comparison.settings
-    settled = leaves_noise(fit, settings)
     # The states of a system that misses them are not quite those of another.
-    weight = None if settled else settings.softness
+    weight = None if leaves_noise(fit, settings) else settings.softness
     nodes = settings.proposals.nodes
-    evidence = Evidence.in_place(fit.fit, fit.problem, state, comparison.columns, nodes, weight)
+    evidence = Evidence.in_place(fit.fit, fit.problem, parts, comparison.columns, nodes, weight)
     if evidence is None:
         return []
-    others = [(s, expr) for s, expr in fit.exprs.items() if s != state]
-    # What is far from a law is no start for one.
-    return comparison.propose(state, evidence, others, near=fit.exprs[state] if settled else None)
+    return comparison.propose(next(iter(parts)), evidence, tuple(others.items()), near=near)
 
 
 def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
@@ -57,14 +70,29 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
     moves = np.any(mesh.start[left] != mesh.start[right], axis=0)
     moving = {s for s, moved in zip(mesh.states, moves, strict=True) if moved}
 
-    def renewed(fit: SystemFit) -> Iterator[SystemFit]:
+    def systems_of(fit: SystemFit) -> Iterator[tuple[str, Equations]]:
         for state in (s for s, expr in fit.exprs.items() if s in moving and not expr.is_Symbol):
             anew = renewals(comparison, fit, state)[: settings.tried]
             anew += twins(comparison, fit, state)
-            systems = [one for expr in anew for one in comparison.changed(fit, state, expr)]
-            for one in filter(None, map(comparison.fit_anew, systems)):
-                close = one.bits < fit.bits + settings.behind
-                yield prune(comparison, one, state) if close else one
+            yield from ((state, one) for e in anew for one in comparison.changed(fit, state, e))
+        shared = fluxes(fit.exprs, fit.fit.constants, fit.fit.errors)
+        for flux in shared if settings.parts.has("fluxes") else []:
+            others, lead = {**fit.exprs, **flux.rest}, next(iter(flux.parts))
+            anew = _propose(comparison, fit, flux.parts, others)[: settings.tried]
+            yield from ((lead, flux.replaced(fit.exprs, expr)) for expr in anew)
+
+    def renewed(fit: SystemFit) -> Iterator[SystemFit]:
+        for state, exprs in systems_of(fit):
+            one = comparison.fit_anew(exprs)
+            if one is not None:
+                # What made up for a wrong equation, in others too, does not pay beside a right one.
+                far = one.bits - fit.bits
+                pruned = (
+                    fit.exprs if far < settings.near else (state,) if far < settings.behind else ()
+                )
+                for s in pruned:
+                    one = prune(comparison, one, s)
+                yield one
 
     return while_better(renewed, best, gain=settings.gain)
 
