@@ -35,7 +35,6 @@ from dynsr.jobs import RunFolder, Task, Watch, fingerprint, run_tasks
 from dynsr.methods import Report
 from dynsr.report import Table
 
-
 BEGIN, END = "<!-- maps -->\n", "<!-- end of maps -->\n"
 
 
