@@ -29,6 +29,7 @@ from dynsr.data import (
     write_text,
 )
 from dynsr.discovery import (
+    RECORD,
     Discovery,
     beside_data,
     discover,
@@ -41,7 +42,7 @@ from dynsr.errors import DynsrError, DynsrWarning, InputError, one_line
 from dynsr.export import Source, list_formats, name_file, pack_format
 from dynsr.expression import NAMED_FUNCTIONS, parse, shown, to_mathml, to_text
 from dynsr.fit import ParetoFront, tidy
-from dynsr.jobs import clock, say_left
+from dynsr.jobs import REPORT, clock, say_left
 from dynsr.methods import DEFAULT_PRESET, PRESETS
 from dynsr.report import Picture, draw_states, list_fixed_points, show_flow
 
@@ -52,7 +53,8 @@ if TYPE_CHECKING:
     from dynsr.jobs import Step
 
 # What the page calls the files, and what they are.
-REPORT, CODE, RECORD = FILES = ("report.html", "model.py", "discovery.json")
+CODE = "model.py"
+FILES = (REPORT, CODE, RECORD)
 # What was found, for a process that takes the place of one that was ended by force.
 _KEPT = "kept.json"
 TIME, TRAJECTORY, QUANTITY = "time", "trajectory", "quantity"

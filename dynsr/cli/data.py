@@ -97,13 +97,14 @@ def load_table(
 
 def load_discovery(path: Path) -> Discovery:
     """Load a saved discovery; raises InputError when the file is not one, or is cut short."""
-    if path.is_dir() and (path / "discovery.json").exists():
-        path = path / "discovery.json"
+    from dynsr.discovery import RECORD, Discovery
+
+    if path.is_dir() and (path / RECORD).exists():
+        path = path / RECORD
     if path.is_dir():
-        raise InputError(f"{str(path)!r} is a directory without a discovery.json; give the file")
+        raise InputError(f"{str(path)!r} is a directory without a {RECORD}; give the file")
     if not path.exists():
         raise InputError(f"there is no file {str(path)!r}; dynsr discover --out makes one")
-    from dynsr.discovery import Discovery
 
     return Discovery.load(path)
 

@@ -529,7 +529,7 @@ def _discover_each(
 ) -> None:
     """Find the equations of each file, and print a table of them."""
     from dynsr.discovery import discover_each
-    from dynsr.jobs import to_plain
+    from dynsr.jobs import REPORT, to_plain
 
     folder = out or Path("batch-dynsr")
     output.make_folder(folder)
@@ -545,7 +545,7 @@ def _discover_each(
     output.print_table("Discoveries", ("file", "verdict", "equations", "seconds"), cells)
     if not quiet:
         output.note(f"saved: {folder / 'discoveries.csv'}")
-        output.note(f"open: {folder / 'report.html'}")
+        output.note(f"open: {folder / REPORT}")
 
 
 def _refuse_columns(

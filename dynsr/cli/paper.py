@@ -78,6 +78,7 @@ def deliver_results(
     folder: Path, records: Sequence[Record], settings: Mapping[str, Any], json: bool
 ) -> None:
     """Write every table, figure and the report of a replication, and show its Table 1."""
+    from dynsr.jobs import REPORT
     from dynsr.paper import loss_table, table_1, write_results
 
     written = write_results(folder, records, settings)
@@ -97,7 +98,7 @@ def deliver_results(
     for record in records:
         if not record.done:
             output.note(f"failed: {record.system} {record.method} {record.run}: {record.error}")
-    output.note(f"open: {folder / 'report.html'}")
+    output.note(f"open: {folder / REPORT}")
 
 
 def load_results(folder: Path) -> tuple[list[Record], dict[str, Any]]:

@@ -34,12 +34,12 @@ def check_keeping(folder: Path) -> None:
     """Raise FolderTaken where what is to be kept would replace what dynsr did not write."""
     from dynsr.data import DATA, check_replaceable, is_own_page
     from dynsr.discovery import RECORD, is_own_data, is_own_record
-    from dynsr.jobs import FolderTaken
+    from dynsr.jobs import REPORT, FolderTaken
 
     try:
         check_replaceable(folder / RECORD, is_own_record)
         check_replaceable(folder / DATA, is_own_data(folder))
-        check_replaceable(folder / "report.html", is_own_page)
+        check_replaceable(folder / REPORT, is_own_page)
     except InputError as error:
         raise FolderTaken(str(error)) from None
 
@@ -62,7 +62,9 @@ def keep(found: Discovery, folder: Path | None) -> list[Path]:
 
 def keep_report(found: Discovery, folder: Path | None) -> list[Path]:
     """Write the report of a discovery that was not cut short; gives the file."""
-    return [] if folder is None or not found.complete else [found.report(folder / "report.html")]
+    from dynsr.jobs import REPORT
+
+    return [] if folder is None or not found.complete else [found.report(folder / REPORT)]
 
 
 def score_discovery(
@@ -490,17 +492,17 @@ def report(
     json: options.Json = False,
 ) -> None:
     """Make one self-contained HTML report of a saved discovery, a batch or a replication."""
-    from dynsr.discovery import EACH
-    from dynsr.jobs import MANIFEST
+    from dynsr.discovery import EACH, RECORD
+    from dynsr.jobs import MANIFEST, REPORT
 
     if (source / EACH).is_dir():
         _report_batch(source, out, json)
         return
-    if (source / MANIFEST).exists() and not (source / "discovery.json").exists():
+    if (source / MANIFEST).exists() and not (source / RECORD).exists():
         _report_replication(source, out, json)
         return
     found = load_discovery(source)
-    target = out or (source if source.is_dir() else source.parent) / "report.html"
+    target = out or (source if source.is_dir() else source.parent) / REPORT
     found.report(target)
     if json:
         output.print_json({"report": target})

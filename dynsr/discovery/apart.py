@@ -14,6 +14,7 @@ from dynsr import __version__
 from dynsr.data import Trajectory
 from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import DISCOVERY
+from dynsr.discovery.records import say_data
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW, LEVELS
 from dynsr.engines import DEFAULT_ENGINE, find_engine
@@ -84,11 +85,10 @@ def _claim(runs: Sequence[Trajectory], settings: Mapping[str, Any], asked: Asked
     Each search has a folder of its own in it.
     """
     own = {n: value for n, value in settings.items() if n not in ("out", "progress", "jobs")}
-    digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
     about = {
         "vary": asked if isinstance(asked, bool) else list(asked),
         "version": __version__,
-        "data": f"{sum(map(len, runs))} rows of {', '.join(runs[0].names)}, {digest}",
+        "data": say_data(runs),
     }
     key = fingerprint(repr(to_plain(own)))
     RunFolder(_inside(settings, "")).claim("discovery", about, key)

@@ -18,6 +18,7 @@ from dynsr.discovery.orders import write_lines
 from dynsr.discovery.search import discover
 from dynsr.errors import DynsrError, InputError, one_line
 from dynsr.jobs import (
+    REPORT,
     RunFolder,
     Step,
     Task,
@@ -36,7 +37,6 @@ FAILED = "failed"
 # Folder of each file's own discovery, in that of the batch.
 EACH = "each"
 # The page of each discovery, and that of the batch.
-_PAGE = "report.html"
 _WORK = "batch"
 # Rough seconds of a file on one core, from which the time left is first guessed.
 _USUAL = 60.0
@@ -132,7 +132,7 @@ def discover_each(
     shared = {"version": __version__, "settings": fingerprint(repr(to_plain(settings)))}
     folder.claim(_WORK, shared, alone=(EACH,))
     assert folder.path is not None
-    check_replaceable(folder.path / _PAGE, is_own_page)
+    check_replaceable(folder.path / REPORT, is_own_page)
     tasks = [
         _make_task(Path(file), name, folder.path / EACH / name, settings, given, report)
         for file, name in zip(files, _names([Path(file) for file in files]), strict=True)
@@ -242,7 +242,7 @@ def discover_one(
         data, used = (file, settings) if doses is None else _with_doses(file, settings, doses)
         found = discover(data, out=out, jobs=1, progress=False, **used)
         if page and found.complete:
-            found.report(out / _PAGE)
+            found.report(out / REPORT)
     except (DynsrError, MemoryError) as error:
         reason = one_line(error) or type(error).__name__
         return Discovered(name, FAILED, reason, (), time.monotonic() - began)

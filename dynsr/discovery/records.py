@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
@@ -12,12 +12,12 @@ from typing import Any, get_args
 
 import sympy
 
-from dynsr.data import write_own
+from dynsr.data import Trajectory, write_own
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError, one_line
 from dynsr.expression import arguments_of, check_name, parse
 from dynsr.fit import Candidate, ParetoFront
-from dynsr.jobs import RecordError, checksum, from_plain, read_json, to_json
+from dynsr.jobs import RecordError, checksum, fingerprint, from_plain, read_json, to_json
 
 _FORMAT = "dynsr discovery "
 FORMAT = f"{_FORMAT}1"
@@ -25,6 +25,17 @@ FORMAT = f"{_FORMAT}1"
 RECORD = "discovery.json"
 # A formula of more bits, or one that is simpler than nothing, is none of ours.
 _MOST_BITS = 1e9
+
+
+def say_data(runs: Sequence[Trajectory]) -> str:
+    """Give what identifies the data of a discovery: rows, names and a digest.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    """
+    digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
+    return f"{sum(map(len, runs))} rows of {', '.join(runs[0].names)}, {digest}"
 
 
 def write_discovery(path: Path, record: Mapping[str, Any]) -> Path:

@@ -43,6 +43,7 @@ from dynsr.discovery.problem import (
     pool_formulas,
     with_velocities,
 )
+from dynsr.discovery.records import say_data
 from dynsr.discovery.result import Discovery, keep
 from dynsr.discovery.scaling import in_fitting_units
 from dynsr.discovery.start import Start
@@ -480,10 +481,8 @@ def _claim(
     """
     if folder.path is None:
         return ""
-    runs, names = problem.runs, ", ".join(problem.runs[0].names)
-    digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
     about = {k: v for k, v in record.items() if k not in ("method", "details")}
-    about |= {"targets": list(states), "data": f"{sum(map(len, runs))} rows of {names}, {digest}"}
+    about |= {"targets": list(states), "data": say_data(problem.runs)}
     details = record["details"]
     key = fingerprint(
         about, details, problem.slopes, problem.known, problem.inputs, repr(dict(methods))

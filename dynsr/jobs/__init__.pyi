@@ -8,6 +8,7 @@ from .progress import Step, Watch, best_equation, tell_each
 from .screen import Screen, is_lost, printing, take_lost
 from .store import (
     MANIFEST,
+    REPORT,
     FolderTaken,
     RecordError,
     RunFolder,
@@ -23,6 +24,7 @@ from .store import (
 
 __all__ = [
     "MANIFEST",
+    "REPORT",
     "Budget",
     "End",
     "FolderTaken",

@@ -28,6 +28,8 @@ from dynsr.errors import DynsrError, DynsrWarning, InputError
 T = TypeVar("T")
 
 MANIFEST = "manifest.json"
+# The page of what a folder holds.
+REPORT = "report.html"
 # Where the parts of tasks are that have not ended.
 PARTS = "parts"
 _MOST_BYTES = 1 << 30

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dynsr.data import write_bytes, write_page
+from dynsr.jobs import REPORT
 from dynsr.paper.provenance import ENGINES_BESIDE, MADE_BY
 from dynsr.paper.records import Record
 from dynsr.paper.results import (
@@ -21,8 +22,6 @@ from dynsr.paper.results import (
     figure_1,
 )
 from dynsr.report import Picture, Table, render_page, write_table
-
-REPORT = "report.html"
 
 
 def render_replication(

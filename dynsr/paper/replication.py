@@ -33,6 +33,7 @@ from dynsr.engines import find_engine, share_engine, training_trajectory
 from dynsr.errors import InputError, one_line
 from dynsr.expression import to_text
 from dynsr.jobs import (
+    REPORT,
     RunFolder,
     Step,
     Task,
@@ -44,7 +45,7 @@ from dynsr.jobs import (
     to_plain,
 )
 from dynsr.methods import PAPER_METHODS, AbstractMethod, Progress, Report, silent
-from dynsr.paper.page import REPORT, write_results
+from dynsr.paper.page import write_results
 from dynsr.paper.protocol import (
     PAPER_NAMES,
     check_replays,

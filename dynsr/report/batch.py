@@ -10,10 +10,10 @@ from urllib.parse import quote
 from dynsr import __version__
 from dynsr.data import check_replaceable, is_own_page, write_page, write_text
 from dynsr.discovery import Discovered
+from dynsr.jobs import REPORT
 from dynsr.report.page import render_page
 from dynsr.report.tables import Table
 
-PAGE = "report.html"
 # From the best to the worst; a verdict in singular and in plural.
 _LEVELS = {
     "law": ("law", "laws"),
@@ -33,7 +33,7 @@ def write_batch(rows: Sequence[Discovered], folder: Path) -> list[Path]:
 
     Raises InputError when they cannot be written, or a file that is no page of dynsr is there.
     """
-    page = folder / PAGE
+    page = folder / REPORT
     check_replaceable(page, is_own_page)
     table = tabulate(rows)
     path = folder / f"{table.name}.csv"
@@ -66,7 +66,7 @@ def tabulate(rows: Sequence[Discovered]) -> Table:
                 "; ".join(row.equations),
                 row.reason,
                 round(row.seconds, 1),
-                f"{row.folder}/{PAGE}" if row.folder else "",
+                f"{row.folder}/{REPORT}" if row.folder else "",
             )
             for row in rows
         ),
@@ -88,7 +88,11 @@ def render_batch(rows: Sequence[Discovered]) -> str:
         heading=f"Equations of {files}",
         summary=f"{', '.join(parts)}.",
         rows=[
-            (row, quote(f"{row.folder}/{PAGE}") if row.folder else "", row.level.replace(" ", "-"))
+            (
+                row,
+                quote(f"{row.folder}/{REPORT}") if row.folder else "",
+                row.level.replace(" ", "-"),
+            )
             for row in rows
         ],
         facts=[

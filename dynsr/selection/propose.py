@@ -252,11 +252,10 @@ class Proposer:
         places : of its forms in the library, whose constants inside do not move.
         """
         found: dict[tuple[int, ...], Sum] = {}
-        every = np.flatnonzero(np.isfinite(self.costs))
         with np.errstate(all="ignore"):
             begun = self._fit(np.array([places]), np.zeros((1, len(places), self.library.most)))
             begun = begun.some(np.isfinite(begun.left))
-            for layer in (begun, self._grow(begun, every)):
+            for layer in (begun, self._grow(begun, self._allowed)):
                 self._note(layer, found)
             self._refine(found)
         return self._front_first(found)
@@ -335,9 +334,7 @@ class Proposer:
 
         Of many terms none may tell anything before most of the others are there.
         """
-        order = np.argsort(self.costs, kind="stable")
-        plain = order[np.isfinite(self.costs[order]) & (self.library.inside[order] == 0)]
-        every = np.flatnonzero(np.isfinite(self.costs))
+        plain = self._cheapest[self.library.inside[self._cheapest] == 0]
         for most in self.settings.whole:
             places = np.sort(plain[: min(most, len(self.evidence.y) // 4)])[None]
             layer = self._fit(places, np.zeros((*places.shape, self.library.most)))
@@ -345,20 +342,18 @@ class Proposer:
                 sums = sorted(self._note(layer, {}), key=lambda one: one.bits)
                 for one in sums[: self.settings.exchanged]:
                     self._thin(one, found)
-                layer = self._grow(layer, every)
+                layer = self._grow(layer, self._allowed)
 
     def _tiers(self) -> Iterator[np.ndarray]:
         """Give the forms that sums are grown of, the cheapest few first, and all at last.
 
         A beam through few forms reaches sums that one through all of them passes by.
         """
-        order = np.argsort(self.costs, kind="stable")
-        order = order[np.isfinite(self.costs[order])]
         count = self.settings.tier
-        while count < len(order):
-            yield np.sort(order[:count])
+        while count < len(self._cheapest):
+            yield np.sort(self._cheapest[:count])
             count *= self.settings.wider
-        yield np.sort(order)
+        yield self._allowed
 
     def _ranked(self, found: Mapping[tuple[int, ...], Sum]) -> list[Sum]:
         ranked = sorted(found.values(), key=lambda one: (one.bits, one.places))
@@ -381,7 +376,7 @@ class Proposer:
         before = self._ranked(found)[: self.settings.exchanged]
         for length in {len(one.places) for one in before}:
             shorter = self._shortened([one for one in before if len(one.places) == length])
-            grown = self._grow(self._fit(*shorter), np.flatnonzero(np.isfinite(self.costs)))
+            grown = self._grow(self._fit(*shorter), self._allowed)
             self._note(grown, found)
             self._note_shorter(grown, found)
         return self._ranked(found)[: self.settings.exchanged] != before
@@ -407,6 +402,16 @@ class Proposer:
             size = math.log(max(one.left + self.evidence.beside, 1e-300))
             told.setdefault((len(one.places), round(size / _SAME)), one)
         return list(told.values())
+
+    @cached_property
+    def _allowed(self) -> np.ndarray:
+        """Places of the forms that may be terms."""
+        return np.flatnonzero(np.isfinite(self.costs))
+
+    @cached_property
+    def _cheapest(self) -> np.ndarray:
+        """The same, the cheapest first."""
+        return self._allowed[np.argsort(self.costs[self._allowed], kind="stable")]
 
     @cached_property
     def _rows(self) -> tuple[_Units, tuple[_Units, ...]]:
