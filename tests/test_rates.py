@@ -76,6 +76,7 @@ def test_a_flux_is_what_equations_share():
     assert other["a"].equals(parse("0.7*a*b^2")) and other["c"] == system["c"]
     assert other["b"].equals(parse("-0.7*a*b^2 - a*b - 0.3*b"))
     assert fluxes(floats({"x": "0.4*x", "y": "0.3 - 0.2*y"}), np.ones(3), np.ones(3)) == []
+    assert fluxes({"x": parse("v"), **floats({"v": "-4*x - 0.2*v"})}, np.ones(2), np.ones(2)) == []
 
 
 def test_constants_inside_a_rate_are_shared_too():

@@ -97,7 +97,7 @@ def fluxes(
     """Give the sums of terms that equations share, those of most equations first.
 
     A term whose factors in two equations differ from those of the others by more than their errors
-    is shared with the flux, and there once more by itself.
+    is shared with the flux, and there once more by itself. A bare column, as in x' = v, is none.
 
     Parameters
     ----------
@@ -112,7 +112,11 @@ def fluxes(
     >>> flux.replaced(system, -2.0 * x * y**2)["y"]
     1.0*x*y**2 - 0.3*y
     """
-    terms = {s: {shape: (n, body) for shape, n, body in _by_shape(e)} for s, e in exprs.items()}
+    terms = {
+        s: {shape: (n, body) for shape, n, body in _by_shape(expr)}
+        for s, expr in exprs.items()
+        if not expr.is_Symbol
+    }
     error_of = dict(zip(constants.tolist(), errors.tolist(), strict=True))
     found: dict[frozenset[sympy.Expr], Flux] = {}
     for first, second in combinations(terms, 2):
