@@ -147,6 +147,7 @@ def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--candidates", type=float, default=3e6)
+    parser.add_argument("--probes", type=int, default=32, help="probe rows of the devices' table")
     options = parser.parse_args()
     samples = problems()[1][2]
     search_values(samples.X, samples.y, samples.names, BruteForce(max_size=2))
@@ -154,7 +155,7 @@ def main() -> None:
     show_speed(samples, bare)
     show_times()
     show_growth(samples)
-    show_devices(samples, bare)
+    show_devices(samples, replace(bare, probes=options.probes))
 
 
 if __name__ == "__main__":
