@@ -36,7 +36,6 @@ from dynsr.methods import Report
 FAILED = "failed"
 # Folder of each file's own discovery, in that of the batch.
 EACH = "each"
-# The page of each discovery, and that of the batch.
 _WORK = "batch"
 # Rough seconds of a file on one core, from which the time left is first guessed.
 _USUAL = 60.0

@@ -42,7 +42,7 @@ from dynsr.selection.evidence import Evidence
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
 from dynsr.selection.propose import ProposalSettings, propose, term_bits
-from dynsr.selection.rates import shared_bits
+from dynsr.selection.rates import SIGMA, shared_bits
 from dynsr.selection.twins import with_twins
 
 Equations = dict[str, sympy.Expr]
@@ -50,8 +50,6 @@ Equations = dict[str, sympy.Expr]
 _STARTS, _APART = 2, 0.5
 # Range of the argument of a function below which the function is seen as no more than a line.
 _BARE = 1e-4
-# Standard deviations of what noise leaves, up to which it is noise.
-SIGMA = 3.0
 # Mean squared miss of a state, in units of its noise, that noise does not leave.
 _TOO_CLOSE = 0.3
 

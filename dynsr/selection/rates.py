@@ -19,11 +19,9 @@ from dynsr.fit import free_constants, skeleton
 
 # Shares of the terms of two equations that have one constant: of products, of bare columns.
 _SAME, _BARE = 0.5, 0.2
-# Bits from which on constants agree.
-_SURE = 1.0
 _Terms = Mapping[sympy.Expr, tuple[sympy.Expr, sympy.Expr]]
-# Standard errors by which factors of two terms are not one.
-_APART = 3.0
+# Standard errors beyond which a difference is no noise.
+SIGMA = 3.0
 # Integration itself is not surer, as a share of the value.
 _FINEST = 1e-6
 
@@ -112,11 +110,7 @@ def fluxes(
     >>> flux.replaced(system, -2.0 * x * y**2)["y"]
     1.0*x*y**2 - 0.3*y
     """
-    terms = {
-        s: {shape: (n, body) for shape, n, body in _by_shape(expr)}
-        for s, expr in exprs.items()
-        if not expr.is_Symbol
-    }
+    terms = {s: _by_shape(expr) for s, expr in exprs.items() if not expr.is_Symbol}
     error_of = dict(zip(constants.tolist(), errors.tolist(), strict=True))
     found: dict[frozenset[sympy.Expr], Flux] = {}
     for first, second in combinations(terms, 2):
@@ -139,7 +133,7 @@ def _split(
     def apart(shape: sympy.Expr, factor: float) -> tuple[float, bool]:
         mine, theirs = float(own[shape][0]), float(flux[shape][0])
         error = math.hypot(error_of.get(mine, 0.0), factor * error_of.get(theirs, 0.0))
-        return mine - factor * theirs, abs(mine - factor * theirs) > _APART * error
+        return mine - factor * theirs, abs(mine - factor * theirs) > SIGMA * error
 
     factors = [float(own[shape][0] / flux[shape][0]) for shape in flux]
     factor = min(factors, key=lambda one: sum(apart(shape, one)[1] for shape in flux))
@@ -152,10 +146,10 @@ def _split(
     return (factor, sympy.Add(*shared)), sympy.Add(*left)
 
 
-def _by_shape(expr: sympy.Expr) -> list[tuple[sympy.Expr, sympy.Expr, sympy.Expr]]:
-    """Give the shape of each term of a sum, its factor and the rest of it."""
+def _by_shape(expr: sympy.Expr) -> _Terms:
+    """Give the shape of each term of a sum -> its factor and the rest of it."""
     pairs = (term.as_coeff_Mul() for term in sympy.Add.make_args(expr))
-    return [(skeleton(body), number, body) for number, body in pairs]
+    return {skeleton(body): (number, body) for number, body in pairs}
 
 
 def _terms(
