@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data import Trajectory
 from dynsr.data.system import CART_POLE
+from dynsr.discovery import discover
 from dynsr.engines import simulate
 from dynsr.expression import compile_columns, evaluate, parse
 from dynsr.fit import Measurements, skeleton
@@ -148,16 +149,17 @@ def test_the_hinged_cart_is_found_in_noise():
     force = compile_columns([CART_POLE.inputs["F"]], ["t"])(t)[0]
     run = Trajectory(t, clean.x + off, clean.states, inputs=force[:, None], input_names=("F",))
     data = Measurements.of([run], {}, 2000)
-    found, alone = (
-        explore("z", data, ComparisonSettings()),
-        Alone.of("z", data, ComparisonSettings()),
-    )
+    found = explore("z", data, ComparisonSettings())
+    alone = Alone.of("z", data, ComparisonSettings())
     truth = CART_POLE.rhs[CART_POLE.index("z")]
     columns = {n: RNG.uniform(-1, 1, 50) for n in ("w", "y", "F")}
     values = evaluate(truth, columns)
     law = next(e for e in found if np.allclose(evaluate(e, columns), values, atol=0.1))
     best, bits = (alone.comparison.fit({"z": e}).bits for e in (found[0], law))
     assert bits < best + 5
+    whole = discover(run, jobs=1)
+    assert whole.verdict.level == "law"
+    assert np.allclose(evaluate(whole.equations["z"], columns), values, atol=0.01)
 
 
 def test_a_constant_inside_is_found_between_those_that_are_tried():
