@@ -52,6 +52,7 @@ def test_a_sheet_of_a_workbook_is_read(tmp_path):
     rows = [("Logger 5",), (), TABLE[0], ("h", "mg/L", "%"), *TABLE[1:], (), ("Mean", 3, 4)]
     columns = load_columns(write_book(tmp_path / "b.xlsx", Notes=[("made", "by NN")], Data=rows))
     check(columns)
+    assert describe(tmp_path / "b.xlsx").source == "b.xlsx:Data"
     assert columns.units == {"t": "h", "a": "mg/L", "b": "%"}
     assert "sheet 'Data'" not in str(columns.left_out)
     aside = [(), *((None, None, *row) for row in TABLE)]

@@ -333,7 +333,10 @@ class _Look:
         found |= {","} if not found and delimiter == ";" and sign == "," else set()
         if len(signs) == 1 and len(found) == 1:
             mark = found.pop()
-            return mark, (f"{first.text!r} was read as {first.value(mark):.12g}",), ""
+            # Where another column shows the mark, nothing was guessed.
+            sure = mark == other
+            said = f"{first.text!r} was read as {first.value(mark):.12g}; --decimal says the mark"
+            return mark, () if sure else (said,), ""
         values = f"{first.value('.'):.12g} or {first.value(','):.12g}"
         doubt = f"holds {first.text!r}, which may be {values}"
         return "", (), f"{doubt}; say the decimal mark (--decimal), or write it otherwise"

@@ -137,7 +137,8 @@ def load_excel(path: Path, decimal: str | None = None, sheet: str = "") -> Colum
     ]
     columns = [column[:-1] for column in columns]
     names = [*layout.names, *[""] * (width - len(layout.names))] if layout.names else []
-    label = f"{path.name}:{sheet}" if sheet else path.name
+    # Of a book with one sheet the name of the file says all.
+    label = f"{path.name}:{chosen}" if len(names) > 1 else path.name
     none, said = rows_that_are_none(columns, label)
     return assemble(
         names,

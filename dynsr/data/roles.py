@@ -137,8 +137,8 @@ def guess_roles(
     _check_roles(time, chosen, known, columns, given)
     if states is None and len(chosen) + len(known) > _MANY:
         warnings.warn(
-            f"{columns.label} has {len(chosen)} states, and a search grows with the square of "
-            "their number; name those that matter (--states)",
+            f"{columns.label} has {len(chosen)} states, and an equation of each is searched; for a "
+            "shorter search name those that matter (--states)",
             DynsrWarning,
             stacklevel=4,
         )
