@@ -102,6 +102,8 @@ def test_a_batch_leaves_a_table_and_a_page(tmp_path):
     table = pd.read_csv(out / "discoveries.csv").fillna("")
     assert list(table["verdict"]) == ["law", "failed"]
     assert list(table["equations"]) == ["x' = -0.5*x", ""]
+    # Of each constant the term, the value and its interval.
+    assert table["constants"][0].startswith("x', x: -0.5 (-0.5") and not table["constants"][1]
     assert "give at least 8" in table["reason"][1]
     assert (out / table["report"][0]).is_file() and not table["report"][1]
     page = (out / "report.html").read_text()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,9 @@ from joblib import effective_n_jobs
 from dynsr import __version__
 from dynsr.data import Columns, check_replaceable, is_own_page, load_with_doses
 from dynsr.discovery.orders import write_lines
+from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
+from dynsr.discovery.verdict import NOT_FOUND
 from dynsr.errors import DynsrError, InputError, one_line
 from dynsr.jobs import (
     REPORT,
@@ -55,6 +57,7 @@ class Discovered:
     complete : whether the search came to its end.
     folder : that of its discovery and its report, from the folder of the batch; None where there
         is none.
+    constants : the constants, a line each: state, term, value and 95 % interval.
     """
 
     file: str
@@ -64,6 +67,7 @@ class Discovered:
     seconds: float
     complete: bool = True
     folder: str | None = None
+    constants: tuple[str, ...] = ()
 
     @property
     def summary(self) -> str:
@@ -249,7 +253,16 @@ def discover_one(
     taken = time.monotonic() - began
     level, reason = found.verdict.level, found.verdict.reason
     where = f"{EACH}/{out.name}" if page and found.complete else None
-    return Discovered(name, level, reason, lines, taken, found.complete, where)
+    constants = () if level == NOT_FOUND else tuple(_constants(found))
+    return Discovered(name, level, reason, lines, taken, found.complete, where, constants)
+
+
+def _constants(found: Discovery) -> Iterator[str]:
+    """Write the constants that were fitted, a line each."""
+    for state, own in found.constants.items():
+        for one in own:
+            if not one.fixed:
+                yield f"{state}', {one.of}: {one.text}"
 
 
 def _with_doses(

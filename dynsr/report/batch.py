@@ -51,19 +51,20 @@ def tabulate(rows: Sequence[Discovered]) -> Table:
 
     >>> found = Discovered("a.csv", "law", "fine.", ("x' = -x",), 1.5)
     >>> print(tabulate([found]).to_csv())
-    file,verdict,equations,reason,seconds,report
-    a.csv,law,x' = -x,fine.,1.5,
+    file,verdict,equations,constants,reason,seconds,report
+    a.csv,law,x' = -x,,fine.,1.5,
     <BLANKLINE>
     """
     return Table(
         "discoveries",
         "Discoveries",
-        ("file", "verdict", "equations", "reason", "seconds", "report"),
+        ("file", "verdict", "equations", "constants", "reason", "seconds", "report"),
         tuple(
             (
                 row.file,
                 row.level,
                 "; ".join(row.equations),
+                "; ".join(row.constants),
                 row.reason,
                 round(row.seconds, 1),
                 f"{row.folder}/{REPORT}" if row.folder else "",
