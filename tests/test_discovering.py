@@ -260,7 +260,8 @@ def test_readers_get_equations_and_a_report(tmp_path, monkeypatch, seen):
         str(tmp_path) + os.sep, ""
     )
     assert "x' by fake: -0.5*x  (error 0.1)" in result.stderr
-    assert f"open: {os.path.join('data-dynsr', 'report.html')}" in short.stderr
+    page = os.path.join("data-dynsr", "report.html")
+    assert f"saved in data-dynsr: discovery.json; open {page}\n" in short.stderr
     assert (tmp_path / "data-dynsr" / "report.html").exists()
 
 
@@ -277,7 +278,7 @@ def test_a_terminal_gets_the_equations_in_a_frame(monkeypatch, capsys):
     show_equations(Found({}))
     show_reasons(Found({}), {}, told)
     shown = capsys.readouterr().out
-    assert "─ Equations ─" in shown and "│ x' = -0.5*x" in shown
+    assert shown.startswith("╭─") and "│ No verdict. │" in shown and "│ x' = -0.5*x" in shown
     assert "warned: columns are identical" in shown and "guessed: time 't'" not in shown
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Group
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -45,12 +46,8 @@ _SCORES = {
 }
 
 
-# Level of a verdict -> title and colour of the frame around the equations.
-_FRAMES = {
-    "law": ("Law", "green"),
-    "approximation": ("Approximation", "yellow"),
-    "not found": ("Not found", "red"),
-}
+# Level of a verdict -> colour of the frame around it and the equations.
+_COLOURS = {"law": "green", "approximation": "yellow", "not found": "red"}
 
 
 def show_equations(found: Discovery, quiet: bool = False) -> None:
@@ -102,8 +99,8 @@ def show_reasons(
 
         _print_scores(scores, name_windows(found.settings))
     # What is on the screen already is not shown again.
-    again = () if output.is_one_place() else ("warned",)
-    for kind in ("guessed", "warned") if details else again:
+    again = ("guessed", "warned") if details else ("warned",)
+    for kind in () if output.is_one_place() else again:
         for item in told.get(kind, ()):
             _say(f"{kind}: {item}", "dim")
 
@@ -131,17 +128,18 @@ def _say(words: str, style: str = "") -> None:
 
 
 def _print_equations(found: Discovery, lines: Sequence[str]) -> None:
-    """Print the verdict and below it the equations, on a terminal in a frame."""
+    """Print the verdict and below it the equations, on a terminal in one frame."""
     screen = output.console()
-    title, colour = _FRAMES.get(
-        found.verdict.level if found.verdict.tested else "", ("Equations", "blue")
-    )
-    title = title if found.complete else f"{title}, so far"
-    _say(found.heading, f"bold {colour}" if screen.is_terminal else "")
     if screen.is_terminal:
-        block = Text("\n".join(lines), style="bold")
-        screen.print(Panel(block, title=title, border_style=colour, expand=False))
+        colour = _COLOURS.get(found.verdict.level if found.verdict.tested else "", "blue")
+        block = Group(
+            Text(found.heading, style=f"bold {colour}"),
+            "",
+            Text("\n".join(lines), style="bold"),
+        )
+        screen.print(Panel(block, border_style=colour, expand=False))
     else:
+        _say(found.heading)
         output.print_lines(*lines)
 
 
@@ -223,9 +221,14 @@ def show_files(found: Discovery, saved: Sequence[Path], folder: Path | None) -> 
 
     output.note(f"{found.seconds:.1f} s")
     windows = name_windows(found.settings)
-    for path in saved:
-        rows = f" ({windows})" if windows and path.name == DATA else ""
-        output.note(f"{'open' if path.suffix == '.html' else 'saved'}: {path}{rows}")
+    kept = [
+        f"{path.name} ({windows})" if windows and path.name == DATA else path.name
+        for path in saved
+        if path.suffix != ".html"
+    ]
+    pages = [f"open {path}" for path in saved if path.suffix == ".html"]
+    if saved:
+        output.note("; ".join([f"saved in {folder}: {', '.join(kept)}", *pages]))
     if not found.complete:
         where = f"what is finished is kept in {folder}; " if folder is not None else ""
         goes_on = "the same command goes on from there" if where else "with --out it could go on"
@@ -544,8 +547,7 @@ def _discover_each(
     ]
     output.print_table("Discoveries", ("file", "verdict", "equations", "seconds"), cells)
     if not quiet:
-        output.note(f"saved: {folder / 'discoveries.csv'}")
-        output.note(f"open: {folder / REPORT}")
+        output.note(f"saved in {folder}: discoveries.csv; open {folder / REPORT}")
 
 
 def _refuse_columns(

@@ -749,7 +749,9 @@ class _Bench:
     def _because(self, state: str, cause: str | None, explained: bool = False) -> str:
         """Give the likeliest cause, by default what the data themselves tell."""
         cause = likely_cause(self.course.runs, state, explained) if cause is None else cause
-        return f" {cause}" if cause else ""
+        # A sentence, unless it begins with the name of a state.
+        begins = cause and cause.partition(" ")[0] not in self.equations
+        return f" {cause[0].upper() + cause[1:] if begins else cause}" if cause else ""
 
     def _rests(
         self, place: int, evidence: _Evidence | None, found: StateVerdict, rows: float
@@ -1062,9 +1064,8 @@ def _say(level: str, states: Mapping[str, StateVerdict]) -> str:
     weak = [state for state, own in states.items() if own.level == level]
     if level == LAW:
         return "every equation reproduces and forecasts the data within their noise."
-    if len(weak) == 1:
-        return f"{weak[0]}: {states[weak[0]].reason}"
-    return f"{_join(weak)}: {states[weak[0]].reason}"
+    first = f"{weak[0]}: {states[weak[0]].reason}"
+    return first if len(weak) == 1 else f"{_join(weak)}. {first}"
 
 
 def _covariance(slopes: np.ndarray) -> np.ndarray:
