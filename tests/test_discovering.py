@@ -64,7 +64,10 @@ BAD_DATA = {
     "empty file": (text(""), "is empty"),
     "header alone": (text("t,x\n"), "header but no rows"),
     "three rows": (text("t,x\n0,1\n1,2\n2,4\n"), "3 rows"),
-    "wrong delimiter": (text("t!x\n" + "".join(f"{i}!{i}\n" for i in range(20))), "cannot tell"),
+    "wrong delimiter": (
+        text("t!x\n" + "".join(f"{i}!{i}\n" for i in range(20))),
+        "cannot separate",
+    ),
     "ragged rows": (text("t,x\n" + "1,2\n" * 9 + "1,2,3\n"), "one cell a column"),
     "duplicate time": (broken(5, 0, T[4]), "repeats in row 6"),
     "unsorted time": (broken(5, 0, 0.01), "runs backwards at row 6"),

@@ -189,7 +189,7 @@ REFUSED = {
     "header alone": ("t,x,y\n", "header but no rows"),
     "three rows": ("t,x\n0,1\n1,2\n2,4\n", "3 rows"),
     "one row": ("t,x\n0,1\n", "1 row,"),
-    "unknown delimiter": (table_text(delimiter="!"), "cannot tell the columns"),
+    "unknown delimiter": (table_text(delimiter="!"), "cannot separate the columns"),
     "ragged rows": (table_text() + "3,1,2,4\n", "one cell a column"),
     "duplicate time": (bent(5, 0, T[4]), "time 't' repeats in row 6 of data.csv (0.4 twice)"),
     "unsorted time": (bent(5, 0, 0.1), "runs backwards at row 6 of data.csv (0.4 then 0.1)"),

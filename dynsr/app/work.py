@@ -211,7 +211,7 @@ class Work:
         }
 
     def search(self, options: Mapping[str, Any]) -> None:
-        """Search the equations of what was read; tells how it goes on, and what was found.
+        """Search the equations of what was read; reports how it goes on, and what was found.
 
         Parameters
         ----------
@@ -485,7 +485,7 @@ class _Best:
 
 
 class Live:
-    """Tells the page how a search goes on: tasks, time left, and the best equation of each state.
+    """Shows how a search goes on: tasks, time left, and the best equation of each state.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ def run(connection: Connection, folder: Path, jobs: int) -> None:
 class _Worker:
     """The job that is done, and the threads that receive other jobs and report on it.
 
-    A thread of its own tells, since what an interrupt cuts short could not be read.
+    A thread of its own reports, since what an interrupt cuts short could not be read.
     """
 
     def __init__(self, connection: Connection, folder: Path) -> None:

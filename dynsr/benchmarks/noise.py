@@ -186,7 +186,7 @@ class NoiseRow:
 
 @dataclass(frozen=True)
 class NoiseRecord:
-    """What the discovery of one noisy system gave: a row a state, and why it failed if it did."""
+    """What the discovery of one noisy system gave: a row per state, and why it failed if it did."""
 
     rows: tuple[NoiseRow, ...]
     seconds: float
@@ -210,7 +210,7 @@ def run_noise(
     jobs: int = 1,
     progress: Callable[[Step], None] | None = None,
 ) -> list[NoiseRow]:
-    """Discover every system at every level with every seed; gives one row a state.
+    """Discover every system at every level with every seed; gives one row per state.
 
     Data are the paper's training data of the system with Gaussian noise on its states; inputs are
     given and exact. Without noise one seed is enough, since the data are the same.

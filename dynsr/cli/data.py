@@ -42,7 +42,7 @@ def take_doses(
 
 
 def read_doses(doses: options.Names) -> tuple[dict[str, str] | None, Path | None]:
-    """Tell state -> column of amounts, and the table of doses, where --doses names one.
+    """Give state -> column of amounts, and the table of doses, where --doses names one.
 
     >>> read_doses(["x=dose/2.5", "given.csv"])
     ({'x': 'dose/2.5'}, PosixPath('given.csv'))
@@ -110,7 +110,7 @@ def load_discovery(path: Path) -> Discovery:
 
 
 def split_inputs(inputs: options.Names) -> tuple[options.Names, dict[str, str]]:
-    """Tell columns, split at commas, from ``name=formula``; None where no column is named."""
+    """Separate columns, split at commas, from ``name=formula``; None where no column is named."""
     if inputs is None:
         return None, {}
     formulas = read_equations([text for text in inputs if "=" in text])

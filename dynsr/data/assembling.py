@@ -118,10 +118,10 @@ def assemble(
 
     Parameters
     ----------
-    names : one a column, "" for none; no names at all for a source without.
+    names : one per column, "" for none; no names at all for a source without.
     columns : one array (n,) each.
     label : what messages call the source.
-    units : one a column, "" for none; empty where the source has no such row.
+    units : one per column, "" for none; empty where the source has no such row.
     notes, inputs : as in :class:`Columns`.
     decimal, delimiter : as :func:`dynsr.data.cells.read_columns` takes them.
 

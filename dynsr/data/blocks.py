@@ -47,7 +47,7 @@ def find_blocks(names: Sequence[str], columns: Sequence[np.ndarray]) -> Blocks |
 
     Parameters
     ----------
-    names : one a column; "" for none.
+    names : one per column; "" for none.
     columns : one array (n,) each.
 
     Blocks of the same names are runs. So are those whose names have a word such as run and a

@@ -111,7 +111,7 @@ def diagnose(
     target: str,
     settings: DiagnosisSettings = _SETTINGS,
 ) -> list[Cause]:
-    """Say what may keep the equation of a column from being found; the likeliest cause first.
+    """Say what may keep the equation of a column from being found; the most probable cause first.
 
     Whether the columns determine the slope of the target is shown by rows that are near to each
     other in state and not in time (:func:`dynsr.data.determinism.nearest_pairs`), against noise.
@@ -535,7 +535,7 @@ def _of_time(
     share, period = _best_period(pairs.nearer(settings.nearest_part), motion.t[rows], span)
     if share <= settings.forced:
         return []
-    also = ", which these data cannot tell from that" if second else ""
+    also = ", which these data cannot distinguish from that" if second else ""
     return [
         Cause(
             "time dependence",

@@ -95,7 +95,7 @@ class Description:
     states : what equations are searched for.
     inputs : what equations may contain in addition to the states.
     parameters : numbers that are constant within each trajectory and differ between them.
-    named_by : the columns whose values together name a trajectory; () where only the time tells.
+    named_by : the columns whose values together name a trajectory; () where only the time shows it.
     formulas : input that is an expression in ``t`` -> that expression.
     hold : input -> "previous", "linear" or "smooth": what it does between rows.
     units : column -> its unit, where the source says one.

@@ -36,7 +36,7 @@ class ProcessSettings:
     finest : noise is never taken to be less than this share of the spread of the values, which
         bounds the condition of the equations.
     steps : most steps of a search for the kernel.
-    negligible : variances that the rows can tell by less than this share are left out.
+    negligible : variances that the rows determine by less than this share are left out.
     """
 
     cosines: int = 400

@@ -46,7 +46,7 @@ class Grouping:
     codes : (n,) the number of the trajectory of each row, in order of appearance.
     names : those of the trajectories.
     trajectory : the columns that together name the trajectory of a row; none where the time alone
-        tells.
+        shows it.
     labels : further columns that say no more than which trajectory it is.
     parameters : numbers that are constant within each trajectory and differ between them.
     """
@@ -82,7 +82,7 @@ def is_text(values: np.ndarray) -> bool:
 
 
 def find_restarts(t: np.ndarray) -> np.ndarray:
-    """Give the number of the trajectory of each row where only the time tells.
+    """Give the number of the trajectory of each row where only the time shows it.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ class _Look:
         return _number(np.column_stack([self.codes(name) for name in names]))
 
     def name(self, codes: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
-        """Name the trajectories by the values of columns; by number where those do not tell."""
+        """Name the trajectories by the values of columns; by number where those do not decide."""
         first = np.unique(codes, return_index=True)[1]
         found = [", ".join(self._label(n, row) for n in names) for row in first]
         if not names:
@@ -362,7 +362,7 @@ class _Look:
         return float(np.median(there)) if there.size else np.inf
 
     def fewest(self, texts: Sequence[str], codes: np.ndarray) -> list[str]:
-        """Give the fewest columns that tell apart what is known to be apart."""
+        """Give the fewest columns that separate what is known to be apart."""
         for count in range(1, _MOST_TOGETHER + 1):
             for own in combinations(texts[: _MOST_TOGETHER * 4], count):
                 if np.array_equal(self.join(own), codes):

@@ -96,7 +96,7 @@ def choose_hold_together(pieces: Sequence[Piece], settings: HoldSettings = _SETT
 def holds_its_value(
     values: np.ndarray | Sequence[np.ndarray], settings: HoldSettings = _SETTINGS
 ) -> bool:
-    """Tell whether a column keeps its value over rows and then steps: valve, voltage, setpoint.
+    """Say whether a column keeps its value over rows and then steps: valve, voltage, setpoint.
 
     Parameters
     ----------

@@ -261,7 +261,7 @@ def _names_groups(row: Row, below: Sequence[Row]) -> bool:
 
 
 def _arrange(rows: Sequence[Row], first: int, head: list[Row]) -> Layout:
-    """Tell names, units and remarks apart among the rows above the data."""
+    """Distinguish names, units and remarks among the rows above the data."""
     units: list[str] = []
     unit_row = None
     if len(head) > 1:

@@ -1,4 +1,4 @@
-"""Observation: each state counts where it was measured, and is read off its curve elsewhere.
+"""Observation: each state counts where it was measured, and is read from its curve elsewhere.
 
 A search evaluates formulas in all states at once. Where one of them was not measured, it is for
 a moment on the smooth curve through its own rows; that this is no measurement is kept with it

@@ -91,9 +91,9 @@ def read_trajectories(
     trajectory : the column, or columns, whose values together name the trajectory of a row.
     quantity : the column of a long table that says which quantity a row is of, each of which then
         gets a column of its own; guessed by default, and "none" for no such column.
-    decimal : the decimal mark of numbers that are text, "." or ","; by default the cells tell.
+    decimal : the decimal mark of numbers that are text, "." or ","; by default the cells show it.
     hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth";
-        or one of these words for all. By default the values tell.
+        or one of these words for all. By default the values show it.
     noise : state -> its measurement errors: a standard deviation in its units, a share of its size
         such as "5 %", or the column of them. By default they are estimated; those of a column that
         is called so, such as x_sd, then say how rows differ.
@@ -638,7 +638,7 @@ def take_trajectories(
 def _sort_inputs(
     inputs: Mapping[str, Any] | Sequence[str] | str | None,
 ) -> tuple[list[str] | None, dict[str, Any]]:
-    """Tell inputs that are columns from those that are given separately."""
+    """Separate inputs that are columns from those that are given separately."""
     return (None, dict(inputs)) if isinstance(inputs, Mapping) else _split_inputs(inputs)
 
 
@@ -747,7 +747,7 @@ def _as_inputs(run: Trajectory, columns: Sequence[str]) -> Trajectory:
 
 
 def column_units(run: Trajectory, units: Mapping[str, str] | str | None) -> dict[str, str] | None:
-    """Give the units of columns as the caller says, and that of the time where the data tell it.
+    """Give the units of columns as the caller says, and that of the time where the data show it.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ class Samples:
         nobody has estimated it.
     layers : whether the states pass fast layers; large terms cancel each other on the other rows.
     loss : loss of each row (n,) from predicted and actual values, in the place of the square.
-    slope_sd : (n,) error of each of ``y``, by the scheme that made them; None when it tells none.
+    slope_sd : (n,) error of each of ``y``, by the scheme that made them; None when it gives none.
 
     >>> t = np.arange(3.0)
     >>> len(Samples(t[:, None], -2 * t, ("x",), "x", "given", t))

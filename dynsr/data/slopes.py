@@ -134,7 +134,7 @@ def _total_variation(t: np.ndarray, x: np.ndarray) -> Smooth:
 
 
 def _gaussian_process(t: np.ndarray, x: np.ndarray) -> Smooth:
-    """Smooth by a Gaussian process; ends that tell next to nothing of the slope are left out."""
+    """Smooth by a Gaussian process; ends that say next to nothing about the slope are left out."""
     whole = _process_smooth(t.tobytes(), x.tobytes())
     sd, slope = whole.slope_sd, whole.slope
     told = np.flatnonzero(sd <= np.maximum(2 * np.median(sd), 0.2 * np.abs(slope)))

@@ -74,7 +74,7 @@ class System:
             )
         if len(self.x0) != len(self.states) or not all(math.isfinite(v) for v in self.x0):
             raise InputError(
-                f"x0 {tuple(self.x0)} must be {len(self.states)} finite numbers, one a state"
+                f"x0 {tuple(self.x0)} must be {len(self.states)} finite numbers, one per state"
             )
         for expr in self.rhs:
             parse(expr, [*names, "t"])

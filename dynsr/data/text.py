@@ -145,7 +145,7 @@ def _read_head(path: Path) -> tuple[bytes, bool]:
 
 
 class _Head:
-    """What the first lines of a text tell: the delimiter, and where the table is."""
+    """What the first lines of a text show: the delimiter, and where the table is."""
 
     def __init__(self, label: str, head: bytes, cut: bool, encoding: str) -> None:
         # Not splitlines(), for which a form feed or U+0085 ends a line too.
@@ -256,7 +256,7 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
         frame, notes = _parse_file(path, head, dtype=str)
     if frame.shape[1] == 1 and frame[0].dtype.kind not in "fiub":
         raise InputError(
-            f"cannot tell the columns of {path.name!r} apart (first line "
+            f"cannot separate the columns of {path.name!r} (first line "
             f"{head.first_line[:40]!r}); separate cells by comma, tab, semicolon, | or spaces"
         )
     names = _fit_names(path.name, head, frame)

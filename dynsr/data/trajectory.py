@@ -142,7 +142,7 @@ class Trajectory:
     input_names : the m names of the columns of ``inputs``.
     origin : where it came from: engine, version, tolerances, unit of the times.
     hold : input -> what it does between rows: "previous" (keeps its value until the next row),
-        "linear" or "smooth"; for inputs that are not named its values tell, see :attr:`holds`.
+        "linear" or "smooth"; for inputs that are not named its values show it; see :attr:`holds`.
     noise : state -> its measurement errors, where they are known; see
         :class:`dynsr.data.KnownNoise`. Those of other columns go.
     sums : state that nobody measured alone -> the sum in which it was measured; see
@@ -316,7 +316,7 @@ class Trajectory:
 
     @cached_property
     def holds(self) -> dict[str, Hold]:
-        """Every input with what it does between rows, as given or as its values tell."""
+        """Every input with what it does between rows, as given or as its values show it."""
         columns = zip(self.input_names, self.inputs.T, strict=True)
         return {name: self.hold.get(name) or choose_hold(self.t, own) for name, own in columns}
 

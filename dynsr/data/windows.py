@@ -162,7 +162,7 @@ class _Record:
 
 
 def _noise_of(runs: Sequence[Trajectory]) -> np.ndarray:
-    """(k,) median noise of the states over runs that are long enough to tell it; 0 without one."""
+    """(k,) median noise of the states over runs that are long enough to show it; 0 without one."""
     long = [measurement_noise(run) for run in runs if len(run) > FEWEST_ROWS]
     if not long:
         return np.zeros(len(runs[0].states))
@@ -215,7 +215,7 @@ def _mean_squares(
 def _design(
     records: Sequence[_Record], settings: WindowSettings, stride: int
 ) -> tuple[list[Window], float, int]:
-    """Give windows, the logarithm of the determinant of what they tell, and its order."""
+    """Give windows, the logarithm of the determinant of what they determine, and its order."""
     tried = _candidates(records, settings, stride)
     told = np.concatenate(
         [

@@ -98,7 +98,7 @@ def discover_each(
     out : a folder that keeps what was found in each, by the name of its file in ``each``. The same
         call on it continues where it stopped; files may be added, and those that have changed are
         searched again.
-    jobs : files at a time; -1 for one a core. The joblib backend in force is used, so
+    jobs : files at a time; -1 for one per core. The joblib backend in force is used, so
         ``joblib.parallel_config("dask")`` spreads them over a cluster.
     progress : called with a :class:`Step` as files end, and every half second in between.
     dose_table : a table of the doses of all files, as :func:`dynsr.add_doses` takes it. A column

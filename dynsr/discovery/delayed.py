@@ -29,7 +29,7 @@ Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
 def check_delays(
     asked: Any, runs: Sequence[Trajectory], settings: Mapping[str, Any], varied: bool = False
 ) -> list[float]:
-    """Give the delays to search with, none for those that the data tell; raises InputError.
+    """Give the delays to search with, none for those that the data determine; raises InputError.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def search_delayed(
     search : finds equations of trajectories.
     runs : the data.
     settings : of the search.
-    asked : delays where the fits start; none for those that the data tell.
+    asked : delays where the fits start; none for those that the data determine.
     inputs : input name -> expression in ``t`` where it is known.
     """
     began, details = monotonic(), settings.get("settings", DISCOVERY)

@@ -1,6 +1,6 @@
 """Delays: equations that contain a state as it was some time before.
 
-A delayed state is read off the smoothed curve of its column, so that equations are searched as
+A delayed state is read from the smoothed curve of its column, so that equations are searched as
 with any other input. Which delay it is is seen by how well short sums of the library's terms
 explain the slopes; the delay is then fitted along the states together with all other constants.
 An equation with a delay is followed by the method of steps: over one delay after the other, the
@@ -92,8 +92,8 @@ class Delay:
     ----------
     state : the state.
     value : how long before, in the unit of the times.
-    error : its standard error; inf where the data do not tell.
-    low, high : the ends of its 95 % interval; None where the data do not tell.
+    error : its standard error; inf where the data do not determine it.
+    low, high : the ends of its 95 % interval; None where the data do not determine it.
 
     >>> Delay("x", 1.6, 0.01, 1.58, 1.62).text
     'x(t - 1.6), the delay is 1.58 to 1.62'
@@ -525,7 +525,7 @@ class DelayFit:
     delay : the delay.
     equations : state -> right-hand side with the fitted constants.
     bits : of residuals, structure and constants.
-    delayed : the runs with the curves that delayed states were read off.
+    delayed : the runs with the curves that delayed states were read from.
     """
 
     fit: MixedFit
@@ -536,7 +536,7 @@ class DelayFit:
 
     @property
     def error(self) -> float:
-        """The standard error of the delay; inf where the data do not tell."""
+        """The standard error of the delay; inf where the data do not determine it."""
         return self.delay * math.sqrt(float(self.fit.covariance[-1, -1]))
 
     def errors_of(

@@ -233,7 +233,7 @@ class Lines:
     def propose(
         self, expr: sympy.Expr, library: TermsInTime, settings: DriftSettings = DRIFT
     ) -> list[sympy.Expr]:
-        """Give the likeliest formulas: with more terms than the equation, and with the time.
+        """Give the most probable formulas: with more terms than the equation, and with the time.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """Drift along noisy trajectories: formulas with the time compared with equations that follow.
 
 What a term would change is integrated along the fitted trajectories, all terms of all states at
-once; the likeliest formulas are then fitted to the trajectories with all constants and starts.
+once; the most probable formulas are then fitted to the trajectories with all constants and starts.
 """
 
 from __future__ import annotations

@@ -261,7 +261,7 @@ class _Study:
         return next(s for s in self.rows.mesh.states if self.model.contains(s, part))
 
     def _proposals(self, answer: _Answer, part: Part) -> list[sympy.Expr]:
-        """Give formulas that the curve of a function allows, the likeliest first."""
+        """Give formulas that the curve of a function allows, the most probable first."""
         if not self.settings.free.fitted:
             return []
         samples = self._evidence(answer, part)

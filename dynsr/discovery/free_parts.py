@@ -68,7 +68,7 @@ class FreePart:
     of : the column that it is a function of.
     knots, values : (K,) where the curve was fitted, and its values there. Between them it is a
         natural cubic spline, and beyond them a straight line.
-    covariance : (K, K) of the values; inf where the data do not tell.
+    covariance : (K, K) of the values; inf where the data do not determine it.
     reach : standard errors that the 95 % band reaches to either side of the curve.
     effective : effective parameters of the curve.
     formula : the formula in the column; "" where the function stays a curve.
@@ -134,7 +134,7 @@ class FreePart:
         return float(found) if given.ndim == 0 else found
 
     def band(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give the ends of the 95 % band of the curve; inf where the data do not tell.
+        """Give the ends of the 95 % band of the curve; inf where the data do not determine it.
 
         Parameters
         ----------

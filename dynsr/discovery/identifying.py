@@ -74,7 +74,7 @@ class Combination:
 
     @property
     def text(self) -> str:
-        """The combination, with its error where data tell it, to be read."""
+        """The combination, with its error where data determine it, to be read."""
         return shown(self.expr) + (f" (to {self.error:.2g})" if self.error else "")
 
 

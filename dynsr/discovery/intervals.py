@@ -24,10 +24,10 @@ class Constant:
     ----------
     value : the number that the equation holds.
     fitted : the number before it was made a simple one.
-    low, high : the ends of its 95 % interval; None where the data do not tell. A number that
-        further constants determine together with it may be beyond; the interval reaches to it.
+    low, high : the ends of its 95 % interval; None where the data do not determine it. A number
+        that further constants determine together with it may be beyond; the interval reaches to it.
     of : the term that it multiplies, "1" for one alone, or the function that it is in.
-    error : its standard error; inf where the data do not tell.
+    error : its standard error; inf where the data do not determine it.
     profiled : whether the interval is that of the profile likelihood, since the one by the standard
         error is wrong there. One end alone may then be unknown: the data leave that side open.
     """

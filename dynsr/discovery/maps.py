@@ -206,7 +206,7 @@ def iterate(
     """
     times, start = np.asarray(t, dtype=float), np.asarray(x0, dtype=float)
     if start.shape != (len(equations),):
-        raise InputError(f"x0 must be {len(equations)} numbers, one a state; it is {x0!r}")
+        raise InputError(f"x0 must be {len(equations)} numbers, one per state; it is {x0!r}")
     names = arguments_of(equations)
     given = [_values(name, inputs or {}, times) for name in names]
     step = compile_numpy(list(equations.values()), [*equations, *names, "t"])

@@ -49,8 +49,8 @@ class Parameter:
     ----------
     name : what it is called.
     value : the number that it stands for.
-    error : its standard error; inf where the data do not tell.
-    low, high : the ends of its 95 % interval; None where the data do not tell.
+    error : its standard error; inf where the data do not determine it.
+    low, high : the ends of its 95 % interval; None where the data do not determine it.
     unit : its unit; "" where the columns have none.
     of : the term that it belongs to, in the first equation that contains it.
     states : the states whose equations hold it.

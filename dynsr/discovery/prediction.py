@@ -34,7 +34,7 @@ _RELTOL, _ABSTOL = 1e-8, 1e-10
 _TINY = 1e-6
 # Times outside the rows by this share of their span are rounded ones.
 _SLACK = 1e-9
-# A function of the time is read off at so many times at least, and so often between two.
+# A function of the time is evaluated at so many times at least, and so often between two.
 _SAMPLES, _FEWEST_PARTS = 2000, 4
 # What integrates where inputs, or states without an equation, are read from measurements.
 MEASURED = f"embedded ({EXPLICIT} {DRIVEN})"
@@ -63,7 +63,7 @@ def predict(
         trajectory says which integrated.
     engine : "embedded", "julia" or an engine.
     hold : input -> what it does between its values, "previous", "linear" or "smooth", or one word
-        for all; by default what the values tell.
+        for all; by default what the values show.
     size : usual size of the states, of which the absolute error is a share; by default that of the
         start.
 
@@ -92,7 +92,7 @@ def predict(
     exact = {k: parse(v, ["t"]) for k, v in given.items() if k not in measured}
     start = np.asarray(x0, dtype=float)
     if start.shape != (len(equations),):
-        raise InputError(f"x0 must be {len(equations)} numbers, one a state; it is {x0!r}")
+        raise InputError(f"x0 must be {len(equations)} numbers, one per state; it is {x0!r}")
     abstol = _ABSTOL * (size or _size(start))
     if measured:
         return _follow_measured(equations, start, times, exact, measured, abstol, chosen)
@@ -158,8 +158,8 @@ def predict_with_doses(
 class Measured:
     """An input that was measured: (m,) ``values`` at times ``t``.
 
-    ``hold`` says what it does between them: "previous", "linear" or "smooth"; by default its values
-    tell. Raises InputError when the values do not fit the times or are not finite.
+    ``hold`` says what it does between them: "previous", "linear" or "smooth"; by default its
+    values show it. Raises InputError when the values do not fit the times or are not finite.
     """
 
     name: str

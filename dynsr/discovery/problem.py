@@ -100,7 +100,7 @@ T = TypeVar("T")
 Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 # Misses in units of the noise below which there may be none.
 _FAR_BELOW_NOISE = 0.2
-# Times the loss of the likeliest formula up to which others may be as good on slopes.
+# Times the loss of the most probable formula up to which others may be as good on slopes.
 _AS_NEAR = 10.0
 # Rows of a run above which differences are taken from both sides.
 _FEW = 4
@@ -120,7 +120,7 @@ class DiscoverySettings:
     ----------
     rows : samples of a state at most; of more rows, evenly spaced ones are taken.
     slopes : how the data choose the scheme of their slopes.
-    selection : how one equation a state is chosen, constants are fitted and systems compared.
+    selection : how one equation per state is chosen, constants are fitted and systems compared.
     shares : how the steps share a time budget, where there is one.
     verdict : when equations are a law, an approximation, or not found.
     approximations : how sums of terms are chosen for their integration where no law is found.
@@ -572,7 +572,7 @@ class Problem:
         return [smoothed.noise for smoothed in data.smoothed]
 
     def confirm(self, looked: Sequence[Found]) -> Mapping[str, sympy.Expr]:
-        """Fit the likeliest formulas to the states; gives those that these leave no doubt of.
+        """Fit the most probable formulas to the states; gives those that these leave no doubt of.
 
         From then on the data count as exact.
         """

@@ -46,7 +46,7 @@ class Profile:
     criterion : (n,) half the rise of the chi-square there, which is the loss of log-likelihood,
         all other constants and the states fitted again.
     low, high : ends of the 95 % interval by the likelihood ratio; None where the data leave that
-        side open: however far the constant goes, the others make up for it.
+        side open: however far the constant goes, the others compensate for it.
     wald : the interval by the standard error.
     limit : criterion at which the interval ends: half the square of Student's quantile.
     """
@@ -201,7 +201,7 @@ class Profiles:
         name : the parameter.
         names : state -> the parameter of each printed constant, with a minus where it is less that.
 
-        Raises InputError when there is none, or the data do not tell.
+        Raises InputError when there is none, or the data do not determine it.
         """
         tied, every, signed = self.tied(names)
         if name not in every:
@@ -218,7 +218,7 @@ class Profiles:
         ----------
         names : state -> the parameter of each printed constant, with a minus where it is less that.
 
-        Raises InputError where the data do not tell.
+        Raises InputError where the data do not determine it.
         """
         texts = [names[state][index] for state, index, _ in self.places]
         signed = [text.lstrip("-") for text in texts]
@@ -229,7 +229,7 @@ class Profiles:
         try:
             return self.profiling.tied(ways), every, signed
         except np.linalg.LinAlgError:
-            raise InputError("the fit to these data does not tell its parameters") from None
+            raise InputError("the fit to these data does not determine its parameters") from None
 
     def _make(self, name: str, state: str, index: int, place: int, begun: Profiling) -> Profile:
         rises = begun.profile(place)

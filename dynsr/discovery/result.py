@@ -419,8 +419,8 @@ class Discovery:
         """Give the covariance of the parameters as a frame of pandas, by their names.
 
         Its diagonal are the squares of the standard errors of :attr:`parameters`; inf where the
-        data do not tell. A saved discovery has it too. Raises InputError when neither the data nor
-        it are there.
+        data do not determine them. A saved discovery has it too. Raises InputError when neither the
+        data nor it are there.
 
         >>> t = np.linspace(0.0, 1.0, 51)
         >>> run = Trajectory(t, np.exp(-2 * t)[:, None] + 1e-3 * np.cos(40 * t)[:, None], ("x",))
@@ -533,7 +533,7 @@ class Discovery:
 
         The first is a matter of the equations alone: a*b*x has one parameter where it seems to have
         two (:func:`dynsr.identifiability`). The second is that of the joint fit: far below
-        saturation a*x/(b + x) tells a/b alone.
+        saturation a*x/(b + x) determines a/b alone.
 
         Parameters
         ----------

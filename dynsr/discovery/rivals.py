@@ -2,8 +2,8 @@
 
 An alternative is first fitted to the slopes of the equation found, along the trajectory that this
 gives: one that can be the same function does not count. What still differs is followed through the
-system by its sensitivities, in one integration for all alternatives; constants and starts may make
-up for it.
+system by its sensitivities, in one integration for all alternatives; constants and starts may
+compensate for it.
 """
 
 from __future__ import annotations

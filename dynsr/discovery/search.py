@@ -497,7 +497,7 @@ def _claim(
 def _with_equations(
     found: Sequence[Found], exprs: Mapping[str, sympy.Expr]
 ) -> dict[str, Candidate]:
-    """Give the likeliest candidate of each state with the equation that was confirmed for it."""
+    """Give the best candidate of each state, with the equation that was confirmed for it."""
     return {
         f.target: replace(f.candidates[0], expr=exprs[f.target]) for f in found if f.target in exprs
     }

@@ -126,7 +126,7 @@ class Experiment:
     ----------
     start : state -> value at its first row.
     inputs : what the inputs do, in words; "" where there are none.
-    bits : that it is expected to tell: between answer and alternatives, each by its probability,
+    bits : that it is expected to give: between answer and alternatives, each by its probability,
         or of the constants.
     each : bits between the answer and each alternative.
     """
@@ -284,7 +284,7 @@ def suggest(
     Parameters
     ----------
     equations : state -> right-hand side, of every state that was measured.
-    others : state -> formulas that may take the place of its equation, the likeliest first.
+    others : state -> formulas that may take the place of its equation, the most probable first.
     data : the measurements so far.
     rng : where the starts come from.
     rows, span : of an experiment; those of the longest run by default.
@@ -346,7 +346,7 @@ class _Tried:
 
     Parameters
     ----------
-    experiment : what it is expected to tell.
+    experiment : what it is expected to show.
     plan : the experiment alone.
     curves : (1 + A, n, k) what the models do in it, in units of the noise.
     outside : how far its start is outside of the range of the data, in shares of that.
@@ -476,7 +476,7 @@ def _level(column: np.ndarray, share: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """What experiments would tell.
+    """What experiments would show.
 
     Parameters
     ----------
@@ -496,7 +496,7 @@ class _Trial:
     def experiments(
         self, plan: _Plan, states: Sequence[str], settings: SuggestionSettings
     ) -> Iterator[_Tried]:
-        """Give each experiment that can be made, with what it tells along a line.
+        """Give each experiment that can be made, with what it shows along a line.
 
         Parameters
         ----------
@@ -671,7 +671,7 @@ class _Trial:
         moves = courses[fitted].moves[lane] @ self._scale(self.models[fitted])
         if not np.all(np.isfinite(moves)):
             return 0.0
-        # What the moves, each of which costs its square, cannot make up for.
+        # What the moves, each of which costs its square, cannot compensate for.
         columns = np.concatenate([moves, np.eye(moves.shape[1])])
         aim = np.concatenate([gap, np.zeros(moves.shape[1])])
         left = aim - columns @ np.linalg.lstsq(columns, aim, rcond=None)[0]

@@ -25,7 +25,7 @@ class DataSummary:
     step : the median time from row to row.
     spread : state -> standard deviation of all its values.
     covariance : (p, p) covariance of the parameters, in their order; empty where it is not known,
-        inf where the data do not tell.
+        inf where the data do not determine it.
 
     >>> DataSummary({"x": 1.0}, (0.0, 2.0), 0.5, {"x": 0.3}).step
     0.5

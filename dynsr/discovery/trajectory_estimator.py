@@ -45,7 +45,7 @@ class TrajectoryRegressor(BaseEstimator):
     method : "auto", the name of a method, a method with its settings, or several.
     preset : "best", "quick" or "paper".
     hold : input -> what it does between rows: "previous", "linear" or "smooth"; or one word for
-        all. By default the values tell.
+        all. By default the values show it.
     discrete_time : whether to find a map from row to row instead of slopes.
     random_state : seed of all chance.
     jobs : searches at a time; -1 uses every core.
@@ -192,7 +192,7 @@ class TrajectoryRegressor(BaseEstimator):
         _say_unused("integrator_kws", integrator_kws)
         if np.ndim(t) == 0:
             if not self.discrete_time:
-                raise InputError(f"t {t!r} must be the times at which to simulate, one a row")
+                raise InputError(f"t {t!r} must be the times at which to simulate, one per row")
             if not 1 <= t <= _MOST_STEPS:
                 raise InputError(f"t {t!r} must be times, or rows from 1 to {_MOST_STEPS}")
             t = np.arange(int(t))

@@ -158,8 +158,8 @@ class Study:
         shortest = min(map(len, runs))
         if shortest < _FEWEST:
             raise InputError(
-                f"a trajectory of {shortest} rows tells no constants of its own; leave out those "
-                f"of fewer than {_FEWEST} rows"
+                f"a trajectory of {shortest} rows determines no constants of its own; leave out "
+                f"those of fewer than {_FEWEST} rows"
             )
         made = {s: slope for s, slope in derived.items() if slope.is_Symbol}
         data = measure_runs(runs, inputs, comparison.rows, made)

@@ -193,7 +193,7 @@ class Verdict:
         where the search was cut short or other numbers were put in.
     reason : why, in words.
     states : state -> its own verdict.
-    span : time over which the equations were followed at a stretch.
+    span : time over which the equations were followed in one piece.
 
     >>> Verdict("law", "it follows", {}).level
     'law'
@@ -264,7 +264,7 @@ def judge(
         not measured; by default one for each state, estimated.
     front : state -> other formulas that were found, of which the closest are compared.
     rivals : state -> (formula, bits above the equation) where they have been compared already.
-    causes : state -> a sentence that says what its data lack; by default what they tell.
+    causes : state -> a sentence that says what its data lack; by default what they show.
     settings : the numbers that decide.
     fixed : terms whose factors are known.
     curves : for each run (n, k) values of the states, in the order of the equations, from which the
@@ -313,8 +313,8 @@ def _doubt_beside(
 ) -> dict[str, StateVerdict]:
     """Take for an approximation what was a law only together with a state without one.
 
-    Both are fitted and followed together, so that one equation may make up for the other. One that
-    is a bare column, such as x' = v, makes up for nothing.
+    Both are fitted and followed together, so that one equation may compensate for the other. One
+    that is a bare column, such as x' = v, compensates for nothing.
     """
     weak = {s for s, own in states.items() if own.level != LAW}
     found = dict(states)
@@ -471,7 +471,7 @@ class _Bench:
         return found / np.maximum(np.sum(there, axis=0), 1)
 
     def span(self, followed: Followed) -> float:
-        """Time over which the equations were followed at a stretch."""
+        """Time over which the equations were followed in one piece."""
         return float(max(np.max(np.ptp(s.windows.t, axis=0)) for s in followed.shootings))
 
     def cut(self, followed: Followed) -> bool:
@@ -747,7 +747,7 @@ class _Bench:
         return {s for s, own in judged.items() if own.level == LAW}
 
     def _because(self, state: str, cause: str | None, explained: bool = False) -> str:
-        """Give the likeliest cause, by default what the data themselves tell."""
+        """Give the most probable cause, by default what the data themselves show."""
         cause = likely_cause(self.course.runs, state, explained) if cause is None else cause
         # A sentence, unless it begins with the name of a state.
         begins = cause and cause.partition(" ")[0] not in self.equations
@@ -1026,7 +1026,7 @@ def hold_to_slopes(
 
     Parameters
     ----------
-    verdict : what the trajectories tell.
+    verdict : what the trajectories show.
     missed : state -> the error of its equation in the slopes, and the error of these, as shares of
         their size.
     settings : the numbers that decide.
@@ -1051,7 +1051,7 @@ def summarise(states: Mapping[str, StateVerdict], span: float) -> Verdict:
     Parameters
     ----------
     states : state -> its own verdict.
-    span : time over which the equations were followed at a stretch.
+    span : time over which the equations were followed in one piece.
 
     >>> summarise({"x": StateVerdict("not found", "it diverges.", -1.0)}, 2.0).reason
     'x: it diverges.'

@@ -354,7 +354,7 @@ def write_do_mpc(source: Source) -> str:
 
 
 def _known_to(part: str, template: str, some: bool, place: str = "") -> list[str]:
-    """Write what tells a part of do-mpc the values of the parameters."""
+    """Write what gives a part of do-mpc the values of the parameters."""
     if not some:
         return []
     return [

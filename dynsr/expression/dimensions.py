@@ -139,7 +139,7 @@ class Units:
     def of_symbols(
         self, equations: Mapping[str, sympy.Expr], names: Collection[str]
     ) -> dict[str, str]:
-        """Give name -> its unit, for the parameters of equations whose units the columns' tell.
+        """Give name -> its unit, for the parameters of equations whose units the columns give.
 
         Parameters
         ----------

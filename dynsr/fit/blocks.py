@@ -101,7 +101,7 @@ class RowsFit:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """(P, P) of the constants; inf where the data do not tell."""
+        """(P, P) of the constants; inf where the data do not determine it."""
         return covariance_of(self._whole[1]) * self._scale
 
     @property
@@ -113,7 +113,7 @@ class RowsFit:
 
     @property
     def errors(self) -> np.ndarray:
-        """(P,) standard errors; inf where the data do not tell."""
+        """(P,) standard errors; inf where the data do not determine it."""
         return np.sqrt(np.diag(self.covariance))
 
     def put(self, numbers: Sequence[sympy.Expr]) -> dict[str, sympy.Expr]:

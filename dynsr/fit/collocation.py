@@ -203,7 +203,7 @@ class CollocationFit:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """(P, P) of the constants at the noise that was given; inf where that does not tell."""
+        """(P, P) of the constants at the noise that was given; inf where undetermined."""
         return covariance_of(self.information)
 
     @cached_property
@@ -730,7 +730,7 @@ class Collocation:
         probes : more constants; they come after the system's own.
         stiffness : weight of the defects; the last one by default.
 
-        Raises LinAlgError when the system does not tell.
+        Raises LinAlgError when the system does not determine them.
         """
         columns = np.ascontiguousarray(states.T)
         with np.errstate(all="ignore"):
@@ -1084,7 +1084,7 @@ class Measurements:
         return {s: slope for s, slope in self.derived.items() if str(slope) == state}
 
     def mesh(self, states: Sequence[str]) -> Mesh:
-        """Give the rows of all runs for the fit of some states; the others are read off curves.
+        """Give the rows of all runs for the fit of some states; the others are read from curves.
 
         Parameters
         ----------
@@ -1360,7 +1360,7 @@ def fit_along(
 
     Parameters
     ----------
-    exprs : state -> right-hand side; other states are read off their smoothed curves.
+    exprs : state -> right-hand side; other states are read from their smoothed curves.
     data : the measured states, their noise and smoothed curves.
     settings : the numbers that decide.
     near : a fit of similar equations of the same states, which gives the start.

@@ -401,7 +401,7 @@ class CurvedFit(ScaledFit):
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """(N, N) of the numbers; inf where the data do not tell."""
+        """(N, N) of the numbers; inf where the data do not determine it."""
         own = covariance_of(self.whole) * self.scale
         if np.all(np.isfinite(own)):
             found: np.ndarray = self.ways @ own @ self.ways.T

@@ -125,7 +125,7 @@ def precision_bits(
     """Bits of constants, each to the precision that the data give it (MacKay 1992).
 
     With the information H and the usual sizes S they are log2 det(1 + S H S)/2: of one constant
-    with the standard error s about log2(S/s), and of one that the data do not tell next to nothing.
+    with the standard error s about log2(S/s), and almost 0 of one that is not determined.
     One that is larger than usual, as where terms cancel each other, costs log2(1 + c/S) more: what
     its size relative to the error takes.
 

@@ -160,7 +160,7 @@ class Flow:
     rhs : state -> expression in the k states, the driven columns, ``t`` and the constants.
     driven : names of the driven columns.
     constants : the P symbols whose values are given when the flow is run; those of the probes last.
-    stride : rows a step where one substep of order 4 is asked for; rows between are read off the
+    stride : rows a step where one substep of order 4 is asked for; rows between are read from the
         cubic through two states with their slopes. Only for times that are even.
     probes : (place of a state, term) of terms that the flow does not have but whose sensitivities
         are wanted; each has a constant, which is 0.

@@ -64,7 +64,7 @@ class Loss:
 
     @property
     def values(self) -> list[float]:
-        """What the loss gives on a few values, which tell functions of one name apart."""
+        """What the loss gives on a few values, which distinguish functions of one name."""
         grid = np.linspace(-2.0, 2.0, 9)
         predicted, actual = (np.ravel(part) for part in np.meshgrid(grid, grid))
         found: list[float] = self(predicted, actual).tolist()

@@ -385,7 +385,7 @@ class MixedFit(ScaledFit):
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """(Q, Q) of the numbers; inf where the data do not tell."""
+        """(Q, Q) of the numbers; inf where the data do not determine it."""
         try:
             return covariance_of(self.information) * self.scale
         except LinAlgError:

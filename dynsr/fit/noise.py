@@ -1,7 +1,7 @@
 """Noise: how much of the residuals nothing can explain, and how many of them are independent.
 
 :func:`dynsr.data.measurement_noise` is another thing: the noise of the measured states themselves,
-known before any formula is. Here the noise is that of a fit, read off its residuals.
+known before any formula is. Here the noise is that of a fit, read from its residuals.
 """
 
 from __future__ import annotations

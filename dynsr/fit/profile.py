@@ -33,7 +33,7 @@ class ProfileSettings:
     beyond : the profile goes on until it rises so many times as high as the interval ends.
     farthest : a side is open where the interval has not ended so many times the constant, or so
         many of its standard errors, away.
-    first : step, as a share of the constant, where its standard error does not tell.
+    first : step, as a share of the constant, where its standard error is no guide.
     most : fits of one side.
     halvings : times that a step is halved at most where the profile rises too steeply or the
         system cannot be fitted.
@@ -147,7 +147,7 @@ class Profiling:
         ----------
         ways : (P, Q) how each constant goes with each parameter.
 
-        Raises LinAlgError where the data do not tell.
+        Raises LinAlgError where the data do not determine it.
         """
         constants = ways @ (np.linalg.pinv(ways) @ self.best.constants)
         moved = self.problem.fit_free(self.best.states, constants, ways)
@@ -160,7 +160,7 @@ class Profiling:
         return replace(self, ways=ways, best=best, errors=errors, cost=cost, freedom=freedom)
 
     def relative_spread(self, values: np.ndarray, some: Sequence[int]) -> np.ndarray:
-        """(S, S) covariance of the logarithms of some parameters; huge where the data do not tell.
+        """(S, S) covariance of the logarithms of some parameters; huge where undetermined.
 
         Parameters
         ----------

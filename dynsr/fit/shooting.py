@@ -423,7 +423,7 @@ def measure_errors(
     """Give (value, standard error) of every float of equations that stay as they are.
 
     The errors are those which the constants would have if they were fitted, so also a constant
-    that was made a simple number has one; inf where the data do not tell.
+    that was made a simple number has one; inf where the data do not determine it.
 
     >>> t = np.linspace(0, 1, 51)
     >>> x = np.exp(-2 * t) + 1e-3 * np.cos(40 * t)
@@ -455,7 +455,7 @@ def measure_covariance(
     inputs : input name -> expression in ``t``, where it is known.
     settings : the numbers that decide.
 
-    Infinite where the data do not tell.
+    Infinite where the data do not determine it.
 
     >>> t = np.linspace(0, 1, 51)
     >>> decay = Trajectory(t, np.exp(-2 * t)[:, None] + 1e-3 * np.cos(40 * t)[:, None], ("x",))
@@ -626,7 +626,7 @@ def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarr
 
 
 def _covariance(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Give the covariance (P, P) of the constants, infinite where the data do not tell."""
+    """Give the covariance (P, P) of the constants, infinite where the data do not determine it."""
     unknown = np.full((len(constants),) * 2, np.inf)
     if not len(constants):
         return unknown

@@ -113,7 +113,7 @@ def find_ties(
     settings: FitSettings,
     held: frozenset[int] = frozenset(),
 ) -> Ties:
-    """Give the constants of a fit that are one, as far as its data tell.
+    """Give the constants of a fit that are one, as far as its data show.
 
     Constants may be one where they are at the same place of the same term: of another equation,
     of the same one under names that change places (all its constants at once, or one), or of

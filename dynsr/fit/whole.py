@@ -1,9 +1,9 @@
 """Whole runs: constants fitted to noisy states over windows as long as the system can be followed.
 
-A window whose start is fitted tells less of the constants the shorter it is: half of what it
+A window whose start is fitted says less about the constants the shorter it is: half of what it
 measures goes into the start. So windows grow, from where the shorter ones ended, while the
 residuals stay those of noise (a chaotic system ends this early). Once the system follows the data,
-its own residuals tell how noise grows with the states, and rows are weighed by that (generalised
+its own residuals show how noise grows with the states, and rows are weighed by that (generalised
 least squares with an estimated variance function; Carroll and Ruppert 1988, chapter 2).
 """
 

@@ -73,7 +73,7 @@ class Task:
 
 
 def check_jobs(jobs: int | None) -> int:
-    """Give a number of jobs as joblib takes it, -1 for one a core.
+    """Give a number of jobs as joblib takes it, -1 for one per core.
 
     Raises InputError when it is neither -1, None nor a whole number from 1 up.
 
@@ -84,7 +84,7 @@ def check_jobs(jobs: int | None) -> int:
         return -1
     whole = isinstance(jobs, (int, float)) and math.isfinite(jobs) and int(jobs) == jobs
     if not whole or jobs < 1:
-        raise InputError(f"jobs {jobs} must be a whole number from 1 up, or -1 for one a core")
+        raise InputError(f"jobs {jobs} must be a whole number from 1 up, or -1 for one per core")
     return int(jobs)
 
 
@@ -119,7 +119,7 @@ def run_tasks(
 
     Parameters
     ----------
-    jobs : tasks at a time; -1 for one a core. The joblib backend in force is used, so
+    jobs : tasks at a time; -1 for one per core. The joblib backend in force is used, so
         ``joblib.parallel_config("dask")`` spreads the tasks over a cluster.
     apart : use processes of their own even for one task at a time.
 

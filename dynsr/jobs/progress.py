@@ -1,6 +1,6 @@
 """Progress: what running tasks report, the time left, and how they are asked to stop.
 
-Tasks of this process tell it directly, those of other processes over a local connection. Where
+Tasks of this process report directly, those of other processes over a local connection. Where
 there is none (a far machine), tasks run all the same and only their end is heard of.
 """
 
@@ -153,7 +153,7 @@ class Messages:
         self._key = os.urandom(32)
 
     def connect(self) -> Messages:
-        """Give what a task of this process tells."""
+        """Give what a task of this process reports."""
         return self
 
     def send(self, running: Running) -> None:

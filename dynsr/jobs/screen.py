@@ -21,7 +21,7 @@ _lost: list[OSError] = []
 def printing(stderr: bool = False) -> Iterator[None]:
     """Print in here: where nobody reads, or the disk is full, the rest of the work goes on.
 
-    What comes later goes nowhere. :func:`take_lost` tells what was wrong with standard output.
+    What comes later goes nowhere. :func:`take_lost` says what was wrong with standard output.
     """
     try:
         yield

@@ -42,7 +42,7 @@ class Inside:
     """A constant inside an atom, and where it is begun.
 
     A size is moved by factors, and never 0; all else is moved by what is added: to a number, steps
-    of its own kind, and to what is signed, steps of the size that it is begun with.
+    of its own kind, and to what is signed, steps of the size that it starts from.
 
     Parameters
     ----------

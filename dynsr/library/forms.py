@@ -171,7 +171,7 @@ class Form:
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """All forms of some columns, with the constants that each is begun with.
+    """All forms of some columns, with the constants that each starts from.
 
     Parameters
     ----------
@@ -389,7 +389,7 @@ class _Maker:
         return True
 
     def starts(self, form: Form) -> np.ndarray:
-        """(g, c) constants that a form is begun with."""
+        """(g, c) constants that a form starts from."""
         each = []
         for factor in (f for f in form.factors if f.atom.inside):
             rows = self.points[list(factor.columns)]

@@ -276,7 +276,7 @@ def replicate(
     systems, methods : their names; all of the paper's by default.
     runs : of each method on each system; 5 by default, 2 when quick.
     seed : all chance comes from it; a cell's own from it and the cell's names.
-    jobs : worker processes; one a core by default. The result does not depend on it.
+    jobs : worker processes; one per core by default. The result does not depend on it.
     out : folder of the results; made when it is not there, continued when it is.
     quick : small search budgets, for a first look; every record says so.
     engine : "embedded" or "julia": what makes the samples, solves SINDy's regressions and

@@ -117,7 +117,7 @@ def _place(name: T, names: Sequence[T]) -> int:
 
 @cache
 def _paper_rows() -> Mapping[tuple[str, str], tuple[AuditRow, ...]]:
-    """Score what the paper prints; (the paper's name of a method, system) -> a row a run."""
+    """Score what the paper prints; (the paper's name of a method, system) -> a row per run."""
     found: dict[tuple[str, str], list[AuditRow]] = {}
     for row in audit(unrounded=lambda engine: {}):
         found.setdefault((row.method, row.system), []).append(row)

@@ -50,7 +50,7 @@ def describe_stages(
     ----------
     front : what the search gave.
     ran : names that the search reported as it went on, in order.
-    method : the method; its setting ``stages``, if it has one, tells stages from their steps. Its
+    method : the method; its setting ``stages``, if it has one, separates stages from steps. Its
         network is shown too: it gives no formula itself, the stages after it ask it.
 
     Every dictionary has ``stage``, ``formulas`` (of the front) and ``best_loss`` (RMSE of the best

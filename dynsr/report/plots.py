@@ -1,7 +1,7 @@
 """Pictures, as matplotlib figures; no other file of dynsr names matplotlib.
 
 Every function gives a new figure of its own and touches no global state. Colours are those of
-Okabe and Ito, which colour-blind readers tell apart, and each curve has its own line style too.
+Okabe and Ito, which colour-blind readers distinguish, and each curve has its own line style too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Selection: from fronts to one equation a state, and whole systems compared."""
+"""Selection: from fronts to one equation per state, and whole systems compared."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Alone: the formulas of one state, the others read off their smoothed curves.
+"""Alone: the formulas of one state, the others read from their smoothed curves.
 
-Sums of terms that a linear fit expects most of, sums of what hangs from a joint, and sums that hold
-terms of other equations are fitted to one state and put in the order of their bits.
+Three kinds of sums are fitted to one state and sorted by their bits: those that a linear fit ranks
+highest, those of terms of a joint, and those with terms of other equations.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Leader:
 
 @dataclass(frozen=True, eq=False)
 class Alone:
-    """One state fitted by itself, the others read off their smoothed curves."""
+    """One state fitted by itself, the others read from their smoothed curves."""
 
     state: str
     beside: Equations
@@ -85,7 +85,7 @@ class Alone:
         Parameters
         ----------
         pool : more formulas.
-        others : states and equations of theirs; what stands in these costs less.
+        others : states and equations of theirs; terms in these cost less.
         """
         self.rank(pool)
         settings, state = self.comparison.settings, self.state
@@ -100,7 +100,7 @@ class Alone:
     def lead_citing(
         self, own: list[Leader], others: Sequence[tuple[str, sympy.Expr]]
     ) -> list[Leader]:
-        """Give the formulas that come close, those too that hold terms of other equations.
+        """Give the formulas close to the best, also those with terms of other equations.
 
         Parameters
         ----------
@@ -127,9 +127,9 @@ class Alone:
         return weighted_sum((-solve_scaled(gram, places, gram[places, -1:])[:, 0]).tolist(), bodies)
 
     def sums_around(self, angle: str) -> list[sympy.Expr]:
-        """Give sums of what hangs from a joint that a linear fit expects most of.
+        """Give the sums of terms of a joint that a linear fit ranks highest.
 
-        Below the line stands 1 + c sin^2 or 1 + c cos of the angle, with c near one of a few.
+        The denominator is 1 + c sin^2 or 1 + c cos of the angle, with c near one of a few values.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class Alone:
         return [expr for _, expr in found[: self.comparison.settings.sums]]
 
     def _evidence(self) -> Evidence | None:
-        """Give a view of the equation; None where the data do not tell."""
+        """Give a view of the equation; None where the data do not determine it."""
         settings, columns = self.comparison.settings, self.comparison.columns
         nodes = settings.proposals.nodes
         return Evidence.of(self._still, columns, self.rows, settings.alone_softness, nodes)
@@ -187,7 +187,7 @@ class Alone:
         return float(np.max(self.comparison.mesh.rows))
 
     def _normal(self, values: np.ndarray) -> Linearised | None:
-        """Give the normal equations of terms with these values; None where they do not tell."""
+        """Give the normal equations of terms with these values; None where undetermined."""
         still, mesh = self._still, self.comparison.mesh
         slopes = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
         probes = Probes(np.full(len(values), len(mesh.states) - 1), slopes)

@@ -35,9 +35,9 @@ def _without(expr: sympy.Expr, value: float) -> sympy.Expr | None:
 
 
 def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
-    """Give an equation without the constant whose loss the misses are expected to feel least.
+    """Give an equation without the constant whose loss is expected to raise the residuals least.
 
-    A constant of value c and standard error e is expected to raise the sum of squared misses by
+    A constant of value c and standard error e is expected to raise the sum of squared residuals by
     (c / e)^2 (Wald). None where nothing can go.
 
     Parameters
@@ -58,10 +58,10 @@ def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
 
 
 def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit:
-    """Take terms out of one equation, that expected to be missed least first, while bits fall.
+    """Take terms out of one equation while bits fall, the least important term first.
 
-    A fraction line below which hardly anything changes goes before all, and exponents become whole
-    or half ones.
+    A denominator that hardly changes is dropped before all others, and exponents become whole or
+    half ones.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def _round_powers(expr: sympy.Expr) -> sympy.Expr | None:
 def _with_shorter_line(
     comparison: SystemComparison, fit: SystemFit, state: str
 ) -> sympy.Expr | None:
-    """Give an equation with one part alone below a line, the likest; None where none is like."""
+    """Give an equation whose denominator has one part alone, the closest; None if none is close."""
     terms = sympy.Add.make_args(fit.exprs[state])
     others = []
     for i, term in enumerate(terms):
@@ -133,7 +133,7 @@ def _with_shorter_line(
 
 
 def _without_one(fit: SystemFit, state: str) -> sympy.Expr | None:
-    """Give an equation without a factor inside a term that may be 1, the likest; None for none."""
+    """Give an equation without a factor inside a term that may be 1, the closest; None for none."""
     expr, owners = fit.exprs[state], owners_of(fit.exprs)
     inside = {float(number) for body in bodies_of(expr) for number in body.atoms(sympy.Float)}
     values, errors = np.abs(fit.fit.constants), fit.fit.errors
@@ -165,7 +165,7 @@ def while_better(
     Parameters
     ----------
     make : gives other systems for one.
-    best : the system that is begun with.
+    best : the system that the search starts from.
     often : times at most.
     gain : bits that one must save for others to be made of it.
     """
@@ -178,7 +178,7 @@ def while_better(
 
 
 def gram_of(fit: SystemFit, probes: Probes, stiffness: float | None = None) -> np.ndarray | None:
-    """Products of the slopes by constants and probes, and of the misses as the last column.
+    """Products of the slopes by constants and probes, and of the residuals as the last column.
 
     Parameters
     ----------

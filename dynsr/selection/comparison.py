@@ -1,7 +1,7 @@
 """Comparison: systems fitted to the whole trajectories, and the bits that they take.
 
 Every candidate system is fitted to the measured states (:class:`dynsr.fit.Collocation`) and costs
-the bits of its misses (Schwarz 1978), of its constants and of its structure, as the prior of
+the bits of its residuals (Schwarz 1978), of its constants and of its structure, as the prior of
 textbooks has it (:class:`dynsr.library.Prior`).
 """
 
@@ -67,7 +67,7 @@ class ComparisonSettings:
         rows so far apart looks like noise, and slopes are rough.
     loose : noise, as a share of the spread, below which the defects of a system count no more than
         at this noise.
-    alone : formulas of each state that are fitted with the other states read off their curves.
+    alone : formulas of each state that are fitted with the other states read from their curves.
     sums : sums of terms of other equations, and of a joint's acceleration, that are fitted alone.
     alone_softness : weight of the defects along smoothed states, which are not quite those of a
         system.
@@ -258,7 +258,7 @@ class SystemComparison:
 
     @cached_property
     def _held(self) -> CollocationSettings:
-        """How strictly a system is held to its own solution.
+        """How strictly the states must obey the equations of a system.
 
         Weights of defects count in units of the noise. What a solver at a loose tolerance leaves in
         its states grows with the time, and where noise is smaller, terms would be found for it.
@@ -302,7 +302,7 @@ class SystemComparison:
     def changed(self, fit: SystemFit, state: str, expr: sympy.Expr) -> list[Equations]:
         """Give a system with one equation changed, and first with others changed as it is.
 
-        These are its twins, and those that contain what it loses.
+        These are its permuted equations, and those that contain what it loses.
 
         Parameters
         ----------
@@ -316,7 +316,7 @@ class SystemComparison:
     def fit_anew(self, exprs: Equations) -> SystemFit | None:
         """Fit from the constants given and the smoothed states; of two fits the better is kept.
 
-        A fit that began far off may have ended beside the best constants.
+        A fit that began far away may have missed the best constants.
 
         Parameters
         ----------
@@ -330,7 +330,7 @@ class SystemComparison:
         return found
 
     def bits(self, fit: CollocationFit, scales: np.ndarray) -> float:
-        """Bits of misses, terms and constants.
+        """Bits of residuals, terms and constants.
 
         Parameters
         ----------
@@ -367,7 +367,7 @@ class SystemComparison:
         return structure_of(exprs, self.names, self.all_states, self.angles)
 
     def saved_bits(self, state: str, expr: sympy.Expr, written: Written) -> float:
-        """Bits that an equation costs less beside others.
+        """Bits that an equation costs less together with others.
 
         Parameters
         ----------
@@ -387,7 +387,7 @@ class SystemComparison:
         Parameters
         ----------
         term : a product.
-        state : whose equation it stands in.
+        state : whose equation contains it.
         written : what other equations have.
         """
         return term_bits(term, self._place(state), written)
@@ -407,9 +407,9 @@ class SystemComparison:
         ----------
         state : whose equation is sought.
         evidence : what the data say of it.
-        others : states and equations of theirs; what stands in these costs less.
+        others : states and equations of theirs; terms in these cost less.
         functions : whether others than their terms and products of the columns are terms.
-        near : an equation that is begun with; by default sums are grown from nothing.
+        near : an equation to start from; by default sums are grown from nothing.
         """
         demands, settings = self.settings.demands, self.settings.proposals
         place, allow = self._place(state), demands.limits(state).check
@@ -419,12 +419,12 @@ class SystemComparison:
         )
 
     def _has_pole(self, fit: CollocationFit) -> bool:
-        """Whether a fraction line passes through 0 where the columns are."""
+        """Whether a denominator passes through 0 in the range of the columns."""
         return any(has_pole(expr, self.mesh.columns) for expr in fit.exprs.values())
 
     @property
     def all_states(self) -> tuple[str, ...]:
-        """Columns that move by equations, those too that are read off their curves."""
+        """Columns that move by equations, those too that are read from their curves."""
         return self.states or self.mesh.states
 
     @property
@@ -463,9 +463,9 @@ def owners_of(exprs: Mapping[str, sympy.Expr]) -> list[str]:
 
 
 def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
-    """Whether the misses of every state are those of its noise.
+    """Whether the residuals of every state are its noise.
 
-    The mean square of n normal misses in units of their noise is 1, give or take sqrt(2 / n).
+    The mean square of n normal residuals in units of their noise is 1, give or take sqrt(2 / n).
 
     Parameters
     ----------
@@ -490,10 +490,10 @@ def may_be_exact(fit: SystemFit, data: Measurements) -> bool:
 
 
 def noise_shown(fit: SystemFit) -> dict[str, float] | None:
-    """State -> what a system leaves of its noise, as a share; None where none is far too large.
+    """State -> residuals of a system as a share of its noise; None where all are acceptable.
 
-    Noise is estimated from how rows differ from their neighbours, which tells little where few rows
-    are an oscillation. The misses of few rows are less than noise by what was fitted to them.
+    Noise is estimated from how rows differ from their neighbours. With few rows per oscillation
+    this is uncertain. Residuals of few rows are smaller than noise, since constants were fitted.
 
     Parameters
     ----------
@@ -510,7 +510,7 @@ def noise_shown(fit: SystemFit) -> dict[str, float] | None:
 
 
 def most_of_noise(rows: np.ndarray, settings: ComparisonSettings) -> np.ndarray:
-    """Mean square of normal misses of some rows, in units of their noise, up to which it is noise.
+    """Largest mean square of normal residuals that counts as noise, in units of that noise.
 
     Parameters
     ----------

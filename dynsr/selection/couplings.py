@@ -47,9 +47,9 @@ def try_couplings(comparison: SystemComparison, best: SystemFit) -> SystemFit:
 
 
 def _couple(comparison: SystemComparison, fit: SystemFit) -> Iterator[Equations]:
-    """Give equations that one another and a few terms are expected to say best.
+    """Give equations that are expected to be shortest when they contain one another.
 
-    One is said by another as it is, over its line, or two are said by each other.
+    One contains another with the same denominator, or two contain each other.
     """
     speeds = {s: e.as_coeff_Mul()[1] for s, e in fit.exprs.items()}
     own = [state for state, expr in speeds.items() if not expr.is_Symbol]

@@ -49,7 +49,7 @@ class Evidence:
     def of(
         cls, still: Collocation, names: tuple[str, ...], rows: float, softness: float, nodes: int
     ) -> Evidence | None:
-        """Take the last equation of a system along the curves; None where the data do not tell.
+        """Take the last equation of a system along the curves; None where it is not determined.
 
         Parameters
         ----------
@@ -93,10 +93,10 @@ class Evidence:
         nodes: int,
         softness: float | None,
     ) -> Evidence | None:
-        """Take what is to stand in the place of parts of a system, all the rest set free.
+        """Take what is to replace parts of a system, with all the rest free.
 
         The states of a system that follows the data are better curves than smoothed ones, and
-        nothing has to make up for errors of the other equations.
+        nothing has to compensate for errors of the other equations.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class Evidence:
         nodes : points at most, between which values are interpolated.
         softness : weight of the defects; None for that of the fit.
 
-        None where the data do not tell, or jump more often than there are points.
+        None where the data do not determine it, or jump more often than there are points.
         """
         mesh = problem.mesh
         if np.count_nonzero(mesh.h == 0) > nodes:
@@ -144,7 +144,7 @@ class Evidence:
     def _of_gram(
         cls, names: tuple[str, ...], points: np.ndarray, gram: np.ndarray, rows: float
     ) -> Evidence:
-        """Give the view whose products of values at the points, and of the misses, these are."""
+        """Give the view that has these products of values at the points, and of the residuals."""
         values, directions = np.linalg.eigh(gram[:-1, :-1])
         told = values > _SAID * values[-1]
         roots = np.sqrt(values[told])
@@ -158,7 +158,7 @@ class Evidence:
         return np.asarray(values * self.maps if self.maps.ndim == 1 else values @ self.maps.T)
 
     def misses(self, left: np.ndarray | float) -> np.ndarray:
-        """Bits of the misses where so much of the target is left, as a sum of squares."""
+        """Bits of the residuals, where ``left`` is their sum of squares."""
         return np.asarray(
             self.rows / 2 * np.log2(np.maximum(left + self.beside, 1e-12) / self.rows)
         )

@@ -69,18 +69,18 @@ _TO_AN_ODD_ONE = 4
 
 @dataclass(frozen=True)
 class LookSettings:
-    """Settings of the first look; they stand in a run's record.
+    """Settings of the first look; they are in the record of a run.
 
     Parameters
     ----------
     most : terms of a formula that may be final.
     kept : formulas that are fitted to all rows.
     exact : the slopes' own error, as a share of their size, above which nothing is final.
-    within : misses of up to so many times that error are nothing but it.
-    wild : share of the rows that may miss by more than ten times as much, where solvers and
+    within : residuals up to so many times that error count as that error.
+    wild : share of the rows whose residuals may be more than ten times larger, where solvers and
         differences fail.
-    alike : misses up to so many times the least of all are as good where slopes are rough.
-    stands_out : how many times larger the misses of every other choice of terms must be.
+    alike : residuals up to so many times the least of all are as good, where slopes are rough.
+    stands_out : how many times larger the residuals of every other choice of terms must be.
     proposals : of the sums of terms of the library, where slopes are exact.
     parts : which parts of the search take part.
 
@@ -104,7 +104,7 @@ LOOK: LookSettings = LookSettings()
 
 @dataclass(frozen=True)
 class Look:
-    """What the first look found: formulas, the likeliest first, and whether that one is final."""
+    """What the first look found: formulas, the best first, and whether that one is final."""
 
     candidates: tuple[Candidate, ...] = ()
     final: bool = False
@@ -128,8 +128,8 @@ def look(
     limits : what the user allows.
     settings : the numbers that decide.
     fit : how simple numbers are taken, and whether any are written.
-    known : equations of other states. What flows from one state to another stands in the equations
-        of both, and what is of one kind obeys one law.
+    known : equations of other states. What flows from one state to another is in the equations of
+        both, and states of one kind obey one law.
     earlier : what was found for it before.
     rare : whether to look among functions that hardly any law has, and not among the others.
 
@@ -244,7 +244,7 @@ class _Search:
 
     @property
     def trust(self) -> np.ndarray:
-        """(n,) how sure each slope is beside the surest."""
+        """(n,) how certain each slope is, as a share of the most certain one."""
         return self.error / self._sd
 
     @property
@@ -288,7 +288,7 @@ class _Search:
         ]
 
     def hinged(self) -> list[sympy.Expr]:
-        """Give the ratios of what hangs from a joint, for each column that may be its angle."""
+        """Give the ratios of terms of a joint, for each column that may be its angle."""
         prior, rows = textbooks(), len(self.samples)
 
         def cost(term: sympy.Expr) -> float:
@@ -314,7 +314,7 @@ class _Search:
     def proposed(self, found: Sequence[_Choice]) -> list[_Choice]:
         """Add the sums of terms of the library that are expected to take the fewest bits.
 
-        Ratios of what hangs from a joint are as dear as the dearest of these.
+        Ratios of terms of a joint cost as much as the most expensive of these.
 
         Parameters
         ----------
@@ -433,7 +433,7 @@ class _Search:
         return best.constants <= self.settings.most and all(self._same(best, c) for c in near)
 
     def _same(self, one: _Choice, other: _Choice) -> bool:
-        """Whether two are one function, beside the trajectory too."""
+        """Whether two are the same function, also away from the trajectory."""
         X = self.samples.X
         middle, reach = X.mean(axis=0), np.maximum(np.ptp(X, axis=0), 1e-300) / 2
         # Along a short arc all that follow it are alike.

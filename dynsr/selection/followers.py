@@ -1,10 +1,9 @@
-"""Followers: sums of terms whose integration keeps closest to the measured trajectories.
+"""Approximations: sums of terms whose integration is closest to the measured trajectories.
 
-How well a formula fits slopes says little of where its integration goes, and a formula that is
-short says less: where no law was found, a sum of many terms may still follow the motion. Sums of
-several libraries, from slopes of several smoothers, are thinned by sequentially thresholded least
-squares (Brunton et al. 2016), all are integrated side by side from the start of every run, and
-those that explain the states best are given.
+A formula that fits the slopes well may still diverge when it is integrated. Where no law was found,
+a sum of many terms may follow the motion. Candidates are sums of several libraries, fitted to the
+slopes of several smoothers by sequentially thresholded least squares (Brunton et al. 2016). All are
+integrated from the start of every run. Those that explain the states best are given.
 """
 
 from __future__ import annotations
@@ -92,8 +91,8 @@ class Trail:
     Parameters
     ----------
     runs : trajectories of the same columns.
-    inputs : input name -> expression in ``t`` where it is known; others are read off the data.
-    states : the k states that are followed; others are read off the data too.
+    inputs : input name -> expression in ``t`` where it is known; others are read from the data.
+    states : the k states that are followed; others are read from the data too.
     smoothed : the runs made smooth, where they are noisy; they begin where these do.
     settings : the numbers that decide.
 
@@ -111,7 +110,7 @@ class Trail:
 
     @cached_property
     def driven(self) -> tuple[str, ...]:
-        """Columns that are read off the data, and inputs."""
+        """Columns that are read from the data, and inputs."""
         names = dict.fromkeys([*self.runs[0].names, *self.inputs])
         return tuple(name for name in names if name not in self.states)
 
@@ -249,7 +248,7 @@ def find_followers(
     trail : the runs.
     demands : what the user asks of the equations; what breaks them is not given.
     given : state -> its equation where that is known, such as a bare velocity.
-    explicit_time : whether terms may hold the time.
+    explicit_time : whether terms may contain the time.
 
     >>> t = np.linspace(0.0, 3.0, 31)
     >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
@@ -311,7 +310,7 @@ class _Libraries:
 
 
 def _degree(term: sympy.Expr) -> int:
-    """Degree of a product of columns; -1 of what is none."""
+    """Degree of a product of columns; -1 for any other term."""
     symbols = sorted(term.free_symbols, key=str)
     return int(sympy.total_degree(term)) if term.is_polynomial(*symbols) else -1
 

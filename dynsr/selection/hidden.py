@@ -276,7 +276,7 @@ def find_hidden(
 
 
 def lead_alone(data: Measurements, comparison: ComparisonSettings) -> dict[str, SystemFit | None]:
-    """Give the best equation of each measured state, the others read off their curves.
+    """Give the best equation of each measured state, the others read from their curves.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def find_without(
 
 
 def _alone(state: str, data: Measurements, comparison: ComparisonSettings) -> SystemFit | None:
-    """Fit the equation of a state that leads where the others are read off their curves."""
+    """Fit the equation of a state that leads where the others are read from their curves."""
     alone = Alone.of(state, data, comparison)
     alone.rank_sums()
     return alone.best()

@@ -1,6 +1,6 @@
-"""Joints: what hangs from one, a ratio of products with the sine and cosine of one angle.
+"""Joints: ratios of products with the sine and cosine of the angle of a joint.
 
-Every acceleration of a chain of bodies is such a ratio, and all of them have one line.
+Every acceleration of a chain of bodies is such a ratio, and all have the same denominator.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from dynsr.fit import RatioFit, fit_ratio
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import products, weighted_sum
 
-# Constants of sin^2 and of cos beside 1 below the line, from which a fit reaches any other.
+# Constants of sin^2 and of cos next to 1 in the denominator, from which a fit reaches any other.
 _SQUARES, _COSINES = (-0.75, -0.5, 0.3, 1.0, 3.0), (-0.8, -0.5, 0.5, 0.8)
-# Share of its size below which a line passes through 0.
+# Share of its size below which a denominator passes through 0.
 _NOTHING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """What hangs from a joint: products with the sine and cosine of one angle.
+    """The terms of a joint: products with the sine and cosine of its angle.
 
-    ``above`` are the terms above the line of such an acceleration, ``below`` what may stand beside
-    1 below it, with a few values of its constant.
+    ``above`` are the terms of the numerator of such an acceleration. ``below`` are the terms that
+    may be next to 1 in the denominator, with a few values of their constant.
     """
 
     above: tuple[sympy.Expr, ...]

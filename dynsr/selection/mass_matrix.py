@@ -1,9 +1,10 @@
-"""Accelerations that one mass matrix ties together, and how shortly one is said by another.
+"""Accelerations that one mass matrix couples, and how short one is when it contains another.
 
-Where masses hang together, M(q) q'' = f, every acceleration alone is a fraction over the
-determinant of M, in which the waves of an angle stand. Said by another acceleration it needs no
-line: of a pole on a cart, y' = cos(w) z' - g sin(w) beside the fraction of z'. In noise that tells
-fractions apart which are alike along the data: only the one that belongs to the other is short.
+Where masses are coupled, M(q) q'' = f, every acceleration alone is a fraction with the determinant
+of M as its denominator, which contains the sine and cosine of an angle. Written with another
+acceleration it needs no denominator: for a pole on a cart, y' = cos(w) z' - g sin(w), together with
+the fraction of z'. In noise this distinguishes fractions that are alike along the data: only the
+right one is short.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class _Term:
 
 @dataclass(frozen=True)
 class Ratio:
-    """A sum over a line in one wave of an angle, which stands there plainly or squared.
+    """A fraction whose denominator contains the sine or cosine of one angle, plain or squared.
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ class Ratio:
     degree: int
 
     def line(self, constants: np.ndarray) -> tuple[np.float64, np.float64]:
-        """Give the numbers of the line: beside the wave, and before it.
+        """Give the numbers of the denominator: the constant, and the factor of the wave.
 
         Parameters
         ----------
@@ -73,9 +74,9 @@ class Ratio:
         return sums[0], sums[self.degree]
 
     def divide(self, constants: np.ndarray, factor: tuple[int, int]) -> tuple[_Sums, _Sums]:
-        """Divide a multiple of the ratio out: what comes out even, and the rest over the line.
+        """Divide a multiple of the ratio: give the quotient, and the rest over the denominator.
 
-        The line has the number 1 before its wave.
+        In the denominator the wave has the factor 1.
 
         Parameters
         ----------
@@ -96,7 +97,7 @@ class Ratio:
     def put_in(
         self, expr: sympy.Expr, size: float, factor: tuple[int, int], beside: sympy.Expr
     ) -> sympy.Expr:
-        """Write out a multiple of the ratio and what is beside it, over the ratio's own line.
+        """Write out a multiple of the ratio plus a sum, over the denominator of the ratio.
 
         What cancels but for errors is left out.
 
@@ -150,7 +151,7 @@ def _sum_up(terms: Iterable[_Term], constants: np.ndarray, factor: tuple[int, in
 
 
 def read_ratio(expr: sympy.Expr) -> Ratio | None:
-    """Read a formula as a sum over a line in one wave of an angle; None where it is none.
+    """Read a formula as a fraction with one wave of an angle in the denominator; else None.
 
     Parameters
     ----------
@@ -231,9 +232,9 @@ class Coupling:
 def find_couplings(
     exprs: Mapping[str, sympy.Expr], constants: np.ndarray, covariance: np.ndarray
 ) -> Iterator[Coupling]:
-    """Give the equations of a fitted system that another one over the same line makes short.
+    """Give the equations of a fitted system that become short with another of the same denominator.
 
-    Whether what is left over the line is error alone is told by its covariance (Wald).
+    The covariance shows whether the rest over the denominator is error alone (Wald).
 
     Parameters
     ----------
@@ -262,7 +263,7 @@ def find_couplings(
 
 
 def _places(exprs: Mapping[str, sympy.Expr], constants: np.ndarray) -> dict[str, list[int]]:
-    """Give the places of each equation's constants, as they stand in it.
+    """Give the places of each equation's constants, in their order there.
 
     Values that were put in may change the order of the terms.
     """
@@ -319,7 +320,7 @@ class _Tie:
     def solve(
         self, constants: np.ndarray, covariance: np.ndarray
     ) -> tuple[float, _Sums, np.ndarray, float] | None:
-        """Give the multiple, what is beside it, the errors of both and the bits that are lost."""
+        """Give the multiple, the sum added to it, the errors of both and the bits that are lost."""
         if not np.all(np.isfinite(covariance)):
             return None
         divided = self._divide(constants)
@@ -363,7 +364,7 @@ class _Tie:
     def _superfluous(
         self, left: np.ndarray, constants: np.ndarray, keys: Sequence[tuple[sympy.Expr, int]]
     ) -> bool:
-        """Whether a term of the ratio is for the most part what (k, 12) is left over the line."""
+        """Whether the rest (k, 12) over the denominator is mostly a term of the ratio."""
         last = self.own.line(constants)[1]
         own = _sum_up(self.own.above, constants, (0, 0))
         rows = np.array([own.get(key, np.zeros(_POWERS)) for key in keys]) / last

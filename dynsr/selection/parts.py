@@ -14,16 +14,16 @@ from dynsr.errors import InputError
 PARTS: Mapping[str, str] = {
     "look-twins": "equations of other states with names exchanged, on exact slopes",
     "look-rare": "sums with rare functions, on exact slopes",
-    "look-again": "second and third looks beside the equations found for other states",
+    "look-again": "second and third looks that know the equations found for other states",
     "end-look": "an equation that exact slopes leave no doubt of ends the search",
     "end-simple": "one whose constants are all simple numbers is such an equation",
     "end-alone": "one that every other choice of terms misses by far more is such an equation",
-    "joints": "what hangs from a joint, in noise",
+    "joints": "ratios with the sine and cosine of a joint, in noise",
     "citing": "sums with terms of other equations",
-    "fluxes": "terms that several equations share proposed anew in all of them",
-    "changed-twins": "twins change as the equation that they repeat",
+    "fluxes": "terms that several equations share, proposed again in all of them",
+    "changed-twins": "equations of one form change together",
     "couplings": "systems tied by a mass matrix",
-    "renewal": "one equation of a system proposed anew, along its states",
+    "renewal": "one equation of a system proposed again, along its states",
     "pruning": "terms taken out one by one",
     "move-leaders": "the formulas that lead alone",
     "end-confirmed": "formulas of rough slopes that exact states confirm end the search",
@@ -38,7 +38,7 @@ PARTS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Parts:
-    """Which parts of the searches take part; they stand in a run's record.
+    """Which parts of the searches take part; they are in the record of a run.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ def forecast_misses(
     window: int = 50,
     fit: FitSettings = FIT,
 ) -> np.ndarray:
-    """Give the sizes of the misses of W forecasts over ``window`` intervals, (window, k, W).
+    """Give the absolute errors of W forecasts over ``window`` intervals, (window, k, W).
 
     Each starts at its first measurement; states without an expression are read from the data.
     In units of the spread; inf where a forecast diverges, NaN where nothing was measured. ``fit``
@@ -82,7 +82,7 @@ _MEDIAN_ERROR = 1.166
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Settings of the choice of one equation a state; they are kept in a run's record.
+    """Settings of the choice of one equation per state; they are kept in a run's record.
 
     Parameters
     ----------
@@ -336,8 +336,8 @@ def trivial_candidates(samples: Samples) -> list[Candidate]:
 def explains_all(candidate: Candidate, samples: Samples) -> bool:
     """Say whether the median miss of a formula is at most 0.05 % of the slopes' root mean square.
 
-    A few wild slopes may be missed by far, but not those that hold most of the slopes' squares:
-    beside short bursts everything else is small, and 0 would explain it.
+    A few outliers may have large residuals, but not the slopes that make up most of the sum of
+    squares: compared with short bursts everything else is small, and 0 would explain it.
 
     >>> t = np.arange(9.0)
     >>> s = Samples(t[:, None], t, ("v",), "q", "given", t)

@@ -1,10 +1,10 @@
 """Polynomials: systems of all products of the columns, fitted at once and thinned.
 
-Alone, an equation is looked for with the others read off their smoothed curves. Where rows are few
-an oscillation, or half of them are lost, these curves are far off, and no equation that is read off
-them is right. A system that holds all products of low degree follows the states whatever its law
-is, if that is smooth: its states are better curves, and what is left of it when the terms that the
-data do not need are gone is a start for the search along them.
+At first each equation is searched alone, with the other states read from smoothed curves. Where an
+oscillation has few rows, or half of the rows are lost, these curves are wrong, and so are equations
+fitted to them. A system with all products of low degree follows the states whatever its law is, if
+that is smooth. Its states are better curves. Without the terms that the data do not need, it is a
+start for the search along them.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ _SAME = 1e-7
 
 @dataclass(frozen=True)
 class ProposalSettings:
-    """Settings of the proposals; they stand in a run's record.
+    """Settings of the proposals; they are in the record of a run.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class ProposalSettings:
     beam : sums of each length that are grown further.
     singles : single terms that are grown further; half as many pairs, and so on to the beam.
     parents : shorter sums from which the same one is reached at most.
-    starts : constants inside a form beside one of these that are begun with, the likeliest.
+    starts : neighbours of each constant inside a form from which fits begin, the most probable.
     fitted : times as many are fitted as are grown further.
     shorter : whether sums lose terms that do not pay as soon as they are grown. Where noise hides
         terms, that leads to short sums that are no laws.
@@ -60,7 +60,7 @@ class ProposalSettings:
     farthest, better : farthest that a step moves it, and share by which it must be better for
         another one.
     tries : shares of a step, and what damps it, that are tried until one is better.
-    tier, wider : the cheapest forms that are looked through first, and how many times as many then.
+    tier, wider : the cheapest forms, which are searched first, and the factor of each next tier.
     exchanged : sums of which one form at a time is exchanged.
     rounds : times that this is done, while it finds better ones.
     kept : sums that are proposed.
@@ -229,8 +229,8 @@ class Proposer:
 
         Parameters
         ----------
-        enough : whether the best sums of the cheapest forms are such that dearer ones are not
-            looked at; it is told how many times more forms are still to be taken in.
+        enough : whether the best sums of the cheapest forms are good enough to end the search;
+            its second argument is how many times more forms there are.
         """
         found: dict[tuple[int, ...], Sum] = {}
         with np.errstate(all="ignore"):
@@ -273,7 +273,7 @@ class Proposer:
     ) -> list[_Layer]:
         """Grow sums by one form at a time until two more gain less than a bit.
 
-        Those of the cheapest forms are grown further by dearer ones too.
+        Those of the cheapest forms are grown further by more expensive ones too.
         """
         layer, least, idle, layers = self._nothing, math.inf, 0, list(before)
         for length in range(self.settings.terms):
@@ -293,7 +293,7 @@ class Proposer:
         return layers
 
     def _note(self, layer: _Layer, found: dict[tuple[int, ...], Sum]) -> list[Sum]:
-        """Put sums beside those that were found, where they are better."""
+        """Add sums to those that were found, where they are better."""
         bits = self._bits(layer)
         sums = [
             Sum(
@@ -311,9 +311,9 @@ class Proposer:
         return sums
 
     def _note_shorter(self, layer: _Layer, found: dict[tuple[int, ...], Sum]) -> None:
-        """Leave out terms while that takes fewer bits; what comes of it stands beside the others.
+        """Leave out terms while that takes fewer bits, and add the results to the sums found.
 
-        A law with a term that tells nothing may be far behind, and first without it.
+        With a term that explains nothing a law may be far behind; without it, it may be first.
         """
         while self.settings.shorter and len(layer) and layer.places.shape[1] > 1:
             without = self.evidence.misses(layer.left[:, None] + layer.losses)
@@ -332,7 +332,7 @@ class Proposer:
     def _thin_whole(self, found: dict[tuple[int, ...], Sum]) -> None:
         """Thin the sums of the cheapest terms, and these with one and two forms more.
 
-        Of many terms none may tell anything before most of the others are there.
+        Of many terms none may explain anything before most of the others are there.
         """
         plain = self._cheapest[self.library.inside[self._cheapest] == 0]
         for most in self.settings.whole:
@@ -427,8 +427,8 @@ class Proposer:
     def _grow(self, layer: _Layer, tier: np.ndarray) -> _Layer:
         """Give the best sums with one form more.
 
-        Each form is put beside each sum with the best of its constants, and what is expected to
-        take the fewest bits is fitted.
+        Each form is added to each sum with its best constant. Those that are expected to take the
+        fewest bits are fitted.
         """
         if not len(layer):
             return layer
@@ -660,13 +660,13 @@ def propose(
     place : whose equation it is, and of which columns.
     allow : whether a term may be one; None where all may.
     offered : more terms.
-    others : states and equations of theirs; what stands in these costs less.
+    others : states and equations of theirs; terms in these cost less.
     settings : the numbers that decide.
     functions : whether others than the terms that are offered, those of the other equations and
         products of the columns are terms.
-    enough : whether sums of the cheapest terms, the best first, are such that no others are sought;
-        it is told how many times more terms are still to be taken in.
-    near : an equation that is begun with; by default sums are grown from nothing.
+    enough : whether sums of the cheapest terms, the best first, are good enough to end the search;
+        its second argument is how many times more terms there are.
+    near : an equation to start from; by default sums are grown from nothing.
     """
     names = place.columns
     begun = () if near is None else bodies_of(near)
@@ -713,7 +713,7 @@ def term_bits(body: sympy.Expr, place: Place, written: Written) -> float:
     Parameters
     ----------
     body : a product.
-    place : whose equation it stands in.
+    place : whose equation contains it.
     written : what other equations have.
     """
     return textbooks().term_bits(read_body(body), place, written) + _own_bits(body)
@@ -727,8 +727,8 @@ def _own_bits(body: sympy.Expr) -> float:
 def cited_terms(exprs: Iterable[sympy.Expr], state: str) -> list[sympy.Expr]:
     """Give the terms of equations, which cost less in another one.
 
-    Beside the terms themselves that is what slows this state down as it does another one, such as a
-    speed.
+    These are the terms themselves, and those with which this state slows itself down as another one
+    does, such as friction.
 
     Parameters
     ----------

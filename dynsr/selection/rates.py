@@ -95,7 +95,7 @@ def fluxes(
     """Give the sums of terms that equations share, those of most equations first.
 
     A term whose factors in two equations differ from those of the others by more than their errors
-    is shared with the flux, and there once more by itself. A bare column, as in x' = v, is none.
+    is shared with the flux, and there once more by itself. A bare column, as in x' = v, is no flux.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def fluxes(
 def _split(
     own: _Terms, flux: _Terms, error_of: Mapping[float, float]
 ) -> tuple[tuple[float, sympy.Expr], sympy.Expr]:
-    """Give the factor that most terms of a flux have in an equation, these, and what is left."""
+    """Give the factor that most terms of a flux have in an equation, these terms, and the rest."""
 
     def apart(shape: sympy.Expr, factor: float) -> tuple[float, bool]:
         mine, theirs = float(own[shape][0]), float(flux[shape][0])

@@ -1,11 +1,10 @@
 """Relations: columns that lie on a curve of the second degree, or keep a product of powers.
 
-There a ratio is many ratios: above and below its line any multiple of what vanishes can be added.
+There a ratio is many ratios: a multiple of what vanishes can be added to both of its sides.
 A polynomial of the third degree is many as well, by such multiples of every column. Where a product
 of powers stays the same, as an angular momentum r^2 w does, a term is many terms: it may be
 multiplied by any power of that product, which changes its coefficient alone. So where the columns
-keep such a relation, the data say what these are along them and leave open what they are beside
-them.
+keep such a relation, the data determine these formulas on the relation, and not away from it.
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ _WAYS = 7
 def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
     """Whether a formula is one of many that are the same along columns that keep a relation.
 
-    A ratio or a cubic is, in columns that keep one of the second degree. In columns of which a
-    product of powers stays the same so is a term that is no plain product of two: unless its
-    coefficient is a whole number, and those of all the others are none.
+    In columns that keep a relation of the second degree, a ratio or a cubic is. In columns whose
+    product of powers is constant, a term is that is no plain product of two, unless its coefficient
+    is a whole number and no other coefficient is.
 
     Parameters
     ----------
@@ -77,7 +76,7 @@ def is_left_open(expr: sympy.Expr, columns: Mapping[str, np.ndarray]) -> bool:
 
 
 def _may_be_multiplied(term: sympy.Expr, tied: Mapping[str, bool]) -> bool:
-    """Whether a product of powers that stays the same may stand in a term or not."""
+    """Whether a product of powers that stays the same may be in a term or not."""
     coefficient, body = term.as_coeff_Mul()
     symbols = body.free_symbols
     held = [tied[str(symbol)] for symbol in symbols if str(symbol) in tied]
@@ -94,7 +93,7 @@ def _is_whole(value: float) -> bool:
 def _tied(names: list[str], columns: Mapping[str, np.ndarray]) -> dict[str, bool]:
     """Name the columns of which a product of powers stays the same.
 
-    With each goes whether powers of that product are no whole numbers, so that these tell.
+    With each goes whether powers of that product are no whole numbers, so that these decide.
     """
     sizes = {name: np.abs(np.asarray(columns[name], dtype=float)) for name in names}
     sizes = {name: own[:: max(1, len(own) // _ROWS)] for name, own in sizes.items()}

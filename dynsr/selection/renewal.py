@@ -1,10 +1,10 @@
-"""Renewal: one equation of a system proposed anew, along the states of the system itself.
+"""Renewal: one equation of a system proposed again, along the states of the system itself.
 
-Alone, an equation is looked for with the others read off their smoothed curves. Where rows are few
-these are off, and so is what follows them best. The states of a system that follows the data are
-better curves, and with its other equations beside it, their constants free, a new one has to make
-up for no errors of theirs. A term that another equation has costs no more than naming it. Where the
-system leaves only noise, terms of the equation are added, exchanged and dropped.
+At first each equation is searched alone, with the other states read from smoothed curves. Where
+rows are few these curves are wrong, and so is the equation that follows them best. The states of a
+system that follows the data are better curves. The constants of its other equations are free, so
+that a new equation need not correct their errors. A term that another equation has costs only its
+name. Where the residuals are noise, terms of the equation are added, exchanged and dropped.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[s
     ----------
     comparison : fits the systems.
     fit : the system.
-    state : whose equation is proposed anew.
+    state : whose equation is proposed again.
     """
     own = fit.exprs[state]
     others = {s: expr for s, expr in fit.exprs.items() if s != state}
@@ -45,7 +45,7 @@ def _propose(
     others: Equations,
     near: sympy.Expr | None = None,
 ) -> list[sympy.Expr]:
-    """Give the sums that are expected to do best in the place of parts, beside what is left."""
+    """Give the sums that are expected to replace parts of the system best."""
     settings = comparison.settings
     # The states of a system that misses them are not quite those of another.
     weight = None if leaves_noise(fit, settings) else settings.softness
@@ -57,7 +57,7 @@ def _propose(
 
 
 def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
-    """Propose each equation of a system anew and take the best, until that saves less than a bit.
+    """Propose each equation of a system again and take the best, until that saves less than a bit.
 
     Parameters
     ----------
@@ -98,16 +98,16 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
 
 
 def twins(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
-    """Give the other equations with names exchanged so that they are one.
+    """Give the permuted equations of one state: the others with names exchanged.
 
-    All are fitted: where one equation of two bodies is wrong, the states are bent beside it, and
-    along them its twin looks far behind.
+    All are fitted. Where one equation of two bodies is wrong, it biases the states, and along these
+    the permuted equation looks much worse than it is.
 
     Parameters
     ----------
     comparison : fits the systems.
     fit : the system.
-    state : whose equation is proposed anew.
+    state : whose equation is proposed again.
     """
     found = {
         skeleton(expr): expr

@@ -9,7 +9,7 @@ from dynsr.fit import skeleton
 
 # Share of a whole number within which a constant may be that.
 _NEARLY = 0.05
-# More terms may make up for a function that is none of theirs.
+# More terms may compensate for a function that is none of theirs.
 _PLAIN = 4
 
 

@@ -1,6 +1,6 @@
 """Subsets of terms: the sums that a linear fit expects to follow the states best.
 
-All is read off the normal equations of the terms with the states eliminated; a beam of the best
+All is read from the normal equations of the terms with the states eliminated; a beam of the best
 subsets of one size is grown by one term at a time. A term with a constant inside brings a second
 column, its slope by that constant, which says what another value of the constant would do.
 """
@@ -57,8 +57,8 @@ def best_subsets(
     squares : the target's own sum of squares.
     costs : (p,) bits of each term with its coefficient.
     rows : m of the bits m / 2 log2(squares / m).
-    beam : subsets of each size that are grown further; of single terms all are, since two that
-        tell nothing alone may tell all together.
+    beam : subsets of each size that are grown further; all single terms are, since two
+        that explain nothing alone may explain everything together.
     most : terms of a subset at most.
     keep : subsets that are given at most.
     least : sum of squares below which nothing is gained, at least a billionth of ``squares``.
@@ -131,9 +131,9 @@ class _Layer:
     """Subsets of one size with their columns taken out of all others.
 
     ``coefficients`` (b, c) of all columns, 0 for those that are not their own; ``left`` (b,) sums
-    of squares; ``rest`` (b, c) products of the target, and ``diagonal`` (b, c) squares, of what is
-    left of each column, 0 for their own; ``beside`` (b, p) products of what is left of each term
-    and of its slope, where any has one.
+    of squares; ``rest`` (b, c) products of the target, and ``diagonal`` (b, c) squares, of the
+    residual of each column, 0 for their own; ``beside`` (b, p) products of the residuals of each
+    term and of its slope, where any has one.
     """
 
     places: list[tuple[int, ...]]
@@ -235,7 +235,7 @@ def solve_scaled(gram: np.ndarray, loose: Sequence[int], sides: np.ndarray) -> n
 
 
 def without(gram: np.ndarray, loose: Sequence[int], first: int) -> np.ndarray:
-    """Give the products of the directions from ``first`` on, others set free beside them.
+    """Give the products of the directions from ``first`` on, with others free.
 
     Parameters
     ----------
@@ -248,11 +248,11 @@ def without(gram: np.ndarray, loose: Sequence[int], first: int) -> np.ndarray:
 
 
 def taken_whole(gram: np.ndarray, place: int) -> np.ndarray:
-    """Give the products with one direction taken as it is: the last, the misses, are those then.
+    """Give the products with the factor of one direction fixed at 1; the last are the residuals.
 
     Parameters
     ----------
-    gram : (P, P) products of all directions, the misses the last.
+    gram : (P, P) products of all directions, the residuals the last.
     place : of the direction.
     """
     step = np.eye(len(gram))

@@ -2,7 +2,7 @@
 
 Slopes of noisy data are biased by their smoother, and a formula that follows the bias may beat the
 true one on them. Here whole systems are compared on the states. First each equation alone, the
-other states read off their smoothed curves: those of the pool, and sums of terms that a linear fit
+other states read from their smoothed curves: those of the pool, and sums of terms that a linear fit
 expects most of; then the best of each state together; then the search climbs by changes of one
 equation, for as long as that takes fewer bits.
 """
@@ -60,7 +60,7 @@ class SystemChoice:
     exprs : state -> equation; one that nothing beat comes back as it was given.
     fit : its fit to the states; None where the states could not be used.
     others : state -> (formula, bits more) of the other formulas that were fitted in its place,
-        the closest first; of one with no more constants the bits are those of the misses.
+        the closest first; of one with no more constants the bits are those of the residuals.
     """
 
     exprs: Equations
@@ -87,15 +87,15 @@ class SystemChoice:
     ) -> dict[str, list[tuple[sympy.Expr, float]]]:
         """State -> (formula, bits more) of those that are other functions of the columns.
 
-        A run may hold two columns so close to each other that different functions are one along it;
-        what they say where each column takes any of its values tells them apart.
+        Two columns of a run may be so close to each other that different functions are equal along
+        it. They differ where each column takes any of its values.
 
         Parameters
         ----------
-        share : rms difference, as a share of the slopes' spread, from which on they are, along the
-            fitted states; beside these it is five times as large, since constants are not sure, and
-            twice as far from their mean as they go it is twice as large, for formulas of no more
-            constants than one with a function has.
+        share : rms difference, as a share of the slopes' spread, from which on two formulas are
+            different along the fitted states. Away from these it is five times as large, since
+            constants are uncertain. Twice as far from their mean as they go it is twice as large,
+            for formulas of no more constants than one with a function has.
         """
         assert self.fit is not None
         mesh = self.fit.problem.mesh
@@ -143,7 +143,7 @@ def _shuffle(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 class Compared:
     """What one comparison of some data learnt for the next: its fits, and where they led.
 
-    ``alone`` holds the comparison of each state by itself, ``together`` that of all, and
+    ``alone`` has the comparison of each state by itself, ``together`` that of all, and
     ``refined`` the system that the end of a search came to.
     """
 
@@ -164,7 +164,7 @@ def compare_systems(
     Parameters
     ----------
     exprs : state -> the equation chosen so far.
-    alternatives : state -> other formulas that were found for it, the likeliest first.
+    alternatives : state -> other formulas that were found for it, the most probable first.
     data : the measured states, their noise and smoothed curves.
     settings : the numbers that decide.
     known : what an earlier comparison of the same data by the same settings learnt.
@@ -234,7 +234,7 @@ def follow_anything(
 
 
 def _refine(comparison: SystemComparison, best: SystemFit) -> SystemFit:
-    """Look for other equations beside the rest of a system, and drop terms that do not pay."""
+    """Search other equations given the rest of a system, and drop terms that do not pay."""
     has = comparison.settings.parts.has
     # What belongs together is passed by where one equation at a time is changed.
     coupled = try_couplings(comparison, best) if has("couplings") else best
@@ -273,7 +273,7 @@ def _search(
     fits = [fit for own in (first, leaders) if (fit := _compose(together, own)) is not None]
 
     def finish(fit: SystemFit) -> SystemFit:
-        # Alone, terms make up for the errors of the curves that the others are read off.
+        # Alone, terms compensate for the errors of the curves that the others are read from.
         for state in pools:
             fit = prune(together, fit, state)
         return _climb(together, fit, leaders)
@@ -290,7 +290,7 @@ def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
 def explore(
     state: str, data: Measurements, settings: ComparisonSettings = COMPARISON
 ) -> list[sympy.Expr]:
-    """Give sums of terms that follow one state best, the others read off their curves.
+    """Give sums of terms that follow one state best, the others read from their curves.
 
     The terms are evaluated along the smoothed states, and their integrals are fitted to the
     measured ones (the weak form of Schaeffer and McCalla 2017, with windows of all lengths). Exact
@@ -360,7 +360,7 @@ def _climb(
 def _closest(
     comparison: SystemComparison, best: SystemFit
 ) -> dict[str, tuple[tuple[sympy.Expr, float], ...]]:
-    """Give the other formulas of each state that were fitted beside the best of the others."""
+    """Give the other formulas of each state that were fitted with the best of the other states."""
     shapes = {s: skeleton(e) for s, e in best.exprs.items()}
     found: dict[str, list[tuple[sympy.Expr, float]]] = {s: [] for s in shapes}
     for fit in comparison.fits():

@@ -1,7 +1,7 @@
-"""Twins: equations that are one another's with the names of columns exchanged.
+"""Permuted equations: equations that are equal when the names of their columns are exchanged.
 
-Two pendulums on one spring, two species that compete, three genes in a ring: what is of one kind
-obeys one law. Once such an equation is written, its twins are said by whose they are.
+Examples are two pendulums on one spring, two species that compete, and three genes in a ring. Once
+one such equation is written, the others cost only the names that are exchanged.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def shifted(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) ->
 def with_twins(
     exprs: Mapping[str, sympy.Expr], state: str, expr: sympy.Expr, columns: Sequence[str]
 ) -> list[dict[str, sympy.Expr]]:
-    """Give a system with one equation changed, and first with its twins changed as it is.
+    """Give a system with one equation changed, and first with its permuted equations changed too.
 
     Parameters
     ----------
@@ -77,11 +77,11 @@ def with_twins(
 def families(
     found: Mapping[str, Sequence[sympy.Expr]], columns: Sequence[str]
 ) -> list[dict[str, sympy.Expr]]:
-    """Give the system of the likeliest equations, then those in which twins of one take part.
+    """Give the system of the most probable equations, then those with permuted equations of one.
 
     Parameters
     ----------
-    found : state -> equations that may be its own, the likeliest first.
+    found : state -> candidates for its equation, the most probable first.
     columns : names that may be exchanged.
 
     >>> x, y = sympy.symbols("x y")
@@ -120,5 +120,5 @@ def _terms(expr: sympy.Expr) -> Iterator[tuple[sympy.Expr, sympy.Expr]]:
 def _find(
     expr: sympy.Expr, state: str, twin: sympy.Expr, other: str, columns: Sequence[str]
 ) -> Names | None:
-    """Give the first names by which one equation is another; None where it is not its twin."""
+    """Give the first names by which one equation is another; None where there are no such names."""
     return next(iter(ways_alike(expr, state, twin, other, columns)), None)

@@ -181,7 +181,7 @@ def run_zoo(
     draw : gives the conditions of a system of that name.
     seed : noise, lost rows and searches come from it.
     out : folder of the records; cases found there are not run again.
-    jobs : cases at a time, -1 for one a core; each is searched by one process.
+    jobs : cases at a time, -1 for one per core; each is searched by one process.
     progress : called with a :class:`Step` as cases end, and every half second while they run.
 
     Raises InputError when ``out`` cannot be used or holds results of other settings.

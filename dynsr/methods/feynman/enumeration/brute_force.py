@@ -242,7 +242,7 @@ class RunningSearch:
         bank, keep = self.enumerator.bank, self.settings.keep
         deadline = self.started + self.settings.seconds
         beam = Beam(bank, self.X[self.probes], self.probes, self.screen.backend, deadline)
-        # Sums are likeliest in the target itself or its ratio to a variable.
+        # Sums are most probable in the target itself or its ratio to a variable.
         for problem in sorted(self.problems, key=lambda p: p.target.change.name != "y"):
             if self._must_stop():
                 return

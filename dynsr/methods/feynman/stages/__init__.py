@@ -1,1 +1,1 @@
-"""The stages of DynAIFeynman, one a file."""
+"""The stages of DynAIFeynman, one per file."""

@@ -94,7 +94,7 @@ class Separability(AbstractReducer):
     tolerance : accepted error, in validation errors of the surrogate.
     additive : look for g(x_S) + h(x_R).
     multiplicative : look for g(x_S) h(x_R).
-    small : rows at which g is below this share of its largest value do not tell h.
+    small : rows at which g is below this share of its largest value do not determine h.
     """
 
     tolerance: float = 1.0
