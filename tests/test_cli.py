@@ -76,6 +76,16 @@ def test_help_has_an_example_that_parses(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_help_shows_every_letter_of_what_options_say(name, monkeypatch):
+    """Nothing of a text is taken for markup, as "x[n+1]" would be, and no line ends early."""
+    monkeypatch.setenv("COLUMNS", "4000")
+    shown = run(name, "--help").stdout
+    own = COMMAND.commands[name]
+    assert [p.help for p in own.params if p.help and p.help not in shown] == []
+    assert all(" ".join(part.split()) in shown for part in own.help.split("\n\n"))
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_every_command_speaks_json(name):
     """Each command has --json."""
     assert any("--json" in parameter.opts for parameter in COMMAND.commands[name].params)

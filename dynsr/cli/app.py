@@ -1,10 +1,11 @@
-"""The ``dynsr`` command: one verb a task, every one with ``--help`` and ``--json``.
+"""The ``dynsr`` command: one verb for each task, every one with ``--help`` and ``--json``.
 
 Exit codes: 0 done, 2 bad input or an absent engine, 130 ended by Ctrl-C.
 """
 
 from __future__ import annotations
 
+import inspect
 from typing import Annotated
 
 import typer
@@ -44,6 +45,15 @@ def _dynsr(
         typer.echo(context.get_help())
 
 
+def _flow(text: str) -> str:
+    """Put each paragraph on one line, so that it fills a terminal of any width.
+
+    >>> _flow("Show it.\\n\\nA long\\ntext.")
+    'Show it.\\n\\nA long text.'
+    """
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
+
+
 _DATA, _DISCOVERY, _PAPER, _CARE = (
     "Systems and data",
     "Discovery",
@@ -72,4 +82,9 @@ for _panel, _command, _example in (
 ):
     # A word that Python keeps for itself has an underscore there.
     _name = _command.__name__.rstrip("_")
-    app.command(_name, rich_help_panel=_panel, epilog=f"Example: dynsr {_example}")(_command)
+    app.command(
+        _name,
+        help=_flow(inspect.getdoc(_command) or ""),
+        rich_help_panel=_panel,
+        epilog=f"Example: dynsr {_example}",
+    )(_command)

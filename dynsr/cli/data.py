@@ -200,9 +200,9 @@ def describe(
 ) -> None:
     """Show how a table is understood and what looks odd in it, without a search.
 
-    It is what dynsr discover takes the same files for, with the same options: the time and its
-    unit, trajectories, states, inputs, parameters, what is left out and why, and the options that
-    would change this.
+    dynsr discover reads the same files in the same way. Shown are the time and its unit,
+    trajectories, states, inputs, parameters, what is left out and why, and the options that change
+    this.
     """
     from dynsr.data import describe as look
 

@@ -322,7 +322,7 @@ def discover(
         bool,
         typer.Option(
             "--map",
-            help="Find a map x[n+1] = f(x[n]) from row to row instead of slopes.",
+            help="Find a map x(n+1) = f(x(n)) from row to row instead of slopes.",
             rich_help_panel=options.SEARCH,
         ),
     ] = False,
@@ -363,7 +363,8 @@ def discover(
         typer.Option(
             "--out",
             "-o",
-            help="Folder for discovery.json, report.html and a copy of the data.",
+            help="Folder for discovery.json, report.html and a copy of the data; by default it is "
+            "named after the file, data-dynsr.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,

@@ -272,7 +272,7 @@ Preset = Annotated[
     ),
 ]
 
-SAY = "Your say"
+SAY = "What you know"
 Functions = Annotated[
     str | None,
     typer.Option(

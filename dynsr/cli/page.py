@@ -25,7 +25,7 @@ def app(
     jobs: options.Jobs = -1,
     json: options.Json = False,
 ) -> None:
-    """Open a page in the browser: drop a CSV, press a button, read the equations.
+    """Open a page in the browser: drop a table, press a button, read the equations.
 
     It is served on this machine alone, at an address that nobody else knows, and loads nothing over
     a network. Ctrl-C, or Quit on the page, ends it.
