@@ -163,7 +163,7 @@ def test_chaos_is_followed_for_as_long_as_errors_allow():
     data = measure(LORENZ, [-8.0, 7.0, 27.0], 15, 1500, 0.01)
     found = judge(LORENZ, [data])
     assert found.level == "law" and 0.5 < found.span < 8
-    assert "over windows of" in found.states["x"].reason
+    assert "over time windows of" in found.states["x"].reason
 
 
 @pytest.mark.slow

@@ -46,11 +46,7 @@ def _dynsr(
 
 
 def _flow(text: str) -> str:
-    """Put each paragraph on one line, so that it fills a terminal of any width.
-
-    >>> _flow("Show it.\\n\\nA long\\ntext.")
-    'Show it.\\n\\nA long text.'
-    """
+    """Put each paragraph on one line, so that it fills a terminal of any width."""
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 

@@ -779,7 +779,7 @@ class _Bench:
         return ""
 
     def _while(self, followed: Followed) -> str:
-        return f" over windows of {self.span(followed):.3g}" if self.cut(followed) else ""
+        return f" over time windows of {self.span(followed):.3g}" if self.cut(followed) else ""
 
     def _doubts(
         self,

@@ -54,16 +54,16 @@ _APPENDIX = {
     ("sindy", "cart-pole"): 9,
 }
 _NOTE_1 = (
-    "Mean ± standard deviation (n - 1) over the runs of the loss as printed: the loss that the "
-    "numbers of the paper really are. Paper: as printed there. Deterministic: no chance is in the "
-    "stage that found the formula, so that runs from other seeds had to coincide."
+    "Mean ± standard deviation (n - 1) of the loss over the runs, computed as the paper's numbers "
+    "were computed. Paper: as printed there. Deterministic: the stage that found the formula uses "
+    "no random numbers, so that every seed gives the same formula."
 )
 _NOTE_LOSSES = (
-    "Mean ± standard deviation (n - 1) over the runs. As printed: the loss that the numbers of the "
-    "paper really are, with its mixed states and its wrong start of the pendulum. Corrected: "
+    "Mean ± standard deviation (n - 1) over the runs. As printed: the loss as the paper's "
+    "numbers were computed, with mixed states and a wrong start of the pendulum. Corrected: "
     "all states, right start; the paper's side is computed from the expressions that it prints, "
     "whose digits are cut. Equation RMSE: the formula of the paper's text. Deterministic: the "
-    "stage that found the formula is not random, so that runs from other seeds had to coincide."
+    "stage that found the formula uses no random numbers, so that every seed gives the same one."
 )
 _NOTE_STAGES = (
     "Formulas on the front: how many members of each run's Pareto front the stage found. Best fit: "

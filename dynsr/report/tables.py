@@ -52,7 +52,7 @@ class Spread:
     """Mean and standard deviation (with n - 1) of a value over runs.
 
     ``diverged`` counts the runs whose value is infinite; the others make mean and deviation.
-    ``deterministic`` says that no chance was in the runs, so that they had to coincide.
+    ``deterministic`` says that the runs use no random numbers, so that they agree.
 
     >>> str(Spread.of([0.25, 0.75, math.inf]))
     '0.5 ± 0.3536 (1 of 3 diverges)'
