@@ -159,7 +159,7 @@ def test_figure_1_has_the_papers_two_panels(records):
 
 
 def test_only_runs_without_chance_are_called_deterministic():
-    """Runs of brute force that agree are deterministic; those of the GA, or of symmetry, are not."""
+    """Runs of brute force that agree are deterministic; those of the GA are not."""
     for method, source, expected in (
         ("dynaifeynman", "brute force", "1.035 ± 0 (deterministic)"),
         ("dynaifeynman", "symmetry: scaling in x*y", "1.035 ± 0"),
