@@ -98,6 +98,33 @@ class Renamed:
         return getattr(found, self.new)
 
 
+def renamed_exports(module: str, find: Callable[[str], Any], **names: str) -> Callable[[str], Any]:
+    """Give the ``__getattr__`` of a module that still knows names of before, with a warning.
+
+    Parameters
+    ----------
+    module : its name.
+    find : gives what the module exports by its name.
+    names : name of before -> the name now.
+
+    >>> find = renamed_exports("pens", {"Pen": 1}.__getitem__, Quill="Pen")
+    >>> find("Pen")
+    1
+    """
+
+    def found(name: str) -> Any:
+        if name not in names:
+            return find(name)
+        warn(
+            f"{module}.{name} is now {names[name]}; the old name ends next release",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return find(names[name])
+
+    return found
+
+
 def renamed(**names: str) -> Callable[[type[C]], type[C]]:
     """Let a class take arguments by their names of before for one release, with a warning.
 

@@ -78,7 +78,7 @@ def test_what_is_shorter_and_better_becomes_the_answer(noise):
     """An answer with one term too many gives way to the law on its front, which is judged."""
     problem = pose(spring(noise))
     found = answer(problem, WRONG, {"x": ["v"], "v": ["-0.41*v - 0.51*x**3 - 1.98*x", "-2.5*x"]})
-    verdict = problem.judge(found, None)
+    verdict = problem.give_verdict(found, None)
     assert verdict.level == "approximation" and verdict.alternatives["v"][0].bits < 0
     better, judged = adopt_better(problem, found, verdict, None)
     assert judged.level == "law" and len(better.equations["v"].args) == 3
@@ -92,10 +92,10 @@ def test_what_only_seems_better_is_tried_and_not_called_so():
     """What a comparison calls 50 bits better and is far worse once it is fitted is none."""
     problem = pose(spring(0.01))
     found = answer(problem, SPRING, {"x": ["v"], "v": [SPRING["v"]]})
-    rivals = {"x": [], "v": [(parse("-2.9*x"), -50.0)]}
-    verdict = problem.judge(found, rivals)
+    alternatives = {"x": [], "v": [(parse("-2.9*x"), -50.0)]}
+    verdict = problem.give_verdict(found, alternatives)
     assert "fits them better" in verdict.states["v"].reason
-    same, judged = adopt_better(problem, found, verdict, rivals)
+    same, judged = adopt_better(problem, found, verdict, alternatives)
     assert same.equations == found.equations and "better" not in judged.reason
     assert "-2.9*x" not in [one.equation for one in judged.alternatives["v"]]
 
@@ -104,8 +104,10 @@ def test_what_the_user_forbids_is_not_adopted():
     """An alternative that breaks what is asked is not returned, and so it is not called better."""
     problem = pose(spring(0.01), constraints={"v": {"v": "+"}})
     found = answer(problem, WRONG, {"x": ["v"], "v": [WRONG["v"]]})
-    rivals = {"x": [], "v": [(parse(SPRING["v"]), -900.0)]}
-    same, judged = adopt_better(problem, found, problem.judge(found, rivals), rivals)
+    alternatives = {"x": [], "v": [(parse(SPRING["v"]), -900.0)]}
+    same, judged = adopt_better(
+        problem, found, problem.give_verdict(found, alternatives), alternatives
+    )
     assert same.equations == found.equations
     assert "better" not in judged.reason
     assert all(one.bits >= 0 for one in judged.alternatives["v"])
@@ -120,7 +122,7 @@ def test_a_map_gives_way_to_a_better_one():
     problem = pose(Trajectory(np.arange(81.0), values[:, None], ("x",)), Form(discrete=True))
     fronts = {"x": ["0.66", "3.7*x - 3.7*x**2"]}
     found = answer(problem, {"x": "3.5*x - 3.4*x**2 - 0.1*x**3"}, fronts)
-    verdict = problem.judge(found, None)
+    verdict = problem.give_verdict(found, None)
     others = [one.equation for one in verdict.alternatives["x"]]
     assert "-3.7*x**2 + 3.7*x" in others and "0.66" not in others
     better, judged = adopt_better(problem, found, verdict, None)
@@ -175,7 +177,7 @@ def test_no_cause_is_named_of_what_leaves_nothing_but_noise():
     problem = pose(spring(0.03))
     unsure = {"x": "v", "v": "-0.4*v - 0.5*x**3 - 2*x + 0.003*x**2"}
     found = answer(problem, unsure, {"x": ["v"], "v": [SPRING["v"]]})
-    reason = problem.judge(found, {"x": [], "v": []}).states["v"].reason
+    reason = problem.give_verdict(found, {"x": [], "v": []}).states["v"].reason
     assert "leave it open whether it needs x**2" in reason and "missing" not in reason
 
 
@@ -235,5 +237,5 @@ def test_the_errors_of_a_solver_are_no_evidence_for_another_law():
         "z": ["(F - 1.1*w*y*sin(y) + 14*w*cos(w) - 4.2*sin(w)*cos(y))/(cos(w)**2 - 2)", "-9*w"],
     }
     found = answer(problem, law, near)
-    same, _ = adopt_better(problem, found, problem.judge(found, None), None)
+    same, _ = adopt_better(problem, found, problem.give_verdict(found, None), None)
     assert same.equations == found.equations

@@ -46,7 +46,7 @@ def endless(*_: object, **__: object) -> None:
         (problem, "confirm", EXACT),
         (problem, "polish", NOISY),
         (problem, "polish", EXACT),
-        (problem, "judge", NOISY),
+        (problem, "give_verdict", NOISY),
         (search, "follow_anyway", NOISY),
         (search._Steps, "_end_early", EXACT),
     ],
@@ -66,7 +66,7 @@ def test_no_step_takes_longer_than_the_budget(monkeypatch, place, step, run):
 @pytest.mark.slow
 def test_a_budget_holds_in_any_thread(monkeypatch):
     """Where no alarm comes, the step is ended as well, and nothing follows into later work."""
-    monkeypatch.setattr(problem, "judge", endless)
+    monkeypatch.setattr(problem, "give_verdict", endless)
     found: list[dynsr.Discovery] = []
     budgets = {"jobs": 1, "time_budget": 0.5}
     thread = threading.Thread(target=lambda: found.append(dynsr.discover(EXACT, **budgets)))

@@ -120,5 +120,5 @@ def test_saving_never_fails_for_what_cannot_be_known(found, tmp_path):
     wild = replace(found, equations={"prey": parse("exp(prey^9)"), "hunters": parse("hunters^9")})
     loaded = Discovery.load(wild.save(tmp_path / "wild.json"))
     assert isinstance(loaded.summary, DataSummary)
-    unjudged = replace(found, verdict=Discovery({}, {}, {}, {}).verdict)
-    assert unjudged.as_record()["summary"]["covariance"] == []
+    untested = replace(found, verdict=Discovery({}, {}, {}, {}).verdict)
+    assert untested.as_record()["summary"]["covariance"] == []

@@ -7,10 +7,10 @@ from dynsr.data.samples import Samples
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.drift import drift_of_rows
 from dynsr.discovery.drift_exact import same_in_time
-from dynsr.discovery.map_verdict import judge_map
+from dynsr.discovery.map_verdict import give_map_verdict
 from dynsr.discovery.maps import keep_within, measure_step_errors
 from dynsr.discovery.search import discover
-from dynsr.discovery.verdict import explain, judge
+from dynsr.discovery.verdict import explain, give_verdict
 from dynsr.expression.parsing import parse
 
 
@@ -41,7 +41,7 @@ def equations(**texts):
 def test_an_exact_map_whose_parameter_drifts_is_no_law_and_its_drift_is_named():
     """A logistic map that goes from 3.5 to 3.9 is told as that, with both ends."""
     data = step_on(lambda n, x: (3.5 + 0.4 * n / 298) * x * (1 - x), [0.3], 300)
-    found = judge_map(equations(x="3.7*x - 3.7*x**2"), [data])
+    found = give_map_verdict(equations(x="3.7*x - 3.7*x**2"), [data])
     assert found.level != "law"
     assert "its constants change along the record: x's coefficient from 3.5 to 3.9" in found.reason
     assert "t*x" in found.alternatives["x"][0].equation and found.alternatives["x"][0].bits < -1000
@@ -56,7 +56,7 @@ def test_a_drift_within_chance_in_the_motion_is_found():
         return 1 - (1.2 + 0.2 * n / 300) * x[0] ** 2 + x[1] + noise, 0.3 * x[0]
 
     data = step_on(step, [0.1, 0.1], 300)
-    found = judge_map(equations(x="1 - 1.3*x**2 + y", y="0.3*x"), [data])
+    found = give_map_verdict(equations(x="1 - 1.3*x**2 + y", y="0.3*x"), [data])
     assert "x**2's coefficient from -1.2 to -1.4" in found.states["x"].reason
     assert found.states["y"].level == "law"
 
@@ -71,7 +71,7 @@ def test_chance_that_grows_along_the_record_is_no_drift(seed):
         return 1 - 1.2 * x[0] ** 2 + x[1] + noise, 0.3 * x[0]
 
     data = step_on(step, [0.1, 0.1], 300)
-    assert judge_map(equations(x="1 - 1.2*x**2 + y", y="0.3*x"), [data]).level == "law"
+    assert give_map_verdict(equations(x="1 - 1.2*x**2 + y", y="0.3*x"), [data]).level == "law"
 
 
 @pytest.mark.slow
@@ -138,7 +138,7 @@ def test_along_one_run_of_one_way_a_shorter_law_in_the_time_is_told(solution, sl
 )
 def test_a_law_that_is_shorter_than_its_twin_in_the_time_stays_one(slope, law, start):
     """One run of a decay, of growth to a limit, or of an outflow is enough for its law."""
-    assert judge(equations(x=law), [integrate(slope, [start], 5, 150)]).level == "law"
+    assert give_verdict(equations(x=law), [integrate(slope, [start], 5, 150)]).level == "law"
 
 
 def test_runs_from_other_starts_tell():
@@ -146,8 +146,8 @@ def test_runs_from_other_starts_tell():
     law = equations(x="1.41421356237*sqrt(x - 0.5)")
     t = np.linspace(0, 3, 150)
     one, two = (Trajectory(t, (c + t + t**2 / 2)[:, None], ("x",)) for c in (1.0, 3.0))
-    assert "a run from another start decides" in judge(law, [one]).reason
-    found = judge(law, [one, two])
+    assert "a run from another start decides" in give_verdict(law, [one]).reason
+    found = give_verdict(law, [one, two])
     assert found.level != "law"
     assert "x' = t + 1" in found.reason
 
@@ -155,7 +155,7 @@ def test_runs_from_other_starts_tell():
 def test_clean_slopes_that_drift_are_told_whatever_was_found():
     """A cooling body whose surroundings grow warmer evenly is told beside a wrong equation."""
     data = integrate(lambda t, x: -0.3 * (x - 20 - 0.8 * t), [80.0], 20, 150)
-    found = judge(equations(x="10 - 0.375*x"), [data])
+    found = give_verdict(equations(x="10 - 0.375*x"), [data])
     assert found.level != "law"
     assert "its constants change along the record: its constant term from 6" in found.reason
 
@@ -170,7 +170,7 @@ def test_a_spring_that_stiffens_beats_an_odd_law():
         lambda t, x: [x[1], -(1 + 0.03 * t) * x[0] - 0.1 * x[1]], [1.0, 0.0], 40, 400, 0.01
     )
     odd = equations(x="y", y="-1.031*x/(x**2 + y**2 + 0.0919)**0.283 - 0.09341*y")
-    own = judge(odd, [data]).states["y"]
+    own = give_verdict(odd, [data]).states["y"]
     assert own.level != "law"
     assert "its constants change along the record: x's coefficient from -1 to -2.2" in own.reason
     first = own.alternatives[0]
@@ -213,7 +213,7 @@ def test_a_spring_that_stiffens_beats_an_odd_law():
 )
 def test_a_drift_in_noise_is_named(slope, start, end, found, said):
     """Damping, growth and surroundings that change evenly are named beside fixed constants."""
-    judged = judge(equations(**found), [integrate(slope, start, end, 250, 0.01)])
+    judged = give_verdict(equations(**found), [integrate(slope, start, end, 250, 0.01)])
     assert judged.level != "law"
     reasons = " ".join(own.reason for own in judged.states.values())
     assert "its constants change along the record" in reasons
@@ -228,7 +228,7 @@ def test_a_rate_that_grows_with_the_time_in_every_run_is_named():
         for seed, start in enumerate((1.0, 2.0, 4.0))
     ]
     noise = [np.full((100, 1), 0.01 * run.x.std()) for run in runs]
-    found = judge(equations(x="-0.45*x"), runs, noise=noise)
+    found = give_verdict(equations(x="-0.45*x"), runs, noise=noise)
     assert found.level != "law"
     assert "its constants change along the record: x's coefficient from -0." in found.reason
 
@@ -236,7 +236,7 @@ def test_a_rate_that_grows_with_the_time_in_every_run_is_named():
 def test_a_decay_that_hangs_on_the_time_is_told_beside_a_strange_function():
     """x' = -t x, with 1 % noise, is shorter than a function of x that follows one run as well."""
     data = integrate(lambda t, x: -t * x, [1.0], 3, 200, 0.01)
-    found = judge(equations(x="-1.56*x**0.8265*sqrt(1.009 - x) + 0.076*x"), [data])
+    found = give_verdict(equations(x="-1.56*x**0.8265*sqrt(1.009 - x) + 0.076*x"), [data])
     assert found.level != "law"
     assert "t*x; a run from another start decides" in found.reason
 
@@ -265,7 +265,7 @@ def test_a_decay_that_hangs_on_the_time_is_told_beside_a_strange_function():
 )
 def test_true_laws_in_noise_do_not_drift(slope, start, end, law, noise, seed):
     """Nothing about the time is said of equations that are right."""
-    judged = judge(equations(**law), [integrate(slope, start, end, 150, noise, seed)])
+    judged = give_verdict(equations(**law), [integrate(slope, start, end, 150, noise, seed)])
     for own in judged.states.values():
         assert "record" not in own.reason and "time" not in own.reason
         assert "not random" not in own.reason and "another start" not in own.reason

@@ -17,7 +17,7 @@ from dynsr.report.discovery import render_discovery
 
 @pytest.fixture(scope="module")
 def noisy():
-    """Give a noisy decay, x' = -x/2 + 1, with a false rival term beside the true ones."""
+    """Give a noisy decay, x' = -x/2 + 1, with a false alternative term beside the true ones."""
     t = np.linspace(0, 8, 801)
     x = 2 + 3 * np.exp(-0.5 * t) + np.random.default_rng(0).normal(0, 0.005, len(t))
     front = ParetoFront(
@@ -31,7 +31,7 @@ def noisy():
 
 
 def test_true_terms_are_sure_and_false_ones_are_not(noisy):
-    """The terms of the law are in nearly every member, a rival's extra term is in few."""
+    """The terms of the law are in nearly every member, an alternative's extra term is in few."""
     probability = {str(t.expr): t.probability for t in bootstrap(noisy, members=40)["x"]}
     assert probability["x"] > 0.95
     assert probability["1"] > 0.95

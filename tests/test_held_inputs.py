@@ -12,11 +12,11 @@ from scipy.integrate import solve_ivp
 import dynsr
 from dynsr.data import Trajectory, read_trajectories
 from dynsr.discovery.prediction import Measured, predict
-from dynsr.discovery.verdict import judge
+from dynsr.discovery.verdict import give_verdict
 from dynsr.engines import Drive, EmbeddedEngine, InitialValueProblem
 from dynsr.engines.adaptive import integrate_in_parts
 from dynsr.fit import Measurements, fit_along, match_trajectories
-from dynsr.selection.followers import Trail
+from dynsr.selection.approximations import MeasuredRuns
 
 T, U = sympy.symbols("T u")
 TRUTH = np.array([-0.03, 0.02, 0.66])
@@ -164,7 +164,7 @@ def test_stretches_stand_for_a_run_whose_input_steps_at_every_row() -> None:
 
 def test_sums_of_terms_follow_a_held_input() -> None:
     """Runge and Kutta's steps of a follower end before each jump."""
-    r2 = Trail([heater(3, 5, 120)], {}, ("T",)).r2(LAW)
+    r2 = MeasuredRuns([heater(3, 5, 120)], {}, ("T",)).r2(LAW)
     assert 1 - r2[0] < 1e-10
 
 
@@ -283,6 +283,6 @@ def test_a_law_with_a_held_input_in_noise_is_judged() -> None:
     run = noisy(heater())
     noise = [np.full_like(run.x, 0.01 * run.x.std())]
     match = match_trajectories(LAW, run)
-    assert judge(match.exprs, [run], noise=noise).level == "law"
+    assert give_verdict(match.exprs, [run], noise=noise).level == "law"
     bent = {"T": match.exprs["T"] + sympy.Float(0.004) * U * sympy.Symbol("t") / 1000}
-    assert judge(bent, [run], noise=noise).level != "law"
+    assert give_verdict(bent, [run], noise=noise).level != "law"

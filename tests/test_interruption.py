@@ -94,22 +94,22 @@ def test_fronts_of_running_searches_count(decay, jobs):
 def test_ctrl_c_while_equations_are_judged_gives_them_unjudged(decay, monkeypatch):
     """What was found is given also where the interrupt comes when the searches are over."""
 
-    def interrupt(self, found, rivals):
+    def interrupt(self, found, alternatives):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Problem, "judge_in_time", interrupt)
+    monkeypatch.setattr(Problem, "give_verdict_in_time", interrupt)
     found = discover(decay, method=QUICK, jobs=1)
     assert set(found.equations) == {"x", "y"} and not found.complete
     assert not found.verdict.tested and found.heading.endswith("No verdict.")
 
 
-def test_a_search_that_was_cut_short_is_not_judged(decay, monkeypatch):
-    """Who ends a search waits for no judgement of what it had."""
+def test_a_search_that_was_cut_short_has_no_verdict(decay, monkeypatch):
+    """Who ends a search waits for no verdict on what it had."""
 
-    def judge(self, found, rivals):
+    def give_verdict(self, found, alternatives):
         raise AssertionError
 
-    monkeypatch.setattr(Problem, "judge_in_time", judge)
+    monkeypatch.setattr(Problem, "give_verdict_in_time", give_verdict)
     ctrl_c = Interrupt(lambda step: step.done and has_formula(step))
     found = discover(decay, method=[QUICK, ENDLESS], targets="y", jobs=1, progress=ctrl_c)
     assert ctrl_c.sent and not found.verdict.tested and "best so far" in found.explanation["y"]

@@ -19,7 +19,7 @@ from dynsr.data import (
     smooth,
     take_trajectories,
 )
-from dynsr.discovery.verdict import judge
+from dynsr.discovery.verdict import give_verdict
 from dynsr.fit import Measurements, fit_along, misses_bits
 from tests.command_line import run
 
@@ -142,7 +142,7 @@ def test_bits_of_known_noise_are_those_of_its_likelihood():
 def test_a_verdict_goes_by_what_was_said(said, level):
     """Misses five times as large as the errors said are not noise."""
     x = decay(0.1)
-    verdict = judge(DECAY, [Trajectory(T, x[:, None], ("x",), noise={"x": _sd(said * 0.1)})])
+    verdict = give_verdict(DECAY, [Trajectory(T, x[:, None], ("x",), noise={"x": _sd(said * 0.1)})])
     assert verdict.level == level
     expected = np.mean((x - TRUE) ** 2) / (said * 0.1) ** 2
     assert np.isclose(verdict.states["x"].chi_square, expected, rtol=0.1)

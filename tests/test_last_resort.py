@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_followers import explained, integrate, measure
+from test_approximations import explained, integrate, measure
 
 from dynsr.data import System
 from dynsr.data.trajectory import Trajectory
@@ -16,7 +16,7 @@ from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import ParetoFront
 from dynsr.jobs.budget import Budget
 from dynsr.methods.demands import read_demands
-from dynsr.selection import Follower
+from dynsr.selection import Approximation
 
 WRONG = {"x": parse("-0.1*x"), "y": parse("0.1*x")}
 
@@ -32,7 +32,7 @@ def give_up(problem, equations):
     fronts = {s: ParetoFront([]) for s in equations}
     said = dict.fromkeys(equations, " Found by search. sindy failed.")
     found = Discovery(dict(equations), dict.fromkeys(equations, ()), fronts, said)
-    return found, problem.judge(found, None)
+    return found, problem.give_verdict(found, None)
 
 
 def in_noise(truth, start, end, step):
@@ -103,7 +103,7 @@ def test_a_chaotic_run_that_leaves_noise_alone_keeps_its_equations(monkeypatch):
     unsure = {s: replace(own, level="approximation") for s, own in verdict.states.items()}
     verdict = replace(verdict, level="approximation", states=unsure)
     searched = []
-    monkeypatch.setattr(last_resort, "find_followers", lambda *args: searched.append(args))
+    monkeypatch.setattr(last_resort, "find_approximations", lambda *args: searched.append(args))
     assert follow_anyway(problem, found, verdict) is None
     assert not searched
     wrong = {s: replace(own, chi_square=4.0) for s, own in unsure.items()}
@@ -128,7 +128,7 @@ def test_what_follows_a_chaotic_run_by_chance_is_turned_down(monkeypatch):
         states = {s: replace(v, level="approximation") for s, v in verdict.states.items()}
         doubted = {s: replace(v, chi_square=3.0) for s, v in states.items()}
         verdict = replace(verdict, level="approximation", states=doubted)
-        best = Follower(offered, 0.9999)
+        best = Approximation(offered, 0.9999)
         monkeypatch.setattr(last_resort, "_best", lambda *_, own=best: own)
         assert (follow_anyway(problem, begun, verdict) is not None) == taken
 

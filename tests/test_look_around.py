@@ -39,5 +39,5 @@ def test_what_is_not_its_law_says_nothing():
     known = {"x2": cell(2, 1.0, 0.6)}
     other = Samples(ROWS, ROWS[:, 0] * ROWS[:, 4], NAMES, "x4", "given", np.arange(80.0))
     assert look_around(other, Limits(), known) == Look()
-    without = LookSettings(parts=Parts(("look-twins",)))
+    without = LookSettings(parts=Parts(("look-permuted",)))
     assert look_around(samples_of(3, 0.5, 0.4), Limits(), known, without) == Look()

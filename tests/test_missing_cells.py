@@ -24,7 +24,7 @@ from dynsr.data import (
     write_csv,
 )
 from dynsr.discovery.maps import pair_rows
-from dynsr.discovery.verdict import judge
+from dynsr.discovery.verdict import give_verdict
 from dynsr.errors import DynsrWarning
 from dynsr.fit import Measurements, fit_along, match_trajectories
 from dynsr.report.plots import draw_phase_portrait, draw_states
@@ -141,7 +141,7 @@ def test_a_law_is_judged_by_what_was_measured(share):
     run = cycle(0.03, share=share)
     (whole,) = carry([run])
     noise = [np.broadcast_to(0.03 * TRUE.std(axis=0), run.x.shape)]
-    verdict = judge(LAW, [whole], noise=noise)
+    verdict = give_verdict(LAW, [whole], noise=noise)
     assert verdict.level == "law"
     for place, state in enumerate(run.states):
         told = run.measured[:, place]

@@ -15,7 +15,7 @@ import dynsr
 from dynsr.data import Samples
 from dynsr.errors import InputError
 from dynsr.expression import parse
-from dynsr.fit import Candidate, judge_by_loss, read_loss
+from dynsr.fit import Candidate, choose_by_loss, read_loss
 from dynsr.methods.rational import RationalSearch
 
 SUMS = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
@@ -54,7 +54,7 @@ def test_constants_have_the_least_absolute_misses() -> None:
     start = Candidate(parse("1.4*x + 3.1"), 1.0, 1.0)
     loss = read_loss("absolute")
     assert loss is not None
-    pool, judged = judge_by_loss([start], samples, loss)
+    pool, judged = choose_by_loss([start], samples, loss)
     found = pool[-1].expr
     slope, level = float(found.coeff("x")), float(found.subs({"x": 0}))
     # min sum(u + v) with a x + b + u - v = y and u, v >= 0.
@@ -78,7 +78,7 @@ def test_robust_losses_leave_outliers_behind(name: str) -> None:
     samples = Samples(x[:, None], y, ("x",), "y", "given", x)
     loss = read_loss(name)
     assert loss is not None
-    pool, judged = judge_by_loss([Candidate(parse("2.4*x"), 1.0, 1.0)], samples, loss)
+    pool, judged = choose_by_loss([Candidate(parse("2.4*x"), 1.0, 1.0)], samples, loss)
     assert float(pool[-1].expr.coeff("x")) == pytest.approx(2, abs=0.3)
     assert judged.loss is not None
     near, far, further = judged.loss(np.array([0.001, 5.0, 10.0]), np.zeros(3))

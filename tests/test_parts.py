@@ -29,7 +29,7 @@ def test_every_part_is_asked_for_by_its_name_and_no_other_is():
 
 def test_a_part_that_there_is_not_is_refused():
     """One line lists those that there are."""
-    with pytest.raises(InputError, match="unknown part 'luck'; the parts are: look-twins, "):
+    with pytest.raises(InputError, match="unknown part 'luck'; the parts are: look-permuted, "):
         Parts(("luck",))
 
 

@@ -143,7 +143,7 @@ def test_a_constant_within_a_function_stays_however_unsure():
 
 
 def test_a_pick_that_was_put_first_is_explained_beside_a_shorter_rival():
-    """Where nothing was held back, a rival of fewer bits is told as such, by its bits alone."""
+    """Where nothing was held back, an alternative of fewer bits is named, by its bits alone."""
     x = sympy.Symbol("x")
     law, short = Candidate(2 * x, 1e-9, 4.0, "the first look"), Candidate(x, 0.1, 2.0)
     ranked = RankedCandidate(law, 90.0, None), RankedCandidate(short, 60.0, None)

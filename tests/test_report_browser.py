@@ -66,7 +66,7 @@ def browser():
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
-    """Write the report of a discovery with a very long rival, and that of a replication."""
+    """Write the report of a discovery with a very long alternative, and that of a replication."""
     folder = tmp_path_factory.mktemp("pages")
     t = np.linspace(0, 6, 60)
     run = Trajectory(t, np.column_stack([np.sin(t), np.cos(t)]), ("x", "y"))

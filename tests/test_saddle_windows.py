@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dynsr.data import Trajectory
-from dynsr.discovery.verdict import judge
+from dynsr.discovery.verdict import give_verdict
 from dynsr.expression import parse
 
 LAW = {"x": "10*(y - x)", "y": "28*x - y - x*z", "z": "x*y - 8*z/3"}
@@ -37,7 +37,7 @@ def runs():
 @pytest.mark.slow
 def test_a_law_is_one_though_a_window_leaves_a_saddle_on_the_wrong_side(runs):
     """There the start that noise leaves leads to the mirror image: shorter windows are followed."""
-    found = judge({s: parse(e) for s, e in LAW.items()}, runs)
+    found = give_verdict({s: parse(e) for s, e in LAW.items()}, runs)
     assert found.level == "law"
 
 
@@ -54,4 +54,4 @@ def test_a_law_is_one_though_a_window_leaves_a_saddle_on_the_wrong_side(runs):
 def test_a_wrong_equation_is_no_law_in_shorter_windows(runs, state, wrong):
     """Constants 5 % off, or a term too few, are seen in any window."""
     own = {s: parse(e) for s, e in (LAW | {state: wrong}).items()}
-    assert judge(own, runs).level != "law"
+    assert give_verdict(own, runs).level != "law"

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import dynsr
 from dynsr.discovery.problem import DISCOVERY
-from dynsr.discovery.verdict import Rival, StateVerdict, VerdictSettings, explain
+from dynsr.discovery.verdict import OtherFormula, StateVerdict, VerdictSettings, explain
 from dynsr.expression import parse
 from dynsr.fit import CollocationSettings, ProfileSettings
 from dynsr.jobs import to_plain
@@ -225,9 +225,9 @@ def test_every_setting_is_read():
 
 def test_the_words_keep_to_the_bits_of_the_verdict():
     """A formula 20 bits behind does as well where a law must lead by 40, and not where by 8."""
-    own = StateVerdict("law", "it follows.", 1.0, alternatives=(Rival("2*x", 20.0),))
+    own = StateVerdict("law", "it follows.", 1.0, alternatives=(OtherFormula("2*x", 20.0),))
     assert explain("x", parse("x"), own).endswith("follows the data clearly worse.")
-    strict = VerdictSettings(rival_bits=40.0)
+    strict = VerdictSettings(alternative_bits=40.0)
     assert explain("x", parse("x"), own, settings=strict).endswith("does as well.")
 
 

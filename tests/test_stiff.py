@@ -8,7 +8,7 @@ from dynsr.data.slopes import choose_samples, find_layers
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery import layers
 from dynsr.discovery.search import discover
-from dynsr.discovery.verdict import judge
+from dynsr.discovery.verdict import give_verdict
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import score_candidate
 from dynsr.fit.shooting import build_shooting, prepare
@@ -130,11 +130,11 @@ def test_a_law_across_layers_is_judged_by_an_implicit_integration():
     """The exact oscillator is a law from 500 even rows; a term beside it, or one less, is none."""
     run = relaxation(np.linspace(0, 200, 500), 200)
     exact = {"x": parse("y"), "y": parse("50*y - 50*x**2*y - x")}
-    found = judge(exact, [run])
+    found = give_verdict(exact, [run])
     assert found.level == "law" and "integrated implicitly" in found.states["y"].reason
-    more = judge({**exact, "y": exact["y"] + parse("1e-9*x**3")}, [run])
+    more = give_verdict({**exact, "y": exact["y"] + parse("1e-9*x**3")}, [run])
     assert more.level == "approximation" and "do not need x**3" in more.states["y"].reason
-    assert judge({**exact, "y": parse("50*y - 50*x**2*y")}, [run]).level == "not found"
+    assert give_verdict({**exact, "y": parse("50*y - 50*x**2*y")}, [run]).level == "not found"
 
 
 @pytest.mark.slow
@@ -143,7 +143,7 @@ def test_a_law_is_judged_on_the_rows_of_its_own_solver(own):
     another damping it is none.
     """
     for damping, law in ((50, True), (55, False)):
-        found = judge({"x": parse("y"), "y": parse(f"{damping}*y*(1 - x**2) - x")}, [own])
+        found = give_verdict({"x": parse("y"), "y": parse(f"{damping}*y*(1 - x**2) - x")}, [own])
         assert (found.level == "law") == law, found.reason
 
 

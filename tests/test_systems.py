@@ -146,7 +146,7 @@ def test_the_exploration_is_in_the_order_of_bits():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
 def test_rivals_hold_no_nested_forms(name):
-    """What has all terms of the law and one more is no rival; what is told apart by them is."""
+    """What has all terms of the law and one more is no alternative; what differs by them is."""
     choice = found(name)
     for state, near in choice.different().items():
         law = set(coefficients(choice.exprs[state]))
@@ -158,14 +158,14 @@ def test_rivals_hold_no_nested_forms(name):
 
 @pytest.mark.slow
 def test_nested_forms_are_among_what_was_compared():
-    """So that there is something to leave out where rivals are named."""
+    """So that there is something to leave out where alternatives are named."""
     nested = [e for e, _ in found("SIR").others["S"] if set(coefficients(e)) > {parse("S*J")}]
     assert nested
 
 
 @pytest.mark.slow
 def test_rivals_are_other_functions():
-    """A rival is another function along the states by the share asked for; of 10^9 % none."""
+    """A alternative is another function along the states by the share asked for; of 10^9 % none."""
     choice = found("Lotka-Volterra")
     assert any(choice.different(0.02).values())
     assert not any(choice.different(1e7).values())
@@ -376,8 +376,8 @@ def test_functions_that_part_beyond_a_short_arc_are_rivals_on_it():
     fit = SimpleNamespace(
         problem=problem, fit=SimpleNamespace(states=q[:, None]), exprs={"q": mine}
     )
-    rivals = SystemChoice({"q": mine}, fit, others).different(0.02)["q"]
-    assert [expr for expr, _ in rivals] == [other]
+    alternatives = SystemChoice({"q": mine}, fit, others).different(0.02)["q"]
+    assert [expr for expr, _ in alternatives] == [other]
 
 
 @pytest.mark.slow

@@ -12,12 +12,12 @@ import pytest
 import dynsr
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import Rival, StateVerdict, Verdict
+from dynsr.discovery.verdict import OtherFormula, StateVerdict, Verdict, VerdictSettings
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import ParetoFront
 from dynsr.jobs.store import from_plain, to_plain
-from dynsr.selection import FollowerSettings
+from dynsr.selection import ApproximationSettings
 
 SCRIPT = """
 from __future__ import annotations
@@ -174,6 +174,20 @@ def test_a_name_of_before_still_works_and_says_what_it_is_now(make, old, new):
     assert before == getattr(one, new)
 
 
+@pytest.mark.parametrize(
+    ("room", "old", "new"),
+    [
+        (dynsr.discovery, "Rival", "OtherFormula"),
+        (dynsr.selection, "FollowerSettings", "ApproximationSettings"),
+    ],
+)
+def test_an_export_of_before_still_works_and_says_what_it_is_now(room, old, new):
+    """For one release the old name of a class gives the same class, with a warning."""
+    with pytest.warns(DeprecationWarning, match=rf"\.{old} is now {new}"):
+        before = getattr(room, old)
+    assert before is getattr(room, new)
+
+
 def decaying():
     """Give a trajectory."""
     t = np.linspace(0, 2, 30)
@@ -183,9 +197,13 @@ def decaying():
 def test_arguments_of_before_are_taken_and_records_of_before_are_read():
     """For one release a renamed setting may be given by its old name; saved verdicts have it."""
     with pytest.warns(DeprecationWarning, match="followers=.* is now approximations="):
-        old = DiscoverySettings(followers=FollowerSettings())
+        old = DiscoverySettings(followers=ApproximationSettings())
     assert old == DiscoverySettings()
-    own = StateVerdict("law", "it follows", 1.0, 1.0, 0.1, alternatives=(Rival("2*x", 20.0),))
+    with pytest.warns(DeprecationWarning, match="rival_bits=.* is now alternative_bits="):
+        assert VerdictSettings(rival_bits=9.0) == VerdictSettings(alternative_bits=9.0)
+    own = StateVerdict(
+        "law", "it follows", 1.0, 1.0, 0.1, alternatives=(OtherFormula("2*x", 20.0),)
+    )
     plain = to_plain(own)
     plain["rivals"] = plain.pop("alternatives")
     assert from_plain(StateVerdict, plain) == own

@@ -14,7 +14,7 @@ from dynsr.discovery.prediction import predict
 from dynsr.discovery.problem import DISCOVERY, Problem
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
-from dynsr.discovery.verdict import explain, judge
+from dynsr.discovery.verdict import explain, give_verdict
 from dynsr.errors import InputError
 from dynsr.expression.evaluation import evaluate
 from dynsr.expression.export import shown
@@ -40,7 +40,7 @@ def measure(exprs, x0, end, rows, noise=0.0, seed=0):
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
 def test_the_true_equations_are_a_law(noise):
     """Lotka-Volterra as it is follows and forecasts its data, clean or noisy, to the noise."""
-    found = judge(PREY, [measure(PREY, [1.5, 1.0], 12, 150, noise)])
+    found = give_verdict(PREY, [measure(PREY, [1.5, 1.0], 12, 150, noise)])
     assert found.level == "law"
     for own in found.states.values():
         assert own.level == "law" and own.r2 > 0.97
@@ -64,12 +64,12 @@ def test_simple_numbers_to_many_digits_are_no_chance(constants, level):
         "a": parse(f"{k[0]}/(1 + b^4) - {k[1]}*a"),
         "b": parse(f"{k[2]} + {k[3]}*a^2/({k[4]} + a^2) - {k[5]}*b/({k[6]} + b)"),
     }
-    assert judge(genes, [measure(genes, [2.77, 1.49], 11.82, 300)]).level == level
+    assert give_verdict(genes, [measure(genes, [2.77, 1.49], 11.82, 300)]).level == level
 
 
 def test_noise_is_not_there_to_be_explained():
     """Noise of 0.4 of the spread leaves the true equations an R2 of 0.86, and they are found."""
-    found = judge(OSCILLATOR, [measure(OSCILLATOR, [1.0, 0.0], 12, 200, 0.4)])
+    found = give_verdict(OSCILLATOR, [measure(OSCILLATOR, [1.0, 0.0], 12, 200, 0.4)])
     assert all(own.r2 < 0.9 for own in found.states.values())
     assert found.level != "not found"
 
@@ -80,7 +80,9 @@ def test_a_missing_state_is_not_found():
     whole = measure(both, [1.0, 0.0], 8, 200)
     alone = Trajectory(whole.t, whole.x[:, :1], ("q",))
     for text in ("0", "-0.5*q"):
-        found = judge({"q": parse(text)}, [alone], causes={"q": "A state seems to be missing."})
+        found = give_verdict(
+            {"q": parse(text)}, [alone], causes={"q": "A state seems to be missing."}
+        )
         assert found.level == found.states["q"].level == "not found"
         assert found.states["q"].reason.endswith("A state seems to be missing.")
 
@@ -90,10 +92,10 @@ def test_a_state_that_rests_has_a_law_and_one_that_moves_has_none():
     t = np.linspace(0, 5, 120)
     rest = 3 + 0.01 * np.random.default_rng(0).standard_normal(120)
     data = [Trajectory(t, np.column_stack([rest, 2 * t]), ("x", "y"))]
-    still = judge({"x": sympy.S.Zero, "y": sympy.S.Zero}, data).states
+    still = give_verdict({"x": sympy.S.Zero, "y": sympy.S.Zero}, data).states
     assert still["x"].level == "law" and "does not change" in still["x"].reason
     assert still["y"].level == "not found"
-    assert judge({"x": sympy.S.Zero, "y": parse("2.0")}, data).level == "law"
+    assert give_verdict({"x": sympy.S.Zero, "y": parse("2.0")}, data).level == "law"
 
 
 @pytest.mark.slow
@@ -101,7 +103,7 @@ def test_what_follows_but_leaves_more_than_noise_is_an_approximation():
     """A pendulum without the sine explains nine tenths of its data, and is no law."""
     true = {"q": parse("p"), "p": parse("-4*sin(q)")}
     data = measure(true, [0.9, 0.0], 6, 200, 0.01)
-    found = judge({"q": parse("p"), "p": parse("-3.6*q")}, [data])
+    found = give_verdict({"q": parse("p"), "p": parse("-3.6*q")}, [data])
     assert found.level == "approximation"
     assert all(own.r2 > 0.9 for own in found.states.values())
     assert "not noise" in found.states["p"].reason
@@ -110,7 +112,9 @@ def test_what_follows_but_leaves_more_than_noise_is_an_approximation():
 def test_a_term_that_the_data_do_not_ask_for_keeps_an_equation_from_being_a_law():
     """A cubic damping that is not there has a small ratio and probability, and is named."""
     data = measure(OSCILLATOR, [1.0, 0.0], 10, 150, 0.03)
-    found = judge({"x": parse("y"), "y": parse("-2*x - 0.3*y + 0.001*y**3")}, [data]).states["y"]
+    found = give_verdict({"x": parse("y"), "y": parse("-2*x - 0.3*y + 0.001*y**3")}, [data]).states[
+        "y"
+    ]
     cubic = next(term for term in found.terms if term.term == "y**3")
     assert found.level == "approximation" and "whether it needs y**3" in found.reason
     assert cubic.ratio < 3 and cubic.probability < 0.9
@@ -124,7 +128,7 @@ def test_a_different_formula_that_does_as_well_keeps_an_equation_from_being_a_la
     front = {
         "p": ParetoFront([Candidate(parse("-4.0*q"), 0.1, 9.0), Candidate(PREY["x"], 9.0, 1.0)])
     }
-    found = judge(true, [data], front=front).states["p"]
+    found = give_verdict(true, [data], front=front).states["p"]
     assert found.level == "approximation" and found.alternatives[0].bits < 8
     assert "cannot distinguish it from" in found.reason and "*q" in found.alternatives[0].equation
     assert explain("p", true["p"], found).count(found.alternatives[0].equation) == 1
@@ -154,14 +158,14 @@ def test_a_formula_that_can_be_the_same_function_is_no_rival():
     data = measure(OSCILLATOR, [1.0, 0.0], 10, 150, 0.03)
     same = ["-2.0*log(exp(x)) - 0.3*y", "-2.0*x - 0.3*y + 0.01*x*y"]
     front = {"y": ParetoFront([Candidate(parse(f), 0.1 / i, i) for i, f in enumerate(same, 1)])}
-    found = judge(OSCILLATOR, [data], front=front)
+    found = give_verdict(OSCILLATOR, [data], front=front)
     assert found.level == "law" and found.alternatives["y"] == ()
 
 
 def test_chaos_is_followed_for_as_long_as_errors_allow():
     """Lorenz with noise is a law over windows, whose length is said."""
     data = measure(LORENZ, [-8.0, 7.0, 27.0], 15, 1500, 0.01)
-    found = judge(LORENZ, [data])
+    found = give_verdict(LORENZ, [data])
     assert found.level == "law" and 0.5 < found.span < 8
     assert "over time windows of" in found.states["x"].reason
 
@@ -174,8 +178,8 @@ def test_chaos_in_much_noise_is_followed_from_states_that_are_given():
     """
     clean = measure(LORENZ, [-8.0, 8.0, 27.0], 8, 801)
     data = measure(LORENZ, [-8.0, 8.0, 27.0], 8, 801, 0.2, seed=7)
-    assert judge(LORENZ, [data]).level == "not found"
-    assert judge(LORENZ, [data], curves=[clean.x]).level == "law"
+    assert give_verdict(LORENZ, [data]).level == "not found"
+    assert give_verdict(LORENZ, [data], curves=[clean.x]).level == "law"
 
 
 def test_noise_of_every_row_is_what_misses_are_weighed_by():
@@ -184,7 +188,7 @@ def test_noise_of_every_row_is_what_misses_are_weighed_by():
     level = 0.05 * np.abs(clean.x)
     drawn = np.random.default_rng(0).standard_normal(level.shape)
     data = Trajectory(clean.t, clean.x + level * drawn, clean.states)
-    for own in judge(PREY, [data], noise=[level]).states.values():
+    for own in give_verdict(PREY, [data], noise=[level]).states.values():
         assert own.level == "law" and own.chi_square == pytest.approx(1.0, abs=0.25)
 
 
@@ -324,11 +328,11 @@ def test_a_law_in_noise_is_probable_among_what_was_compared():
     other = parse("0.3 - 0.1*h")
     noisy, exact = (measure(tank, [4.0], 20, 200, noise) for noise in (0.02, 0.0))
     for bits, level in (([2.0], "approximation"), ([5.0], "law"), ([5.0] * 3, "approximation")):
-        found = judge(tank, [noisy], rivals={"h": [(other, own) for own in bits]})
+        found = give_verdict(tank, [noisy], alternatives={"h": [(other, own) for own in bits]})
         assert found.level == level
-    near = judge(tank, [noisy], rivals={"h": [(other, 2.0)]}).states["h"].reason
+    near = give_verdict(tank, [noisy], alternatives={"h": [(other, 2.0)]}).states["h"].reason
     assert "the data cannot distinguish it from 0.3 - 0.1*h" in near
-    assert judge(tank, [exact], rivals={"h": [(other, 20.0)]}).level == "law"
+    assert give_verdict(tank, [exact], alternatives={"h": [(other, 20.0)]}).level == "law"
 
 
 def test_what_divides_by_zero_between_the_rows_is_no_law():
@@ -338,10 +342,12 @@ def test_what_divides_by_zero_between_the_rows_is_no_law():
     x = sympy.Symbol("x")
     pole = (decay.x[7, 0] + decay.x[8, 0]) / 2
     spoiled = -0.5 * x * (1 + 1e-12 / (x - pole))
-    assert judge({"x": -0.5 * x}, [decay]).level == "law"
-    judged = judge({"x": spoiled}, [decay])
+    assert give_verdict({"x": -0.5 * x}, [decay]).level == "law"
+    judged = give_verdict({"x": spoiled}, [decay])
     assert judged.level != "law"
-    assert not judge({"x": -0.5 * x * (1 + 1e-12 / (x + 0.01))}, [decay]).reason.count("divides")
+    assert not give_verdict({"x": -0.5 * x * (1 + 1e-12 / (x + 0.01))}, [decay]).reason.count(
+        "divides"
+    )
 
 
 @pytest.mark.parametrize(
@@ -360,8 +366,8 @@ def test_what_a_relation_of_the_columns_leaves_open_is_no_law(state, open_form):
     }
     orbit = measure(planet, [1.0, 0.0, 0.0, 1.0], 9, 300)
     wrong = {**planet, state: parse(open_form)}
-    assert judge(planet, [orbit]).level == "law"
-    own = judge(wrong, [orbit]).states[state]
+    assert give_verdict(planet, [orbit]).level == "law"
+    own = give_verdict(wrong, [orbit]).states[state]
     assert own.level == "approximation" and own.r2 > 0.999999
     assert "a run from another start" in own.reason
 
@@ -401,8 +407,8 @@ def test_what_misses_exact_slopes_is_no_law():
     )
     for expr, level in ((law, "law"), (near, "approximation")):
         found = Discovery({"x": expr}, {"x": ()}, {"x": ParetoFront([])}, {"x": ""})
-        assert judge({"x": expr}, [data]).level == "law"
-        verdict = problem.judge(found, None)
+        assert give_verdict({"x": expr}, [data]).level == "law"
+        verdict = problem.give_verdict(found, None)
         assert verdict.level == level
         assert ("misses the slopes" in verdict.states["x"].reason) == (level != "law")
 

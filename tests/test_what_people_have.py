@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 import dynsr
 from dynsr.data import Trajectory
-from dynsr.discovery.map_verdict import judge_map
-from dynsr.discovery.verdict import judge
+from dynsr.discovery.map_verdict import give_map_verdict
+from dynsr.discovery.verdict import give_verdict
 from dynsr.expression import evaluate, parse
 from dynsr.methods import RationalSearch
 
@@ -127,8 +127,8 @@ def test_another_form_is_no_law_of_a_map(noise):
     run = Trajectory(np.arange(200.0), np.array(values)[:, None], ("x",))
     x = sympy.Symbol("x")
     ratio = (-9 * x**2 + 27.25 * x - 20 * sympy.sin(x)) / (x + 0.4)
-    assert judge_map({"x": ratio}, [run]).level != "law"
-    assert judge_map({"x": x * sympy.exp(2.8 - 2.8 * x)}, [run]).level == "law"
+    assert give_map_verdict({"x": ratio}, [run]).level != "law"
+    assert give_map_verdict({"x": x * sympy.exp(2.8 - 2.8 * x)}, [run]).level == "law"
 
 
 @pytest.mark.parametrize(
@@ -165,14 +165,15 @@ def test_a_map_taken_for_a_flow_is_called_a_map():
     found = dynsr.discover(chaotic(), **FEW)
     assert found.verdict.level == "not found"
     assert "--map" in found.verdict.states["x"].reason
-    assert judge({"x": sympy.S.Zero}, [chaotic()]).level == "not found"
+    assert give_verdict({"x": sympy.S.Zero}, [chaotic()]).level == "not found"
 
 
 def test_noise_around_a_state_at_rest_is_still_rest():
     """White noise follows from nothing: x' = 0 stands."""
     x = 1 + 0.1 * np.random.default_rng(0).standard_normal((300, 1))
     assert (
-        judge({"x": sympy.S.Zero}, [Trajectory(np.linspace(0, 9, 300), x, ("x",))]).level == "law"
+        give_verdict({"x": sympy.S.Zero}, [Trajectory(np.linspace(0, 9, 300), x, ("x",))]).level
+        == "law"
     )
 
 
@@ -196,7 +197,7 @@ def test_layers_that_hold_few_rows_are_named():
         ("x", "y"),
         0.001,
     )
-    said = judge({"x": y, "y": 50 * (1 - x**2) * y - x}, [run])
+    said = give_verdict({"x": y, "y": 50 * (1 - x**2) * y - x}, [run])
     assert said.level == "not found"
     assert "Measure the layers with more rows" in said.states["y"].reason
 
@@ -214,9 +215,9 @@ def test_a_law_is_none_beside_an_equation_that_is_none():
     )
     root = -2.63 * x ** sympy.Rational(3, 2) + 3.17 * x - 0.572 * y
     other = -0.945 * y**2 + 1.58 * y / (x**2 + 1.83) + 0.0033 / x
-    said = judge({"x": root, "y": other}, [run])
+    said = give_verdict({"x": root, "y": other}, [run])
     assert said.states["x"].level == said.states["y"].level == "approximation"
-    right = judge({"x": 1.5 * x - x**2 - 0.5 * x * y, "y": y - y**2 - 0.4 * x * y}, [run])
+    right = give_verdict({"x": 1.5 * x - x**2 - 0.5 * x * y, "y": y - y**2 - 0.4 * x * y}, [run])
     assert right.level == "law"
 
 

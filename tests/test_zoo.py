@@ -16,7 +16,7 @@ from sklearn.metrics import r2_score
 
 from dynsr.benchmarks.zoo.catalogue import ZOO, find_animals
 from dynsr.benchmarks.zoo.conditions import Condition, draw_conditions, measure
-from dynsr.benchmarks.zoo.rivals import answer_stlsq, answer_weak
+from dynsr.benchmarks.zoo.peers import answer_stlsq, answer_weak
 from dynsr.benchmarks.zoo.running import (
     ZooRecord,
     answer_dynsr,
@@ -277,16 +277,16 @@ def test_a_verdict_is_right_by_the_truth(verdict, reproduced, is_law, right):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rival", [answer_stlsq, answer_weak])
-def test_a_rival_finds_a_polynomial_law_in_clean_data(rival):
+@pytest.mark.parametrize("alternative", [answer_stlsq, answer_weak])
+def test_a_rival_finds_a_polynomial_law_in_clean_data(alternative):
     """Both forms of pysindy find the logistic law, and the same again."""
     pytest.importorskip("pysindy")
     (animal,) = find_animals(["logistic"])
     measured = measure(animal, Condition(0.0, "clean", 100, False))
-    answer = rival(measured.data, 0)
+    answer = alternative(measured.data, 0)
     scores = score_answer(answer, animal, measured)
     assert scores.exact and scores.constants_off < 1e-3 and scores.unseen > 0.999
-    assert rival(measured.data, 0).equations == answer.equations
+    assert alternative(measured.data, 0).equations == answer.equations
 
 
 @pytest.mark.slow

@@ -112,7 +112,7 @@ def implicit_rows(system: str, engine: AbstractEngine) -> Iterator[CrosscheckRow
                 implicit=True,
             )
         ).coefficients
-        yield _judge(f"{engine.name} STLSQ", problem, test, found)
+        yield _give_verdict(f"{engine.name} STLSQ", problem, test, found)
         if isinstance(engine, EmbeddedEngine):
             yield from _peers(problem, test)
 
@@ -126,15 +126,15 @@ def _peers(problem: ImplicitProblem, test: ImplicitProblem) -> Iterator[Crossche
     import pysindy
 
     name = f"pysindy {pysindy.__version__}"
-    yield _judge(f"{name} ensemble of STLSQ", problem, test, _by_ensemble(pysindy, problem))
+    yield _give_verdict(f"{name} ensemble of STLSQ", problem, test, _by_ensemble(pysindy, problem))
     if importlib.util.find_spec("cvxpy") is None:
         reason = "SINDyPI needs cvxpy; pip install cvxpy"
         yield absent("implicit", SYSTEM, f"{name} SINDyPI", "the law", reason)
         return
-    yield _judge(f"{name} SINDyPI", problem, test, _by_sindy_pi(pysindy, problem))
+    yield _give_verdict(f"{name} SINDyPI", problem, test, _by_sindy_pi(pysindy, problem))
 
 
-def _judge(
+def _give_verdict(
     who: str, problem: ImplicitProblem, test: ImplicitProblem, relation: np.ndarray
 ) -> CrosscheckRow:
     terms = np.count_nonzero(relation)

@@ -418,8 +418,8 @@ def _smooth_piece(
     if not np.max(relative) < 0.5:
         return found
     logs = np.log(np.abs(x)) + relative**2 / 2
-    other, rival = _smooth_plain(t, logs, noise, settings, taken, relative)
-    if rival - float(np.sum(np.log(np.abs(x)))) <= evidence:
+    other, other_evidence = _smooth_plain(t, logs, noise, settings, taken, relative)
+    if other_evidence - float(np.sum(np.log(np.abs(x)))) <= evidence:
         return found
     value = np.exp(other.x) * np.sign(x[0])
     slope = value * other.slope

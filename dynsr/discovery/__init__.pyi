@@ -29,7 +29,7 @@ from .suggesting import Alternative, Experiment, Suggestion, SuggestionSettings
 from .trajectory_estimator import TrajectoryRegressor
 from .uncertainty import bootstrap
 from .varying import VarySettings
-from .verdict import Rival, StateVerdict, TermCertainty, Verdict, VerdictSettings
+from .verdict import OtherFormula, StateVerdict, TermCertainty, Verdict, VerdictSettings
 
 __all__ = [
     "DISCOVERY",
@@ -51,11 +51,11 @@ __all__ = [
     "Identifiability",
     "IdentifiabilitySettings",
     "Inclusion",
+    "OtherFormula",
     "Parameter",
     "Parameters",
     "ParametricSystem",
     "Profile",
-    "Rival",
     "RunParameters",
     "Score",
     "StateVerdict",

@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import sympy
 
-from dynsr.discovery.problem import Problem, Rivals
+from dynsr.discovery.alternatives import count_constants
+from dynsr.discovery.problem import OtherFormulas, Problem
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.rivals import count_constants
-from dynsr.discovery.verdict import LEVELS, NOT_FOUND, Rival, Verdict
+from dynsr.discovery.verdict import LEVELS, NOT_FOUND, OtherFormula, Verdict
 from dynsr.expression import parse, shown
 from dynsr.fit import ParetoFront, constant_bits, skeleton, tidy, with_floats
 from dynsr.jobs import finish_by
@@ -27,7 +27,7 @@ _FINEST = 1e-3
 
 
 def adopt_better(
-    problem: Problem, found: Discovery, verdict: Verdict, rivals: Rivals | None
+    problem: Problem, found: Discovery, verdict: Verdict, alternatives: OtherFormulas | None
 ) -> tuple[Discovery, Verdict]:
     """Give the answer after each alternative that seemed better was tried in its place.
 
@@ -36,7 +36,7 @@ def adopt_better(
     problem : the data and what is given of their equations.
     found : what was found.
     verdict : what is thought of it.
-    rivals : state -> (formula, bits above the equation) where they were compared before.
+    alternatives : state -> (formula, bits above the equation) where they were compared before.
     """
     if problem.settings.selection.loss is not None:
         # What counts for the user is no matter of bits.
@@ -45,19 +45,25 @@ def adopt_better(
         doubt = _doubt(problem, verdict)
         if doubt is None:
             return found, verdict
-        state, rival = doubt
-        expr = _formula(found, rivals, state, rival)
+        state, alternative = doubt
+        expr = _formula(found, alternatives, state, alternative)
         other = None if problem.demands.conserved else problem.with_equation(found, state, expr)
         if other is not None:
-            moved = None if rivals is None else _seen_from(rivals, found, other, state, rival.bits)
-            judged = problem.judge(other, moved)
+            moved = (
+                None
+                if alternatives is None
+                else _seen_from(alternatives, found, other, state, alternative.bits)
+            )
+            judged = problem.give_verdict(other, moved)
             more = _behind(problem, (found, verdict), (other, judged))
             if more < 0:
-                found, verdict, rivals = other, judged, moved
+                found, verdict, alternatives = other, judged, moved
                 continue
         else:
             more = math.inf
-        found, verdict, rivals = _told(problem, found, verdict, {(state, rival.equation): more})
+        found, verdict, alternatives = _told(
+            problem, found, verdict, {(state, alternative.equation): more}
+        )
     # Nothing is called better that was not tried.
     left = {
         (state, one.equation): 0.0
@@ -69,24 +75,24 @@ def adopt_better(
 
 
 def adopt_in_time(
-    problem: Problem, found: Discovery, verdict: Verdict, rivals: Rivals | None
+    problem: Problem, found: Discovery, verdict: Verdict, alternatives: OtherFormulas | None
 ) -> tuple[Discovery, Verdict]:
     """Do the same by the time that the verdict has; where that ends, all is as it was.
 
     Parameters
     ----------
-    problem, found, verdict, rivals : as for :func:`adopt_better`.
+    problem, found, verdict, alternatives : as for :func:`adopt_better`.
     """
     best, cut = finish_by(
         problem.until("verdict"),
-        lambda: adopt_better(problem, found, verdict, rivals),
+        lambda: adopt_better(problem, found, verdict, alternatives),
         lambda: (found, verdict),
     )
     problem.cut.extend(["alternatives"] if cut else [])
     return best
 
 
-def _doubt(problem: Problem, verdict: Verdict) -> tuple[str, Rival] | None:
+def _doubt(problem: Problem, verdict: Verdict) -> tuple[str, OtherFormula] | None:
     """Give the alternative that seems better by most, and its state; None where none does."""
     better = [
         (state, one)
@@ -97,29 +103,33 @@ def _doubt(problem: Problem, verdict: Verdict) -> tuple[str, Rival] | None:
     return min(better, key=lambda pair: pair[1].bits, default=None)
 
 
-def _may_be_returned(problem: Problem, rival: Rival) -> bool:
+def _may_be_returned(problem: Problem, alternative: OtherFormula) -> bool:
     """Whether an equation may contain what this one does; the time, only where it is asked for."""
     columns = {*problem.runs[0].names, *(["t"] if problem.form.explicit_time else [])}
-    return {str(symbol) for symbol in parse(rival.equation).free_symbols} <= columns
+    return {str(symbol) for symbol in parse(alternative.equation).free_symbols} <= columns
 
 
-def _formula(found: Discovery, rivals: Rivals | None, state: str, rival: Rival) -> sympy.Expr:
+def _formula(
+    found: Discovery, alternatives: OtherFormulas | None, state: str, alternative: OtherFormula
+) -> sympy.Expr:
     """Give an alternative with all its digits where they are known."""
-    known = [e for e, _ in (rivals or {}).get(state, ())]
+    known = [e for e, _ in (alternatives or {}).get(state, ())]
     known += [c.expr for c in found.front.get(state, ())]
-    alike = (e for e in known if shown(tidy(e), 4) == rival.equation)
-    return next(alike, None) or parse(rival.equation)
+    alike = (e for e in known if shown(tidy(e), 4) == alternative.equation)
+    return next(alike, None) or parse(alternative.equation)
 
 
 def _seen_from(
-    rivals: Rivals, found: Discovery, other: Discovery, state: str, bits: float
-) -> Rivals:
+    alternatives: OtherFormulas, found: Discovery, other: Discovery, state: str, bits: float
+) -> OtherFormulas:
     """Give the alternatives to another answer, which takes so many bits more."""
     shape = skeleton(with_floats(other.equations[state]))
     own = [
-        (e, more - bits) for e, more in rivals.get(state, ()) if skeleton(with_floats(e)) != shape
+        (e, more - bits)
+        for e, more in alternatives.get(state, ())
+        if skeleton(with_floats(e)) != shape
     ]
-    return {**rivals, state: [*own, (found.equations[state], -bits)]}
+    return {**alternatives, state: [*own, (found.equations[state], -bits)]}
 
 
 def _behind(
@@ -163,9 +173,9 @@ def _length(
 
 def _told(
     problem: Problem, found: Discovery, verdict: Verdict, bits: Mapping[tuple[str, str], float]
-) -> tuple[Discovery, Verdict, Rivals]:
+) -> tuple[Discovery, Verdict, OtherFormulas]:
     """Test the same answer again, with what alternatives take more once they were tried."""
-    rivals = {
+    alternatives = {
         state: [
             (_formula(found, None, state, one), more)
             for one in own.alternatives
@@ -174,10 +184,10 @@ def _told(
         for state, own in verdict.states.items()
     }
     if not problem.form.discrete:
-        return found, problem.judge(found, rivals), rivals
+        return found, problem.give_verdict(found, alternatives), alternatives
     # What one step tells of a map is exact: what was tried and is worse is none beside it.
     beaten = {
         state: ParetoFront(c for c in own if (state, shown(tidy(c.expr), 4)) not in bits)
         for state, own in found.front.items()
     }
-    return found, problem.judge(replace(found, front=beaten), None), rivals
+    return found, problem.give_verdict(replace(found, front=beaten), None), alternatives

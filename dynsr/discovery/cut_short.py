@@ -10,8 +10,8 @@ from dynsr import __version__
 from dynsr.data import Trajectory
 from dynsr.discovery.orders import Order, form_of, read_form
 from dynsr.discovery.problem import with_velocities
+from dynsr.discovery.provenance import with_provenance
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.told import with_told
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.fit import ParetoFront
 
@@ -66,7 +66,7 @@ def keep_formulas(
         },
         complete=False,
     )
-    return with_told(beside_data(with_velocities(found, form), runs), runs)
+    return with_provenance(beside_data(with_velocities(found, form), runs), runs)
 
 
 def beside_data(found: Discovery, runs: Sequence[Trajectory]) -> Discovery:

@@ -16,7 +16,7 @@ from dynsr.data import Trajectory
 from dynsr.discovery.delays import Delayed, DelayFit
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import LAW, LEVELS, NOBODY, NOT_FOUND, explain, judge
+from dynsr.discovery.verdict import LAW, LEVELS, NOBODY, NOT_FOUND, explain, give_verdict
 from dynsr.errors import InputError
 from dynsr.jobs import Budget, finish_by
 from dynsr.selection import ComparisonSettings
@@ -217,7 +217,7 @@ def _begin(
 def _as_found(found: Discovery, fit: DelayFit, inputs: Mapping[str, sympy.Expr]) -> Discovery:
     """Give the equations of a fit in the place of those that were found, with their verdict."""
     runs = fit.delayed.columns(fit.delay, fit.delay)
-    verdict = judge(fit.equations, runs, inputs, front=found.front)
+    verdict = give_verdict(fit.equations, runs, inputs, front=found.front)
     return replace(
         found,
         equations=fit.equations,

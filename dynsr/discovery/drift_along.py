@@ -14,6 +14,7 @@ import numpy as np
 import sympy
 from scipy.integrate import cumulative_trapezoid
 
+from dynsr.discovery.alternatives import columns_along
 from dynsr.discovery.drift import (
     DRIFT,
     TIME,
@@ -27,7 +28,6 @@ from dynsr.discovery.drift import (
     say,
 )
 from dynsr.discovery.following import Course, Followed, open_constants
-from dynsr.discovery.rivals import columns_along
 from dynsr.expression import evaluate
 from dynsr.fit import Flow, Shooting, orthogonal
 from dynsr.library import Place

@@ -29,8 +29,8 @@ from dynsr.fit import (
     LossFunction,
     ParetoFront,
     choose,
+    choose_by_loss,
     description_length,
-    judge_by_loss,
     noise_of,
     read_loss,
     score_candidate,
@@ -134,7 +134,7 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
             front = ParetoFront([score_candidate(Float(float(np.mean(y))), samples, "the mean")])
             front = self._search(front, samples)
             if loss is not None:
-                pool, samples = judge_by_loss([*front, *front.best_by_source], samples, loss)
+                pool, samples = choose_by_loss([*front, *front.best_by_source], samples, loss)
                 front = ParetoFront(pool)
             self.expr_, self.front_ = self._choose(front, samples)
         self.equations_ = _list_equations(self.front_)

@@ -34,7 +34,7 @@ from dynsr.discovery.verdict import (
     NOT_FOUND,
     Verdict,
     explain,
-    judge,
+    give_verdict,
     summarise,
 )
 from dynsr.engines import DEFAULT_ENGINE, find_engine
@@ -787,13 +787,13 @@ def _tested(
     found: Discovery, study: _Study, answer: _Answer, details: DiscoverySettings
 ) -> Discovery:
     """Give a discovery with its verdict; what contains a curve is no law."""
-    rivals = {s: _rivals(study, answer, s, details) for s in study.model.equations}
-    verdict = judge(
+    alternatives = {s: _alternatives(study, answer, s, details) for s in study.model.equations}
+    verdict = give_verdict(
         found.equations,
         carry(found.trajectories),
         found.inputs,
         front={s: own for s, own in found.front.items() if s not in study.model.equations},
-        rivals=rivals,
+        alternatives=alternatives,
         settings=details.verdict,
     )
     verdict = _with_curves(verdict, study.model, found.free)
@@ -844,7 +844,7 @@ def _said(study: _Study, state: str, free: FreeParts) -> str:
     return "".join(f" {one}" for one in [*words, *(free.notes if state == first else ())])
 
 
-def _rivals(
+def _alternatives(
     study: _Study, answer: _Answer, state: str, details: DiscoverySettings
 ) -> list[tuple[sympy.Expr, float]]:
     """Give equations with other formulas for a function, and the bits that they take more.

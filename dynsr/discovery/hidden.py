@@ -20,7 +20,7 @@ from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
-from dynsr.discovery.verdict import NOBODY, explain, judge
+from dynsr.discovery.verdict import NOBODY, explain, give_verdict
 from dynsr.engines import DEFAULT_ENGINE, find_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, check_name, to_text
@@ -256,20 +256,20 @@ def _discover(
     final = {s: tidy(e) for s, e in fit.put(numbers).items()}
     errors, fitted = _errors(final, fit, numbers, coupling)
     whole = with_columns(runs, data, coupling.name)
-    others = different_laws(best, every, settings.verdict.rival_bits, settings.hidden)
+    others = different_laws(best, every, settings.verdict.alternative_bits, settings.hidden)
     if coupling != best.coupling:
         others = [(best.coupling.turned(other)[1], bits) for other, bits in others]
-    rivals = _by_state(others, exprs, coupling.name)
+    alternatives = _by_state(others, exprs, coupling.name)
     if alone is not None:
         # Without a hidden state, the equation that shows it is another one.
         own = alone.exprs[coupling.state], alone.bits - best.bits
-        rivals.setdefault(coupling.state, []).append(own)
+        alternatives.setdefault(coupling.state, []).append(own)
     verdict = (
-        judge(
+        give_verdict(
             final,
             whole,
             inputs,
-            rivals=rivals,
+            alternatives=alternatives,
             causes=dict.fromkeys(final, ""),
             settings=settings.verdict,
             fixed=[coupling.term],

@@ -31,7 +31,7 @@ from dynsr.discovery.verdict import (
 )
 from dynsr.expression import has_pole
 from dynsr.fit import Match, fit_along, score_candidate, untouched_match
-from dynsr.selection import Follower, Trail, find_followers
+from dynsr.selection import Approximation, MeasuredRuns, find_approximations
 
 # Systems of the most accurate formulas of every front that are integrated.
 _MOST = 4
@@ -58,24 +58,24 @@ def follow_anyway(
     runs = problem.runs
     if verdict.level == LAW or problem.form.discrete or problem.known or min(map(len, runs)) < 5:
         return None
-    trail = _make_trail(problem, tuple(found.equations))
+    measured_runs = _make_trail(problem, tuple(found.equations))
     whole = verdict.span >= max(np.ptp(run.t) for run in runs)
     followed = verdict.level != NOT_FOUND and (whole or _leaves_noise(problem, verdict))
     noise = {s: own.noise for s, own in verdict.states.items()}
-    least = {s: least_r2(noise[s], problem.settings.verdict) for s in trail.states}
+    least = {s: least_r2(noise[s], problem.settings.verdict) for s in measured_runs.states}
     enough = float(np.mean(list(least.values())))
-    if followed or _follow(trail, found.equations).r2 > enough or _jumps(problem):
+    if followed or _follow(measured_runs, found.equations).r2 > enough or _jumps(problem):
         return None
-    best = _best(problem, found, trail)
+    best = _best(problem, found, measured_runs)
     if best is None or best.r2 <= enough:
         return None
-    best = _rounded(best, trail)
+    best = _rounded(best, measured_runs)
     match = untouched_match(best.exprs, runs, problem.inputs, problem.settings.selection.fit)
     changed = _put(problem, found, match)
-    changed, judged = adopt_better(problem, changed, problem.judge(changed, None), None)
+    changed, judged = adopt_better(problem, changed, problem.give_verdict(changed, None), None)
     if verdict.level == APPROXIMATION and not whole and not _closer(judged, verdict):
         return None
-    judged = _approximate(judged, trail, changed.equations, least)
+    judged = _approximate(judged, measured_runs, changed.equations, least)
     if LEVELS.index(judged.level) > LEVELS.index(verdict.level):
         return None
     return changed, judged
@@ -86,9 +86,10 @@ def _leaves_noise(problem: Problem, verdict: Verdict) -> bool:
 
     Neighbours part on such runs, and what keeps closer to all of one does so by chance.
     """
-    judge = problem.settings.verdict
+    limits = problem.settings.verdict
     return all(
-        own.chi_square < judge.excess and own.r2 >= judge.follows for own in verdict.states.values()
+        own.chi_square < limits.excess and own.r2 >= limits.follows
+        for own in verdict.states.values()
     )
 
 
@@ -104,10 +105,12 @@ def _closer(judged: Verdict, verdict: Verdict) -> bool:
     return judged.span >= verdict.span and own < others
 
 
-def _make_trail(problem: Problem, states: tuple[str, ...]) -> Trail:
+def _make_trail(problem: Problem, states: tuple[str, ...]) -> MeasuredRuns:
     data = problem.measurements
     smoothed = None if data is None or len(data.runs) != len(problem.runs) else data.smoothed
-    return Trail(problem.runs, problem.inputs, states, smoothed, problem.settings.approximations)
+    return MeasuredRuns(
+        problem.runs, problem.inputs, states, smoothed, problem.settings.approximations
+    )
 
 
 def _jumps(problem: Problem) -> bool:
@@ -116,26 +119,26 @@ def _jumps(problem: Problem) -> bool:
     return any(c.kind == "map" for state in states for c in diagnose(problem.runs, state))
 
 
-def _best(problem: Problem, found: Discovery, trail: Trail) -> Follower | None:
+def _best(problem: Problem, found: Discovery, measured_runs: MeasuredRuns) -> Approximation | None:
     """Give the shortest of the systems that follow the data about best."""
     given, demands = problem.form.known, problem.demands
-    pool = find_followers(trail, demands, given, problem.form.explicit_time)
-    pool += [_follow(trail, e) for e in _accurate(found, given) if demands.keep_all(e)]
+    pool = find_approximations(measured_runs, demands, given, problem.form.explicit_time)
+    pool += [_follow(measured_runs, e) for e in _accurate(found, given) if demands.keep_all(e)]
     likely = sorted(pool, key=lambda f: -f.r2)[:_FITTED]
-    pool += [_follow(trail, e) for e in _fit(problem, likely)]
+    pool += [_follow(measured_runs, e) for e in _fit(problem, likely)]
     pool = [f for f in pool if all(problem.is_allowed(s, e) for s, e in f.exprs.items())]
     # What comes close to a pole follows one run by chance, and no other.
     pool = [f for f in pool if not _comes_close(problem, f)] or pool
     if not pool:
         return None
     most = max(f.r2 for f in pool)
-    near = [f for f in pool if f.r2 >= most - trail.settings.tie]
+    near = [f for f in pool if f.r2 >= most - measured_runs.settings.tie]
     return min(near, key=lambda f: (f.terms, -f.r2))
 
 
-def _comes_close(problem: Problem, follower: Follower) -> bool:
+def _comes_close(problem: Problem, one: Approximation) -> bool:
     runs = [run.by_name for run in problem.runs]
-    return any(has_pole(expr, run, _BESIDE) for expr in follower.exprs.values() for run in runs)
+    return any(has_pole(expr, run, _BESIDE) for expr in one.exprs.values() for run in runs)
 
 
 def _accurate(found: Discovery, given: Mapping[str, sympy.Expr]) -> Iterator[dict[str, sympy.Expr]]:
@@ -148,12 +151,12 @@ def _accurate(found: Discovery, given: Mapping[str, sympy.Expr]) -> Iterator[dic
         }
 
 
-def _fit(problem: Problem, pool: list[Follower]) -> Iterator[dict[str, sympy.Expr]]:
+def _fit(problem: Problem, pool: list[Approximation]) -> Iterator[dict[str, sympy.Expr]]:
     """Fit the constants of systems to the noisy states."""
     data = problem.measurements
-    for follower in pool if data is not None else ():
+    for one in pool if data is not None else ():
         assert data is not None
-        fitted = fit_along(follower.exprs, data, problem.settings.selection.fit.along)
+        fitted = fit_along(one.exprs, data, problem.settings.selection.fit.along)
         if fitted is not None:
             yield fitted.found.exprs
 
@@ -183,26 +186,26 @@ def _put(problem: Problem, found: Discovery, match: Match) -> Discovery:
     )
 
 
-def _follow(trail: Trail, exprs: Mapping[str, sympy.Expr]) -> Follower:
-    return Follower(dict(exprs), float(np.mean(trail.r2(exprs))))
+def _follow(measured_runs: MeasuredRuns, exprs: Mapping[str, sympy.Expr]) -> Approximation:
+    return Approximation(dict(exprs), float(np.mean(measured_runs.r2(exprs))))
 
 
-def _rounded(follower: Follower, trail: Trail) -> Follower:
+def _rounded(one: Approximation, measured_runs: MeasuredRuns) -> Approximation:
     """Write constants with as few digits as keep to the data as closely."""
     for digits in _DIGITS:
         short = {
             s: e.xreplace({a: sympy.Float(f"{float(a):.{digits}g}") for a in e.atoms(sympy.Float)})
-            for s, e in follower.exprs.items()
+            for s, e in one.exprs.items()
         }
-        other = _follow(trail, short)
-        if other.r2 >= follower.r2 - _ROUNDING * (1 - follower.r2):
+        other = _follow(measured_runs, short)
+        if other.r2 >= one.r2 - _ROUNDING * (1 - one.r2):
             return other
-    return follower
+    return one
 
 
 def _approximate(
     verdict: Verdict,
-    trail: Trail,
+    measured_runs: MeasuredRuns,
     exprs: Mapping[str, sympy.Expr],
     least: Mapping[str, float],
 ) -> Verdict:
@@ -211,16 +214,16 @@ def _approximate(
     A fit of the starts may end elsewhere, and forms that compete by their integration alone are as
     many as the noise has shapes.
     """
-    r2 = dict(zip(trail.states, trail.r2(exprs).tolist(), strict=True))
+    r2 = dict(zip(measured_runs.states, measured_runs.r2(exprs).tolist(), strict=True))
     states = {}
     for state, own in verdict.states.items():
         found = own
-        if own.level == LAW and trail.smoothed is not None:
+        if own.level == LAW and measured_runs.smoothed is not None:
             why = "follows the data within their noise, but its terms were chosen for that alone."
             found = replace(own, level=APPROXIMATION, reason=why)
         if own.level == NOT_FOUND and r2[state] > max(least[state], own.r2):
             why = f"{follows_to(r2[state])}, and was chosen for that."
-            why = f"{why} {likely_cause(trail.runs, state)}".strip()
+            why = f"{why} {likely_cause(measured_runs.runs, state)}".strip()
             found = replace(own, level=APPROXIMATION, reason=why, r2=round(r2[state], 6))
         states[state] = found
     return summarise(states, verdict.span)

@@ -23,11 +23,11 @@ from dynsr.discovery.following import Place, open_constants
 from dynsr.discovery.maps import pair_rows
 from dynsr.discovery.verdict import (
     APPROXIMATION,
-    JUDGE,
     LAW,
     LEVELS,
     NOT_FOUND,
-    Rival,
+    VERDICT,
+    OtherFormula,
     StateVerdict,
     TermCertainty,
     Verdict,
@@ -51,11 +51,11 @@ _OPEN = 0.5
 _DEGREE = 3
 
 
-def judge_map(
+def give_map_verdict(
     equations: Mapping[str, sympy.Expr],
     runs: Sequence[Trajectory],
     front: Mapping[str, ParetoFront] | None = None,
-    settings: VerdictSettings = JUDGE,
+    settings: VerdictSettings = VERDICT,
 ) -> Verdict:
     """Say of every equation of a map whether it is a law of the data.
 
@@ -75,16 +75,16 @@ def judge_map(
     ...     x.append(3.8 * x[-1] * (1 - x[-1]))
     >>> run = Trajectory(np.arange(100.0), np.array(x)[:, None], ("x",))
     >>> own = sympy.Symbol("x")
-    >>> judge_map({"x": 3.8 * own * (1 - own)}, [run]).level
+    >>> give_map_verdict({"x": 3.8 * own * (1 - own)}, [run]).level
     'law'
-    >>> judge_map({"x": sympy.S.Zero}, [run]).level
+    >>> give_map_verdict({"x": sympy.S.Zero}, [run]).level
     'not found'
     """
     with np.errstate(all="ignore"):
         steps = {s: _Step.of(s, e, runs, settings.held_back) for s, e in equations.items()}
         free = _compare_free_runs(equations, runs, steps, settings)
         states = {
-            s: _judge_state(step, free.get(s, math.inf), runs, (front or {}).get(s, ()), settings)
+            s: _test_state(step, free.get(s, math.inf), runs, (front or {}).get(s, ()), settings)
             for s, step in steps.items()
         }
     level = max((own.level for own in states.values()), key=LEVELS.index)
@@ -278,7 +278,7 @@ def _compare_free_runs(
     return found
 
 
-def _judge_state(
+def _test_state(
     step: _Step,
     free: float,
     runs: Sequence[Trajectory],
@@ -335,9 +335,11 @@ def _judge_state(
 
 def _with_drift(found: StateVerdict, drift: Drift) -> StateVerdict:
     """Put the formula with the time before others, and say so where something is said."""
-    rival = Rival(shown(tidy(drift.expr), 4), float(f"{drift.bits:.6g}"))
+    alternative = OtherFormula(shown(tidy(drift.expr), 4), float(f"{drift.bits:.6g}"))
     more = f" Besides, {drift.said}." if found.reason else ""
-    return replace(found, alternatives=(rival, *found.alternatives), reason=found.reason + more)
+    return replace(
+        found, alternatives=(alternative, *found.alternatives), reason=found.reason + more
+    )
 
 
 def _doubts(
@@ -358,9 +360,9 @@ def _doubts(
     unsure = dict.fromkeys(t.term for t in found.terms if t.ratio < settings.sure)
     if unsure:
         doubts.append(f"the data leave it open whether it needs {', '.join(unsure)}")
-    near = [r for r in found.alternatives if r.bits < settings.rival_bits]
+    near = [r for r in found.alternatives if r.bits < settings.alternative_bits]
     if near:
-        how = "gives it better" if near[0].bits < -settings.rival_bits else "gives it as well"
+        how = "gives it better" if near[0].bits < -settings.alternative_bits else "gives it as well"
         doubts.append(f"{near[0].equation} {how}")
     if len(step.misses) < settings.fewest * max(1, len(found.terms)):
         doubts.append(f"{len(step.misses)} steps are too few to be sure")
@@ -387,7 +389,7 @@ def _because(step: _Step, runs: Sequence[Trajectory], settings: VerdictSettings)
 
 def _compare(
     step: _Step, front: ParetoFront | Sequence[None], settings: VerdictSettings
-) -> tuple[Rival, ...]:
+) -> tuple[OtherFormula, ...]:
     """Give the closest different formulas of the front, by the bits of one step's misses."""
     columns = {**step.samples.columns, "t": step.samples.t}
     rows, floor = len(step.samples), max(step.finest, 1e-300) ** 2
@@ -408,5 +410,6 @@ def _compare(
             found.append((length(candidate.expr, step.samples.y - values) - own, candidate.expr))
     found.sort(key=lambda pair: (pair[0], ByText(pair[1])))
     return tuple(
-        Rival(shown(tidy(expr), 4), float(f"{bits:.6g}")) for bits, expr in found[: settings.rivals]
+        OtherFormula(shown(tidy(expr), 4), float(f"{bits:.6g}"))
+        for bits, expr in found[: settings.alternatives]
     )

@@ -25,7 +25,7 @@ from dynsr.discovery.asking import (
 from dynsr.discovery.conservation import conserve
 from dynsr.discovery.delays import DelaySettings
 from dynsr.discovery.free_parts import FREE, FreeSettings
-from dynsr.discovery.map_verdict import judge_map
+from dynsr.discovery.map_verdict import give_map_verdict
 from dynsr.discovery.maps import keep_within, measure_step_errors
 from dynsr.discovery.orders import Form, explain_velocity
 from dynsr.discovery.result import Discovery
@@ -37,10 +37,10 @@ from dynsr.discovery.verdict import (
     LAW,
     Verdict,
     VerdictSettings,
+    give_verdict,
     hold_to_slopes,
-    judge,
     likely_cause,
-    unjudged,
+    untested,
 )
 from dynsr.expression import compile_numpy, evaluate, has_pole, ratio_forms
 from dynsr.fit import (
@@ -79,8 +79,8 @@ from dynsr.methods import (
 )
 from dynsr.selection import (
     HIDDEN,
+    ApproximationSettings,
     Compared,
-    FollowerSettings,
     HiddenSettings,
     Pick,
     RankedCandidate,
@@ -97,7 +97,7 @@ from dynsr.selection import (
 )
 
 T = TypeVar("T")
-Rivals = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
+OtherFormulas = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 # Misses in units of the noise below which there may be none.
 _FAR_BELOW_NOISE = 0.2
 # Times the loss of the most probable formula up to which others may be as good on slopes.
@@ -140,7 +140,7 @@ class DiscoverySettings:
     selection: SelectionSettings = SelectionSettings()
     shares: Shares = Shares()
     verdict: VerdictSettings = VerdictSettings()
-    approximations: FollowerSettings = FollowerSettings()
+    approximations: ApproximationSettings = ApproximationSettings()
     profile: ProfileSettings = ProfileSettings()
     vary: VarySettings = VarySettings()
     delays: DelaySettings = DelaySettings()
@@ -264,7 +264,7 @@ class Problem:
         pools: Mapping[str, list[Candidate]],
         notes: Mapping[str, str],
         settled: SystemChoice | None = None,
-    ) -> tuple[Discovery, Rivals | None]:
+    ) -> tuple[Discovery, OtherFormulas | None]:
         """Compare whole systems, fit the constants of the best to all data, and explain it.
 
         Gives the discovery, and the formulas that came closest where systems were compared.
@@ -297,11 +297,11 @@ class Problem:
         exact = self._confirm_fitted(fitted)
         if exact is not None:
             fitted, choice = self._polish(exact, noise), SystemChoice(picked)
-        rivals = None
+        alternatives = None
         if choice.fit is not None:
             near = choice.different(self.settings.selection.comparison.apart)
             # The last fit may loosen what the comparison had as a simple number.
-            rivals = {
+            alternatives = {
                 s: [pair for pair in own if not _of_one_form(pair[0], fitted.exprs[s])]
                 for s, own in near.items()
             }
@@ -318,7 +318,7 @@ class Problem:
                 for s, p in returned.items()
             },
         )
-        return with_velocities(found, self.form), rivals
+        return with_velocities(found, self.form), alternatives
 
     def _as_returned(self, pick: Pick, expr: sympy.Expr, pool: Sequence[Candidate]) -> Pick:
         """Put the formula that is returned first, with the bits it takes and what found its form.
@@ -652,30 +652,30 @@ class Problem:
         """Whether an equation keeps to all that the user asks."""
         return self.demands.keeps(state, expr, self.columns)
 
-    def judge_in_time(self, found: Discovery, rivals: Rivals | None) -> Verdict:
+    def give_verdict_in_time(self, found: Discovery, alternatives: OtherFormulas | None) -> Verdict:
         """Say how sure the equations are, or that the time did not suffice to say it."""
         verdict, cut = finish_by(
             self.until("verdict"),
-            lambda: self.judge(found, rivals),
-            lambda: unjudged(found.equations),
+            lambda: self.give_verdict(found, alternatives),
+            lambda: untested(found.equations),
         )
         self.cut.extend(["verdict"] if cut else [])
         return verdict
 
-    def judge(self, found: Discovery, rivals: Rivals | None) -> Verdict:
+    def give_verdict(self, found: Discovery, alternatives: OtherFormulas | None) -> Verdict:
         """Say how sure the equations are."""
         if self.form.discrete:
             front = {s: own for s, own in found.front.items() if s not in self.known}
-            return judge_map(found.equations, self.runs, front, self.settings.verdict)
+            return give_map_verdict(found.equations, self.runs, front, self.settings.verdict)
         made = tuple(self.form.velocities.values()) if self.measurements is not None else ()
-        verdict = judge(
+        verdict = give_verdict(
             found.equations,
             [run.without_measurements(made) for run in self.runs],
             self.inputs,
             noise=self.noise(),
             causes={s: likely_cause(self.runs, s) for s in made if s in found.equations},
             front={s: own for s, own in found.front.items() if s not in self.known},
-            rivals=rivals,
+            alternatives=alternatives,
             settings=self.settings.verdict,
             curves=self._curves(found.equations),
         )

@@ -39,13 +39,14 @@ from dynsr.data import (
     write_kept,
     write_own,
 )
+from dynsr.discovery.alternatives import MORE_CONSTANTS, count_constants
 from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.by_state import ByState
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow, read_history
 from dynsr.discovery.free_parts import FreeParts, refuse_curves
 from dynsr.discovery.identifying import Identifiability, identify, with_data
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
-from dynsr.discovery.map_verdict import judge_map
+from dynsr.discovery.map_verdict import give_map_verdict
 from dynsr.discovery.maps import (
     inputs_in,
     iterate,
@@ -73,7 +74,6 @@ from dynsr.discovery.parameters import (
 from dynsr.discovery.prediction import Measured, is_sampled, predict, predict_with_doses
 from dynsr.discovery.profile import Ends, Profile, Profiles, read_constant
 from dynsr.discovery.records import FORMAT, RECORD, read_discovery, write_discovery
-from dynsr.discovery.rivals import MORE_CONSTANTS, count_constants
 from dynsr.discovery.suggesting import SUGGESTION, Suggestion, SuggestionSettings, suggest
 from dynsr.discovery.summary import DataSummary, summarise
 from dynsr.discovery.unmeasured import (
@@ -83,7 +83,14 @@ from dynsr.discovery.unmeasured import (
     refuse_hidden,
 )
 from dynsr.discovery.varying import Law, Study, VarySettings, write_answer
-from dynsr.discovery.verdict import NOBODY, NOT_FOUND, Verdict, VerdictSettings, explain, judge
+from dynsr.discovery.verdict import (
+    NOBODY,
+    NOT_FOUND,
+    Verdict,
+    VerdictSettings,
+    explain,
+    give_verdict,
+)
 from dynsr.engines import (
     DEFAULT_ENGINE,
     AbstractEngine,
@@ -625,7 +632,7 @@ class Discovery:
         allowed = count_constants(self.equations[state]) + MORE_CONSTANTS
         front = sorted(self.front.get(state, ()), key=lambda c: c.loss)
         near = [c.expr for c in front if count_constants(c.expr) <= allowed]
-        return [*(parse(rival.equation) for rival in named), *near]
+        return [*(parse(alternative.equation) for alternative in named), *near]
 
     def _profiles(self, data: Any = None, settings: ProfileSettings | None = None) -> Profiles:
         if self.is_map:
@@ -756,7 +763,7 @@ class Discovery:
         prepared = form_of(self.settings).prepare(carry(runs))
         noise = study.noise if is_noisy(prepared) else None
         known = self._known_inputs(runs)
-        verdict = judge(answer.equations, prepared, known, noise=noise, settings=judging)
+        verdict = give_verdict(answer.equations, prepared, known, noise=noise, settings=judging)
         said = "".join(f" {words}" for words in answer.by_run.sentences)
         return replace(
             self,
@@ -895,11 +902,11 @@ class Discovery:
             errors = {s: own for s, (own, _) in steps.items()}
             fitted = {s: own for s, (_, own) in steps.items()}
             match = Match(chosen, errors, np.empty(0), True, fitted, self.reach)
-            verdict = judge_map(chosen, self.trajectories, self.front, judging)
+            verdict = give_map_verdict(chosen, self.trajectories, self.front, judging)
         else:
             slopes = self._slopes_of(chosen)
             match = polish(chosen, self.carried, self.inputs, *slopes, fitting)
-            verdict = judge(
+            verdict = give_verdict(
                 match.exprs, self.carried, self.inputs, front=self.front, settings=judging
             )
         origin = {s: f" {self._origin(s)}" for s in chosen} | {state: " Chosen by hand."}

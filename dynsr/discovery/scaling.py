@@ -24,10 +24,10 @@ from dynsr.discovery.hidden import check_hidden, search_hidden
 from dynsr.discovery.intervals import printed_order
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.profile import Ends
+from dynsr.discovery.provenance import with_provenance
 from dynsr.discovery.result import Discovery, keep_if_asked, with_profiles
 from dynsr.discovery.second_order import search_orders
 from dynsr.discovery.start import Start
-from dynsr.discovery.told import with_told
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
 from dynsr.discovery.unmeasured import coupling_of
 from dynsr.discovery.unseen import search_stepped, take_steps
@@ -288,7 +288,7 @@ def in_fitting_units(search: Search) -> Search:
                         settings,
                     )
                     runs = list(stepped.runs)
-                found = with_told(found, runs, observed)
+                found = with_provenance(found, runs, observed)
                 found = finish_by(until, lambda: confirm(found), lambda: found)[0]
                 found = finish_by(
                     until, lambda: on_every_row(found, every, windows, deciding), lambda: found

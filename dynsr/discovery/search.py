@@ -38,8 +38,8 @@ from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import (
     DISCOVERY,
     DiscoverySettings,
+    OtherFormulas,
     Problem,
-    Rivals,
     pool_formulas,
     with_velocities,
 )
@@ -365,7 +365,7 @@ def discover(
     )
     first = first if begun is None else (START, *first)
     steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first, bits, begun)
-    found, rivals, cut = steps.run(progress if callable(progress) else None, record)
+    found, alternatives, cut = steps.run(progress if callable(progress) else None, record)
     if demands.conserved:
         follow = {s: problem.samples_in_time(s) for s, _ in demands.conserved}
         found = add_conserved(found, demands, follow, runs[0].states)
@@ -377,7 +377,9 @@ def discover(
     record["engines"] = name_engines(ran, chosen, measured, along, FIRST_LOOK in first)
     record["engines"] |= ENGINES if discrete else {}
     found = replace(found, verdict=NOBODY) if demands.conserved else found
-    found = _judge(problem, found, rivals, record, _left_to_us(method, preset), steps.parts)
+    found = _give_verdict(
+        problem, found, alternatives, record, _left_to_us(method, preset), steps.parts
+    )
     if cut := list(dict.fromkeys([*cut, *problem.cut])):
         record["ended_by_budget"] = cut
     found = replace(
@@ -413,10 +415,10 @@ def _explain(found: Discovery, problem: Problem) -> dict[str, str]:
     return {s: said.get(s, "") + why for s, why in found.explanation.items()}
 
 
-def _judge(
+def _give_verdict(
     problem: Problem,
     found: Discovery,
-    rivals: Rivals | None,
+    alternatives: OtherFormulas | None,
     record: dict[str, Any],
     follow: bool,
     parts: Parts,
@@ -431,8 +433,8 @@ def _judge(
     if not found.verdict.tested:
         try:
             with keeping(parts):
-                verdict = problem.judge_in_time(found, rivals)
-                other, verdict = adopt_in_time(problem, found, verdict, rivals)
+                verdict = problem.give_verdict_in_time(found, alternatives)
+                other, verdict = adopt_in_time(problem, found, verdict, alternatives)
                 if follow:
                     other, verdict = _follow(problem, other, verdict, record)
         except KeyboardInterrupt:
@@ -446,7 +448,7 @@ def _follow(
     problem: Problem, found: Discovery, verdict: Verdict, record: dict[str, Any]
 ) -> tuple[Discovery, Verdict]:
     """Take equations that keep closer to the data where those found part from them."""
-    if not problem.settings.selection.parts.has("followers"):
+    if not problem.settings.selection.parts.has("approximations"):
         return found, verdict
     other, cut = finish_by(
         problem.until("verdict"), lambda: follow_anyway(problem, found, verdict), lambda: None
@@ -554,7 +556,7 @@ class _Steps:
 
     def run(
         self, progress: Callable[[Step], None] | None, record: dict[str, Any]
-    ) -> tuple[Discovery, Rivals | None, list[str]]:
+    ) -> tuple[Discovery, OtherFormulas | None, list[str]]:
         """Give the discovery, what came closest to it, and the steps that a budget ended."""
         problem = self.problem
         plan = plan_tasks(self.states, self.methods, self.first)
@@ -579,7 +581,7 @@ class _Steps:
 
     def _run(
         self, watch: Watch, samples: dict[str, Samples], record: dict[str, Any]
-    ) -> tuple[Discovery, Rivals | None, list[str]]:
+    ) -> tuple[Discovery, OtherFormulas | None, list[str]]:
         problem, states = self.problem, self.states
         plain = FIRST_LOOK in self.first
         if self.first:
@@ -612,8 +614,8 @@ class _Steps:
         picks = {c.pick.state: c.pick for c in choices}
         notes = "".join(f" {note}." for method in methods.values() for note in method.notes)
         said = {s: failures[s] + cut_notes(searched, s) + notes for s in states}
-        found, rivals = problem.fit(picks, pools, said, settled)
-        return found, rivals, [*cut_tasks([*searched, *choices]), *problem.cut]
+        found, alternatives = problem.fit(picks, pools, said, settled)
+        return found, alternatives, [*cut_tasks([*searched, *choices]), *problem.cut]
 
     def _take(
         self,
@@ -650,7 +652,7 @@ class _Steps:
         begun: Sequence[Found],
         samples: Mapping[str, Samples],
         record: dict[str, Any],
-    ) -> tuple[Discovery, Rivals | None] | None:
+    ) -> tuple[Discovery, OtherFormulas | None] | None:
         """Give the discovery of the earlier formulas where they are a law of these data."""
         problem = self.problem
         if not begun or not all(found.candidates for found in begun):
@@ -658,16 +660,18 @@ class _Steps:
         pools = pool_formulas(begun, samples, problem.demands, problem.known)
         picks = {s: rank_by_length(s, pool, samples[s]) for s, pool in pools.items()}
         held = " It holds on these data too, and nothing else was searched."
-        found, rivals = problem.fit(picks, pools, dict.fromkeys(picks, held))
+        found, alternatives = problem.fit(picks, pools, dict.fromkeys(picks, held))
         if not all(problem.is_allowed(s, e) for s, e in found.equations.items()):
             return None
-        found, verdict = adopt_better(problem, found, problem.judge(found, rivals), rivals)
+        found, verdict = adopt_better(
+            problem, found, problem.give_verdict(found, alternatives), alternatives
+        )
         if verdict.level != LAW:
             return None
         record["methods"] = [START]
         first = [name for name in self.first if name != START]
         watch.skip([*tasks_of(self.states, self.methods), *plan_tasks(self.states, {}, first)])
-        return replace(found, verdict=verdict), rivals
+        return replace(found, verdict=verdict), alternatives
 
     def _look(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
         """Look at the slopes of every state first, then again with the results of others."""

@@ -18,7 +18,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.discovery.rivals import count_constants
+from dynsr.discovery.alternatives import count_constants
 from dynsr.engines import Drive
 from dynsr.errors import InputError
 from dynsr.expression import bare_term, expand_terms, ratio_forms, shown

@@ -237,7 +237,7 @@ def check_ensemble(ensemble: bool | int, runs: Sequence[Trajectory], discrete: b
     return members
 
 
-def _rivals(expr: sympy.Expr, front: ParetoFront) -> ParetoFront:
+def _alternatives(expr: sympy.Expr, front: ParetoFront) -> ParetoFront:
     """Give the formulas of a front that have few more terms than the equation."""
     most = len(sympy.Add.make_args(expand_terms(expr))) + _MORE_TERMS
     return ParetoFront(c for c in front if len(sympy.Add.make_args(expand_terms(c.expr))) <= most)
@@ -254,7 +254,9 @@ def with_ensemble(found: Discovery, members: int, seed: int) -> Discovery:
     """
     if not members or not found.complete:
         return found
-    front = {state: _rivals(found.equations[state], own) for state, own in found.front.items()}
+    front = {
+        state: _alternatives(found.equations[state], own) for state, own in found.front.items()
+    }
     terms = bootstrap(replace(found, front=front), members=members, seed=seed)
     ensemble = {
         state: tuple(Inclusion(shown(t.expr), t.probability, *t.interval) for t in own)

@@ -18,6 +18,7 @@ from scipy.special import chdtrc
 
 from dynsr.arguments import Renamed, renamed
 from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose, is_still
+from dynsr.discovery.alternatives import compare_alternatives
 from dynsr.discovery.by_state import ByState
 from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
 from dynsr.discovery.drift_along import Along
@@ -31,7 +32,6 @@ from dynsr.discovery.following import (
     open_constants,
 )
 from dynsr.discovery.layers import cross_layers
-from dynsr.discovery.rivals import compare_rivals
 from dynsr.errors import InputError, one_line
 from dynsr.expression import evaluate, has_pole, shown
 from dynsr.fit import STABLE, Flow, ParetoFront, Shooting, noise_and_spread, tidy, use_bits_together
@@ -39,9 +39,10 @@ from dynsr.selection import is_left_open
 
 LAW, APPROXIMATION, NOT_FOUND = LEVELS = ("law", "approximation", "not found")
 # Of equations that nobody has judged, as where a search was cut short.
-NOT_JUDGED = "not judged"
+NOT_TESTED = "not judged"
 
 
+@renamed(rivals="alternatives", rival_bits="alternative_bits")
 @dataclass(frozen=True)
 class VerdictSettings:
     """The numbers that decide a verdict; a discovery's record contains them.
@@ -61,10 +62,10 @@ class VerdictSettings:
     correlated : correlation of neighbouring residuals above which they are no noise, if
         significant.
     sure : smallest ratio of a term to its standard error in a law.
-    rival_bits : bits by which every different formula is worse than a law.
+    alternative_bits : bits by which every different formula is worse than a law.
     probable : probability of a law in noise among the formulas that were compared; a formula that
         takes b bits more has 2^-b of its weight.
-    rivals : formulas of the front that are fitted to the trajectories, for each state.
+    alternatives : formulas of the front that are fitted to the trajectories, for each state.
     adopted : of those that seem better, how many are tried in the place of the answer, for each
         state.
     different : rms difference, in shares of the slopes' spread, of formulas that are different.
@@ -91,9 +92,9 @@ class VerdictSettings:
     excess: float = 1.6
     correlated: float = 0.25
     sure: float = 4.0
-    rival_bits: float = 8.0
+    alternative_bits: float = 8.0
     probable: float = 0.95
-    rivals: int = 3
+    alternatives: int = 3
     adopted: int = 3
     different: float = 1e-5
     held_back: float = 0.25
@@ -108,7 +109,7 @@ class VerdictSettings:
     drift: DriftSettings = DRIFT
 
 
-JUDGE = VerdictSettings()
+VERDICT = VerdictSettings()
 # Causes of what looks like noise between neighbouring rows and is none.
 _JUMPING = ("map", "sampling too coarse")
 # Share of the spread below which nothing is said of how much less is missed.
@@ -136,7 +137,7 @@ class TermCertainty:
 
 
 @dataclass(frozen=True)
-class Rival:
+class OtherFormula:
     """A different formula for a state, and the bits it takes more than the equation found."""
 
     equation: str
@@ -176,7 +177,7 @@ class StateVerdict:
     noise: float = 0.0
     rows: float = field(default=0.0, repr=False)
     terms: tuple[TermCertainty, ...] = field(default=(), repr=False)
-    alternatives: tuple[Rival, ...] = field(default=(), repr=False)
+    alternatives: tuple[OtherFormula, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         """Check the level; raises InputError."""
@@ -213,22 +214,22 @@ class Verdict:
     @property
     def tested(self) -> bool:
         """Whether the equations were tested at all."""
-        return self.level != NOT_JUDGED
+        return self.level != NOT_TESTED
 
     judged = Renamed("tested")
     rivals = Renamed("alternatives")
 
     @property
-    def alternatives(self) -> dict[str, tuple[Rival, ...]]:
+    def alternatives(self) -> dict[str, tuple[OtherFormula, ...]]:
         """State -> different formulas that were compared, the closest first."""
         return ByState({state: own.alternatives for state, own in self.states.items()})
 
 
 # The verdict of nobody.
-NOBODY = Verdict(NOT_JUDGED, "these equations have no verdict")
+NOBODY = Verdict(NOT_TESTED, "these equations have no verdict")
 
 
-def unjudged(equations: Iterable[str]) -> Verdict:
+def untested(equations: Iterable[str]) -> Verdict:
     """Give the verdict where the time did not suffice for one: nothing is shown of the equations.
 
     Parameters
@@ -240,16 +241,16 @@ def unjudged(equations: Iterable[str]) -> Verdict:
     return Verdict(NOT_FOUND, reason, dict.fromkeys(equations, own))
 
 
-def judge(
+def give_verdict(
     equations: Mapping[str, sympy.Expr],
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr] | None = None,
     *,
     noise: Sequence[np.ndarray] | None = None,
     front: Mapping[str, ParetoFront] | None = None,
-    rivals: Mapping[str, Sequence[tuple[sympy.Expr, float]]] | None = None,
+    alternatives: Mapping[str, Sequence[tuple[sympy.Expr, float]]] | None = None,
     causes: Mapping[str, str] | None = None,
-    settings: VerdictSettings = JUDGE,
+    settings: VerdictSettings = VERDICT,
     fixed: Collection[sympy.Expr] = (),
     curves: Sequence[np.ndarray] = (),
 ) -> Verdict:
@@ -263,7 +264,7 @@ def judge(
     noise : for each run (n, k) standard deviations of the noise of its states, inf where they were
         not measured; by default one for each state, estimated.
     front : state -> other formulas that were found, of which the closest are compared.
-    rivals : state -> (formula, bits above the equation) where they have been compared already.
+    alternatives : state -> (formula, bits above the equation) where they were compared before.
     causes : state -> a sentence that says what its data lack; by default what they show.
     settings : the numbers that decide.
     fixed : terms whose factors are known.
@@ -272,13 +273,13 @@ def judge(
 
     >>> t = np.linspace(0, 3, 61)
     >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
-    >>> judge({"x": -0.5 * sympy.Symbol("x")}, [decay]).level
+    >>> give_verdict({"x": -0.5 * sympy.Symbol("x")}, [decay]).level
     'law'
     """
     try:
         with np.errstate(all="ignore"):
             bench = _Bench.of(equations, runs, inputs or {}, noise, settings, fixed, curves)
-            return _judge(bench, front or {}, rivals, causes or {})
+            return _give_verdict(bench, front or {}, alternatives, causes or {})
     except (ArithmeticError, np.linalg.LinAlgError, InputError) as error:
         # What cannot be followed at all is no fault of the search.
         reason = f"the equations cannot be followed along the data ({one_line(error)})."
@@ -286,10 +287,10 @@ def judge(
         return Verdict(NOT_FOUND, reason, dict.fromkeys(equations, own))
 
 
-def _judge(
+def _give_verdict(
     bench: _Bench,
     front: Mapping[str, ParetoFront],
-    rivals: Mapping[str, Sequence[tuple[sympy.Expr, float]]] | None,
+    alternatives: Mapping[str, Sequence[tuple[sympy.Expr, float]]] | None,
     causes: Mapping[str, str],
 ) -> Verdict:
     followed = bench.follow_longest()
@@ -297,11 +298,11 @@ def _judge(
     if crossed is not None:
         return summarise(crossed, float(max(np.ptp(run.t) for run in bench.course.runs)))
     evidence = bench.gather(followed) if followed.finite else None
-    close = rivals or {}
-    if rivals is None and evidence is not None and front:
+    close = alternatives or {}
+    if alternatives is None and evidence is not None and front:
         close = bench.compare(front, followed)
     states = {
-        state: bench.judge_state(place, followed, evidence, close.get(state, ()), causes.get(state))
+        state: bench.test_state(place, followed, evidence, close.get(state, ()), causes.get(state))
         for place, state in enumerate(bench.equations)
     }
     states = bench.heed_drift(states, followed)
@@ -502,7 +503,7 @@ class _Bench:
         ratios = self._ratios(slopes / np.sqrt(level)[owners][:, None])
         if self.clean.any():
             each = sharp * rows / np.maximum(followed.independent, 1.0)
-            simple = self._simplicity(z, slopes, each[owners]) >= self.settings.rival_bits
+            simple = self._simplicity(z, slopes, each[owners]) >= self.settings.alternative_bits
             level = np.where(simple, sharp, level)
             surer = self._ratios(slopes / np.sqrt(level)[owners][:, None])
             ratios |= {s: surer[s] for s, own in zip(self.equations, simple, strict=True) if own}
@@ -605,7 +606,7 @@ class _Bench:
             allowed.append(2.0 + 4.0 * math.sqrt(2 / len(mine)))
         return np.array(missed), np.array(surprise), np.array(allowed)
 
-    def judge_state(
+    def test_state(
         self,
         place: int,
         followed: Followed,
@@ -629,7 +630,8 @@ class _Bench:
                 rows=_round(float(followed.independent[place]) * self.course.thinned),
                 terms=self._terms(state, evidence, followed),
                 alternatives=tuple(
-                    Rival(shown(tidy(e), 4), _round(bits)) for e, bits in sorted(close, key=_bits)
+                    OtherFormula(shown(tidy(e), 4), _round(bits))
+                    for e, bits in sorted(close, key=_bits)
                 ),
             )
         rows = self._rows(followed, place)
@@ -684,8 +686,8 @@ class _Bench:
             else:
                 continue
             if drift.timed:
-                rival = Rival(shown(tidy(drift.expr), 4), _round(drift.bits))
-                told = replace(told, alternatives=(rival, *own.alternatives))
+                alternative = OtherFormula(shown(tidy(drift.expr), 4), _round(drift.bits))
+                told = replace(told, alternatives=(alternative, *own.alternatives))
             found[state] = told
         return found
 
@@ -743,7 +745,7 @@ class _Bench:
         other = replace(self, equations=changed, opened=opened, places=places)
         again = other.follow_longest()
         evidence = other.gather(again) if again.finite else None
-        judged = {s: other.judge_state(i, again, evidence, (), "") for i, s in enumerate(changed)}
+        judged = {s: other.test_state(i, again, evidence, (), "") for i, s in enumerate(changed)}
         return {s for s, own in judged.items() if own.level == LAW}
 
     def _because(self, state: str, cause: str | None, explained: bool = False) -> str:
@@ -812,7 +814,7 @@ class _Bench:
             some = unsure if len(unsure) <= _NAMED else [*unsure[: _NAMED - 1], "others"]
             doubts.append(f"the data leave it open whether it needs {_join(some)}")
         near = self._doubted_for(found.alternatives, self.clean[place])
-        if near and near[0].bits < -settings.rival_bits:
+        if near and near[0].bits < -settings.alternative_bits:
             doubts.append(f"{near[0].equation} fits them better")
         elif near:
             doubts.append(f"the data cannot distinguish it from {near[0].equation}")
@@ -820,11 +822,11 @@ class _Bench:
             doubts.append(f"{rows:.0f} rows are too few to be sure")
         return doubts
 
-    def _doubted_for(self, rivals: Sequence[Rival], clean: bool) -> list[Rival]:
+    def _doubted_for(self, alternatives: Sequence[OtherFormula], clean: bool) -> list[OtherFormula]:
         """Give the different formulas that leave a doubt, the closest first; none if none does."""
-        closest = sorted(rivals, key=lambda r: r.bits)
+        closest = sorted(alternatives, key=lambda r: r.bits)
         if clean:
-            return [r for r in closest if r.bits < self.settings.rival_bits]
+            return [r for r in closest if r.bits < self.settings.alternative_bits]
         weight = sum(2.0 ** -min(max(r.bits, -60.0), 60.0) for r in closest)
         return closest if 1 / (1 + weight) < self.settings.probable else []
 
@@ -923,18 +925,18 @@ class _Bench:
     ) -> dict[str, list[tuple[sympy.Expr, float]]]:
         """Compare the formulas of the front that come closest."""
         settings = self.settings
-        return compare_rivals(
+        return compare_alternatives(
             self.equations,
             front,
             followed,
             self.places,
             self.course,
-            settings.rivals,
+            settings.alternatives,
             settings.different,
         )
 
 
-def least_r2(noise: float, settings: VerdictSettings = JUDGE) -> float:
+def least_r2(noise: float, settings: VerdictSettings = VERDICT) -> float:
     """Give the R2 that an approximation has at least: noise is not there to be explained.
 
     Parameters
@@ -988,7 +990,7 @@ def explain(
     expr: sympy.Expr,
     verdict: StateVerdict,
     discrete: bool = False,
-    settings: VerdictSettings = JUDGE,
+    settings: VerdictSettings = VERDICT,
 ) -> str:
     """Say in words what is to be thought of an equation, and which different one comes next.
 
@@ -1006,19 +1008,23 @@ def explain(
     said = f"{left} = {shown(tidy(expr))}: {verdict.level}; {verdict.reason}"
     if not verdict.alternatives or verdict.level == NOT_FOUND:
         return said
-    rival = verdict.alternatives[0]
-    if rival.equation in verdict.reason:
+    alternative = verdict.alternatives[0]
+    if alternative.equation in verdict.reason:
         return said
-    other = rival.equation if len(rival.equation) <= 80 else rival.equation[:77] + "..."
-    if rival.bits < 0:
+    other = (
+        alternative.equation
+        if len(alternative.equation) <= 80
+        else alternative.equation[:77] + "..."
+    )
+    if alternative.bits < 0:
         return f"{said} A different formula, {other}, follows the trajectories better."
-    if rival.bits < settings.rival_bits:
+    if alternative.bits < settings.alternative_bits:
         return f"{said} A different formula, {other}, does as well."
     return f"{said} The next different formula, {other}, follows the data clearly worse."
 
 
 def hold_to_slopes(
-    verdict: Verdict, missed: Mapping[str, tuple[float, float]], settings: VerdictSettings = JUDGE
+    verdict: Verdict, missed: Mapping[str, tuple[float, float]], settings: VerdictSettings = VERDICT
 ) -> Verdict:
     """Take for an approximation what misses slopes that are exact, however closely it follows.
 

@@ -48,7 +48,7 @@ from .linear import (
     linearly_independent,
     orthogonal,
 )
-from .losses import LOSSES, Loss, LossFunction, judge_by_loss, read_loss
+from .losses import LOSSES, Loss, LossFunction, choose_by_loss, read_loss
 from .mixed import Mixed, MixedFit, MixedMesh, measure_runs
 from .noise import (
     Noise,
@@ -123,6 +123,7 @@ __all__ = [
     "build_shooting",
     "cauchy_weights",
     "choose",
+    "choose_by_loss",
     "choose_pace",
     "collapse",
     "confirm",
@@ -147,7 +148,6 @@ __all__ = [
     "independent_rows",
     "interval_reach",
     "is_noisy",
-    "judge_by_loss",
     "linearly_independent",
     "loosen",
     "loosen_all",

@@ -109,7 +109,7 @@ def _checked(found: Any, predicted: np.ndarray) -> np.ndarray:
     return losses
 
 
-def judge_by_loss(
+def choose_by_loss(
     pool: Iterable[Candidate], samples: Samples, loss: Loss
 ) -> tuple[list[Candidate], Samples]:
     """Give formulas as a loss counts them, and the samples on which everything does so.

@@ -1,3 +1,4 @@
+from .approximations import Approximation, ApproximationSettings, MeasuredRuns, find_approximations
 from .comparison import (
     ComparisonSettings,
     SystemComparison,
@@ -7,7 +8,6 @@ from .comparison import (
     noise_shown,
 )
 from .first_look import Look, look, look_around
-from .followers import Follower, FollowerSettings, Trail, find_followers
 from .hidden import (
     HIDDEN,
     Coupling,
@@ -20,6 +20,7 @@ from .hidden import (
     law_of,
     lead_alone,
 )
+from .permuted import families
 from .pick import (
     Pick,
     RankedCandidate,
@@ -44,18 +45,18 @@ from .systems import (
     follow_anything,
 )
 from .terms import move_inside, products, weighted_sum
-from .twins import families
 
 __all__ = [
     "HIDDEN",
+    "Approximation",
+    "ApproximationSettings",
     "Compared",
     "ComparisonSettings",
     "Coupling",
-    "Follower",
-    "FollowerSettings",
     "HiddenFit",
     "HiddenSettings",
     "Look",
+    "MeasuredRuns",
     "Pick",
     "RankedCandidate",
     "SelectionSettings",
@@ -63,7 +64,6 @@ __all__ = [
     "SystemChoice",
     "SystemComparison",
     "SystemFit",
-    "Trail",
     "best_so_far",
     "best_subsets",
     "bodies_of",
@@ -72,7 +72,7 @@ __all__ = [
     "explains_all",
     "explore",
     "families",
-    "find_followers",
+    "find_approximations",
     "find_hidden",
     "find_without",
     "first_curve",

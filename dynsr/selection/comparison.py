@@ -41,9 +41,9 @@ from dynsr.methods import Demands, recalled
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.mass_matrix import find_couplings
 from dynsr.selection.parts import Parts
+from dynsr.selection.permuted import with_permuted
 from dynsr.selection.propose import ProposalSettings, propose, term_bits
 from dynsr.selection.rates import SIGMA, shared_bits
-from dynsr.selection.twins import with_twins
 
 Equations = dict[str, sympy.Expr]
 # Starts of one shape at most, and the share by which a constant inside a function sets two apart.
@@ -309,9 +309,9 @@ class SystemComparison:
         fit : the system.
         state, expr : whose equation changes, and what it becomes.
         """
-        if not self.settings.parts.has("changed-twins"):
+        if not self.settings.parts.has("changed-permuted"):
             return [{**fit.exprs, state: expr}]
-        return with_twins(fit.exprs, state, expr, self.mesh.states)
+        return with_permuted(fit.exprs, state, expr, self.mesh.states)
 
     def fit_anew(self, exprs: Equations) -> SystemFit | None:
         """Fit from the constants given and the smoothed states; of two fits the better is kept.

@@ -47,9 +47,9 @@ from dynsr.methods import Limits
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.joints import hinged_sums
 from dynsr.selection.parts import Parts
+from dynsr.selection.permuted import exchanged, shifted
 from dynsr.selection.propose import EXACT, PROPOSALS, RARE, ProposalSettings, propose
 from dynsr.selection.relations import have_a_fixed_sum, is_left_open
-from dynsr.selection.twins import exchanged, shifted
 
 SOURCE = "the first look"
 # Share of its size by which a column leaves its middle where functions must be the same.
@@ -145,7 +145,7 @@ def look(
     search = _Search(samples, limits or Limits(), settings, fit, others)
     with np.errstate(all="ignore"):
         # A twin may have the same constants.
-        twins = search.twins() if settings.parts.has("look-twins") else []
+        twins = search.twins() if settings.parts.has("look-permuted") else []
         found = list(search.take([*earlier, *twins, *search.refitted(twins)]))
         seen = search.conclude(found)
         if _is_law(seen):
@@ -180,7 +180,7 @@ def look_around(
     >>> look_around(s, Limits(), {"x": sympy.sympify("3*x*y")}).candidates[0].expr
     3*x*z
     """
-    if not settings.parts.has("look-twins"):
+    if not settings.parts.has("look-permuted"):
         return Look()
     terms = {s: sympy.Add.make_args(expr) for s, expr in known.items() if not expr.is_Symbol}
     others = {s: sympy.Add(*map(loosen, own)) for s, own in terms.items()}

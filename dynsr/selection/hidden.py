@@ -328,9 +328,11 @@ def _bodies(
         for body in [sympy.S.One, *products(names, settings.degree)]
         if {str(s) for s in body.free_symbols} <= one_signed and allow(body)
     ]
-    judge = SystemComparison(data.mesh(data.runs[0].states), comparison)
+    comparison_of_terms = SystemComparison(data.mesh(data.runs[0].states), comparison)
     # Of equally many columns, textbooks multiply with some rather than with others.
-    found.sort(key=lambda body: judge.term_bits(body * sympy.Symbol(state), state, Written()))
+    found.sort(
+        key=lambda body: comparison_of_terms.term_bits(body * sympy.Symbol(state), state, Written())
+    )
     return found[: settings.couplings]
 
 

@@ -12,7 +12,7 @@ from dynsr.errors import InputError
 
 # Name of a part -> what it does.
 PARTS: Mapping[str, str] = {
-    "look-twins": "equations of other states with names exchanged, on exact slopes",
+    "look-permuted": "equations of other states with names exchanged, on exact slopes",
     "look-rare": "sums with rare functions, on exact slopes",
     "look-again": "second and third looks that know the equations found for other states",
     "end-look": "an equation that exact slopes leave no doubt of ends the search",
@@ -21,14 +21,14 @@ PARTS: Mapping[str, str] = {
     "joints": "ratios with the sine and cosine of a joint, in noise",
     "citing": "sums with terms of other equations",
     "fluxes": "terms that several equations share, proposed again in all of them",
-    "changed-twins": "equations of one form change together",
+    "changed-permuted": "equations of one form change together",
     "couplings": "systems tied by a mass matrix",
     "renewal": "one equation of a system proposed again, along its states",
     "pruning": "terms taken out one by one",
     "move-leaders": "the formulas that lead alone",
     "end-confirmed": "formulas of rough slopes that exact states confirm end the search",
     "whole-polynomials": "polynomials of exact rows far apart",
-    "followers": "sums that keep closer to the data where no law is found",
+    "approximations": "sums that keep closer to the data where no law is found",
     "belief": "noise is believed to be as little as a system leaves",
     "methods": "the other methods where the search along the states leaves more than noise",
     "bits-simple": "bits saved by simple numbers",

@@ -18,11 +18,11 @@ from dynsr.fit import (
     Loss,
     Noise,
     build_shooting,
+    choose_by_loss,
     choose_pace,
     collapse,
     description_length,
     improve,
-    judge_by_loss,
     noise_of,
     one_a_shape,
     prepare,
@@ -223,7 +223,7 @@ def pick_equation(
     noise, judged, own = noise_of(candidates, samples), samples, []
     level = noise
     if settings.loss is not None:
-        candidates, judged = judge_by_loss(candidates, samples, settings.loss)
+        candidates, judged = choose_by_loss(candidates, samples, settings.loss)
         level = noise_of(candidates, judged)
         own = _rank(candidates, judged, level)[: settings.snapped]
     ranked = one_a_shape(_rank(candidates, judged, level))[: settings.snapped]

@@ -18,8 +18,8 @@ from dynsr.fit import skeleton
 from dynsr.selection.changes import prune, while_better
 from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, leaves_noise
 from dynsr.selection.evidence import Evidence
+from dynsr.selection.permuted import exchanged
 from dynsr.selection.rates import fluxes
-from dynsr.selection.twins import exchanged
 
 
 def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:

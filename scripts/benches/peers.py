@@ -221,9 +221,9 @@ def answer_peer(fit: Callable[..., str], threads: int, data: Any, seed: int) -> 
 
 def answer_stlsq(threads: int, data: Any, seed: int) -> Any:
     """Search by pysindy, tuned; it has no use for threads."""
-    from dynsr.benchmarks.zoo import rivals
+    from dynsr.benchmarks.zoo import peers
 
-    return rivals.answer_stlsq(data, seed)
+    return peers.answer_stlsq(data, seed)
 
 
 PEERS: Mapping[str, tuple[str, Callable[[int, Any, int], Any]]] = {

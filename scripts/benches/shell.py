@@ -28,7 +28,7 @@ DYNSR = Path(sys.executable).with_name("dynsr")
 BEGIN, END = "<!-- shell -->\n", "<!-- end of shell -->\n"
 STLSQ = """
 import sys
-from dynsr.benchmarks.zoo.rivals import answer_stlsq
+from dynsr.benchmarks.zoo.peers import answer_stlsq
 from dynsr.data import read_trajectories
 (data,) = read_trajectories(sys.argv[1]).trajectories
 for state, equation in answer_stlsq(data).equations.items():

@@ -16,7 +16,7 @@ from joblib import effective_n_jobs
 
 from dynsr import __version__
 from dynsr.benchmarks.zoo.conditions import Condition, draw_conditions, measure
-from dynsr.benchmarks.zoo.rivals import answer_stlsq, answer_weak
+from dynsr.benchmarks.zoo.peers import answer_stlsq, answer_weak
 from dynsr.benchmarks.zoo.scoring import Answer, Interval, score_answer
 from dynsr.benchmarks.zoo.system import ZooSystem
 from dynsr.data import Trajectory

@@ -7,7 +7,7 @@ from dynsr.data.trajectory import Trajectory
 from dynsr.expression.parsing import parse
 from dynsr.expression.vocabulary import Vocabulary
 from dynsr.methods.demands import Demands
-from dynsr.selection.followers import Trail, find_followers
+from dynsr.selection.approximations import MeasuredRuns, find_approximations
 
 PREY = {"x": parse("x*(1 - x/4) - x*y/(1 + x)"), "y": parse("x*y/(1 + x) - 0.5*y")}
 
@@ -38,7 +38,7 @@ def test_a_sum_of_terms_follows_what_is_no_sum_of_terms():
     integrates the first to the R2 that is said, above 0.95, and a line does not.
     """
     run = measure()
-    found = find_followers(Trail([run], {}, run.states), Demands())
+    found = find_approximations(MeasuredRuns([run], {}, run.states), Demands())
     best = found[0]
     again = integrate(best.exprs, run.x[0], run.t)
     assert explained(run.x, again) == pytest.approx(best.r2, abs=5e-3)
@@ -49,7 +49,7 @@ def test_a_sum_of_terms_follows_what_is_no_sum_of_terms():
 def test_no_unit_matters_to_followers():
     """Data in units a thousand times smaller have the same terms and the same R2."""
     one, other = (
-        find_followers(Trail([run], {}, run.states), Demands())[0]
+        find_approximations(MeasuredRuns([run], {}, run.states), Demands())[0]
         for run in (measure(100), measure(100, 1000.0))
     )
     assert one.r2 == pytest.approx(other.r2, abs=1e-6)
@@ -65,9 +65,11 @@ def test_followers_keep_to_what_is_asked_and_to_what_is_known():
     t = np.linspace(0, 12, 200)
     swing = {"q": parse("v"), "v": parse("-sin(q) - 0.1*v")}
     run = Trajectory(t, integrate(swing, [2.0, 0.0], t), ("q", "v"))
-    trail = Trail([run], {}, run.states)
-    free = find_followers(trail, Demands(), {"q": parse("v")})
-    bound = find_followers(trail, Demands(vocabulary=Vocabulary(())), {"q": parse("v")})
+    measured_runs = MeasuredRuns([run], {}, run.states)
+    free = find_approximations(measured_runs, Demands(), {"q": parse("v")})
+    bound = find_approximations(
+        measured_runs, Demands(vocabulary=Vocabulary(())), {"q": parse("v")}
+    )
     assert any(f.exprs["v"].has(sympy.sin) for f in free)
     assert bound and not any(e.has(sympy.sin, sympy.cos) for f in bound for e in f.exprs.values())
     assert {f.exprs["q"] for f in [*free, *bound]} == {sympy.Symbol("v")}
@@ -82,7 +84,7 @@ def test_an_input_drives_what_is_followed():
         # The solution from 0, in closed form.
         x = (np.cos(wave * t) + wave * np.sin(wave * t) - np.exp(-t)) / (1 + wave**2)
         runs.append(Trajectory(t, x[:, None], ("x",), u[:, None], ("u",)))
-    best = find_followers(Trail(runs, {}, ("x",)), Demands())[0]
+    best = find_approximations(MeasuredRuns(runs, {}, ("x",)), Demands())[0]
     terms = best.exprs["x"].as_coefficients_dict()
     assert best.r2 > 0.9999
     assert float(terms[sympy.Symbol("u")]) == pytest.approx(1.0, abs=0.02)
@@ -92,7 +94,7 @@ def test_an_input_drives_what_is_followed():
 def test_what_diverges_explains_nothing():
     """x' = x^2 leaves the data of a decay: its R2 is -1, and that of the decay is 1."""
     t = np.linspace(0, 3, 40)
-    trail = Trail([Trajectory(t, np.exp(-t)[:, None], ("x",))], {}, ("x",))
+    measured_runs = MeasuredRuns([Trajectory(t, np.exp(-t)[:, None], ("x",))], {}, ("x",))
     x = sympy.Symbol("x")
-    assert trail.r2({"x": 5 * x**2}).tolist() == [-1.0]
-    assert trail.r2({"x": -x}).tolist() == pytest.approx([1.0], abs=1e-9)
+    assert measured_runs.r2({"x": 5 * x**2}).tolist() == [-1.0]
+    assert measured_runs.r2({"x": -x}).tolist() == pytest.approx([1.0], abs=1e-9)

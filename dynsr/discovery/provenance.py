@@ -10,7 +10,7 @@ from dynsr.data import Trajectory
 from dynsr.discovery.result import Discovery
 
 
-def with_told(
+def with_provenance(
     found: Discovery, runs: Sequence[Trajectory], observed: Mapping[str, Any] | None = None
 ) -> Discovery:
     """Give a discovery that knows how its columns were read, the unit of its time, and misfits.

@@ -31,11 +31,11 @@ from dynsr.fit import (
 )
 from dynsr.library import structure_in
 
-# Longer formulas are no rivals of shorter ones: what they can do more, the misses tell.
+# Longer formulas are no alternatives of shorter ones: what they can do more, the misses tell.
 MORE_CONSTANTS = 2
 
 
-def compare_rivals(
+def compare_alternatives(
     equations: Mapping[str, sympy.Expr],
     front: Mapping[str, Iterable[Candidate]],
     followed: Followed,

@@ -16,8 +16,8 @@ from dynsr.library import read_equation, write_down
 from dynsr.selection import ComparisonSettings, compare_systems
 from dynsr.selection.changes import prune
 from dynsr.selection.comparison import SystemComparison
+from dynsr.selection.permuted import exchanged, families, with_permuted
 from dynsr.selection.renewal import renew
-from dynsr.selection.twins import exchanged, families, with_twins
 
 SETTINGS = ComparisonSettings()
 # Two genes that switch each other on; what is made of one decays faster.
@@ -71,10 +71,12 @@ def test_every_way_of_exchanging_is_given():
 def test_twins_change_together():
     """A term that goes from one goes from its twin too; constants that the twin has are kept."""
     exprs = floats(ROTORS)
-    both, alone = with_twins(exprs, "a", sympy.Float(0.8) * sympy.sin(sympy.sympify("b - a")), "ab")
+    both, alone = with_permuted(
+        exprs, "a", sympy.Float(0.8) * sympy.sin(sympy.sympify("b - a")), "ab"
+    )
     assert both["b"] == floats({"b": "-0.3*sin(b - a)"})["b"]
     assert alone["b"] == exprs["b"]
-    assert len(with_twins({**exprs, "b": sympy.Symbol("a")}, "a", sympy.Float(2.0), "ab")) == 1
+    assert len(with_permuted({**exprs, "b": sympy.Symbol("a")}, "a", sympy.Float(2.0), "ab")) == 1
 
 
 def test_twins_cost_less():

@@ -33,7 +33,7 @@ Equations = dict[str, sympy.Expr]
 
 
 @dataclass(frozen=True)
-class FollowerSettings:
+class ApproximationSettings:
     """The numbers that decide among sums of terms that are integrated.
 
     Parameters
@@ -68,11 +68,11 @@ class FollowerSettings:
     given: int = 4
 
 
-FOLLOWERS = FollowerSettings()
+APPROXIMATING = ApproximationSettings()
 
 
 @dataclass(frozen=True)
-class Follower:
+class Approximation:
     """Equations, and the share of the variance of the states that their integration explains."""
 
     exprs: Equations
@@ -85,7 +85,7 @@ class Follower:
 
 
 @dataclass(frozen=True, eq=False)
-class Trail:
+class MeasuredRuns:
     """Measured runs to be followed as a whole, each from its first row.
 
     Parameters
@@ -98,7 +98,7 @@ class Trail:
 
     >>> t = np.linspace(0.0, 3.0, 31)
     >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
-    >>> Trail([decay], {}, ("x",)).r2({"x": -sympy.Symbol("x") / 2}).round(6)
+    >>> MeasuredRuns([decay], {}, ("x",)).r2({"x": -sympy.Symbol("x") / 2}).round(6)
     array([1.])
     """
 
@@ -106,7 +106,7 @@ class Trail:
     inputs: Mapping[str, sympy.Expr]
     states: tuple[str, ...]
     smoothed: Sequence[SmoothedTrajectory] | None = None
-    settings: FollowerSettings = FOLLOWERS
+    settings: ApproximationSettings = APPROXIMATING
 
     @cached_property
     def driven(self) -> tuple[str, ...]:
@@ -235,38 +235,38 @@ class Trail:
         return np.column_stack([x, driven.T]), slope
 
 
-def find_followers(
-    trail: Trail,
+def find_approximations(
+    measured_runs: MeasuredRuns,
     demands: Demands,
     given: Mapping[str, sympy.Expr] | None = None,
     explicit_time: bool = False,
-) -> list[Follower]:
+) -> list[Approximation]:
     """Give the sums of terms that follow the runs best, the first chosen, the others by R2.
 
     Parameters
     ----------
-    trail : the runs.
+    measured_runs : the runs.
     demands : what the user asks of the equations; what breaks them is not given.
     given : state -> its equation where that is known, such as a bare velocity.
     explicit_time : whether terms may contain the time.
 
     >>> t = np.linspace(0.0, 3.0, 31)
     >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
-    >>> best = find_followers(Trail([decay], {}, ("x",)), Demands())[0]
+    >>> best = find_approximations(MeasuredRuns([decay], {}, ("x",)), Demands())[0]
     >>> sorted(map(str, best.exprs["x"].free_symbols)), round(best.r2, 3)
     (['x'], 1.0)
     """
-    settings = trail.settings
-    names = [*trail.states, *trail.driven, "t"]
+    settings = measured_runs.settings
+    names = [*measured_runs.states, *measured_runs.driven, "t"]
     used = names if explicit_time else names[:-1]
     libraries = _Libraries.of(used, demands, settings)
     program = compile_columns(libraries.whole.functions, names)
-    held = {trail.states.index(s): libraries.place(e) for s, e in (given or {}).items()}
+    held = {measured_runs.states.index(s): libraries.place(e) for s, e in (given or {}).items()}
     found: dict[bytes, np.ndarray] = {}
-    for columns, slopes in trail.slopes():
+    for columns, slopes in measured_runs.slopes():
         values = program(*columns.T).T
         fine = np.isfinite(values).all(axis=0) & (np.ptp(values, axis=0) < np.inf)
-        allowed = [libraries.allowed(s, demands) & fine for s in trail.states]
+        allowed = [libraries.allowed(s, demands) & fine for s in measured_runs.states]
         for choice in libraries.choices:
             for sums in _thin(values, slopes, [choice & own for own in allowed], settings):
                 for row, place in held.items():
@@ -275,8 +275,8 @@ def find_followers(
                 # Of sums of the same terms the smoothers give others.
                 found.setdefault(np.round(sums, 12).tobytes(), sums)
     sums = np.stack(list(found.values()), axis=1)
-    r2 = trail.march(program, sums)
-    return _choose(trail, libraries.whole, sums, r2, demands, given or {})
+    r2 = measured_runs.march(program, sums)
+    return _choose(measured_runs, libraries.whole, sums, r2, demands, given or {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +287,9 @@ class _Libraries:
     choices: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, names: Sequence[str], demands: Demands, settings: FollowerSettings) -> _Libraries:
+    def of(
+        cls, names: Sequence[str], demands: Demands, settings: ApproximationSettings
+    ) -> _Libraries:
         sizes = {d: len(polynomials(names, d)) for d in settings.degrees}
         degrees = [d for d in settings.degrees if sizes[d] <= settings.terms or d == 1]
         powers = polynomials(names, max(degrees))
@@ -319,7 +321,7 @@ def _thin(
     values: np.ndarray,
     slopes: np.ndarray,
     choices: Sequence[np.ndarray],
-    settings: FollowerSettings,
+    settings: ApproximationSettings,
 ) -> Iterator[np.ndarray]:
     """Coefficients (k, p) of the sums that every threshold leaves, each choice of terms once.
 
@@ -360,26 +362,26 @@ def _threshold(
 
 
 def _choose(
-    trail: Trail,
+    measured_runs: MeasuredRuns,
     library: Library,
     sums: np.ndarray,
     r2: np.ndarray,
     demands: Demands,
     given: Mapping[str, sympy.Expr],
-) -> list[Follower]:
+) -> list[Approximation]:
     """Give the sum of fewest terms of the best, then the others by R2."""
-    settings = trail.settings
+    settings = measured_runs.settings
     terms = np.count_nonzero(sums, axis=(0, 2))
     best = float(np.max(r2))
     order = np.argsort(-r2, kind="stable")
     near = [i for i in order if r2[i] >= best - settings.tie]
     first = min(near, key=lambda i: terms[i])
-    found: list[Follower] = []
+    found: list[Approximation] = []
     for i in [first, *(i for i in order if i != first)]:
         if len(found) == settings.given or r2[i] <= 0:
             break
-        exprs = {s: library.combine(sums[row, i]) for row, s in enumerate(trail.states)}
+        exprs = {s: library.combine(sums[row, i]) for row, s in enumerate(measured_runs.states)}
         exprs |= given
         if demands.keep_all(exprs):
-            found.append(Follower(exprs, float(r2[i])))
+            found.append(Approximation(exprs, float(r2[i])))
     return found

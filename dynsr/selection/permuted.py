@@ -49,7 +49,7 @@ def shifted(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) ->
     return expr.xreplace({n: names[(i + far) % len(names)] for i, n in enumerate(names)})
 
 
-def with_twins(
+def with_permuted(
     exprs: Mapping[str, sympy.Expr], state: str, expr: sympy.Expr, columns: Sequence[str]
 ) -> list[dict[str, sympy.Expr]]:
     """Give a system with one equation changed, and first with its permuted equations changed too.
@@ -62,7 +62,7 @@ def with_twins(
 
     >>> x, y = sympy.symbols("x y")
     >>> twins = {"x": 2.0 * x - 1.5 * x * y, "y": 0.5 * y - 0.3 * x * y}
-    >>> with_twins(twins, "x", 1.9 * x - 1.2 * x * y - 0.1 * x**2, ["x", "y"])[0]["y"]
+    >>> with_permuted(twins, "x", 1.9 * x - 1.2 * x * y - 0.1 * x**2, ["x", "y"])[0]["y"]
     -0.3*x*y - 0.1*y**2 + 0.5*y
     """
     alone = {**exprs, state: expr}
