@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from dynsr import Discovery, DiscoverySettings, InputError, Trajectory, discover, load
 from dynsr.discovery import FreePart, FreeParts, FreeSettings
-from dynsr.discovery.free_model import has_free, read_model, settle_model
+from dynsr.discovery.free_model import finish_model, has_free, read_model
 from dynsr.expression import (
     Curve,
     compile_columns,
@@ -272,7 +272,7 @@ def test_what_exact_data_cannot_determine_is_fixed_and_said(known, fixed, means)
     """A constant becomes 0, or 1 where the function would vanish; of two functions one mean is."""
     model = read_model(known, ["x", "y"], ["x", "y", "t"])
     columns = {name: np.linspace(0.5, 3, 20) for name in ("x", "y", "t")}
-    settled = settle_model(model, columns, np.random.default_rng(1))
+    settled = finish_model(model, columns, np.random.default_rng(1))
     assert dict(settled.fixed) == fixed
     assert [part.mean for part in settled.parts] == means
     assert len(settled.notes) == len(fixed) + sum(mean is not None for mean in means)

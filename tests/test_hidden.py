@@ -12,10 +12,10 @@ from scipy.integrate import solve_ivp
 from dynsr import Discovery, InputError, Trajectory, discover
 from dynsr.discovery.uncertainty import bootstrap
 from dynsr.discovery.unmeasured import coupling_of, describe_hidden, estimate_hidden
-from dynsr.fit import Measurements, misses_bits
+from dynsr.fit import Measurements, residual_bits
 from dynsr.fit.collocation import covariance_of
 from dynsr.jobs import FolderTaken
-from dynsr.selection import ComparisonSettings, Coupling, find_hidden, law_of, lead_alone
+from dynsr.selection import ComparisonSettings, Coupling, best_alone, find_hidden, law_of
 from dynsr.selection.hidden import HiddenComparison, first_curve, write_law
 from tests.command_line import run
 
@@ -88,8 +88,8 @@ def test_a_law_is_written_with_the_equation_of_another_system():
 def test_what_an_unmeasured_state_misses_of_its_equation_takes_bits():
     """Its defects are Gaussian of known size: a sum of squares of 6 is 3 / ln 2 bits."""
     squares, rows = np.array([1.0, 6.0]), np.array([100.0, 0.0])
-    assert misses_bits(squares, rows) == pytest.approx(3 / np.log(2))
-    assert misses_bits(np.array([1.0, np.inf]), rows) == np.inf
+    assert residual_bits(squares, rows) == pytest.approx(3 / np.log(2))
+    assert residual_bits(np.array([1.0, np.inf]), rows) == np.inf
 
 
 def test_small_defects_of_a_hidden_state_are_no_way_to_follow_noise():
@@ -129,7 +129,7 @@ def test_what_changes_sign_multiplies_no_hidden_state():
     """Where x passes 0, x' = x**2 y shows nothing of y: such systems are not proposed."""
     data = Measurements.of([pendulum(0.05)], {}, 2000)
     settings = ComparisonSettings()
-    found = find_hidden(data, "y", "x", lead_alone(data, settings)["x"], settings)
+    found = find_hidden(data, "y", "x", best_alone(data, settings)["x"], settings)
     assert {one.coupling.body for one in found} == {sympy.S.One}
 
 

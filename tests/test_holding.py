@@ -5,7 +5,7 @@ import pytest
 
 from dynsr.data import Trajectory, take_trajectories
 from dynsr.data.holding import choose_hold, holds_its_value
-from dynsr.data.trajectory import settle_hold
+from dynsr.data.trajectory import decide_hold
 from dynsr.errors import InputError
 
 ROWS = 240
@@ -95,8 +95,8 @@ def test_what_the_user_says_goes_before_the_values() -> None:
     """The ways of a trajectory, then the call's, overrule what the values tell."""
     run = with_input(np.sin(T / 8), hold={"u": "linear"})
     assert run.holds == {"u": "linear"}
-    assert settle_hold([run])[0].hold == {"u": "linear"}
-    assert settle_hold([run], "previous")[0].hold == {"u": "previous"}
+    assert decide_hold([run])[0].hold == {"u": "linear"}
+    assert decide_hold([run], "previous")[0].hold == {"u": "previous"}
 
 
 @pytest.mark.parametrize(
@@ -111,4 +111,4 @@ def test_what_the_user_says_goes_before_the_values() -> None:
 def test_an_unknown_input_or_way_is_one_line(hold: object, says: str) -> None:
     """A wrong name or word is answered with the choices."""
     with pytest.raises(InputError, match=says):
-        settle_hold([with_input(T)], hold)  # type: ignore[arg-type]
+        decide_hold([with_input(T)], hold)  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ from dynsr.data import (
     take_trajectories,
 )
 from dynsr.discovery.verdict import give_verdict
-from dynsr.fit import Measurements, fit_along, misses_bits
+from dynsr.fit import Measurements, fit_along, residual_bits
 from tests.command_line import run
 
 X = sympy.Symbol("x")
@@ -131,7 +131,7 @@ def test_bits_of_known_noise_are_those_of_its_likelihood():
     rows = np.array([100.0])
 
     def bits(square: float, said: bool) -> float:
-        return misses_bits(np.array([square]), rows, known=said)
+        return residual_bits(np.array([square]), rows, known=said)
 
     assert np.isclose(bits(4.0, True) - bits(1.0, True), 3 * 100 / (2 * np.log(2)))
     assert np.isclose(bits(4.0, False) - bits(1.0, False), 100)

@@ -13,7 +13,7 @@ from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import score_candidate
 from dynsr.fit.shooting import build_shooting, prepare
 from dynsr.methods import RationalSearch
-from dynsr.selection.pick import explains_all, forecast_misses
+from dynsr.selection.pick import explains_all, forecast_errors
 
 MU = 50.0
 
@@ -107,7 +107,7 @@ def test_forecasts_of_the_true_law_stay_stable_between_coarse_rows():
     """At 200 even rows an explicit step of a row is unstable; the true law still follows most."""
     run = relaxation(np.linspace(0, 150, 200))
     rhs = {"x": parse("y"), "y": parse("50*y - 50*x^2*y - x")}
-    misses = forecast_misses(rhs, run, window=3)
+    misses = forecast_errors(rhs, run, window=3)
     assert np.isfinite(misses).all()
     assert np.median(misses) < 1e-6
 

@@ -31,10 +31,10 @@ from dynsr.data import (
 from dynsr.discovery import (
     RECORD,
     Discovery,
-    beside_data,
     discover,
     inputs_in,
     keep_formulas,
+    next_to_data,
     write_lines,
     write_map_mathml,
 )
@@ -251,7 +251,7 @@ class Work:
 
     def restore(self) -> None:
         """Take again what was found by a process that was ended by force later."""
-        found = beside_data(Discovery.load(self._folder / _KEPT), self._parts())
+        found = next_to_data(Discovery.load(self._folder / _KEPT), self._parts())
         self._take(found, [])
 
     def _parts(self) -> list[Trajectory]:

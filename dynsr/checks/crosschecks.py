@@ -17,7 +17,7 @@ from dynsr.checks.implicit import implicit_rows
 from dynsr.checks.trajectories import CrosscheckRow, absent, trajectory_rows
 from dynsr.engines import ENGINES, AbstractEngine, DiffeqpyEngine, SparseProblem, find_engine
 from dynsr.errors import EngineError, EngineUnavailable, InputError, MissingExtra, need
-from dynsr.jobs import Step, tell_each
+from dynsr.jobs import Step, report_each
 from dynsr.paper import PAPER_NAMES, SparseRecord, sparse_records
 
 COEFFICIENT_LIMIT = 1e-6
@@ -64,7 +64,7 @@ def crosscheck(
                 )
     asked = [(*each, find_engine) for each in product(engines, chosen, systems)]
     asked += [(*each, _start_program) for each in product(extra, ("trajectories",), systems)]
-    told = tell_each(asked, lambda each: f"{each[0]}: {each[1]} of {each[2]}", progress)
+    told = report_each(asked, lambda each: f"{each[0]}: {each[1]} of {each[2]}", progress)
     return [
         row for name, section, system, find in told for row in _compare(section, system, name, find)
     ]

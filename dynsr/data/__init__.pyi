@@ -30,7 +30,7 @@ from .sums import MeasuredSum
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .temporary import is_part, open_part, own_folder, remove_stale
 from .times import check_time_unit
-from .trajectory import Trajectory, columns_of, settle_hold
+from .trajectory import Trajectory, columns_of, decide_hold
 from .unseen_steps import (
     UnseenSteps,
     UnseenStepSettings,
@@ -103,6 +103,7 @@ __all__ = [
     "cut_at_doses",
     "cut_at_unseen_steps",
     "cut_to_windows",
+    "decide_hold",
     "describe",
     "describe_table",
     "diagnose",
@@ -136,7 +137,6 @@ __all__ = [
     "robust_scale",
     "sample_input",
     "scale_of",
-    "settle_hold",
     "smooth",
     "smooth_column",
     "split_held_back",

@@ -146,7 +146,7 @@ def assemble(
     there = np.any([_has_value(reading.values) for reading in readings], axis=0)
     if not there.any():
         raise InputError(f"{label} has no rows with a value; it needs rows of times and states")
-    new, repeats, renamed = _tell_apart(called, [reading.values for reading in readings])
+    new, repeats, renamed = _distinguish(called, [reading.values for reading in readings])
     left_out: dict[str, str] = {}
     found: list[tuple[str, np.ndarray]] = []
     told, units_of, faults, words = list(notes), {}, {}, {}
@@ -226,7 +226,7 @@ def _has_value(values: np.ndarray) -> np.ndarray:
     return ~np.asarray(pandas.isna(values), dtype=bool)
 
 
-def _tell_apart(
+def _distinguish(
     names: Sequence[str], values: Sequence[np.ndarray]
 ) -> tuple[list[str], dict[int, str], list[tuple[str, str]]]:
     """Give each column a name of its own, and say which repeat one before and which are renamed."""

@@ -30,7 +30,7 @@ from dynsr.data.oddities import OddSettings, odd_marks
 from dynsr.data.roles import Roles
 from dynsr.data.steps import between_rows
 from dynsr.data.times import convert_times
-from dynsr.data.trajectory import FEWEST_ROWS, Trajectory, as_floats, settle_hold
+from dynsr.data.trajectory import FEWEST_ROWS, Trajectory, as_floats, decide_hold
 from dynsr.data.understanding import Asked, understand
 from dynsr.data.writing import write_new
 from dynsr.errors import DynsrWarning, InputError
@@ -143,7 +143,7 @@ def read_trajectories(
     if times is None:
         columns = load_columns(source, decimal)
     else:
-        columns = _load_beside(source, times, decimal)
+        columns = _load_with_times(source, times, decimal)
     columns = _with_names(columns, states)
     for note in columns.notes:
         warnings.warn(note, DynsrWarning, stacklevel=2)
@@ -163,7 +163,7 @@ def read_trajectories(
     for note in marks:
         warnings.warn(note, DynsrWarning, stacklevel=2)
     found = replace(found, notes=(*found.notes, *marks))
-    runs = settle_hold(say_noise(found.runs, noise, found.roles.renamed), hold)
+    runs = decide_hold(say_noise(found.runs, noise, found.roles.renamed), hold)
     understood = describe_runs(
         columns.label,
         runs,
@@ -219,7 +219,7 @@ def _chosen(quantity: str | None) -> str | None:
     return "" if quantity is not None and quantity.strip().lower() in ("", "none") else quantity
 
 
-def _load_beside(source: Any, t: Any, decimal: str | None) -> Columns:
+def _load_with_times(source: Any, t: Any, decimal: str | None) -> Columns:
     """Load the columns of a source without times, and their times."""
     if isinstance(source, (str, os.PathLike, Mapping)) or hasattr(source, "columns"):
         return with_times(load_columns(source, decimal), t)
@@ -306,7 +306,7 @@ def _read_list(
         hold = given
     elif isinstance(hold, Mapping):
         hold = {renamed.get(name, name): way for name, way in hold.items()}
-    runs = settle_hold([replace(run, hold={}) for run in runs], hold)
+    runs = decide_hold([replace(run, hold={}) for run in runs], hold)
     understood = join_descriptions([table.description for table in tables], runs, joined)
     told = _told(runs, "; ".join(dict.fromkeys(table.guess for table in tables)), understood)
     return replace(told, left_out=understood.left_out, notes=understood.notes)
@@ -632,7 +632,7 @@ def take_trajectories(
             f"input {known[0]!r} is an expression in t, which says what it is between rows; "
             "leave it out of hold"
         )
-    return settle_hold([_with_drives(run, drives) for run in runs], hold), drives
+    return decide_hold([_with_drives(run, drives) for run in runs], hold), drives
 
 
 def _sort_inputs(

@@ -112,7 +112,7 @@ def guess_roles(
         unsaid = [n for n in free if n not in (*apart, *amounts)]
         left_out |= look.redundant(unsaid, known or [])
     moving = [n for n in free if n not in left_out and n not in apart]
-    noise = look.noise_beside(chosen, moving, said)
+    noise = look.noise_columns_of(chosen, moving, said)
     left_out |= {own: f"is the noise of {state!r}" for state, own in noise.items()}
     free = [n for n in free if n not in left_out]
     if known is None:
@@ -284,7 +284,7 @@ class _Look:
                 found[state] = name
         return found
 
-    def noise_beside(
+    def noise_columns_of(
         self, chosen: Sequence[str] | None, moving: Sequence[str], said: Mapping[str, str]
     ) -> dict[str, str]:
         """Give the columns of errors by what they are of: of the states, where these are chosen.

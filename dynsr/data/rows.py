@@ -86,7 +86,7 @@ def order_rows(
         which = "The rows" if len(runs) == 1 else f"The rows of {moved} of {len(runs)} trajectories"
         notes.append(f"{which} were put in order of {time!r}.")
     if repeated:
-        notes += _tell_repeats(grouping, t, runs, values, states, time)
+        notes += _report_repeats(grouping, t, runs, values, states, time)
         if not any(pooled_noise(runs, states).values()):
             runs = [replace(run, spreads={}) for run in runs]
     return runs, notes
@@ -163,7 +163,7 @@ def _average(run: Run, summed: Sequence[str]) -> Run:
     return Run(run.name, run.rows[first_rows], times, values, spreads)
 
 
-def _tell_repeats(
+def _report_repeats(
     grouping: Grouping,
     t: np.ndarray,
     runs: Sequence[Run],

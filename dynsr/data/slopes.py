@@ -277,17 +277,17 @@ def choose_scheme(
     'central4'
     """
     if len(t) > LONGEST_KEPT:
-        return _choose_anew(t, x, sigma, settings)
+        return _choose_again(t, x, sigma, settings)
     return _choose_once(as_bytes(t), as_bytes(x), sigma, settings)
 
 
 # The samples of every target want the choices for all columns, and a report wants them again.
 @lru_cache(maxsize=64)
 def _choose_once(times: bytes, values: bytes, sigma: float, settings: SlopeSettings) -> Choice:
-    return _choose_anew(np.frombuffer(times), np.frombuffer(values), sigma, settings)
+    return _choose_again(np.frombuffer(times), np.frombuffer(values), sigma, settings)
 
 
-def _choose_anew(
+def _choose_again(
     t: np.ndarray, x: np.ndarray, sigma: float, settings: SlopeSettings = _SETTINGS
 ) -> Choice:
     step = float(np.median(np.diff(t)))

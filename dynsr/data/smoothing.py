@@ -302,7 +302,7 @@ def smooth_values(
     """
     taken = np.zeros(len(t)) if taken is None else taken
     if len(t) > LONGEST_KEPT:
-        return _smooth_anew(t, x, noise, settings, taken, known)
+        return _smooth_again(t, x, noise, settings, taken, known)
     said = b"" if known is None else as_bytes(known)
     return _smooth_once(as_bytes(t), as_bytes(x), noise, settings, as_bytes(taken), said)
 
@@ -323,10 +323,10 @@ def _smooth_once(
     known: bytes,
 ) -> SmoothColumn:
     t, x, part = (np.frombuffer(own) for own in (times, values, taken))
-    return _smooth_anew(t, x, noise, settings, part, np.frombuffer(known) if known else None)
+    return _smooth_again(t, x, noise, settings, part, np.frombuffer(known) if known else None)
 
 
-def _smooth_anew(
+def _smooth_again(
     t: np.ndarray,
     x: np.ndarray,
     noise: StateNoise,

@@ -426,7 +426,7 @@ def check_rows(rows: Any, count: int) -> None:
         raise InputError(f"{shown} cannot be taken of {count} rows; give a slice or whole numbers")
 
 
-def settle_hold(
+def decide_hold(
     runs: Sequence[Trajectory], hold: Mapping[str, str] | str | None = None
 ) -> list[Trajectory]:
     """Give the runs with one way for each input, so that all of a call read it alike.
@@ -441,7 +441,7 @@ def settle_hold(
 
     >>> t = np.arange(6.0)
     >>> steps = Trajectory(t, t[:, None], ("x",), np.array([[0.0, 0, 0, 1, 1, 1]]).T, ("u",))
-    >>> settle_hold([steps])[0].hold, settle_hold([steps], "linear")[0].hold
+    >>> decide_hold([steps])[0].hold, decide_hold([steps], "linear")[0].hold
     ({'u': 'previous'}, {'u': 'linear'})
     """
     names = runs[0].input_names

@@ -106,7 +106,7 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     source = columns.names
     columns, times, said = _below_each_other(columns, times, asked)
     notes += said
-    columns, times, quantity, said = _beside_each_other(columns, times, asked)
+    columns, times, quantity, said = _next_to_each_other(columns, times, asked)
     notes += said
     grouping = _group(columns, times, asked)
     notes += _interleaved(times, grouping)
@@ -238,7 +238,7 @@ def _below_each_other(
     return stacked, times.at(rows), [note]
 
 
-def _beside_each_other(
+def _next_to_each_other(
     columns: Columns, times: Times, asked: Asked
 ) -> tuple[Columns, Times, str | None, list[str]]:
     """Give each quantity of a long table a column of its own."""

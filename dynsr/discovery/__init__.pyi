@@ -1,6 +1,6 @@
 from .batch import EACH, Discovered, discover_each, read_batch
 from .by_run import RunParameters
-from .cut_short import beside_data, keep_formulas
+from .cut_short import keep_formulas, next_to_data
 from .delays import Delay, DelaySettings
 from .estimator import DynsrRegressor
 from .every_row import name_windows
@@ -66,7 +66,6 @@ __all__ = [
     "VarySettings",
     "Verdict",
     "VerdictSettings",
-    "beside_data",
     "bootstrap",
     "discover",
     "discover_each",
@@ -81,6 +80,7 @@ __all__ = [
     "keep_formulas",
     "load",
     "name_windows",
+    "next_to_data",
     "pair_rows",
     "predict",
     "read_batch",

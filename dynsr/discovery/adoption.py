@@ -77,7 +77,7 @@ def adopt_better(
 def adopt_in_time(
     problem: Problem, found: Discovery, verdict: Verdict, alternatives: OtherFormulas | None
 ) -> tuple[Discovery, Verdict]:
-    """Do the same by the time that the verdict has; where that ends, all is as it was.
+    """Do the same within the time of the verdict; if that runs out, nothing changes.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _length(
 ) -> float:
     """Bits of the residuals, of the formulas and of their constants.
 
-    Residuals with a pattern, as those of a solver are, say less than as many random ones.
+    Residuals with a pattern, such as those of a solver, count as fewer independent ones.
     """
     rows = sum(map(len, problem.runs))
     written = {s: with_floats(expr) for s, expr in found.equations.items()}

@@ -95,7 +95,7 @@ def _claim(runs: Sequence[Trajectory], settings: Mapping[str, Any], asked: Asked
 
 
 def _inside(settings: Mapping[str, Any], name: str) -> Path | None:
-    """Give a folder in the one that was asked for; None where none was."""
+    """Give a subfolder of the folder that was asked for; None where none was."""
     out = settings.get("out")
     return None if out is None else Path(out).absolute() / name
 

@@ -66,10 +66,10 @@ def keep_formulas(
         },
         complete=False,
     )
-    return with_provenance(beside_data(with_velocities(found, form), runs), runs)
+    return with_provenance(next_to_data(with_velocities(found, form), runs), runs)
 
 
-def beside_data(found: Discovery, runs: Sequence[Trajectory]) -> Discovery:
+def next_to_data(found: Discovery, runs: Sequence[Trajectory]) -> Discovery:
     """Give a discovery that was loaded with the data that it was made from.
 
     Parameters

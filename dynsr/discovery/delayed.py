@@ -200,7 +200,7 @@ def _begin(
 ) -> list[_Begun]:
     """Give delays, and the curves of sums that follow the runs with their own delayed states.
 
-    Of an oscillation a delay longer by a period explains slopes as well, and a very short one too.
+    In an oscillation, a delay longer by a period, or a very short one, explains slopes as well.
     """
     found: list[_Begun] = []
     for fit in sorted(fits, key=lambda fit: fit.bits):

@@ -25,7 +25,7 @@ from dynsr.discovery.parameters import name_constants, put_names
 from dynsr.discovery.prediction import Measured, predict
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine
 from dynsr.errors import EngineError, InputError
-from dynsr.fit import Mixed, MixedFit, MixedMesh, measure_runs, misses_bits, precision_bits
+from dynsr.fit import Mixed, MixedFit, MixedMesh, measure_runs, precision_bits, residual_bits
 from dynsr.library import Form, Library, LibrarySettings, Written
 from dynsr.selection import (
     ComparisonSettings,
@@ -381,7 +381,7 @@ class Delayed:
         numbers = dict(zip(map(sympy.Symbol, signed), map(sympy.Float, theta), strict=False))
         exprs = {s: e.xreplace(numbers) for s, e in named.items()}
         mesh = rows.mesh
-        bits = misses_bits(found.mean_squares, mesh.rows, mesh.known)
+        bits = residual_bits(found.mean_squares, mesh.rows, mesh.known)
         bits += SystemComparison(mesh, comparison).structure(exprs)
         bits += precision_bits(found.information, found.scales, found.theta)
         # What follows noisy data is smoother than their smoothed curve.

@@ -263,7 +263,7 @@ class Along:
         return {state: expr.xreplace(put) for state, expr in opened.items()}
 
     def fit(self, equations: Mapping[str, sympy.Expr]) -> Followed | None:
-        """Fit all constants and starts of equations; None where they cannot be followed.
+        """Fit all constants and starts of equations; None where they cannot be integrated.
 
         Parameters
         ----------

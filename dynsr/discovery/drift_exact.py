@@ -1,7 +1,7 @@
 """Drift of exact laws: shorter formulas in the time that are the same along all of the data.
 
 Along one run that goes one way the time is a function of the states, and a law in the states may be
-one in the time. Which of them is shorter, with its constants written out, is the likelier.
+one in the time. Which of them is shorter, with its constants written out, is more probable.
 """
 
 from __future__ import annotations

@@ -148,7 +148,7 @@ class Course:
         rows: int,
         curves: Sequence[np.ndarray] = (),
     ) -> Course:
-        """Take every so many-th row, so that ``rows`` are left at most."""
+        """Take every n-th row, so that at most ``rows`` remain."""
         every = max(1, math.ceil(sum(map(len, runs)) / rows))
         taken = [run.thin(every if len(run) >= 8 * every else 1) for run in runs]
         pairs = [(i, rows) for i, own in enumerate(taken) for rows in own]

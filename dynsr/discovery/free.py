@@ -20,7 +20,7 @@ from scipy.special import chdtri
 
 from dynsr import __version__
 from dynsr.data import Samples, Trajectory, carry
-from dynsr.discovery.free_model import FreeModel, has_free, read_model, settle_model
+from dynsr.discovery.free_model import FreeModel, finish_model, has_free, read_model
 from dynsr.discovery.free_parts import FreePart, FreeParts, FreeSettings
 from dynsr.discovery.intervals import take_apart
 from dynsr.discovery.parameters import Parameter, Parameters, ParametricSystem, find_names, fits
@@ -182,7 +182,7 @@ class _Study:
         )
         rng, rows = np.random.default_rng(seed), MixedMesh.of(data, states)
         sizes = _sizes(model, rows.mesh, slopes, settings.free.curved)
-        settled = settle_model(model, columns, rng, settings.free, sizes)
+        settled = finish_model(model, columns, rng, settings.free, sizes)
         return cls(settled, data, rows, slopes, settings, limits, units, seed, until)
 
     @property

@@ -165,7 +165,7 @@ def _read_part(own: sympy.Expr, state: str, names: Collection[str], parts: dict[
     return part
 
 
-def settle_model(
+def finish_model(
     model: FreeModel,
     columns: Mapping[str, np.ndarray],
     rng: np.random.Generator,
@@ -188,7 +188,7 @@ def settle_model(
     Raises InputError where two functions cannot be distinguished at all.
 
     >>> model = read_model({"x": "a - f(x)"}, ["x"], ["x", "t"])
-    >>> found = settle_model(model, {"x": np.linspace(1, 2, 9)}, np.random.default_rng(0))
+    >>> found = finish_model(model, {"x": np.linspace(1, 2, 9)}, np.random.default_rng(0))
     >>> found.fixed
     {'a': 0.0}
     >>> print(found.notes[0])

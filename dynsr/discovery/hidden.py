@@ -34,17 +34,17 @@ from dynsr.fit import (
     skeleton,
     tidy,
 )
-from dynsr.jobs import Budget, RunFolder, Step, fingerprint, finish_by, tell_each, to_plain
+from dynsr.jobs import Budget, RunFolder, Step, fingerprint, finish_by, report_each, to_plain
 from dynsr.methods import AUTO, DEFAULT_PRESET, choose_methods, read_demands
 from dynsr.selection import (
     ComparisonSettings,
     Coupling,
     HiddenFit,
     SystemFit,
+    best_alone,
     different_laws,
     find_hidden,
     find_without,
-    lead_alone,
 )
 
 _NAME = "hidden"
@@ -157,12 +157,12 @@ def search_hidden(
         how = selection.comparison
         leading: dict[str, SystemFit | None] = {}
         data = _as_noisy(runs, inputs, how)
-        for state in tell_each(["", *states[:-1]], lambda s: _title(name, s), progress):
+        for state in report_each(["", *states[:-1]], lambda s: _title(name, s), progress):
             if state:
                 own = leading[state]
                 every.extend(find_hidden(data, name, state, own, how, details.hidden))
             else:
-                leading |= lead_alone(data, how)
+                leading |= best_alone(data, how)
                 alone.append(find_without(data, leading, how))
 
     until, complete = Budget(budget).until(details.shares.choices), True

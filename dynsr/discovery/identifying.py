@@ -285,7 +285,7 @@ class _Series:
 
     @cached_property
     def _context(self) -> Any:
-        """Arithmetic of its own, whose precision the order of a series asks for."""
+        """Own decimal arithmetic, with the precision that the order of a series needs."""
         import mpmath
 
         context = mpmath.MPContext()
@@ -378,7 +378,7 @@ class _Series:
         return bool(abs(value) > self._nothing)
 
     def _reduce(self, rows: np.ndarray) -> tuple[np.ndarray, list[int]]:
-        """Reduced rows, and the column of the pivot of each; pivots are the largest of all left."""
+        """Reduced rows, and the column of the pivot of each, the largest remaining entry."""
         left = np.array([row / size for row in rows if (size := max(map(abs, row)))], dtype=object)
         pivots: list[int] = []
         for r in range(min(left.shape) if left.size else 0):
@@ -404,7 +404,7 @@ class _Series:
         return len(self._reduce(np.array(rows, dtype=object))[1])
 
     def _null_space(self, rows: np.ndarray) -> list[np.ndarray]:
-        """Vectors that all rows send to 0, each with a 1 and the pivots' shares."""
+        """Basis of the null space of the rows; each vector has a 1 and factors of pivots."""
         reduced, pivots = self._reduce(rows)
         found = []
         for j in range(rows.shape[1]):

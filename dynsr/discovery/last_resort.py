@@ -84,7 +84,7 @@ def follow_anyway(
 def _leaves_noise(problem: Problem, verdict: Verdict) -> bool:
     """Whether nothing but noise is left where errors grow too far for whole runs to be followed.
 
-    Neighbours part on such runs, and what keeps closer to all of one does so by chance.
+    Neighbouring trajectories separate on such runs, so a closer fit to a whole run is chance.
     """
     limits = problem.settings.verdict
     return all(
@@ -120,7 +120,7 @@ def _jumps(problem: Problem) -> bool:
 
 
 def _best(problem: Problem, found: Discovery, measured_runs: MeasuredRuns) -> Approximation | None:
-    """Give the shortest of the systems that follow the data about best."""
+    """Give the shortest of the systems that follow the data about as well as the best."""
     given, demands = problem.form.known, problem.demands
     pool = find_approximations(measured_runs, demands, given, problem.form.explicit_time)
     pool += [_follow(measured_runs, e) for e in _accurate(found, given) if demands.keep_all(e)]

@@ -391,14 +391,14 @@ class Problem:
         )
 
     def _named(self, state: str, details: str) -> str:
-        """Write the details of a map as such."""
+        """Write the details of a map with its own left side, x[n+1]."""
         return details.replace(f"{state}' =", f"{state}[n+1] =") if self.form.discrete else details
 
     def _confirm_fitted(self, fitted: Match) -> Mapping[str, sympy.Expr] | None:
         """Give equations that exact states confirm, which had looked noisy.
 
-        Few rows an oscillation miss their neighbours as noise does, and what follows rows far
-        closer than noise shows that there is none.
+        With few rows per oscillation, neighbours differ as if there were noise. Equations that
+        follow the rows far closer than this show that there is no noise.
         """
         data = self.measurements or self._gapped
         if self.confirmed or data is None or not len(fitted.misses):

@@ -28,12 +28,12 @@ from dynsr.data import (
     check_time_unit,
     choose_samples,
     cut_at_doses,
+    decide_hold,
     digest,
     in_unit,
     read_kept,
     read_sums,
     sample_input,
-    settle_hold,
     split_volume,
     take_trajectories,
     write_kept,
@@ -135,7 +135,7 @@ from dynsr.fit import (
     score_candidate,
 )
 from dynsr.jobs import RecordError, check_seed, from_plain, read_json, to_plain
-from dynsr.selection import ComparisonSettings, forecast_miss
+from dynsr.selection import ComparisonSettings, forecast_error
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -1347,7 +1347,7 @@ class Discovery:
             position = list(self.equations).index(state)
             scores[state] = {
                 "slope_rmse": rmse(evaluate(expr, _with_time(samples)), samples.y),
-                "forecast": forecast_miss({state: expr}, runs, inputs=known),
+                "forecast": forecast_error({state: expr}, runs, inputs=known),
                 "trajectory_rmse": rmse(np.concatenate([w[:, position] for w in whole]), truth),
             }
         return scores
@@ -1359,7 +1359,7 @@ class Discovery:
             raise InputError("the data are not here; give some")
         own = {n: way for n, way in self.hold.items() if n in runs[0].input_names}
         asked = check_hold(hold, runs[0].input_names)
-        found = self._by_name(in_unit(settle_hold(runs, {**own, **asked}), self.time_unit))
+        found = self._by_name(in_unit(decide_hold(runs, {**own, **asked}), self.time_unit))
         rows = self._settings(ComparisonSettings, "selection", "comparison").rows
         for name, term in self.hidden.items():
             if name not in found[0].names:
@@ -1415,7 +1415,7 @@ class Discovery:
         return {str(s): str(own) for s, own in given.items()} if isinstance(given, Mapping) else {}
 
     def _take(self, data: Any) -> list[Trajectory]:
-        """Take columns for what they were in the search, where they are the same."""
+        """Read data with the roles of columns in the search, where their names agree."""
         asked = self.columns_asked
         table = isinstance(data, (str, Path, Mapping)) or hasattr(data, "columns")
         if asked and table and not isinstance(data, Trajectory):

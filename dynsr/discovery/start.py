@@ -1,4 +1,4 @@
-"""Start: the formulas of an earlier discovery, from which another one on more data goes out."""
+"""Start: the formulas of an earlier discovery, from which a search on more data starts."""
 
 from __future__ import annotations
 

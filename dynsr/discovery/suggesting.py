@@ -170,7 +170,7 @@ class Suggestion:
 
     @property
     def heading(self) -> str:
-        """What the bits are of, in a sentence."""
+        """What the bits measure, in a sentence."""
         if not self.alternatives:
             return "No other equation is left: the bits are of the constants."
         others = "; ".join(f"{a.text} ({a.bits:.3g} bits behind)" for a in self.alternatives)

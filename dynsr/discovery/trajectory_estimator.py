@@ -13,7 +13,7 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
 from dynsr.arguments import checked
-from dynsr.data import Trajectory, settle_hold
+from dynsr.data import Trajectory, decide_hold
 from dynsr.discovery.orders import form_of, write_lines
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
@@ -227,7 +227,7 @@ class TrajectoryRegressor(BaseEstimator):
         metric_kws : what else it takes.
         """
         check_is_fitted(self, "discovery_")
-        runs = settle_hold(self._take(x, t, u), self.discovery_.hold)
+        runs = decide_hold(self._take(x, t, u), self.discovery_.hold)
         slopes = {} if x_dot is None else self._slopes(x_dot)
         form = form_of(self.discovery_.settings)
         scores = []
@@ -281,7 +281,7 @@ class TrajectoryRegressor(BaseEstimator):
         return [shown(self.equations_[state], precision) for state in self._states]
 
     def print(self, lhs: Sequence[str] | None = None, precision: int = 3, **kwargs: Any) -> None:
-        """Print the equations, one a line.
+        """Print the equations, one per line.
 
         Parameters
         ----------

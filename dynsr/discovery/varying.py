@@ -32,8 +32,8 @@ from dynsr.fit import (
     MixedMesh,
     free_constants,
     measure_runs,
-    misses_bits,
     precision_bits,
+    residual_bits,
     skeleton,
     tidy,
 )
@@ -205,7 +205,7 @@ class Study:
 
     @cached_property
     def _ways(self) -> dict[str, tuple[int, ...]]:
-        """Column of labels, or known input -> the group of each run that it makes."""
+        """Column of labels, or known input -> the group of each run."""
         columns: dict[str, tuple[object, ...]] = {**self.labels}
         columns |= {name: tuple(own.tolist()) for name, own in self.known.items()}
         found = {}
@@ -256,7 +256,7 @@ class Study:
         rows = counts.sum(axis=0)
         # A state that was made from another one has no rows, and costs nothing.
         missed = np.maximum((squares * counts).sum(axis=0) / np.maximum(rows, 1.0), 1e-300)
-        bits = misses_bits(missed, rows, self.rows.mesh.known)
+        bits = residual_bits(missed, rows, self.rows.mesh.known)
         bits += self._structure(equations, signed)
         bits += sum(precision_bits(f.information, f.scales, f.theta) for f in each)
         return Structure(equations, tuple(signed), each, bits) if math.isfinite(bits) else None
@@ -284,7 +284,7 @@ class Study:
         if fit is None:
             return None
         mesh = self.rows.mesh
-        bits = misses_bits(fit.mean_squares, mesh.rows, mesh.known)
+        bits = residual_bits(fit.mean_squares, mesh.rows, mesh.known)
         bits += self._structure(mixed.equations, mixed.groups)
         bits += precision_bits(fit.information, fit.scales, fit.theta)
         return Law(fit, bits) if math.isfinite(bits) else None
@@ -564,7 +564,7 @@ class _Rough:
 
 
 def _numbers(structure: Structure) -> dict[str, sympy.Expr]:
-    """Give equations with the middle of what the runs have for each constant."""
+    """Give equations with the median over the runs as each constant."""
     middle = np.median([fit.theta for fit in structure.each], axis=0)
     pairs = zip(structure.names, middle.tolist(), strict=True)
     put = {sympy.Symbol(name): sympy.Float(value or 1.0) for name, value in pairs}

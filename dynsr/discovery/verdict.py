@@ -305,11 +305,11 @@ def _give_verdict(
         state: bench.test_state(place, followed, evidence, close.get(state, ()), causes.get(state))
         for place, state in enumerate(bench.equations)
     }
-    states = bench.heed_drift(states, followed)
-    return summarise(_doubt_beside(states, bench.equations), bench.span(followed))
+    states = bench.check_drift(states, followed)
+    return summarise(_doubt_together(states, bench.equations), bench.span(followed))
 
 
-def _doubt_beside(
+def _doubt_together(
     states: dict[str, StateVerdict], equations: Mapping[str, sympy.Expr]
 ) -> dict[str, StateVerdict]:
     """Take for an approximation what was a law only together with a state without one.
@@ -656,7 +656,7 @@ class _Bench:
             praise = f"{_UNSEEN}, and the data need each of its terms."
         return replace(found, level=LAW, reason=praise)
 
-    def heed_drift(
+    def check_drift(
         self, states: dict[str, StateVerdict], followed: Followed
     ) -> dict[str, StateVerdict]:
         """Take for no law what the time, or a term that is left out, explains in fewer bits.

@@ -63,7 +63,7 @@ class BlockFit:
 
 
 def _weighted_mean(blocks: Sequence[BlockFit]) -> tuple[np.ndarray, np.ndarray]:
-    """(P,) mean of the constants by what each says, and (P, P) what all blocks say of them."""
+    """(P,) mean of the constants weighted by information, and (P, P) the information of all."""
     information = np.sum([block.information for block in blocks], axis=0)
     pull = np.sum([block.information @ block.constants for block in blocks], axis=0)
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))

@@ -157,7 +157,7 @@ class ParetoFront:
         )
 
     def add(self, *candidates: Candidate) -> ParetoFront:
-        """Give the front of these candidates and mine."""
+        """Give the front of these candidates and those of this front."""
         return ParetoFront((*self.candidates, *self.best_by_source, *candidates))
 
     def merge(self, other: ParetoFront) -> ParetoFront:

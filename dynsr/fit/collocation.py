@@ -664,7 +664,7 @@ class Collocation:
 
     @np.errstate(all="ignore")
     def _gather(self, point: _Point, states: np.ndarray, stiffness: float) -> _Gathered:
-        """Form the normal equations; every damping begins with the same ones."""
+        """Form the normal equations, which are the same for every damping."""
         (k, n), (left, right) = states.shape, self.mesh.ends
         low, high, by_c, defects = point.by_left, point.by_right, point.by_constant, point.defects
         x, weights, _ = self.mesh.by_state

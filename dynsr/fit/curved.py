@@ -32,7 +32,7 @@ from dynsr.fit.collocation import (
     covariance_of,
     usual_scales,
 )
-from dynsr.fit.description import misses_bits
+from dynsr.fit.description import residual_bits
 from dynsr.fit.mixed import MixedMesh, ScaledFit
 from dynsr.fit.settings import FIT, CollocationSettings
 
@@ -426,7 +426,7 @@ class CurvedFit(ScaledFit):
         """
         mesh, problem = self.problem.mesh, self.problem
         squares = np.maximum(self.found.mean_squares, np.maximum(self.least, 1e-300))
-        bits = misses_bits(squares, mesh.rows, mesh.known)
+        bits = residual_bits(squares, mesh.rows, mesh.known)
         sizes = self._scales
         prior = np.diag(sizes**-2.0)
         believed = self.ways.T @ (prior + problem.penalty / self.scale) @ self.ways

@@ -11,7 +11,7 @@ AI Feynman sets eps = 2^-30; here it is estimated from the data, because slopes 
 trajectory are never that exact.
 
 Whole systems whose noise is known and whose constants are still floats are compared by the
-precision of the constants in the same unit, :func:`misses_bits` and :func:`precision_bits`.
+precision of the constants in the same unit, :func:`residual_bits` and :func:`precision_bits`.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def constant_bits(rows: float) -> float:
     return math.log2(max(rows, 2.0)) / 2
 
 
-def misses_bits(
+def residual_bits(
     mean_squares: np.ndarray, rows: np.ndarray, known: np.ndarray | bool = False
 ) -> float:
     """Bits of the residuals of a system: sum_s m_s/2 log2(mean squared residual of s).
@@ -109,7 +109,7 @@ def misses_bits(
     rows : (k,) independent rows of every state, :func:`dynsr.fit.independent_rows`.
     known : (k,) whether the noise of a state is known.
 
-    >>> float(misses_bits(np.array([4.0]), np.array([100.0])))
+    >>> float(residual_bits(np.array([4.0]), np.array([100.0])))
     100.0
     """
     missed = np.where(known, (mean_squares - 1) / math.log(2), np.log2(mean_squares))
@@ -148,16 +148,16 @@ def precision_bits(
     return float(np.sum(np.log2(1 + told))) / 2 + float(np.sum(large))
 
 
-def told_bits(
+def shortened_bits(
     information: np.ndarray,
     errors: np.ndarray,
     scales: np.ndarray,
     constants: np.ndarray,
     saved: np.ndarray,
 ) -> float:
-    """Bits of constants of which some are said otherwise: as simple numbers, or by other ones.
+    """Bits of constants of which some are written otherwise: as simple numbers, or by other ones.
 
-    A constant that is said otherwise is no longer free, and what is correlated with it is known
+    A constant that is written otherwise is no longer free, and what is correlated with it is known
     better. Each is taken, the one that saves most first, where all of them cost less then.
 
     Parameters
@@ -166,7 +166,7 @@ def told_bits(
     errors : (P,) their standard errors.
     scales : (P,) their usual sizes.
     constants : (P,) the constants.
-    saved : (P,) bits that each saves by itself where it is said otherwise.
+    saved : (P,) bits that each saves by itself where it is written otherwise.
     """
     free = np.ones(len(constants), dtype=bool)
     least, said = precision_bits(information, scales, constants), 0.0

@@ -1,11 +1,11 @@
-"""Parsimony where data are exact: a term stays only when misses grow clearly without it.
+"""Parsimony where data are exact: a term stays only if residuals grow clearly without it.
 
-What a formula misses on exact data is no noise but the error of the solver that made the states
-and of the differences that made the slopes. It has a pattern, so that a longer formula can follow
-a little of it on thousands of rows, and counted by rows that seems worth many bits. But a term of
-the law takes misses down from its own size to those errors. So the limits of a formula are looked
-at - a term less, a constant gone to 0, a slowly varying function at its limit - and the shorter
-one is kept while the residuals stay of the same size.
+On exact data the residuals are no noise. They are the error of the solver that made the states, and
+of the differences that made the slopes. They have a pattern, so a longer formula can follow a
+little of it on thousands of rows, which seems worth many bits. A term of the law does more:
+without it the residuals are as large as the term. So shorter limits of a formula are tested: one
+term less, a constant at 0, a slowly varying function at its limit. The shorter formula is kept if
+the residuals stay of the same size.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def simple_value(value: float, error: float, settings: FitSettings = FIT) -> sym
 
 
 def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(P,) bits by which constants are likelier for lying on whole, half or short decimal numbers.
+    """(P,) bits that constants save where they are whole, half or short decimal numbers.
 
     Constant by constant; one that lies on none saves nothing.
 

@@ -107,7 +107,7 @@ class _Snapper:
         return bits + sum(costs[i] for i in present)
 
     def _frame(self, special: Sequence[int | None]) -> tuple[float, list[int]]:
-        """Give the frame's bits and the places of the numbers that it still holds."""
+        """Give the frame's bits and the places of the numbers that it still contains."""
         numbers = [
             sympy.Float(0.1 + i / 1024) if s is None else sympy.Integer(s)
             for i, s in enumerate(special)

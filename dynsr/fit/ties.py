@@ -62,7 +62,7 @@ def _ways_alike(
 
 
 def exchanges(expr: sympy.Expr, state: str, other: str, columns: Sequence[str]) -> Iterator[Names]:
-    """Exchange names so that one state is another; what is not in the equation stays if it can.
+    """Exchange names so that one state becomes another; other names stay where possible.
 
     Parameters
     ----------
@@ -118,8 +118,8 @@ def find_ties(
     Constants may be one where they are at the same place of the same term: of another equation,
     of the same one under names that change places (all its constants at once, or one), or of
     another column of the same equation. They are where the fitted values
-    are likelier so (Bayes' factor) by more bits than choosing the tie costs, and the likelihood
-    ratio of the linearised fit allows it.
+    are more probable so (Bayes' factor) by more bits than choosing the tie costs, and the
+    likelihood ratio of the linearised fit allows it.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_no
 from .garbage import let_garbage_wait
 from .interrupts import heard_again, interrupt_again, is_repeated, signal_again, signal_main
 from .pool import Parts, Task, check_jobs, check_seed, run_tasks, spread
-from .progress import Step, Watch, best_equation, tell_each
+from .progress import Step, Watch, best_equation, report_each
 from .screen import Screen, is_lost, printing, take_lost
 from .store import (
     MANIFEST,
@@ -59,13 +59,13 @@ __all__ = [
     "read_json",
     "read_manifest",
     "read_record",
+    "report_each",
     "run_tasks",
     "say_left",
     "signal_again",
     "signal_main",
     "spread",
     "take_lost",
-    "tell_each",
     "time_limit",
     "to_json",
     "to_plain",

@@ -92,7 +92,7 @@ class Step:
     seconds_left: float | None = None
 
 
-def tell_each(
+def report_each(
     items: Sequence[Item], name: Callable[[Item], str], progress: Callable[[Step], None] | None
 ) -> Iterator[Item]:
     """Give items one by one and report each as its turn ends, with the time left.
@@ -104,7 +104,7 @@ def tell_each(
     progress : is called with a :class:`Step` each time; None for no reports.
 
     >>> steps = []
-    >>> [2 * item for item in tell_each([1, 2], str, steps.append)]
+    >>> [2 * item for item in report_each([1, 2], str, steps.append)]
     [2, 4]
     >>> [(step.what, step.done, step.total) for step in steps]
     [('1', 1, 2), ('2', 2, 2)]

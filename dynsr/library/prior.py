@@ -247,7 +247,7 @@ class Written:
     equations: list[tuple[str, frozenset[Term]]] = field(default_factory=list)
 
     def add(self, state: str, terms: Sequence[Term]) -> None:
-        """Write one equation more.
+        """Add one more equation.
 
         Parameters
         ----------
@@ -390,11 +390,11 @@ class Prior:
         may_turn = None if angles is None else tuple(angles)
         for state, expr in exprs.items():
             place = Place(state, states, tuple(columns), may_turn)
-            bits += self.beside_bits(expr, place, written)
+            bits += self.bits_together(expr, place, written)
             written.add(state, read_equation(expr))
         return bits
 
-    def beside_bits(self, expr: sympy.Expr, place: Place, written: Written) -> float:
+    def bits_together(self, expr: sympy.Expr, place: Place, written: Written) -> float:
         """Give the bits of one equation without its constants, or of naming an earlier one like it.
 
         Parameters

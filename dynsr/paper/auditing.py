@@ -15,7 +15,7 @@ from dynsr.data import find_system
 from dynsr.discovery import Score
 from dynsr.engines import AbstractEngine, find_engine
 from dynsr.expression import to_text
-from dynsr.jobs import Step, tell_each
+from dynsr.jobs import Step, report_each
 from dynsr.paper.printed import PrintedExpression, printed_expressions
 from dynsr.paper.protocol import printed_loss, score_as_printed, sindy_samples
 
@@ -72,7 +72,7 @@ def audit(
     True
     """
     chosen = find_engine(engine)
-    groups = tell_each(_groups(), lambda group: f"{group[0].system} {group[0].method}", progress)
+    groups = report_each(_groups(), lambda group: f"{group[0].system} {group[0].method}", progress)
     rows = [row for group in groups for row in _audit_group(group, chosen)]
     missed = [row.system for row in rows if row.method == "SINDy" and not row.agrees]
     if missed:

@@ -120,7 +120,7 @@ class MeasuredRuns:
 
     @cached_property
     def windows(self) -> list[tuple[Windows, np.ndarray]]:
-        """The runs, thinned, as one lane each, and the states (k, 1) that they begin with."""
+        """The runs, thinned, as one window each, and their first states (k, 1)."""
         drives = drives_of(self.driven, self.runs, self.inputs)
         some = range(min(len(self.runs), self.settings.runs))
         stride = max(1, math.ceil(sum(len(self.runs[i]) for i in some) / self.settings.rows))

@@ -23,11 +23,11 @@ from dynsr.fit import (
     Measurements,
     Mesh,
     free_constants,
-    misses_bits,
     precision_bits,
+    residual_bits,
+    shortened_bits,
     simplicity_bits,
     skeleton,
-    told_bits,
 )
 from dynsr.library import (
     Place,
@@ -204,7 +204,7 @@ class SystemComparison:
     def _solve(
         self, problem: Collocation, near: SystemFit | None, *, strict: bool = False
     ) -> SystemFit | None:
-        """Fit from a start; None too where that was done before: the better fit was kept then."""
+        """Fit from a start; None if it fails or was fitted before, when the better fit was kept."""
         key = (tuple(problem.exprs.values()), near, strict)
         if key in self._tried:
             return None
@@ -313,7 +313,7 @@ class SystemComparison:
             return [{**fit.exprs, state: expr}]
         return with_permuted(fit.exprs, state, expr, self.mesh.states)
 
-    def fit_anew(self, exprs: Equations) -> SystemFit | None:
+    def fit_again(self, exprs: Equations) -> SystemFit | None:
         """Fit from the constants given and the smoothed states; of two fits the better is kept.
 
         A fit that began far away may have missed the best constants.
@@ -341,9 +341,9 @@ class SystemComparison:
         simple = simplicity_bits(fit.constants, fit.errors) * has("bits-simple")
         shared = shared_bits(fit.exprs, fit.constants, fit.covariance) * has("bits-shared")
         saved = np.maximum(simple, shared)
-        told = told_bits(fit.information, fit.errors, scales, fit.constants, saved)
+        told = shortened_bits(fit.information, fit.errors, scales, fit.constants, saved)
         squares = np.maximum(fit.mean_squares, 1e-12)
-        missed = misses_bits(squares, self.mesh.rows, self.mesh.known)
+        missed = residual_bits(squares, self.mesh.rows, self.mesh.known)
         least = self.structure(fit.exprs) + told
         # What a mass matrix ties together is said more shortly by each other.
         ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("couplings") else ()

@@ -1,8 +1,9 @@
-"""Evidence: what data say of the right-hand side of one equation, as a linear view of it.
+"""Evidence: what data say about the right-hand side of one equation, as a linear model.
 
-Slopes are never seen. What the integrals of a right-hand side leave of the measured states, the
-states themselves free within their noise, is a linear map of its values along the curves (the weak
-form with every window at once). The map and its target stand for all rows of the data.
+No slopes are used. The right-hand side is integrated and compared with the measured states, which
+are free within their noise. The residuals are a linear map of the values of the right-hand side
+along the curves (the weak form with every window at once). The map and its target represent all
+rows of the data.
 """
 
 from __future__ import annotations

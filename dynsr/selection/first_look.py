@@ -377,7 +377,7 @@ class _Search:
             yield _Choice(
                 expr,
                 frozenset(read_equation(expr)),
-                prior.beside_bits(expr, self._place, written) + added_bits(expr),
+                prior.bits_together(expr, self._place, written) + added_bits(expr),
                 len(free_constants(expr, "c")[1]),
                 float(np.median(misses)) / self.size,
                 float(np.quantile(misses, 1 - self.settings.wild)) / self.size,
@@ -447,7 +447,7 @@ class _Search:
         return bool(finite.any() and np.median(gap) <= _SAME * np.median(size))
 
     def conclude(self, choices: Sequence[_Choice]) -> Look:
-        """Take the shortest that leaves nothing, and say whether it can be chance."""
+        """Take the shortest formula with negligible residuals; say whether chance explains it."""
         if not choices:
             return Look()
         found = list(dict.fromkeys(choices))

@@ -258,7 +258,7 @@ def find_hidden(
     data : the measured states, their noise and smoothed curves.
     name : of the hidden state.
     state : in whose equation it is.
-    alone : what :func:`lead_alone` gives of this state, which may need no hidden one.
+    alone : what :func:`best_alone` gives of this state, which may need no hidden one.
     comparison : how systems are fitted and their bits are counted.
     settings : the numbers that decide.
     """
@@ -275,7 +275,7 @@ def find_hidden(
             yield _finish(one, settings)
 
 
-def lead_alone(data: Measurements, comparison: ComparisonSettings) -> dict[str, SystemFit | None]:
+def best_alone(data: Measurements, comparison: ComparisonSettings) -> dict[str, SystemFit | None]:
     """Give the best equation of each measured state, the others read from their curves.
 
     Parameters
@@ -293,7 +293,7 @@ def find_without(
     Parameters
     ----------
     data, comparison : as in :func:`find_hidden`.
-    alone : what :func:`lead_alone` gives.
+    alone : what :func:`best_alone` gives.
     """
     own = SystemComparison(data.mesh(tuple(alone)), comparison)
     fit = own.fit({s: _equation_of(s, found) for s, found in alone.items()})

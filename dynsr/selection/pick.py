@@ -35,7 +35,7 @@ from dynsr.selection.first_look import LookSettings
 from dynsr.selection.parts import Parts
 
 
-def forecast_misses(
+def forecast_errors(
     exprs: Mapping[str, sympy.Expr],
     trajectories: Trajectory | Sequence[Trajectory],
     *,
@@ -51,7 +51,7 @@ def forecast_misses(
 
     >>> t = np.linspace(0, 1, 51)
     >>> decay = Trajectory(t, np.exp(-2 * t)[:, None], ("x",))
-    >>> forecast_misses({"x": -2 * sympy.Symbol("x")}, decay).shape
+    >>> forecast_errors({"x": -2 * sympy.Symbol("x")}, decay).shape
     (50, 1, 1)
     """
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
@@ -65,14 +65,14 @@ def forecast_misses(
     return misses if shooting.told.all() else np.where(shooting.told, misses, np.nan)
 
 
-def forecast_miss(
+def forecast_error(
     exprs: Mapping[str, sympy.Expr],
     trajectories: Trajectory | Sequence[Trajectory],
     *,
     inputs: Mapping[str, sympy.Expr] | None = None,
 ) -> float:
-    """Give the median of :func:`forecast_misses`; inf when most forecasts diverge."""
-    return float(np.nanmedian(forecast_misses(exprs, trajectories, inputs=inputs)))
+    """Give the median of :func:`forecast_errors`; inf when most forecasts diverge."""
+    return float(np.nanmedian(forecast_errors(exprs, trajectories, inputs=inputs)))
 
 
 # The median of n sizes of Gaussian errors has a relative standard error of
@@ -240,7 +240,7 @@ def pick_equation(
         level,
     )
     misses = {
-        c.expr: forecast_misses({state: known + c.expr}, held_back, window=settings.window, fit=fit)
+        c.expr: forecast_errors({state: known + c.expr}, held_back, window=settings.window, fit=fit)
         for c in last
         if held_back
     }

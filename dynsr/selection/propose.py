@@ -473,7 +473,7 @@ class Proposer:
         order = np.argsort(together, axis=1, kind="stable")
         together = np.take_along_axis(together, order, axis=1)
         constants = np.take_along_axis(constants, order[:, :, None], axis=1)
-        return self._best_of_each(self._settle(together, constants, self.settings.steps), width)
+        return self._best_of_each(self._finish(together, constants, self.settings.steps), width)
 
     def _best_of_each(self, layer: _Layer, width: int) -> _Layer:
         """Give the best sums, each choice of forms once."""
@@ -539,7 +539,7 @@ class Proposer:
             free &= reach <= self.settings.reach
         return np.where(free, gain, alone)
 
-    def _settle(self, places: np.ndarray, constants: np.ndarray, steps: int) -> _Layer:
+    def _finish(self, places: np.ndarray, constants: np.ndarray, steps: int) -> _Layer:
         """Fit sums, and move the constants inside while that is better."""
         best = self._fit(places, constants)
         moving = np.flatnonzero(np.isfinite(best.left) & self.library.inside[places].any(axis=1))
@@ -632,7 +632,7 @@ class Proposer:
     def _thin(self, one: Sum, found: dict[tuple[int, ...], Sum]) -> None:
         """Leave out terms, that which is missed least first, and keep what that gives."""
         while len(one.places) > 1:
-            shorter = self._note(self._settle(*self._shortened([one]), 1), {})
+            shorter = self._note(self._finish(*self._shortened([one]), 1), {})
             best = min((found.get(s.places, s) for s in shorter), key=lambda s: s.bits)
             if best.bits >= one.bits:
                 return

@@ -83,7 +83,7 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
 
     def renewed(fit: SystemFit) -> Iterator[SystemFit]:
         for state, exprs in systems_of(fit):
-            one = comparison.fit_anew(exprs)
+            one = comparison.fit_again(exprs)
             if one is not None:
                 # What made up for a wrong equation, in others too, does not pay beside a right one.
                 far = one.bits - fit.bits
