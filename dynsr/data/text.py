@@ -457,7 +457,7 @@ def _check_line(path: Path, length: int) -> None:
     if length > _LONGEST_LINE:
         raise InputError(
             f"a line of {path.name!r} is longer than {_LONGEST_LINE >> 20} MB, so that it is no "
-            "table; give one row a line"
+            "table; give one row per line"
         )
 
 

@@ -1717,7 +1717,7 @@ class Discovery:
         return cls(**{**fields, "verdict": fields.get("verdict") or NOBODY, "trajectories": runs})
 
     def __repr__(self) -> str:
-        """Write the verdict, and below it the equations, one a line."""
+        """Write the verdict, and below it the equations, one per line."""
         lines = write_lines(self.equations, self.settings)
         return "\n".join([self.heading, *lines, *(part.text for part in self.free.parts.values())])
 

@@ -292,7 +292,7 @@ def julia_code(expr: sympy.Expr) -> str:
 
 
 def to_text_block(equations: Mapping[str, sympy.Expr], digits: int = 6) -> str:
-    """Write the equations as plain text, one a line, constants to so many digits.
+    """Write the equations as plain text, one per line, constants to so many digits.
 
     >>> to_text_block({"x": -2 * sympy.Symbol("x")})
     "x' = -2*x"
