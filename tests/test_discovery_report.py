@@ -88,19 +88,21 @@ def test_the_page_holds_equations_pictures_and_fronts(page):
 
 
 @pytest.mark.parametrize("level", ["law", "approximation", "not found"])
-def test_the_reason_is_open_unless_it_is_a_law(found, level):
-    """The reason of a law is folded, so that pictures come soon. Equations that the data refuse
-    have no fixed points, and a sentence says what their intervals are worth.
+def test_a_reason_is_open_unless_it_is_at_the_top(found, level):
+    """The reason of a law, or one that the top gives, is folded, so that pictures come soon.
+    Equations that the data refuse have no fixed points, and a sentence says what their intervals
+    are worth.
     """
-    states = {s: StateVerdict(level, "because.", 0.5) for s in found.equations}
+    states = {s: StateVerdict(level, f"because of {s}.", 0.5) for s in found.equations}
     own = replace(
         found,
         verdict=summarise(states, 1.0),
         explanation=dict.fromkeys(found.equations, "It is so."),
     )
     page = render_discovery(own)
-    folded = re.findall(r"<details><summary>Why it is a law</summary><p>It is so", page)
-    assert len(folded) == (2 if level == "law" else 0)
+    folded = re.findall(r"<details><summary>Why it is (.*?)</summary><p>It is so", page)
+    names = {"law": "a law", "approximation": "an approximation", "not found": "not found"}
+    assert folded == [names[level]] * (2 if level == "law" else 1)
     assert page.count(f'class="equation {level.replace(" ", "-")}"') == 2
     assert ('id="fixed"' in page) is (level != "not found")
     assert ("these intervals mean little" in page) is (level == "not found")

@@ -62,6 +62,12 @@ _HEADINGS = {
     "not found": "Equations not found",
     "": "Equations",
 }
+# Level of an equation whose reason is at the top -> what its folded reason is called.
+_FOLDED = {
+    "law": "Why it is a law",
+    "approximation": "Why it is an approximation",
+    "not found": "Why it is not found",
+}
 _SMALLEST = 1e-16
 # A loss is smaller than another where it is less than this share of it; polishing moves them a bit.
 _CLEARLY = 0.99
@@ -300,6 +306,11 @@ def _summary(found: Discovery) -> str:
     return f"{known}, from {rows} rows {over}."
 
 
+def _is_said(found: Discovery, own: StateVerdict) -> bool:
+    """Whether the line at the top gives the reason already, as it does for all laws."""
+    return own.level == "law" or own.reason in found.heading
+
+
 def _equation(found: Discovery, state: str) -> dict[str, Any]:
     expr = found.equations[state]
     text = f"{state}{'[n+1]' if found.is_map else chr(39)} = {shown(expr)}"
@@ -313,6 +324,7 @@ def _equation(found: Discovery, state: str) -> dict[str, Any]:
         "mathml": (write_map_mathml if found.is_map else to_mathml)(expr, state),
         "why": why,
         "level": own.level.replace(" ", "-") if own else "",
+        "folded": _FOLDED[own.level] if own and _is_said(found, own) else "",
         "details": found.details.get(state, ""),
     }
 
