@@ -185,8 +185,7 @@ def form_of(settings: Mapping[str, Any]) -> Form:
 def write_lines(
     equations: Mapping[str, sympy.Expr], settings: Mapping[str, Any], digits: int = 6
 ) -> list[str]:
-    """Write the equations as a reader has them, one per line: x'' in the place of two of first
-    order.
+    """Write the equations as a reader has them, one per line: x'' replaces two of first order.
 
     Parameters
     ----------
