@@ -13,6 +13,7 @@ from known_systems import KNOWN, NAMES, points, slopes
 from scipy.integrate import solve_ivp
 from targets import loaded, need_module, need_tool, run
 
+from dynsr import read_petab
 from dynsr.data.reading import write_csv
 from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
@@ -332,6 +333,31 @@ def test_a_petab_problem_is_whole(noisy, tmp_path):
     problem = petab.v1.Problem.from_yaml(str(tmp_path / "problem" / "problem.yaml"))
     assert not lint_problem(problem)
     assert set(problem.x_ids) == {"k1", "k2", "k3", "noise_x", "noise_y"}
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_petab_problem_of_data_with_empty_cells_is_whole(noisy, tmp_path):
+    """Where a state begins that the first row lacks is to be estimated; an empty cell is no
+    measurement; the problem is read again.
+    """
+    need_module("libsbml")
+    petab = pytest.importorskip("petab", reason="petab is not installed")
+    from petab.v1.lint import lint_problem
+
+    (run_,) = noisy.trajectories
+    x = run_.x.copy()
+    x[0, 1] = x[5, 0] = np.nan
+    replace(noisy, trajectories=(replace(run_, x=x),)).export("petab", tmp_path / "problem")
+    problem = petab.v1.Problem.from_yaml(str(tmp_path / "problem" / "problem.yaml"))
+    assert not lint_problem(problem)
+    assert len(problem.measurement_df) == 2 * 21 - 2
+    (condition,) = problem.condition_df.to_dict("records")
+    assert (condition["start_x"], condition["start_y"]) == (1.0, "start_y_run_1")
+    row = problem.parameter_df.loc["start_y_run_1"]
+    assert row["estimate"] == 1 and row["lowerBound"] < 2.0 < row["upperBound"]
+    system, (again,) = read_petab(tmp_path / "problem" / "problem.yaml")
+    assert system.x0 == {"x": 1.0, "y": row["nominalValue"]} and len(system.parameters) == 3
+    assert np.array_equal(np.isnan(again.x), np.isnan(x))
 
 
 def test_a_petab_problem_needs_its_data(noisy, tmp_path):

@@ -56,12 +56,16 @@ def read_petab(path: str | Path) -> tuple[ParametricSystem, list[Trajectory]]:
     if "parameter_file" in asked:
         nominal = _numbers(_read(_inside(file, asked["parameter_file"])), "nominalValue")
     tables = {key: _read_all(parts[key]) for key in _TABLES if key != "sbml_files"}
+    # A condition may name a parameter in the place of a number.
+    set_by = tables["condition_files"]
+    for name in set_by.columns.difference(["conditionId", "conditionName"]):
+        set_by[name] = [str(nominal.get(text, text)) for text in set_by[name]]
     system, runs = _with_runs(_with_values(read_sbml(model), nominal), tables)
     if not runs:
         return system, runs
     listed = tables["condition_files"].to_dict("records")
     first = next(one for one in listed if one["conditionId"] == runs[0].origin["condition"])
-    # Columns beside the numbers are names; a start may be a parameter that a condition sets.
+    # A start may be a parameter that a condition sets.
     set_there = {
         name: float(text)
         for name, text in first.items()

@@ -11,7 +11,7 @@ import sympy
 from sympy.printing.str import StrPrinter
 
 from dynsr import __version__
-from dynsr.data import Trajectory
+from dynsr.data import Trajectory, carry
 from dynsr.errors import InputError
 from dynsr.export.reactions import Reaction, find_reactions
 from dynsr.export.sbml_units import ModelUnits
@@ -249,15 +249,20 @@ def write_petab(source: Source) -> dict[str, str]:
     inputs = source.measured
     header = ["conditionId", *begins.values(), *inputs]
     conditions, measurements = [header], [_MEASURED]
-    for place, run in enumerate(source.runs, 1):
+    # Where a run begins is estimated of a state that its first row lacks, from its curve on.
+    carried = carry(source.runs)
+    unknown: dict[str, float] = {}
+    for place, (run, begun) in enumerate(zip(source.runs, carried, strict=True), 1):
         condition = f"run_{place}"
         columns = {s: _column(source, run, s) for s in source.states}
+        starts = {s: float(_column(source, begun, s)[0]) for s in source.states}
+        cells = {s: number(value) for s, value in starts.items()}
+        for state in source.states:
+            if not math.isfinite(columns[state][0]):
+                cells[state] = _unused(f"{begins[state]}_{condition}", taken)
+                unknown[cells[state]] = starts[state]
         conditions.append(
-            [
-                condition,
-                *(number(columns[s][0]) for s in source.states),
-                *(number(_constant(source, run, u)) for u in inputs),
-            ]
+            [condition, *cells.values(), *(number(_constant(source, run, u)) for u in inputs)]
         )
         for state in spreads:
             measurements += [
@@ -269,15 +274,15 @@ def write_petab(source: Source) -> dict[str, str]:
         _OBSERVED,
         *([f"observed_{s}", s, own, "normal"] for s, own in spreads.items()),
     ]
-    parameters = [_ESTIMATED, *([n, *_bounds(v)] for n, v in source.parameters.items())]
+    estimated = {**source.parameters, **unknown}
+    parameters = [_ESTIMATED, *([n, *_bounds(v)] for n, v in estimated.items())]
     for state, name in spreads.items():
         known = (source.noise or {}).get(state) or _spread(source, state)
         parameters.append([name, *_bounds(known)])
     # Alone, the model begins where the first trajectory does.
-    first = {s: float(_column(source, source.runs[0], s)[0]) for s in source.states}
-    starts = {begins[s]: value if math.isfinite(value) else 0.0 for s, value in first.items()}
+    firsts = {begins[s]: float(_column(source, carried[0], s)[0]) for s in source.states}
     return {
-        "model.xml": _write(source, begins, starts),
+        "model.xml": _write(source, begins, firsts),
         "parameters.tsv": _table(parameters),
         "conditions.tsv": _table(conditions),
         "observables.tsv": _table(observables),
