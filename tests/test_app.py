@@ -444,6 +444,8 @@ def test_what_is_downloaded_is_what_was_found(page, tmp_path):
     assert report.startswith("<!doctype html>") and "Equations found" in report
     assert found["points"] == ["x = 0, y = 0: saddle", "x = 3, y = 1.5: centre"]
     assert found["flow"].startswith("<svg")
+    assert found["branches"]["svg"].startswith("<svg")
+    assert "Their number and kinds stay the same" in found["branches"]["caption"]
     # Every format that can hold the equations is a file, that of several files an archive.
     named = loaded.system.parameters
     offered = {one["file"] for one in found["exports"]}
@@ -706,6 +708,7 @@ def test_units_of_the_page_reach_the_search(tmp_path):
     [constant] = parts["found"]["constants"]
     assert (constant["of"], constant["unit"], constant["name"]) == ("x", "1/h", "k1")
     assert parts["found"]["points"] == ["x = 0: stable node"] and parts["found"]["flow"] == ""
+    assert "of x while k1" in parts["found"]["branches"]["caption"]
     assert constant["value"] == pytest.approx(-0.5, rel=1e-6)
     assert "time t (h)" in parts["picture"]["svg"]
 

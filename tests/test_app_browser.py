@@ -107,7 +107,10 @@ def test_the_whole_way_from_a_file_to_its_equations(browser, page, tmp_path):
     assert browser.run(constants) == [-1, 1.5, 1, -3]
     assert " to " in text(browser, ".constants") and "k1" in text(browser, ".constants")
     assert text(browser, "#points").splitlines()[1] == "x = 3, y = 1.5: centre"
-    assert browser.run("document.querySelector('#flow svg').getBoundingClientRect().height > 100")
+    assert browser.run(
+        "[...document.querySelectorAll('#flow svg, #branches svg')]"
+        ".map(e => e.getBoundingClientRect().height > 100)"
+    ) == [True, True]
     assert "time t (days)" in text(browser, "#svg")
 
     # The picture follows the slider, and comes back.

@@ -1,9 +1,12 @@
 import html
 import re
 import shlex
+from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
+from io import BytesIO
 from urllib.parse import unquote
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -18,7 +21,7 @@ from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.jobs import to_plain
 from dynsr.methods import choose_methods
-from dynsr.report.discovery import place_front, render_discovery
+from dynsr.report.discovery import place_front, render_discovery, show_branches
 
 
 @pytest.fixture(scope="module")
@@ -78,11 +81,13 @@ def test_the_page_stands_alone(page):
 
 
 def test_the_page_holds_equations_pictures_and_fronts(page):
-    """Two equations; pictures of states, phases, flow, slopes and residuals of each; two fronts."""
+    """Two equations; pictures of states, phases, flow, fixed points along a constant, slopes and
+    residuals of each; two fronts.
+    """
     reader = Reader()
     reader.feed(page)
     assert page.count('class="equation ') == reader.seen.count("math") == 2
-    assert page.count('<svg class="picture"') == 7
+    assert page.count('<svg class="picture"') == 8
     assert len(re.findall(r'class="front"', page)) == 2
     assert "1.0001*y" in page
 
@@ -181,7 +186,7 @@ def test_a_notebook_shows_equations_and_reasons(found):
     shown = found._repr_html_()
     assert "$\\displaystyle \\dot{x} = y$" in shown and "y' = -1*x" in html.unescape(shown)
     assert shown.count("<tr>") == 3
-    assert "because &lt;it&gt; is shorter" in shown
+    assert "because &lt;it&gt; is shorter" in shown and "-k1 = -1 (-1.02 to -0.9804)" in shown
     assert found._repr_latex_().startswith("$$\n\\begin{aligned}\n\\dot{x} &= y")
 
 
@@ -316,3 +321,29 @@ def test_every_format_is_offered_as_a_file(found):
     assert files["found_control.py"] == found.export("control")
     assert files["found_julia.jl"] == found.export("julia")
     assert "found_petab.zip" not in files
+
+
+def test_a_report_offers_the_petab_problem_of_its_data(found):
+    """The archive has the model and the measurements; that of many rows is not in the page."""
+    pytest.importorskip("libsbml", reason="python-libsbml is not installed")
+    link = r'<a href="data:application/zip;base64,([^"]*)" download="found_petab.zip"'
+    (packed,) = re.findall(link, html.unescape(render_discovery(found)))
+    with ZipFile(BytesIO(b64decode(packed))) as archive:
+        rows = archive.read("measurements.tsv").decode().splitlines()
+        assert "model.xml" in archive.namelist() and len(rows) == 1 + 2 * 120
+    (run,) = found.trajectories
+    t = np.linspace(0, 1, 2001)
+    many = replace(run, t=t, x=np.stack([np.cos(t), -np.sin(t)], axis=1))
+    assert "found_petab.zip" not in render_discovery(replace(found, trajectories=(many,)))
+
+
+def test_the_fixed_points_are_drawn_along_the_constant_that_changes_them():
+    """Of a pitchfork it is the growth whose sign decides; what t drives has none."""
+    t = np.linspace(0, 4, 30)
+    run = Trajectory(t, np.stack([np.cos(t), np.exp(-t)], axis=1), ("x", "y"))
+    pitchfork = {"x": parse("-0.3*x - x^3 + 0.4*x*y"), "y": parse("0.9 - 0.9*y")}
+    picture = show_branches(Discovery(pitchfork, {}, {}, {}, (run,)))
+    assert picture is not None and picture.svg.startswith("<svg")
+    assert "1 stable -> 1 saddle, 2 stable" in picture.caption
+    driven = Discovery({"x": parse("cos(t) - x")}, {}, {}, {}, (run.of_states(["x"]),))
+    assert show_branches(driven) is None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +44,7 @@ from dynsr.expression import NAMED_FUNCTIONS, parse, shown, to_mathml, to_text
 from dynsr.fit import ParetoFront, tidy
 from dynsr.jobs import REPORT, clock, say_left
 from dynsr.methods import DEFAULT_PRESET, PRESETS
-from dynsr.report import Picture, draw_states, list_fixed_points, show_flow
+from dynsr.report import Picture, draw_states, list_fixed_points, show_branches, show_flow
 
 if TYPE_CHECKING:
     import sympy
@@ -602,6 +602,7 @@ def show_found(found: Discovery) -> dict[str, Any]:
         "python": found.to_python(),
         "points": [point.text for point in list_fixed_points(found)],
         "flow": flow.svg if (flow := show_flow(found)) else "",
+        "branches": asdict(branches) if (branches := show_branches(found)) else None,
         "exports": [
             {"title": one.title, "file": name_file(name)}
             for name, one in list_formats(Source.of(found)).items()

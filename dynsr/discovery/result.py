@@ -1760,7 +1760,8 @@ class Discovery:
         return f"{so_far}{self.verdict.level.capitalize()}: {self.verdict.reason}"
 
     def _said_of(self, state: str) -> str:
-        return "; ".join(constant.text for constant in self.constants[state])
+        named = zip(self.constant_names[state], self.constants[state], strict=True)
+        return "; ".join(f"{name} = {constant.text}" for name, constant in named)
 
     def __rich__(self) -> RichTable:
         """Give a table for rich terminals."""

@@ -1,5 +1,5 @@
 from .batch import write_batch
-from .discovery import list_fixed_points, show_flow, write_report
+from .discovery import list_fixed_points, show_branches, show_flow, write_report
 from .page import Picture, render_page, write_table
 from .plots import (
     Panel,
@@ -31,6 +31,7 @@ __all__ = [
     "draw_suggestion",
     "list_fixed_points",
     "render_page",
+    "show_branches",
     "show_flow",
     "to_bytes",
     "write_batch",

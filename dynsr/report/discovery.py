@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -201,6 +202,9 @@ _FOLLOWED = {
 _TOLD_ELSEWHERE = ("version", "seed", "columns", "table", "details")
 _TARGETS = {False: "slopes", True: "next values"}
 _DRAWS = 20
+# How finely a constant goes from half its value to twice that, and the states of what is followed.
+_BRANCH_STEPS = 17
+_MOST_FOLLOWED = 4
 # Share of a constant below which its error moves no curve that is drawn.
 _INVISIBLE = 1e-6
 
@@ -252,7 +256,11 @@ def render_discovery(found: Discovery) -> str:
         trajectories=list(_trajectories(found)),
         # What the data refuse has no fixed points that anybody needs.
         fixed=None if refused else _fixed_points(found),
-        flow=[picture] if not refused and (picture := show_flow(found)) else [],
+        flow=[
+            picture
+            for draw in (show_flow, show_branches)
+            if not refused and (picture := draw(found))
+        ],
         refused=refused,
         left_out=max(0, len(found.trajectories) - _MOST_RUNS),
         left="[n+1]" if found.is_map else "'",
@@ -609,6 +617,36 @@ def show_flow(found: Discovery) -> Picture | None:
     )
 
 
+def show_branches(found: Discovery) -> Picture | None:
+    """Draw the fixed points along the constant that changes their kinds most, or along the first.
+
+    Parameters
+    ----------
+    found : the discovery, with its data; None of many states, which would take long.
+    """
+    constants = [one for one in found.parameters.values() if one.value]
+    few = len(found.equations) <= _MOST_FOLLOWED
+    if not few or not constants or not list_fixed_points(found):
+        return None
+    steps = np.geomspace(0.5, 2, _BRANCH_STEPS)
+    changes = [
+        len(found.bifurcation(one.name, one.value * steps[:: len(steps) // 2]).changes())
+        for one in constants
+    ]
+    chosen = constants[int(np.argmax(changes))]
+    branches = found.bifurcation(chosen.name, chosen.value * steps)
+    places = {s: [p.at[s] for points in branches.points for p in points] for s in found.equations}
+    state = next((s for s, own in places.items() if np.ptp(own) > 0), next(iter(places)))
+    said = "; ".join(f"near {chosen.name} = {v:.3g}: {text}" for v, text in branches.changes())
+    return Picture.of(
+        branches.plot(state),
+        f"Bifurcation: the fixed points of {state} while {chosen.name}, which was found as "
+        f"{chosen.value:.4g}, goes from half of that to twice that. "
+        f"{said[:1].upper()}{said[1:] or 'Their number and kinds stay the same'}. "
+        "Points are searched as below; cycles are not computed.",
+    )
+
+
 def _stride(run: Trajectory) -> int:
     return max(1, len(run) // _MOST_ROWS)
 
@@ -709,13 +747,20 @@ def _scores(found: Discovery) -> Table | None:
 
 
 def _formats(found: Discovery) -> Iterator[tuple[str, str, str, str]]:
-    """Give (title, file, text, address) of the equations with named parameters for other tools."""
+    """Give (title, file, text, address) of the equations with named parameters for other tools.
+
+    An archive has no text to read. One with more rows than are drawn would make a large page.
+    """
     source = Source.of(found)
+    small = sum(map(len, found.trajectories)) <= _MOST_ROWS
     for name, one in list_formats(source).items():
         if one.folder is None:
             file, packed = pack_format(source, name)
             address = f"data:text/plain;charset=utf-8,{quote_url(packed)}"
             yield one.title, file, packed.decode(), address
+        elif small:
+            file, packed = pack_format(source, name)
+            yield one.title, file, "", f"data:application/zip;base64,{b64encode(packed).decode()}"
 
 
 def _facts(found: Discovery) -> list[tuple[str, str]]:

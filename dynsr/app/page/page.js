@@ -221,6 +221,8 @@ const showFound = (found, fresh) => {
   $("python").textContent = found.python;
   list("points", found.points);
   $("flow").innerHTML = found.flow;
+  $("branches").innerHTML = found.branches ? found.branches.svg : "";
+  $("branches-words").textContent = found.branches ? found.branches.caption : "";
   $("exports").replaceChildren(...found.exports.map(one => make("a", { className: "button", href: one.file, download: "" }, one.title)));
   sliders = found.constants.map(one => slider(one, found.left, found.units));
   $("rows-of-constants").replaceChildren(...sliders.flatMap(one => one.rows));
