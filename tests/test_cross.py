@@ -1,10 +1,12 @@
 """Every format of programs and models on every system of the gallery, integrated by its target."""
 
+import json
 import re
 import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,31 +17,69 @@ from targets import loaded, need_module, need_tool, run
 
 from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
+from dynsr.discovery.parameters import ParametricSystem
 from dynsr.errors import InputError
 from dynsr.export.formats import FORMATS, write_files, write_format
 from dynsr.export.source import Source
+from dynsr.expression.curves import Curve
 from dynsr.expression.export import to_numpy
 from dynsr.expression.parsing import parse
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
-# Beside the catalogue: what pages of the gallery are about.
-PAGES = {
-    "stiff": System.from_strings({"x": "y", "y": "10*(1 - x^2)*y - x"}, x0=[2.0, 0.0]),
-    "rational": System.from_strings({"x": "-x/(x + 3)"}, x0=[4.0]),
-    "heated": System.from_strings(
-        {"room": "0.8*heater - 0.4*(room - 20)"}, x0=[20.0], inputs={"heater": "1 + sin(t)^2"}
-    ),
+# Beside the catalogue and the gallery: what these lack.
+ODD = {
     "friction": System.from_strings({"x": "v", "v": "-4*x - 0.3*abs(v)*v + sin(5*x)"}, x0=[1.5, 0]),
     "late": System.from_strings({"x": "cos(t) - x/2 + t/7"}, x0=[0.5], train=(5.0, 7.0)),
     "plain": System.from_strings({"x": "y", "y": "1"}, x0=[0.5, -0.5]),
 }
+GALLERY = Path(__file__).parents[1] / "docs" / "gallery"
+LAW = re.compile(r"^(\w+)('{1,2}|\[n\+1\]) = (.+)$", re.MULTILINE)
+# What a page does not print with its law: inputs, constants that differ, and a curve.
+INPUTS = {"u": "sin(0.3*t)", "heater": "1 + sin(t)^2", "kelvin": "300 + 10*sin(t)"}
+CONSTANTS = {"k1": 0.0005, "k2": 0.19}
+CURVE = Curve("f", np.linspace(-1.0, 3.0, 9), np.exp(-(np.linspace(-2.0, 2.0, 9) ** 2)))
+
+
+def read_pages():
+    """Give (page, what it prints)."""
+    for page in sorted(GALLERY.glob("*.md")):
+        for text in re.findall(r"^```text\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE):
+            yield page.stem, text
+    for page in sorted(GALLERY.glob("*.ipynb")):
+        for cell in json.loads(page.read_text())["cells"]:
+            for out in cell.get("outputs", ()):
+                yield page.stem, "".join(out.get("text", out.get("data", {}).get("text/plain", "")))
+
+
+def read_gallery(discrete):
+    """Give each law that the gallery prints, flows or maps, as a system that begins near 1."""
+    found = {}
+    for page, text in read_pages():
+        own = {}
+        for state, mark, side in LAW.findall(text):
+            if (mark == "[n+1]") is discrete and "(t - " not in side:
+                second = {state: f"{state}_dot", f"{state}_dot": side.replace("'", "_dot")}
+                own |= second if mark == "''" else {state: side}
+        if not own:
+            continue
+        inputs = {n: parse(u) for n, u in INPUTS.items() if re.search(rf"\b{n}\b", str(own))}
+        names = [*own, *inputs]
+        read = [parse(side, names, CONSTANTS, {"f": CURVE.function}) for side in own.values()]
+        x0 = tuple(0.9 - 0.2 * np.arange(len(own)))
+        system = System("gallery", tuple(own), tuple(read), x0, inputs)
+        if system not in found.values():
+            found[f"{page}_{len(found)}".replace("-", "_")] = system
+    return found
+
+
+MAPS = read_gallery(discrete=True)
 # Long enough to move, short enough that no chaos tells solvers apart, or a function ends.
 SPANS = {"functions": 0.4, "late": 2.0}
 SYSTEMS = {
     name: replace(
         system, train=(system.train[0], system.train[0] + SPANS.get(name, 2.0)), step=0.02
     )
-    for name, system in {**KNOWN, **PAGES}.items()
+    for name, system in {**KNOWN, **ODD, **read_gallery(discrete=False)}.items()
 }
 NAMES = list(SYSTEMS)
 DOCUMENTS = ("latex", "mathml", "markdown", "bibtex")
@@ -64,9 +104,16 @@ def check(name, found):
     assert np.all(np.abs(found - expected) <= 1e-6 * size), (name, found, expected)
 
 
+def source_of(name):
+    """Give what is written of a system; a curve in it is written as a formula."""
+    source = Source.of(SYSTEMS[name])
+    curved = any("f(" in str(side) for side in SYSTEMS[name].rhs)
+    return replace(source, curves=("f(x) is a curve.",)) if curved else source
+
+
 def written(name, form):
     """Give the text of a system in a format."""
-    return write_format(Source.of(SYSTEMS[name]), form)
+    return write_format(source_of(name), form)
 
 
 def check_all(text, names=NAMES):
@@ -331,7 +378,7 @@ def test_in_petab(name, tmp_path):
     rhs = to_numpy(dict(zip(system.states, system.closed_rhs(), strict=True)))
     x = solve_ivp(rhs, system.train, system.x0, t_eval=t, rtol=1e-9).y.T
     run_ = Trajectory(t, x, system.states)
-    source = replace(Source.of(system), runs=(run_,), noise=dict.fromkeys(system.states, 0.1))
+    source = replace(source_of(name), runs=(run_,), noise=dict.fromkeys(system.states, 0.1))
     for file, text in write_files(source, "petab").items():
         (tmp_path / file).write_text(text)
     problem = petab.Problem.from_yaml(str(tmp_path / "problem.yaml"))
@@ -375,3 +422,103 @@ def test_in_jax(tmp_path):
     """Each script integrates with diffrax."""
     need_module("diffrax")
     check_all(run_scripts("jax", tmp_path))
+
+
+# Rows that a map goes on: a chaotic one multiplies what is rounded.
+ROWS = 20
+MAP_FORMATS = [name for name, one in FORMATS.items() if one.maps and name not in DOCUMENTS]
+
+
+def go(step, start):
+    """Go from row to row."""
+    state = np.array(start)
+    for row in range(ROWS):
+        state = np.asarray(step(float(row), state), dtype=float).ravel()
+    return state
+
+
+def go_in_torch(text, start, folder):
+    """Go by the module of PyTorch."""
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    module = loaded(text, "map")["Found"]()
+    return go(lambda t, x: module(t, torch.tensor(x)).detach().numpy(), start)
+
+
+def go_in_script(text, start, folder):
+    """Run the example of the file."""
+    return run(sys.executable, "-W", "ignore", "-c", text)
+
+
+def go_in_c(text, start, folder):
+    """Compile a loop over the rows."""
+    (folder / "found.c").write_text(text)
+    (folder / "main.c").write_text(
+        f'#include "found.c"\n#include <stdio.h>\nint main(void) {{\nenum {{ k = {len(start)} }};'
+        "\ndouble x[k], next[k];\nfor (int i = 0; i < k; i++) x[i] = found_start[i];\n"
+        f"for (int n = 0; n < {ROWS}; n++) {{\nfound_step(n, x, found_parameters, 0, next);\n"
+        "for (int i = 0; i < k; i++) x[i] = next[i];\n}\n"
+        'for (int i = 0; i < k; i++) printf("%.17g ", x[i]);\nreturn 0; }\n'
+    )
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror"]
+    run(need_tool("gcc"), *strict, "main.c", "-o", "main", "-lm", cwd=folder)
+    return run(folder / "main")
+
+
+def go_in_fortran(text, start, folder):
+    """Compile a loop over the rows."""
+    (folder / "found.f90").write_text(text)
+    (folder / "main.f90").write_text(
+        f"program main\nuse found\nreal(dp) :: x({len(start)}), next({len(start)})\ninteger :: n\n"
+        f"x = found_start\ndo n = 0, {ROWS - 1}\n"
+        "call found_step(real(n, dp), x, found_parameters, [1d0], next)\nx = next\nend do\n"
+        "print '(es26.17e3)', x\nend program\n"
+    )
+    run(need_tool("gfortran"), "found.f90", "main.f90", "-o", "main", cwd=folder)
+    return run(folder / "main")
+
+
+def go_in_matlab(text, start, folder):
+    """Go from row to row in Octave."""
+    (folder / "step.m").write_text(text)
+    (folder / "main.m").write_text(
+        f"x = [{';'.join(map(str, start))}];\nfor n = 0:{ROWS - 1}\nx = step(n, x);\nend\n"
+        "printf('%.17g ', x);"
+    )
+    tool = need_tool("octave-cli")
+    return run(tool, "--no-init-file", "--quiet", "main.m", cwd=folder)
+
+
+def go_in_r(text, start, folder):
+    """Go from row to row in R."""
+    (folder / "main.R").write_text(
+        f"{text}\nx <- start\nfor (n in 0:{ROWS - 1}) "
+        "x[] <- step(n, x, parameters)[[1]]\ncat(sprintf('%.17g', x))"
+    )
+    return run(need_tool("Rscript"), "--vanilla", "main.R", cwd=folder)
+
+
+def go_in_julia(text, start, folder):
+    """Read the formulas by dynsr's parser."""
+    given, sides = sides_of(text, "julia")
+    own = list(sides)
+    put = {sympy.Symbol(n): sympy.Float(v) for n, v in given.items() if n not in own}
+    return go(to_numpy({n: parse(side).xreplace(put) for n, side in sides.items()}), start)
+
+
+@pytest.mark.parametrize("form", MAP_FORMATS)
+@pytest.mark.parametrize("name", MAPS)
+def test_a_map_goes_from_row_to_row(form, name, tmp_path):
+    """Every format that can express a map of the gallery gives its last row."""
+    system = MAPS[name]
+    rhs = to_numpy(dict(zip(system.states, system.rhs, strict=True)))
+    whole = replace(ParametricSystem.of(system), discrete=True, span=(0.0, float(ROWS)), step=1.0)
+    text = write_format(Source(whole), form)
+    if form in ("python", "casadi", "control", "do-mpc"):
+        if form != "python":
+            need_module(form.replace("-", "_"))
+        found = go_in_script(text, system.x0, tmp_path)
+    else:
+        found = globals()[f"go_in_{form}"](text, system.x0, tmp_path)
+    if isinstance(found, str):
+        found = [float(word) for word in found.strip("[] \n").split()]
+    assert np.allclose(found, go(rhs, system.x0), rtol=1e-6, atol=1e-6)
