@@ -423,6 +423,15 @@ def test_a_map_is_written_where_it_can_be():
                 found.export(form)
 
 
+def test_a_map_in_julia_gets_the_time_of_the_row_that_it_leaves():
+    """FunctionMap counts rows from 0, and calls a map with the next one."""
+    system = ParametricSystem.of(System.from_strings({"x": "cos(t) - x/2"}, train=(3.0, 5.0)))
+    code = write_format(Source(replace(system, discrete=True, step=0.5)), "julia")
+    assert "using OrdinaryDiffEqFunctionMap" in code
+    assert "DiscreteProblem((du, u, p, n) -> step!(du, u, p, 3.0 + (n - 1) * 0.5)" in code
+    assert "start, (0, 4), parameters), FunctionMap())" in code
+
+
 @pytest.mark.parametrize("form", FORMATS)
 def test_files_say_what_the_parameters_are(form, tmp_path):
     """Every file names its parameters, and a name outside ASCII is one the language takes."""

@@ -578,9 +578,15 @@ def write_julia(source: Source) -> str:
     lines += [f"    du[{i}] = {julia_code(e)}" for i, e in enumerate(source.equations.values(), 1)]
     start, end, count = times(source)
     first = ", ".join(map(number, source.start))
-    kind, span = ("Discrete", (0, count - 1)) if source.system.discrete else ("ODE", (start, end))
-    problem = f"{kind}Problem({name}, start, ({span[0]}, {span[1]}), parameters)"
-    solver, more = "Tsit5()", ""
+    package, more = "OrdinaryDiffEq", ""
+    problem = f"ODEProblem({name}, start, ({start}, {end}), parameters)"
+    solver, exact = "Tsit5()", "; reltol=1e-9, abstol=1e-12"
+    if source.system.discrete:
+        package, solver, exact = "OrdinaryDiffEqFunctionMap", "FunctionMap()", ""
+        # Julia counts rows, and calls a map with the row that comes next.
+        row = f"{start} + (n - 1) * {number(source.system.step)}"
+        called = f"(du, u, p, n) -> {name}(du, u, p, {row})" if source.timed else name
+        problem = f"DiscreteProblem({called}, start, (0, {count - 1}), parameters)"
     if source.delays:
         late = ", ".join(
             f"{source.called(u)} = h(p, t - {d}; idxs = {n + 1})" for u, n, d in _delayed(source)
@@ -597,7 +603,6 @@ def write_julia(source: Source) -> str:
         f"{source.comment('#')}parameters = (; {values})\nstart = [{first}]\n\n"
         f"function {name}(du, u, p, t)\n"
         + "\n".join(lines)
-        + f"\n    return nothing\nend\n\n# using OrdinaryDiffEq\n{more}# solution = solve({problem}"
-        + ("" if source.system.discrete else f", {solver}; reltol=1e-9, abstol=1e-12")
-        + ")\n"
+        + f"\n    return nothing\nend\n\n# using {package}\n{more}"
+        + f"# solution = solve({problem}, {solver}{exact})\n"
     )
