@@ -16,7 +16,8 @@ from __future__ import annotations
 import errno
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from difflib import get_close_matches
 from functools import cache
 from importlib.util import find_spec
 from unicodedata import category
@@ -59,6 +60,21 @@ class DynsrWarning(UserWarning):
     def __str__(self) -> str:
         """Give the message on one line; a name or a cell that it shows steers no terminal."""
         return one_line(super().__str__())
+
+
+def say_near(name: object, names: Iterable[str]) -> str:
+    """Ask in brackets whether the nearest of some names was meant; nothing where none is near.
+
+    Parameters
+    ----------
+    name : what was given.
+    names : what there is.
+
+    >>> say_near("pray", ["prey", "hunters"]), say_near("k", ["prey"])
+    (" (did you mean 'prey'?)", '')
+    """
+    near = get_close_matches(str(name), list(names), 1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def printable(text: str, keep: str = "", escaped: Callable[[str], str] = ascii) -> str:

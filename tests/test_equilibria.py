@@ -165,3 +165,19 @@ def test_a_report_says_where_the_equations_go(tmp_path):
     assert "Fixed points" in page and "stable focus" in page and "The flow of the equations" in page
     driven = made({"x": "t - x"}, Trajectory(np.arange(9.0), np.ones((9, 1)), ("x",)))
     assert "Fixed points" not in driven.report(tmp_path / "driven.html").read_text()
+
+
+def test_what_is_no_state_and_no_number_is_refused_by_name():
+    """A point, a box and a picture name states; a parameter goes along finite numbers."""
+    found = made({"prey": "prey*(1 - prey)"})
+    said = "no state 'pray' \\(did you mean 'prey'\\?\\); the states are: prey"
+    branches = found.bifurcation("k1", [0.5, 1.0])
+    for ask in (
+        lambda: found.linearise({"pray": 1.0}),
+        lambda: found.fixed_points(box={"pray": (0.0, 1.0)}),
+        lambda: branches.plot("pray"),
+    ):
+        with pytest.raises(InputError, match=said):
+            ask()
+    with pytest.raises(InputError, match="a value of 'k1' is no finite number; leave it out"):
+        found.bifurcation("k1", [0.5, np.nan])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from typing import NoReturn, TypeVar
+
+from dynsr.errors import say_near
 
 T = TypeVar("T")
 
@@ -19,6 +20,5 @@ class ByState(dict[str, T]):
 
     def __missing__(self, name: object) -> NoReturn:
         """Raise KeyError that names the states."""
-        near = get_close_matches(str(name), list(self), 1)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
-        raise KeyError(f"no state {name!r}{hint}; the states are: {', '.join(self) or 'none'}")
+        known = ", ".join(self) or "none"
+        raise KeyError(f"no state {name!r}{say_near(name, self)}; the states are: {known}")

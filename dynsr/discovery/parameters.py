@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -25,7 +24,7 @@ from dynsr.discovery.intervals import (
     take_apart,
     write_interval,
 )
-from dynsr.errors import InputError
+from dynsr.errors import InputError, say_near
 from dynsr.expression import check_name, shown, slope_latex, to_latex_formula
 from dynsr.fit import pairs_alike
 
@@ -187,9 +186,7 @@ _HEAD = ("name", "value", "standard error", "95 % interval", "unit", "term")
 
 
 def _say_unknown(name: object, known: Mapping[str, Any]) -> str:
-    near = get_close_matches(str(name), list(known), 1)
-    hint = f" (did you mean {near[0]!r}?)" if near else ""
-    names = ", ".join(known) or "none"
+    names, hint = ", ".join(known) or "none", say_near(name, known)
     return f"unknown parameter {str(name)!r}{hint}; the parameters are: {names}"
 
 

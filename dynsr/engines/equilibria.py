@@ -7,14 +7,14 @@ whole line of them is said to.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy
 
-from dynsr.errors import InputError
+from dynsr.errors import InputError, say_near
 from dynsr.expression import compile_numpy, differentiate
 
 if TYPE_CHECKING:
@@ -102,6 +102,13 @@ class FixedPoint:
         return f"{', '.join(f'{n} = {v:.6g}' for n, v in self.at.items())}: {self.kind}"
 
 
+def _check_states(given: Iterable[str], states: Collection[str]) -> None:
+    for name in given:
+        if name not in states:
+            known = ", ".join(states)
+            raise InputError(f"no state {name!r}{say_near(name, states)}; the states are: {known}")
+
+
 def linearise(
     equations: Mapping[str, sympy.Expr],
     at: Mapping[str, float],
@@ -125,6 +132,7 @@ def linearise(
     ([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [2.0]])
     """
     states, driven = tuple(equations), tuple(inputs or {})
+    _check_states(at, states)
     values = {**{s: float(at[s]) for s in states if s in at}, **(inputs or {}), "t": float(t)}
     needed = {str(s) for e in equations.values() for s in e.free_symbols} | {*states}
     if missing := sorted(needed - values.keys()):
@@ -178,6 +186,7 @@ def find_fixed_points(
     from scipy.stats.qmc import Halton
 
     states = list(equations)
+    _check_states(box, states)
     others = sorted({str(s) for e in equations.values() for s in e.free_symbols} - {*states})
     if others:
         raise InputError(
@@ -280,9 +289,13 @@ class Branches:
         Parameters
         ----------
         state : the state on the vertical axis.
+
+        Raises InputError where the points have no such state.
         """
         from dynsr.report import draw_branches
 
+        for point in next(filter(None, self.points), ())[:1]:
+            _check_states([state], point.at)
         return draw_branches(self, state)
 
     def changes(self) -> list[tuple[float, str]]:
@@ -327,11 +340,15 @@ def follow_parameter(
     discrete : whether they are a map.
     settings : the numbers by which they are sought.
 
+    Raises InputError where a value is not finite, and as :func:`find_fixed_points` does.
+
     >>> x, k = sympy.symbols("x k")
     >>> found = follow_parameter({"x": k - x**2}, "k", np.array([-1.0, 1.0]), {"x": (-2.0, 2.0)})
     >>> found.changes()
     [(0.0, 'none -> 1 stable, 1 unstable')]
     """
+    if not np.all(np.isfinite(values)):
+        raise InputError(f"a value of {parameter!r} is no finite number; leave it out")
     symbol, points = sympy.Symbol(parameter), []
     near: list[Mapping[str, float]] = []
     for value in values:

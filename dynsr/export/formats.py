@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from difflib import get_close_matches
 from io import BytesIO
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from dynsr.data import check_new, write_new
-from dynsr.errors import InputError, need
+from dynsr.errors import InputError, need, say_near
 from dynsr.export import documents, models, programs, sbml
 from dynsr.export.reactions import find_reactions
 from dynsr.export.source import Source, Words, name_in
@@ -108,8 +107,7 @@ def find_format(name: str) -> Format:
     """
     asked = ALIASES.get(name.lower(), name.lower())
     if asked not in FORMATS:
-        near = get_close_matches(asked, [*FORMATS, *ALIASES], 1)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        hint = say_near(asked, [*FORMATS, *ALIASES])
         raise InputError(f"unknown format {name!r}{hint}; the formats are: {', '.join(FORMATS)}")
     return FORMATS[asked]
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from dynsr.data import Samples
 from dynsr.engines import AbstractEngine
-from dynsr.errors import InputError
+from dynsr.errors import InputError, say_near
 from dynsr.fit import ParetoFront
 from dynsr.methods.limits import Limits
 
@@ -74,9 +73,7 @@ class AbstractMethod(ABC):
         settings = [f.name for f in fields(cls) if f.init]  # type: ignore[arg-type]
         for setting in changes:
             if setting not in settings:
-                near = get_close_matches(setting, settings, 1)
-                hint = f" (did you mean {near[0]!r}?)" if near else ""
-                known = ", ".join(settings)
+                hint, known = say_near(setting, settings), ", ".join(settings)
                 raise InputError(
                     f"{cls.__name__} has no setting {setting!r}{hint}; it has: {known}"
                 )
