@@ -357,6 +357,26 @@ def test_desolve_follows_a_delay(late, tmp_path):
     assert end == pytest.approx(late.simulate([0.8], T).x[-1], rel=1e-6)
 
 
+@pytest.mark.slow
+def test_octave_follows_a_delay(late, tmp_path):
+    """Octave has no dde23: steps of Heun, halved once, give what dynsr gives, with the delayed
+    state as a field.
+    """
+    octave = need_tool("octave-cli")
+    (tmp_path / "rhs.m").write_text(late.export("matlab"))
+    fields = ", ".join(f"'{n}', {v!r}" for n, v in late.parameters.numbers.items())
+    (tmp_path / "main.m").write_text(
+        "1;\nfunction x = go(m, p)\n"
+        f"h = {LAG} / m; n = round({END!r} / h); x = 0.8 * ones(1, n + 1);\n"
+        "for i = 1:n\np.x_delayed = x(max(i - m, 1)); a = rhs((i - 1) * h, x(i), p);\n"
+        "p.x_delayed = x(max(i + 1 - m, 1)); b = rhs(i * h, x(i) + h * a, p);\n"
+        "x(i + 1) = x(i) + h / 2 * (a + b);\nend\nx = x(end);\nend\n"
+        f"p = struct({fields}); printf('%.17g', (4 * go(600, p) - go(300, p)) / 3);\n"
+    )
+    end = float(run(octave, "--no-init-file", "--quiet", "main.m", cwd=tmp_path))
+    assert end == pytest.approx(late.simulate([0.8], T).x[-1, 0], rel=1e-6)
+
+
 def test_julia_and_modelica_have_the_delay(late):
     """A Julia parser finds no error, the example's neither; Modelica has its own word for it."""
     assert "delay(x, 1.5)" in late.export("modelica")
