@@ -24,6 +24,7 @@ from dynsr.discovery.verdict import (
     LEVELS,
     NOT_FOUND,
     Verdict,
+    followed_r2,
     follows_to,
     least_r2,
     likely_cause,
@@ -88,7 +89,7 @@ def _leaves_noise(problem: Problem, verdict: Verdict) -> bool:
     """
     limits = problem.settings.verdict
     return all(
-        own.chi_square < limits.excess and own.r2 >= limits.follows
+        own.chi_square < limits.excess and own.r2 >= followed_r2(np.array(own.noise), limits)
         for own in verdict.states.values()
     )
 

@@ -51,7 +51,7 @@ class VerdictSettings:
     ----------
     r2 : share of a state's variance, less that of its noise, that an approximation explains at
         least.
-    follows : share of it that equations explain over windows that they follow.
+    follows : share of it that equations explain over windows that they follow, without noise.
     finest : share of a state's spread that its noise is never thought below.
     exact : noise, as a share of the spread, below which data are clean, as solvers write them.
     solver : error of solvers of low accuracy over a whole run, as a share of the spread; an error
@@ -437,7 +437,7 @@ class _Bench:
     def _follows(self, followed: Followed) -> bool:
         return (
             followed.finite
-            and bool(np.all(self.r2(followed) >= self.settings.follows))
+            and bool(np.all(self.r2(followed) >= followed_r2(self.noise, self.settings)))
             and bool(np.all(followed.sizes() < self.settings.excess))
         )
 
@@ -948,6 +948,20 @@ def least_r2(noise: float, settings: VerdictSettings = VERDICT) -> float:
     (0.9, 0.819)
     """
     return settings.r2 * (1 - min(float(noise), 1.0) ** 2)
+
+
+def followed_r2(noise: np.ndarray, settings: VerdictSettings = VERDICT) -> np.ndarray:
+    """Give the R2 over windows that equations follow: noise takes its part of the variance.
+
+    Parameters
+    ----------
+    noise : standard deviations of the noise as shares of the spread of each state.
+    settings : the numbers that decide; noise may be larger than it seems by ``excess``.
+
+    >>> followed_r2(np.array([0.0, 0.2])).round(3)
+    array([0.99 , 0.926])
+    """
+    return settings.follows - settings.excess * np.minimum(noise, 1.0) ** 2
 
 
 def follows_to(r2: float) -> str:
