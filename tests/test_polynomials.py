@@ -6,7 +6,8 @@ from measured_systems import floats, measured
 
 from dynsr.selection.alone import Alone
 from dynsr.selection.comparison import COMPARISON, SystemComparison
-from dynsr.selection.polynomials import whole_polynomials
+from dynsr.selection.polynomials import thinned_polynomials, whole_polynomials
+from dynsr.selection.shapes import bare_terms
 
 RING = {
     "x": "-1.3*x - 3.7*y - 3.7*z - y^2",
@@ -41,3 +42,24 @@ def test_all_products_follow_a_ring_of_squares_in_few_rows(rows):
 def test_many_rows_and_few_numbers_are_left_alone(rows, end):
     """Where curves are good nothing is fitted, nor where numbers are no more than constants."""
     assert fitted(rows, end) == []
+
+
+SPIRAL = {"x": "-y - z", "y": "x + 0.2*y", "z": "0.2 + x*z - 5.7*z"}
+BOWL = {"x": "y", "y": "2*y - 2*x^2*y - x"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("law", "start", "end", "rows", "share", "systems"),
+    [(SPIRAL, (3.0, 5.0, 0.0), 30, 601, 0.1, 1), (BOWL, (0.0, 2.0), 10, 201, 0.1, 2)],
+)
+def test_polynomials_are_found_by_taking_terms_out(law, start, end, rows, share, systems):
+    """Of all products at once, those of the law are left; a cubic law needs those of degree 3."""
+    data = measured(tuple(law.items()), start, end, rows, share)
+    alone = {s: Alone.of(s, data, COMPARISON) for s in law}
+    comparison = SystemComparison(data.mesh(tuple(law)), COMPARISON)
+    all_moving = floats(law | {s: "1.0" for s, e in law.items() if e == "y"})
+    found = list(thinned_polynomials(comparison, alone, all_moving))
+    assert len(found) == systems
+    for state, expr in found[-1].exprs.items():
+        assert bare_terms(expr) == bare_terms(floats(law)[state] * 1.0)

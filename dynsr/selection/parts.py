@@ -20,6 +20,7 @@ PARTS: Mapping[str, str] = {
     "end-alone": "one that every other choice of terms misses by far more is such an equation",
     "joints": "ratios with the sine and cosine of a joint, in noise",
     "citing": "sums with terms of other equations",
+    "polynomials": "all products of low degree fitted at once and taken out one by one",
     "fluxes": "terms that several equations share, proposed again in all of them",
     "changed-permuted": "equations of one form change together",
     "couplings": "systems tied by a mass matrix",

@@ -11,15 +11,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+import numpy as np
 import sympy
 
 from dynsr.selection.alone import Alone
-from dynsr.selection.comparison import Equations, SystemComparison, SystemFit
+from dynsr.selection.comparison import (
+    Equations,
+    SystemComparison,
+    SystemFit,
+    leaves_noise,
+    owners_of,
+)
 from dynsr.selection.terms import products
 
 # Degrees that are tried, measured numbers for each constant at least, and rows from which on curves
 # are good.
 _DEGREES, _EACH, _ROWS = (2, 3), 1.5, 320
+# Of so many constants one goes at a time.
+_AT_ONCE = 8
 
 
 def whole_polynomials(
@@ -60,3 +69,49 @@ def _all_products(
             return None
         found[state] = settings.demands.force(state, told)
     return found
+
+
+def thinned_polynomials(
+    comparison: SystemComparison, alone: Mapping[str, Alone], exprs: Equations
+) -> Iterator[SystemFit]:
+    """Fit all products of low degree at once, and take them out one by one.
+
+    The constant that is least sure goes first (Wald), whatever its equation. The system of the
+    fewest bits on this way is given. All products together follow the states as closely as noise
+    allows, so that errors of the other states' curves bend no equation. Higher degrees come where
+    lower ones leave more than noise.
+
+    Parameters
+    ----------
+    comparison, alone, exprs : as for :func:`whole_polynomials`.
+    """
+    for degree in _DEGREES:
+        system = _all_products(comparison, alone, exprs, degree)
+        fit = None if system is None else comparison.fit(system)
+        if fit is not None:
+            yield min(_thin(comparison, fit), key=lambda one: one.bits)
+            if leaves_noise(fit, comparison.settings):
+                break
+
+
+def _thin(comparison: SystemComparison, fit: SystemFit | None) -> Iterator[SystemFit]:
+    """Give a system, and then without its least sure constants, a few of many at a time."""
+    while fit is not None:
+        yield fit
+        fit = next(filter(None, (comparison.fit(e, fit) for e in _shorter(fit))), None)
+
+
+def _shorter(fit: SystemFit) -> Iterator[Equations]:
+    """Give a system without its least sure constants, and without each other one alone."""
+    owners, values = owners_of(fit.exprs), fit.fit.constants
+    with np.errstate(over="ignore"):
+        ratios = np.abs(values) / np.maximum(fit.fit.errors, 1e-300)
+    order = np.argsort(ratios, kind="stable")
+    few = max(1, len(order) // _AT_ONCE)
+    for some in (order[:few], *order[few:, None]):
+        shorter = dict(fit.exprs)
+        for index in some:
+            gone = {sympy.Float(float(values[index])): sympy.S.Zero}
+            shorter[owners[index]] = shorter[owners[index]].xreplace(gone)
+        if all(e != 0 or fit.exprs[s] == 0 for s, e in shorter.items()):
+            yield shorter

@@ -35,7 +35,7 @@ from dynsr.selection.comparison import (
 )
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.integration import integrate
-from dynsr.selection.polynomials import whole_polynomials
+from dynsr.selection.polynomials import thinned_polynomials, whole_polynomials
 from dynsr.selection.renewal import renew
 from dynsr.selection.shapes import bare_terms, is_plain, rounded
 
@@ -271,6 +271,8 @@ def _search(
         for s, own in (alone.items() if settings.parts.has("citing") else ())
     }
     fits = [fit for own in (first, leaders) if (fit := _compose(together, own)) is not None]
+    if settings.parts.has("polynomials"):
+        fits += thinned_polynomials(together, alone, {s: p[0] for s, p in pools.items()})
 
     def finish(fit: SystemFit) -> SystemFit:
         # Alone, terms compensate for the errors of the curves that the others are read from.
