@@ -9,6 +9,7 @@ equation, for as long as that takes fewer bits.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -280,7 +281,8 @@ def _search(
             fit = prune(together, fit, state)
         return _climb(together, fit, leaders)
 
-    ends = [finish(fit) for fit in dict.fromkeys(fits)]
+    least = min((fit.bits for fit in fits), default=math.inf)
+    ends = [finish(f) for f in dict.fromkeys(fits) if f.bits <= least + settings.behind]
     return sorted(dict.fromkeys(ends), key=lambda fit: fit.bits)
 
 
