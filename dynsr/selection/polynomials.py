@@ -9,6 +9,7 @@ start for the search along them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -27,8 +28,6 @@ from dynsr.selection.terms import products
 # Degrees that are tried, measured numbers for each constant at least, and rows from which on curves
 # are good.
 _DEGREES, _EACH, _ROWS = (2, 3), 1.5, 320
-# Of so many constants one goes at a time.
-_AT_ONCE = 8
 
 
 def whole_polynomials(
@@ -107,7 +106,7 @@ def _shorter(fit: SystemFit) -> Iterator[Equations]:
     with np.errstate(over="ignore"):
         ratios = np.abs(values) / np.maximum(fit.fit.errors, 1e-300)
     order = np.argsort(ratios, kind="stable")
-    few = max(1, len(order) // _AT_ONCE)
+    few = max(1, math.isqrt(len(order)) // 2)
     for some in (order[:few], *order[few:, None]):
         shorter = dict(fit.exprs)
         for index in some:
