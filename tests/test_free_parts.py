@@ -301,6 +301,24 @@ def test_a_line_is_fitted_as_a_line():
     assert np.median(effective) == pytest.approx(2.0, abs=0.05)
 
 
+def test_the_slopes_by_constants_and_curves_are_those_of_differences():
+    """What the first fit follows is the derivative of the equations, also where sizes have one."""
+    model = read_model({"x": "a*f(x)*y^2 - b*abs(x)", "y": "exp(-b)*f(x)"}, ["x", "y"], ["x", "y"])
+    system = CurvedSystem(model.equations, model.constants, model.parts)
+    t = np.linspace(0.1, 2, 40)
+    run_ = Trajectory(t, np.column_stack([np.cos(t), np.sin(t)]), ("x", "y"))
+    mesh = MixedMesh.of(measure_runs([run_], {}, 99, {}), ("x", "y")).mesh
+    program, columns = system.program(mesh), [np.array([-0.5, 0.7]), np.array([1.1, 0.3])]
+    columns += [np.zeros(2)] * len(mesh.driven_names)
+    numbers = np.array([0.9, 0.4, 1.3])
+    moves = 1e-6 * np.eye(3)
+    differences = [
+        (program(*columns, *numbers + m) - program(*columns, *numbers - m)) / 2e-6 for m in moves
+    ]
+    found = system.by_numbers(mesh)(*columns, *numbers).reshape(2, 3, 2)
+    np.testing.assert_allclose(found.swapaxes(0, 1), differences, atol=1e-8)
+
+
 # --- whole discoveries -------------------------------------------------------------------------
 
 

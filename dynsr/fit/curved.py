@@ -10,7 +10,7 @@ the curve (Nychka 1988).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,7 +21,7 @@ import sympy
 from scipy.linalg import LinAlgError, block_diag
 from scipy.optimize import least_squares, minimize
 
-from dynsr.expression import Curve, Program, compile_columns
+from dynsr.expression import Curve, Program, compile_columns, differentiate
 from dynsr.fit.collocation import (
     Collocation,
     CollocationFit,
@@ -112,9 +112,23 @@ class CurvedSystem:
         ----------
         mesh : the data.
         """
-        names = [*mesh.states, *mesh.driven_names, *self.constants]
+        return compile_columns([self.equations[s] for s in mesh.states], self._names(mesh))
+
+    def by_numbers(self, mesh: Mesh) -> Program:
+        """Make their derivatives such a program: of each by all constants, then by all curves.
+
+        Parameters
+        ----------
+        mesh : the data.
+        """
+        names = self._names(mesh)
+        by = [sympy.Symbol(name) for name in names[len(mesh.states) + len(mesh.driven_names) :]]
+        slopes = [differentiate(self.equations[s], own) for s in mesh.states for own in by]
+        return compile_columns(slopes, names)
+
+    def _names(self, mesh: Mesh) -> list[str]:
         parts = [str(part.symbol) for part in self.parts]
-        return compile_columns([self.equations[s] for s in mesh.states], [*names, *parts])
+        return [*mesh.states, *mesh.driven_names, *self.constants, *parts]
 
     def contains(self, state: str, name: str | sympy.Symbol) -> bool:
         """Whether the equation of a state contains a symbol.
@@ -480,6 +494,7 @@ def fit_curved(
     slopes: Slopes,
     settings: CurvedSettings = CURVED,
     along: CollocationSettings = FIT.along,
+    begun: np.ndarray | None = None,
 ) -> CurvedFit | None:
     """Fit the constants and the curves of a system to the states; None where that cannot be done.
 
@@ -489,6 +504,7 @@ def fit_curved(
     rows : the data.
     slopes : of the smoothed states, where the fit starts.
     settings, along : the numbers that decide.
+    begun : (N,) what :func:`first_numbers` gave for the fewest knots, where that is known.
 
     More knots are taken for as long as they take fewer bits.
     """
@@ -499,7 +515,9 @@ def fit_curved(
             break
         if best is None:
             states = rows.mesh.start
-            every = first_numbers(system, rows.mesh, curves, slopes, settings)
+            every = begun
+            if every is None:
+                every = first_numbers(system, rows.mesh, curves, slopes, settings)
             ends = np.cumsum([len(system.constants), *(len(c.knots) for c in curves)])[:-1]
             numbers, *values = np.split(every, ends)
         else:
@@ -618,6 +636,26 @@ def _ways(system: CurvedSystem, mesh: Mesh, curves: Sequence[Curve]) -> np.ndarr
     return np.asarray(block_diag(*blocks))
 
 
+def _first_bending(
+    curves: Sequence[Curve],
+    sizes: np.ndarray,
+    gaps: Callable[[np.ndarray], np.ndarray],
+    settings: CurvedSettings,
+) -> np.ndarray:
+    """(N, N) what bending costs a first fit; the values of each curve begin at its size."""
+    # What a curve moves by says what its bending is worth.
+    level = np.ones(sizes[-1] + len(curves[-1].knots))
+    blocks = [np.zeros((sizes[0], sizes[0]))]
+    for curve, begin in zip(curves, sizes, strict=True):
+        higher = level.copy()
+        higher[begin : begin + len(curve.knots)] += 1.0
+        worth = settings.faint * float(np.linalg.norm(gaps(higher) - gaps(level)))
+        values, ways = np.linalg.eigh(curve.roughness)
+        shares = np.sqrt(np.maximum(values, 0.0) / max(values.max(), 1e-300))
+        blocks.append(worth * (shares * ways).T)
+    return np.asarray(block_diag(*blocks))
+
+
 def first_numbers(
     system: CurvedSystem,
     mesh: Mesh,
@@ -643,41 +681,51 @@ def first_numbers(
     weights = [
         c.weights(columns[names.index(p.of)]) for p, c in zip(system.parts, curves, strict=True)
     ]
-    program, count = system.program(mesh), len(system.constants)
+    program, turning = system.program(mesh), system.by_numbers(mesh)
+    count = len(system.constants)
     sizes = np.cumsum([count, *(len(curve.knots) for curve in curves)])[:-1]
     wanted, unit = slopes.values[:, rows], np.maximum(slopes.errors[:, rows], 1e-300)
     # A start need not follow slopes to more than a share of their size.
     unit = np.maximum(unit, settings.rough * np.std(wanted, axis=1, keepdims=True) + 1e-300)
     offset = np.concatenate([np.zeros(count), *(curve.values for curve in curves)])
 
-    def gaps(numbers: np.ndarray) -> np.ndarray:
+    def arguments(numbers: np.ndarray) -> list[Any]:
         own, *values = np.split(numbers, sizes)
-        heights = [w @ v for w, v in zip(weights, values, strict=True)]
+        return [*columns, *own, *(w @ v for w, v in zip(weights, values, strict=True))]
+
+    def gaps(numbers: np.ndarray) -> np.ndarray:
         with np.errstate(all="ignore"):
-            found = (program(*columns, *own, *heights) - wanted) / unit
+            found = (program(*arguments(numbers)) - wanted) / unit
         return np.nan_to_num(found, posinf=0, neginf=0).ravel()
 
-    # What a curve moves by says what its bending is worth.
-    level = np.ones(len(offset))
-    blocks = [np.zeros((count, count))]
-    for curve, begin in zip(curves, sizes, strict=True):
-        higher = level.copy()
-        higher[begin : begin + len(curve.knots)] += 1.0
-        worth = settings.faint * float(np.linalg.norm(gaps(higher) - gaps(level)))
-        values, ways_bent = np.linalg.eigh(curve.roughness)
-        shares = np.sqrt(np.maximum(values, 0.0) / max(values.max(), 1e-300))
-        blocks.append(worth * (shares * ways_bent).T)
-    rough = block_diag(*blocks)
+    def turns(numbers: np.ndarray) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            found = turning(*arguments(numbers)).reshape(len(unit), -1, len(rows)) / unit[:, None]
+        found = np.nan_to_num(found, posinf=0, neginf=0)
+        heights = found[:, count:].swapaxes(0, 1)
+        bent = [h[:, None] * w.T for h, w in zip(heights, weights, strict=True)]
+        every = np.concatenate([found[:, :count], *bent], axis=1)
+        return every.swapaxes(1, 2).reshape(-1, len(offset))
+
+    rough = _first_bending(curves, sizes, gaps, settings)
 
     def missed(free: np.ndarray) -> np.ndarray:
         numbers = offset + ways @ free
         return np.concatenate([gaps(numbers), rough @ numbers])
 
+    def moved(free: np.ndarray) -> np.ndarray:
+        return np.concatenate([turns(offset + ways @ free), rough]) @ ways
+
     def descend(start: np.ndarray) -> tuple[float, np.ndarray]:
         first = ways.T @ (np.concatenate([start, np.ones(len(offset) - count)]) - offset)
-        # Numerical slopes ask for constants near 1.
+        # How small a step ends the descent is said for constants near 1.
         units = np.concatenate([start, np.ones(len(first) - count)])
-        found = least_squares(lambda free: missed(units * free), first / units, x_scale="jac")
+        found = least_squares(
+            lambda free: missed(units * free),
+            first / units,
+            lambda free: moved(units * free) * units,
+            x_scale="jac",
+        )
         cost = float(found.cost)
         return cost if math.isfinite(cost) else math.inf, offset + ways @ (units * found.x)
 
@@ -736,9 +784,9 @@ def _choose_costs(fit: CurvedFit, settings: CurvedSettings) -> np.ndarray:
         shapes.append(ways.T @ shape @ ways)
         pulls.append(ways.T @ shape @ numbers)
         levels.append(float(numbers @ shape @ numbers))
-    now = np.array(problem.costs)
+    now, forms, ahead, paid_level = map(np.array, (problem.costs, shapes, pulls, levels))
     # At the fit the slope of the data's part is minus that of the bending.
-    slope = -np.einsum("j,jq->q", now, np.array(pulls))
+    slope = -np.einsum("j,jq->q", now, ahead)
     squares = float(np.sum(fit.found.misses**2))
     ranks = [np.linalg.matrix_rank(shape, hermitian=True) for shape in shapes]
     rows = fit.problem.mesh.freedom(0) - (ways.shape[1] - sum(ranks))
@@ -747,11 +795,11 @@ def _choose_costs(fit: CurvedFit, settings: CurvedSettings) -> np.ndarray:
 
     def criterion(moves: np.ndarray) -> float:
         costs = np.exp(centre + moves)
-        bent = np.einsum("j,jpq->pq", costs, np.array(shapes))
-        pull = slope + np.einsum("j,jq->q", costs, np.array(pulls))
+        bent = np.einsum("j,jpq->pq", costs, forms)
+        pull = slope + np.einsum("j,jq->q", costs, ahead)
         whole = told + bent
         step = -np.linalg.pinv(whole, hermitian=True) @ pull
-        paid = squares + float(costs @ np.array(levels)) + float(pull @ step)
+        paid = squares + float(costs @ paid_level) + float(pull @ step)
         logs = np.linalg.slogdet(whole)[1] - sum(
             r * m for r, m in zip(ranks, centre + moves, strict=True)
         )
