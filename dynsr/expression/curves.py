@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,14 @@ import sympy
 from scipy.interpolate import CubicSpline
 
 from dynsr.errors import InputError
+
+
+# A fit moves the values of a curve thousands of times, and never its knots.
+@lru_cache(maxsize=32)
+def _ones(knots: bytes) -> CubicSpline:
+    """Give the curves that are 1 at one knot and 0 at the others."""
+    own = np.frombuffer(knots)
+    return CubicSpline(own, np.eye(len(own)), bc_type="natural")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +62,9 @@ class Curve:
     def _spline(self) -> CubicSpline:
         return CubicSpline(self.knots, self.values, bc_type="natural")
 
-    @cached_property
+    @property
     def _every(self) -> CubicSpline:
-        """The curves that are 1 at one knot and 0 at the others."""
-        return CubicSpline(self.knots, np.eye(len(self.knots)), bc_type="natural")
+        return _ones(self.knots.tobytes())
 
     def __eq__(self, other: object) -> bool:
         """Whether two curves have the same name and numbers, as expressions ask."""
