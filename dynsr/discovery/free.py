@@ -155,6 +155,7 @@ class _Study:
     units: Mapping[str, sympy.Rational]
     seed: int
     until: float
+    begun: np.ndarray | None = None
     tried: dict[str, list[tuple[sympy.Expr, _Answer, float]]] = field(default_factory=dict)
 
     @classmethod
@@ -181,9 +182,11 @@ class _Study:
             np.array([samples[s].slope_sd for s in states]),
         )
         rng, rows = np.random.default_rng(seed), MixedMesh.of(data, states)
-        sizes = _sizes(model, rows.mesh, slopes, settings.free.curved)
+        begun, sizes = _begin(model, rows.mesh, slopes, settings.free.curved)
         settled = finish_model(model, columns, rng, settings.free, sizes)
-        return cls(settled, data, rows, slopes, settings, limits, units, seed, until)
+        # Where nothing had to be fixed the curves start from this very fit.
+        own = begun if settled is model else None
+        return cls(settled, data, rows, slopes, settings, limits, units, seed, until, own)
 
     @property
     def late(self) -> bool:
@@ -195,7 +198,8 @@ class _Study:
         model = self.model
         system = CurvedSystem(model.equations, model.constants, model.parts)
         along = self.settings.selection.fit.along
-        fit = fit_curved(system, self.rows, self.slopes, self.settings.free.curved, along)
+        curved = self.settings.free.curved
+        fit = fit_curved(system, self.rows, self.slopes, curved, along, self.begun)
         if fit is None:
             raise InputError(
                 "the equations in known cannot be fitted to these data: their slopes are not "
@@ -392,13 +396,13 @@ class _Estimate:
         return {s: e.xreplace(put) for s, e in self.answer.system.equations.items()}
 
 
-def _sizes(
+def _begin(
     model: FreeModel,
     mesh: Mesh,
     slopes: Slopes,
     settings: CurvedSettings,
-) -> dict[str, float]:
-    """Give the size of each constant and function in a fit to the slopes."""
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Give a first fit to the slopes, and the size of each constant and function in it."""
     system = CurvedSystem(model.equations, model.constants, model.parts)
     curves = flat_curves(system, mesh, settings.knots[0])
     if not curves:
@@ -412,7 +416,7 @@ def _sizes(
     heights = [float(np.std(value)) or 1.0 for value in values]
     found = dict(zip(model.constants, np.abs(own).tolist(), strict=True))
     found |= {part.name: size for part, size in zip(model.parts, heights, strict=True)}
-    return {name: size or 1.0 for name, size in found.items()}
+    return numbers, {name: size or 1.0 for name, size in found.items()}
 
 
 def _samples(data: Measurements, state: str) -> Samples:
