@@ -13,12 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
+from scipy.linalg import LinAlgError, lapack, solve_triangular
 from scipy.optimize import minimize
 
 # Half the length of the interval on which the cosines live; the rows lie on [-1, 1]. Closer ends
 # would force the slope to 0 there, more distant ones need more cosines.
 _REACH = 1.4
+_EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -123,10 +124,12 @@ class _Problem:
         self.grow(used)
         q, logs = q[:used], logs[:used]
         share = q / (1 + q)
-        gradient = np.stack([np.ones(used), -2 * power * share, power * (share - np.log1p(q))])
         # Offset and trend have a prior so wide that it says nothing.
-        flat = np.log(100.0)
-        return np.concatenate([[flat, flat], logs]), np.pad(gradient, ((0, 0), (2, 0)))
+        every, gradient = np.full(used + 2, np.log(100.0)), np.zeros((3, used + 2))
+        every[2:], gradient[0, 2:] = logs, 1.0
+        gradient[1, 2:] = -2 * power * share
+        gradient[2, 2:] = power * (share - np.log1p(q))
+        return every, gradient
 
     def solve(self, kernel: np.ndarray) -> tuple[np.ndarray, ...]:
         """Give roots of the variances, Cholesky factor, whitened coefficients, log gradients."""
@@ -137,26 +140,29 @@ class _Problem:
         inner *= root
         # Rounding must not make the matrix indefinite where noise is far below the spread.
         diagonal = np.einsum("ii->i", inner)
-        diagonal += 1.0 + m * np.finfo(float).eps * np.max(diagonal)
-        factor = cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
+        diagonal += 1.0 + m * _EPS * diagonal.max()
+        # Where rows are few SciPy's checks of what it is given would take longer than all else.
+        factor, wrong = lapack.dpotrf(inner, lower=1, clean=1, overwrite_a=1)
+        if wrong:
+            raise LinAlgError("the covariance of the process is not positive definite")
         right = root * self.moments[:m] * np.exp(-kernel[3])
-        return root, factor, cho_solve((factor, True), right, check_finite=False), gradient
+        return root, factor, lapack.dpotrs(factor, right, lower=1)[0], gradient
 
     def loss(self, kernel: np.ndarray) -> tuple[float, np.ndarray]:
         """Negative log marginal likelihood (with the noise factor's prior), and its gradient."""
         root, factor, white, gradient = self.solve(kernel)
         m, noise = len(root), self.variance * np.exp(kernel[3])
         misses = self.y - self.basis[:, :m] @ (root * white)
-        fit = float(np.sum(misses**2 / noise))
-        logdet = 2 * float(np.sum(np.log(np.diag(factor)))) + float(np.sum(np.log(noise)))
+        fit = float((misses**2 / noise).sum())
+        logdet = 2 * float(np.log(factor.diagonal()).sum()) + float(np.log(noise).sum())
         inverse, _ = lapack.dtrtri(factor, lower=1)
-        diagonal = np.sum(inverse**2, axis=0)
+        diagonal = (inverse**2).sum(axis=0)
         by_variance = 0.5 * (1 - white**2 - diagonal)
         strain = kernel[3] / self.prior_sd
-        by_noise = 0.5 * (len(self.y) - fit - (m - float(np.sum(diagonal))))
+        by_noise = 0.5 * (len(self.y) - fit - (m - float(diagonal.sum())))
         by_noise += strain / self.prior_sd
         value = 0.5 * (fit + float(white @ white) + logdet + strain**2)
-        return value, np.append(gradient @ by_variance, by_noise)
+        return value, np.array([*(gradient @ by_variance), by_noise])
 
     def bounds(self) -> list[tuple[float, float]]:
         """Bounds of the four hyperparameters."""
