@@ -294,7 +294,7 @@ def test_what_cannot_differ_is_refused_in_one_line():
         known({"x": -0.5 * X}, runs[:1]).vary()
     with pytest.raises(InputError, match=r"'k7' cannot differ; give parameters \(k1\)"):
         found.vary(["k7"])
-    with pytest.raises(InputError, match="of 3 rows tells no constants of its own"):
+    with pytest.raises(InputError, match="of 3 rows determines no constants of its own"):
         known({"x": -0.5 * X}, (runs[0], runs[1].select(slice(0, 3)))).vary()
     with pytest.raises(InputError, match="there is one; give several"):
         discover(runs[0], vary=True)
