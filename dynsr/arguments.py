@@ -71,6 +71,12 @@ def checked(door: T) -> T:
     return door
 
 
+def _warn_renamed(old: str, new: str) -> None:
+    """Warn whoever uses what calls this of a name of before."""
+    words = f"{old} is now {new}; the old name ends next release"
+    warn(words, DeprecationWarning, stacklevel=3)
+
+
 class Renamed:
     """A public name of before, which gives what has another name now, and says so.
 
@@ -90,11 +96,7 @@ class Renamed:
         """Give what the new name gives; warns of the old one."""
         if found is None:
             return self
-        warn(
-            f"{owner.__name__}.{self.old} is now {self.new}; the old name ends next release",
-            DeprecationWarning,
-            stacklevel=2,
-        )
+        _warn_renamed(f"{owner.__name__}.{self.old}", self.new)
         return getattr(found, self.new)
 
 
@@ -115,11 +117,7 @@ def renamed_exports(module: str, find: Callable[[str], Any], **names: str) -> Ca
     def found(name: str) -> Any:
         if name not in names:
             return find(name)
-        warn(
-            f"{module}.{name} is now {names[name]}; the old name ends next release",
-            DeprecationWarning,
-            stacklevel=2,
-        )
+        _warn_renamed(f"{module}.{name}", names[name])
         return find(names[name])
 
     return found
@@ -146,11 +144,7 @@ def renamed(**names: str) -> Callable[[type[C]], type[C]]:
         @functools.wraps(begin)
         def begun(self: Any, *arguments: Any, **named: Any) -> None:
             for old in names.keys() & named.keys():
-                warn(
-                    f"{kind.__name__}({old}=) is now {names[old]}=; the old name ends next release",
-                    DeprecationWarning,
-                    stacklevel=2,
-                )
+                _warn_renamed(f"{kind.__name__}({old}=)", f"{names[old]}=")
                 named[names[old]] = named.pop(old)
             begin(self, *arguments, **named)
 

@@ -59,7 +59,7 @@ def follow_anyway(
     runs = problem.runs
     if verdict.level == LAW or problem.form.discrete or problem.known or min(map(len, runs)) < 5:
         return None
-    measured_runs = _make_trail(problem, tuple(found.equations))
+    measured_runs = _measured_runs(problem, tuple(found.equations))
     whole = verdict.span >= max(np.ptp(run.t) for run in runs)
     followed = verdict.level != NOT_FOUND and (whole or _leaves_noise(problem, verdict))
     noise = {s: own.noise for s, own in verdict.states.items()}
@@ -89,7 +89,7 @@ def _leaves_noise(problem: Problem, verdict: Verdict) -> bool:
     """
     limits = problem.settings.verdict
     return all(
-        own.chi_square < limits.excess and own.r2 >= followed_r2(np.array(own.noise), limits)
+        own.chi_square < limits.excess and own.r2 >= followed_r2(own.noise, limits)
         for own in verdict.states.values()
     )
 
@@ -106,7 +106,7 @@ def _closer(judged: Verdict, verdict: Verdict) -> bool:
     return judged.span >= verdict.span and own < others
 
 
-def _make_trail(problem: Problem, states: tuple[str, ...]) -> MeasuredRuns:
+def _measured_runs(problem: Problem, states: tuple[str, ...]) -> MeasuredRuns:
     data = problem.measurements
     smoothed = None if data is None or len(data.runs) != len(problem.runs) else data.smoothed
     return MeasuredRuns(

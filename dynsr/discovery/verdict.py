@@ -950,7 +950,7 @@ def least_r2(noise: float, settings: VerdictSettings = VERDICT) -> float:
     return settings.r2 * (1 - min(float(noise), 1.0) ** 2)
 
 
-def followed_r2(noise: np.ndarray, settings: VerdictSettings = VERDICT) -> np.ndarray:
+def followed_r2(noise: float | np.ndarray, settings: VerdictSettings = VERDICT) -> np.ndarray:
     """Give the R2 over windows that equations follow: noise takes its part of the variance.
 
     Parameters
@@ -961,7 +961,7 @@ def followed_r2(noise: np.ndarray, settings: VerdictSettings = VERDICT) -> np.nd
     >>> followed_r2(np.array([0.0, 0.2])).round(3)
     array([0.99 , 0.926])
     """
-    return settings.follows - settings.excess * np.minimum(noise, 1.0) ** 2
+    return np.asarray(settings.follows - settings.excess * np.minimum(noise, 1.0) ** 2)
 
 
 def follows_to(r2: float) -> str:

@@ -28,30 +28,45 @@ _LIKE = 0.3
 _LIKE_ONE, _KNOWN = 2.0, 0.3
 
 
-def _without(expr: sympy.Expr, value: float) -> sympy.Expr | None:
-    """Give an equation with a constant at 0; None where it lacks that constant or its value."""
+def without_constant(expr: sympy.Expr, value: float) -> sympy.Expr | None:
+    """Give an equation with a constant at 0; None where it lacks that constant or its value.
+
+    Parameters
+    ----------
+    expr : the equation.
+    value : the constant.
+    """
     lost = expr.xreplace({sympy.Float(float(value)): sympy.S.Zero})
     return None if lost == expr or lost.has(sympy.zoo, sympy.nan) else lost
 
 
-def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
-    """Give an equation without the constant whose loss is expected to raise the residuals least.
+def least_sure(fit: SystemFit) -> np.ndarray:
+    """(P,) places of the constants, first the one that is expected to raise the residuals least.
 
-    A constant of value c and standard error e is expected to raise the sum of squared residuals by
-    (c / e)^2 (Wald). None where nothing can go.
+    Without a constant of value c and standard error e the sum of squared residuals is expected to
+    rise by (c / e)^2 (Wald).
+
+    Parameters
+    ----------
+    fit : the system.
+    """
+    with np.errstate(over="ignore"):
+        ratios = np.abs(fit.fit.constants) / np.maximum(fit.fit.errors, 1e-300)
+    return np.argsort(ratios, kind="stable")
+
+
+def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
+    """Give an equation without its least sure constant; None where nothing can go.
 
     Parameters
     ----------
     fit : the system.
     state : whose equation it is.
     """
-    owners = owners_of(fit.exprs)
-    values, errors = fit.fit.constants, fit.fit.errors
-    with np.errstate(over="ignore"):
-        ratios = np.abs(values) / np.maximum(errors, 1e-300)
-    for index in np.argsort(ratios, kind="stable"):
+    owners, values = owners_of(fit.exprs), fit.fit.constants
+    for index in least_sure(fit):
         if owners[index] == state:
-            lost = _without(fit.exprs[state], values[index])
+            lost = without_constant(fit.exprs[state], values[index])
             if lost is not None and lost != 0:
                 return lost
     return None

@@ -16,6 +16,7 @@ import numpy as np
 import sympy
 
 from dynsr.selection.alone import Alone
+from dynsr.selection.changes import least_sure, without_constant
 from dynsr.selection.comparison import (
     Equations,
     SystemComparison,
@@ -45,6 +46,13 @@ def whole_polynomials(
     """
     if comparison.mesh.rows.max() > _ROWS or len(comparison.names) < 2:
         return
+    yield from _fitted(comparison, alone, exprs)
+
+
+def _fitted(
+    comparison: SystemComparison, alone: Mapping[str, Alone], exprs: Equations
+) -> Iterator[SystemFit]:
+    """Fit all products of each degree that can be fitted."""
     for degree in _DEGREES:
         system = _all_products(comparison, alone, exprs, degree)
         fit = None if system is None else comparison.fit(system)
@@ -84,13 +92,10 @@ def thinned_polynomials(
     ----------
     comparison, alone, exprs : as for :func:`whole_polynomials`.
     """
-    for degree in _DEGREES:
-        system = _all_products(comparison, alone, exprs, degree)
-        fit = None if system is None else comparison.fit(system)
-        if fit is not None:
-            yield min(_thin(comparison, fit), key=lambda one: one.bits)
-            if leaves_noise(fit, comparison.settings):
-                break
+    for fit in _fitted(comparison, alone, exprs):
+        yield min(_thin(comparison, fit), key=lambda one: one.bits)
+        if leaves_noise(fit, comparison.settings):
+            break
 
 
 def _thin(comparison: SystemComparison, fit: SystemFit | None) -> Iterator[SystemFit]:
@@ -102,15 +107,18 @@ def _thin(comparison: SystemComparison, fit: SystemFit | None) -> Iterator[Syste
 
 def _shorter(fit: SystemFit) -> Iterator[Equations]:
     """Give a system without its least sure constants, and without each other one alone."""
-    owners, values = owners_of(fit.exprs), fit.fit.constants
-    with np.errstate(over="ignore"):
-        ratios = np.abs(values) / np.maximum(fit.fit.errors, 1e-300)
-    order = np.argsort(ratios, kind="stable")
+    order = least_sure(fit)
     few = max(1, math.isqrt(len(order)) // 2)
-    for some in (order[:few], *order[few:, None]):
-        shorter = dict(fit.exprs)
-        for index in some:
-            gone = {sympy.Float(float(values[index])): sympy.S.Zero}
-            shorter[owners[index]] = shorter[owners[index]].xreplace(gone)
-        if all(e != 0 or fit.exprs[s] == 0 for s, e in shorter.items()):
-            yield shorter
+    systems = (_without(fit, some) for some in (order[:few], *order[few:, None]))
+    return (shorter for shorter in systems if shorter is not None)
+
+
+def _without(fit: SystemFit, places: np.ndarray) -> Equations | None:
+    """Give a system without some constants; None where an equation would be gone."""
+    owners, found = owners_of(fit.exprs), dict(fit.exprs)
+    for place in places:
+        lost = without_constant(found[owners[place]], fit.fit.constants[place])
+        if lost is None or lost == 0:
+            return None
+        found[owners[place]] = lost
+    return found
