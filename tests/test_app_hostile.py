@@ -9,13 +9,13 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 import pytest
 from served_page import PageHere, rabbits
+from waiting import wait_for
 
 import dynsr
 from dynsr.data.temporary import own_folder
@@ -199,18 +199,10 @@ def test_only_the_file_that_is_shown_is_kept(fresh):
         fresh.drop(TABLE, f"{mark}{k}.csv")
     line, _ = begin_upload(fresh, OTHER, f"{mark}-half.csv")
     line.close()
-    assert soon(lambda: held(fresh) == {f"{mark}2.csv"})
+    assert wait_for(lambda: held(fresh) == {f"{mark}2.csv"})
     fresh.post("forget")
     # The server may see only now that a file was broken off.
-    assert soon(lambda: not held(fresh))
-
-
-def soon(is_so):
-    """Wait for something to be so, for ten seconds at most."""
-    end = time.monotonic() + 10
-    while not (found := is_so()) and time.monotonic() < end:
-        time.sleep(0.05)
-    return found
+    assert wait_for(lambda: not held(fresh))
 
 
 def test_a_full_disk_is_told_without_a_place(page, monkeypatch):

@@ -4,6 +4,7 @@ import time
 
 import pytest
 import sympy
+from waiting import wait_for
 
 from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.jobs import progress as module
@@ -23,14 +24,6 @@ def progress(done, *exprs):
     """Give a report whose front holds these formulas, each longer and better than the last."""
     front = ParetoFront(Candidate(e, 1.0 / (i + 1), i + 1.0) for i, e in enumerate(exprs))
     return Progress("generations", done, 9, front)
-
-
-def wait_for(condition, seconds=10.0):
-    """Wait until a condition holds; give its value."""
-    until = time.monotonic() + seconds
-    while not condition() and time.monotonic() < until:
-        time.sleep(0.01)
-    return condition()
 
 
 @pytest.fixture(params=["same process", "another process"])

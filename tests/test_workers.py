@@ -12,6 +12,7 @@ import joblib
 import pytest
 from joblib._parallel_backends import ThreadingBackend
 from joblib.externals.loky.process_executor import BrokenProcessPool
+from waiting import wait_for
 
 from dynsr.jobs import pool
 from dynsr.jobs.pool import spread
@@ -23,14 +24,6 @@ def is_running(pid):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-def wait_for(condition, seconds=20.0):
-    """Wait until a condition holds; say whether it did."""
-    until = time.monotonic() + seconds
-    while not condition() and time.monotonic() < until:
-        time.sleep(0.05)
-    return bool(condition())
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -135,7 +128,7 @@ def test_no_worker_is_left(tmp_path, end):
         start_new_session=True,
     )
     try:
-        assert wait_for(lambda: len(list(tmp_path.iterdir())) == 2)
+        assert wait_for(lambda: len(list(tmp_path.iterdir())) == 2, 20)
         pids = [int(path.name) for path in tmp_path.iterdir()]
         assert child.pid not in pids and all(map(is_running, pids))
         if end == signal.SIGINT:

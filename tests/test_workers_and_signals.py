@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import sympy
 from command_line import run
+from waiting import wait_for
 
 from dynsr.data.reading import write_csv
 from dynsr.data.trajectory import Trajectory
@@ -161,22 +162,15 @@ def test_a_command_that_is_ended_leaves_no_worker_and_no_shared_memory(end, long
     words = ("discover", long_search, "-j", 2, "-o", tmp_path / "out")
     child = start(*words, start_new_session=True)
     records = tmp_path / "out" / "records"
-    assert _wait(lambda: len(_session(child.pid)) >= 3)
+    assert wait_for(lambda: len(_session(child.pid)) >= 3, 60)
     os.kill(child.pid, end)
     said = child.communicate()[1]
     assert child.returncode == (143 if end == signal.SIGTERM else -9)
     assert "Traceback" not in said
-    assert _wait(lambda: not _session(child.pid))
+    assert wait_for(lambda: not _session(child.pid), 60)
     left = {path.name for path in Path("/dev/shm").iterdir()} - before
     assert not [name for name in left if f"_{child.pid}_" in name or f"-{child.pid}-" in name]
     assert not list(records.glob(".*")) or end == signal.SIGKILL
-
-
-def _wait(condition, seconds=60.0):
-    until = time.monotonic() + seconds
-    while not condition() and time.monotonic() < until:
-        time.sleep(0.05)
-    return bool(condition())
 
 
 @pytest.mark.slow
@@ -187,7 +181,7 @@ def test_ctrl_c_on_one_of_two_commands_on_a_folder_leaves_the_other(table, tmp_p
     words = (*search, tmp_path / "out")
     run(*search, tmp_path / "whole")
     one, two = start(*words), start(*words)
-    assert _wait((tmp_path / "out" / "manifest.json").exists)
+    assert wait_for((tmp_path / "out" / "manifest.json").exists, 60)
     one.send_signal(signal.SIGINT)
     one.communicate()
     said = two.communicate()[1]
