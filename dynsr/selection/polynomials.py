@@ -109,7 +109,8 @@ def _shorter(fit: SystemFit) -> Iterator[Equations]:
     """Give a system without its least sure constants, and without each other one alone."""
     order = least_sure(fit)
     few = max(1, math.isqrt(len(order)) // 2)
-    systems = (_without(fit, some) for some in (order[:few], *order[few:, None]))
+    each = (order[:few], *order[few:, None]) if len(order) else ()
+    systems = (_without(fit, some) for some in each)
     return (shorter for shorter in systems if shorter is not None)
 
 
