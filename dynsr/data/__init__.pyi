@@ -1,5 +1,11 @@
 from .catalogue import DEFINITIONS, find_definition
-from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open, turns_back
+from .causes import (
+    Cause,
+    DiagnosisSettings,
+    diagnose,
+    near_rows_leave_open,
+    turns_back,
+)
 from .columns import Columns, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
@@ -9,6 +15,7 @@ from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .kept import DATA, KeptData, digest, read_kept, write_kept
 from .known_noise import KnownNoise
+from .motion_noise import MotionNoise, measure_motion_noise
 from .name_parts import bracketed_unit
 from .noise_model import StateNoise, is_still, measurement_noise, robust_scale, scale_of
 from .observation import at_own_rows, carry, told_rows
@@ -69,6 +76,7 @@ __all__ = [
     "KeptData",
     "KnownNoise",
     "MeasuredSum",
+    "MotionNoise",
     "OddSettings",
     "Oddity",
     "RunRows",
@@ -122,6 +130,7 @@ __all__ = [
     "load_columns",
     "load_with_doses",
     "make_samples",
+    "measure_motion_noise",
     "measurement_noise",
     "near_rows_leave_open",
     "odd_states",

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from dynsr.data.determinism import Orbit, Pairs, forced_share, nearest_pairs
+from dynsr.data.motion_noise import measure_motion_noise
 from dynsr.data.noise_model import (
     interpolation_residuals,
     measurement_noise,
@@ -96,7 +97,7 @@ class Cause:
     Parameters
     ----------
     kind : "missing state", "second order", "time dependence", "map", "stiff",
-        "sampling too coarse", "too few rows" or "too much noise".
+        "sampling too coarse", "noise in the motion", "too few rows" or "too much noise".
     sentence : the same in words, with the column and the remedy.
     evidence : the numbers behind it.
     """
@@ -188,7 +189,8 @@ def _of_shape(
         return
     rough = float(np.mean(change)) / 2 / variance
     if rough <= settings.rough:
-        yield from _of_noise(runs, target, settings)
+        noise = list(_of_noise(runs, target, settings))
+        yield from noise and (_of_motion(runs, target) or noise)
         return
     following = min(_following(runs, target, lags, settings.rows) for lags in (1, 2))
     if following > min(settings.follows, rough / 2):
@@ -232,6 +234,19 @@ def _seen_between_rows(runs: Sequence[Trajectory], target: str) -> str:
 def _swings(x: np.ndarray) -> float:
     """Count how often a column goes through the middle of its range and back."""
     return np.count_nonzero(np.diff(x > (x.min() + x.max()) / 2)) / 2
+
+
+def _of_motion(runs: Sequence[Trajectory], target: str) -> list[Cause]:
+    """Give the cause where most of the noise is in the motion itself."""
+    found = measure_motion_noise(runs, target)
+    if not found.is_sure:
+        return []
+    sentence = (
+        f"{target} seems to move by chance from row to row: of what a row is off the line through "
+        f"its neighbours, {found.share:.0%} grows with the time between them. With stochastic=True "
+        "(--stochastic) its drift and the variance of its noise are found."
+    )
+    return [Cause("noise in the motion", sentence, {"share": found.share})]
 
 
 def _jumps(runs: Sequence[Trajectory], settings: DiagnosisSettings) -> bool:

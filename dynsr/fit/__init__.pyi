@@ -65,6 +65,7 @@ from .profile import ProfileSettings, Profiling
 from .settings import FIT, CollocationSettings, FitSettings
 from .shooting import (
     STABLE,
+    Driven,
     Match,
     Shooting,
     build_shooting,
@@ -78,6 +79,12 @@ from .shooting import (
 )
 from .simple import simplicity_bits, use_bits_together
 from .snapping import one_a_shape, score_snapped, snap_best, tidy
+from .stochastic import (
+    Series,
+    StochasticFit,
+    StochasticSettings,
+    StochasticSystem,
+)
 from .ties import Names, exchanges, pairs_alike, ways_alike
 from .variation import improve, loosen, with_floats
 from .whole import interval_reach
@@ -95,6 +102,7 @@ __all__ = [
     "CurvedFit",
     "CurvedSettings",
     "CurvedSystem",
+    "Driven",
     "FitSettings",
     "Flow",
     "Linearised",
@@ -116,8 +124,12 @@ __all__ = [
     "Profiling",
     "RatioFit",
     "RowsFit",
+    "Series",
     "Shooting",
     "Slopes",
+    "StochasticFit",
+    "StochasticSettings",
+    "StochasticSystem",
     "Windows",
     "approach",
     "build_shooting",
