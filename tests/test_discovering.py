@@ -136,6 +136,8 @@ class Found:
     volumes = {}
     hidden = {}
     hidden_notes = {}
+    diffusion = {}
+    noise_notes = {}
     further = {}
     trajectories = ()
 
@@ -211,6 +213,7 @@ def test_options_reach_the_search(tmp_path, seen):
         "vary": ["x"],
         "delays": [1.5],
         "hidden": "y",
+        "stochastic": False,
         "observed": {"v": "w + x"},
         "complexity": {"sin": 8.0},
         "loss": "huber",
@@ -290,9 +293,9 @@ def test_a_warning_is_shown_once_in_one_place(tmp_path, apart):
     """On one terminal or in one file it is there once; apart, it is with the results too."""
     code = (
         "from types import SimpleNamespace as N; from dynsr.cli.discovery import show_reasons; "
-        "show_reasons(N(explanation={}, delays={}, hidden_notes={}, volumes={}, ensemble={}, "
-        "details={}, settings={}, constants={}, verdict=N(states={}), free=N(sentences=[]), "
-        "by_run=N(constants={})), {}, {'warned': ['once']})"
+        "show_reasons(N(explanation={}, delays={}, hidden_notes={}, noise_notes={}, volumes={}, "
+        "ensemble={}, details={}, settings={}, constants={}, verdict=N(states={}), "
+        "free=N(sentences=[]), by_run=N(constants={})), {}, {'warned': ['once']})"
     )
     own = subprocess.PIPE if apart else subprocess.STDOUT
     ran = subprocess.run(
@@ -592,6 +595,7 @@ def test_a_reason_is_printed_once(monkeypatch, capsys):
         delays={},
         volumes={},
         hidden_notes={},
+        noise_notes={},
         details={},
         settings={},
     )

@@ -47,6 +47,8 @@ SELDOM = {
     "selection.fit.solver",
     "selection.fit.tie_bits",
     "selection.look.stands_out",
+    "stochastic.proposals.library.alone",
+    "stochastic.proposals.library.degree",
     "verdict.hopeless",
     "verdict.sharp",
 }
@@ -173,7 +175,18 @@ EVERYTHING = replace(
     windows=replace(DISCOVERY.windows, above=50, rows=20),
     profile=ProfileSettings(parabola=1.0),
 )
+
+
 # Small discoveries that together pass through every part of a discovery.
+def walking():
+    """A state that chance moves, measured with small errors."""
+    rng = np.random.default_rng(0)
+    x = [1.0]
+    for step in rng.standard_normal(300):
+        x.append(0.9 * x[-1] + 0.2 * step)
+    return {"t": 0.1 * np.arange(301.0), "x": np.array(x) + 0.05 * rng.standard_normal(301)}
+
+
 DISCOVERIES = [
     (rabbits(200), DISCOVERY, {}),
     (rabbits(60, 0.03), EVERYTHING, {}),
@@ -185,6 +198,7 @@ DISCOVERIES = [
     (two_waves(), FEW_COUPLINGS, {"hidden": "y"}),
     (rabbits(60, 0.03), DISCOVERY, {"known": {"x": "a*x - f(x)*y", "y": "x*y - 3*y"}}),
     ([growth(0.0)] * 2, DISCOVERY, {"vary": True, "method": "sindy"}),
+    (walking(), DISCOVERY, {"stochastic": True}),
 ]
 
 

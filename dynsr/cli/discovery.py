@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 # Name in the scores -> heading, what it means.
 _SCORES = {
     "slope_rmse": ("slope error", "rms error of the equation against the slopes of the data"),
-    "step_rmse": ("step error", "rms error of the map over one row"),
+    "step_rmse": ("step error", "rms error of the equations over one row"),
+    "step_size": ("share", "its mean square in units of what the noise adds up to"),
     "forecast": ("forecast error", "median error of short forecasts, 1 = the state's spread"),
     "trajectory_rmse": ("trajectory error", "rms error of one integration over the whole data"),
     "equation_rmse": ("true slope error", "error against the true equation on the test span"),
@@ -81,7 +82,7 @@ def show_reasons(
     for words in found.free.sentences:
         _say(words)
     # Details have these in the reasons.
-    for words in () if details else found.hidden_notes.values():
+    for words in () if details else (*found.hidden_notes.values(), *found.noise_notes.values()):
         _say(words)
     from dynsr.discovery import explain_order
 
@@ -340,6 +341,14 @@ def discover(
     vary: options.Vary = None,
     delays: options.Delays = None,
     hidden: options.Hidden = None,
+    stochastic: Annotated[
+        bool,
+        typer.Option(
+            "--stochastic",
+            help="Noise is in the motion itself: find its drift, and the variance of the noise.",
+            rich_help_panel=options.SEARCH,
+        ),
+    ] = False,
     ensemble: Annotated[
         bool,
         typer.Option(
@@ -444,6 +453,7 @@ def discover(
         "vary": options.read_vary(vary),
         "delays": options.read_delays(delays),
         "hidden": hidden or False,
+        "stochastic": stochastic,
         "ensemble": ensemble,
         "start": start,
         "seed": seed,

@@ -118,6 +118,7 @@ def summarise(found: Discovery) -> dict[str, Any]:
         **({"volumes": found.volumes} if found.volumes else {}),
         **({"free": found.free} if found.free.parts else {}),
         **({"hidden": found.hidden_notes} if found.hidden else {}),
+        **({"diffusion": found.diffusion} if found.diffusion else {}),
         "inputs": found.inputs,
         "settings": found.settings,
         "seconds": found.seconds,

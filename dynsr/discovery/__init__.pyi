@@ -2,6 +2,7 @@ from .batch import EACH, Discovered, discover_each, read_batch
 from .by_run import RunParameters
 from .cut_short import keep_formulas, next_to_data
 from .delays import Delay, DelaySettings
+from .diffusion import Cells, Diffusion, DiffusionTerm, cells_of
 from .estimator import DynsrRegressor
 from .every_row import name_windows
 from .free_parts import FreePart, FreeParts, FreeSettings
@@ -36,9 +37,12 @@ __all__ = [
     "EACH",
     "RECORD",
     "Alternative",
+    "Cells",
     "Constant",
     "Delay",
     "DelaySettings",
+    "Diffusion",
+    "DiffusionTerm",
     "Discovered",
     "Discovery",
     "DiscoverySettings",
@@ -67,6 +71,7 @@ __all__ = [
     "Verdict",
     "VerdictSettings",
     "bootstrap",
+    "cells_of",
     "discover",
     "discover_each",
     "equation_rmse",

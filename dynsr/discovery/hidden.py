@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import sympy
 from dynsr import __version__
 from dynsr.data import KnownNoise, Trajectory, carry
 from dynsr.discovery.asking import settle
-from dynsr.discovery.intervals import take_apart
+from dynsr.discovery.intervals import match_constants
 from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.discovery.result import Discovery
@@ -95,14 +94,19 @@ def check_hidden(
     if name in (*runs[0].names, "t"):
         raise InputError(f"{name!r} is a column of the data; give the hidden state another name")
     given = {**settings, **others}
-    if odd := [n for n in (*_REFUSED, *others) if _is_given(n, given.get(n))]:
+    if odd := [n for n in (*_REFUSED, *others) if is_given(n, given.get(n))]:
         raise InputError(f"{odd[0]} does not go with a hidden state; leave one of the two out")
     choose_methods(AUTO, settings.get("preset", DEFAULT_PRESET))
     return name
 
 
-def _is_given(option: str, value: Any) -> bool:
-    """Whether an option says anything but what it says by default."""
+def is_given(option: str, value: Any) -> bool:
+    """Whether an option says anything but what it says by default.
+
+    Parameters
+    ----------
+    option, value : its name, and what was given for it.
+    """
     if isinstance(value, np.ndarray):
         return True
     usual = _USUAL.get(option)
@@ -137,19 +141,13 @@ def search_hidden(
     runs = number_runs(carry(runs))
     engine = find_engine(settings.get("engine", DEFAULT_ENGINE))
     budget = settings.get("time_budget")
-    record: dict[str, Any] = {
+    record = {
         **demands.as_record(),
+        **record_search(_NAME, settings, details),
         **record_hold(runs[0], inputs, False, settings.get("hold")),
-        **({} if budget is None else {"time_budget": budget}),
-        "method": _NAME,
-        "methods": [_NAME],
-        "preset": settings.get("preset", DEFAULT_PRESET),
-        "seed": settings.get("seed", 0),
         "engine": engine.name,
-        "version": __version__,
-        "details": to_plain(details),
     }
-    _claim(settings.get("out"), name, record, runs, inputs)
+    claim_folder(settings.get("out"), {_NAME: name}, record, runs, inputs)
     every: list[HiddenFit] = []
     alone: list[SystemFit | None] = []
 
@@ -188,18 +186,48 @@ def search_hidden(
     return replace(found, engine=engine, settings=record, seconds=monotonic() - began)
 
 
-def _claim(
+def record_search(
+    name: str, settings: Mapping[str, Any], details: DiscoverySettings
+) -> dict[str, Any]:
+    """Give what the record of a search says of how it was asked for.
+
+    Parameters
+    ----------
+    name : what stands for a method.
+    settings : of the search.
+    details : the numbers that decide.
+    """
+    budget = settings.get("time_budget")
+    return {
+        **({} if budget is None else {"time_budget": budget}),
+        "method": name,
+        "methods": [name],
+        "preset": settings.get("preset", DEFAULT_PRESET),
+        "seed": settings.get("seed", 0),
+        "version": __version__,
+        "details": to_plain(details),
+    }
+
+
+def claim_folder(
     out: str | Path | None,
-    name: str,
+    asked: Mapping[str, Any],
     record: Mapping[str, Any],
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
 ) -> None:
-    """Make a folder that of this discovery; raises FolderTaken when it is another one's."""
+    """Make a folder that of this discovery; raises FolderTaken when it is another one's.
+
+    Parameters
+    ----------
+    out : the folder, if there is one.
+    asked : what makes this search another one than that of the same data without it.
+    record, runs, inputs : of the search.
+    """
     digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
     about = {n: value for n, value in record.items() if n != "details"}
     about |= {
-        _NAME: name,
+        **asked,
         "data": f"{sum(map(len, runs))} rows of {', '.join(runs[0].names)}, {digest}",
     }
     folder = RunFolder(None if out is None else Path(out).absolute())
@@ -321,20 +349,5 @@ def _errors(
     The factor of the hidden state is known: it has no error. A number that is no constant of the
     fit has one that nobody knows.
     """
-    errors: dict[str, tuple[tuple[float, float], ...]] = {}
-    fitted: dict[str, tuple[float, ...]] = {}
     left = list(zip(map(float, numbers), fit.errors.tolist(), fit.constants.tolist(), strict=True))
-    for state, expr in final.items():
-        pairs = []
-        chosen = [float(coupling.sign)] if state == coupling.state else []
-        for value in take_apart(expr)[1].values():
-            near = next((one for one in left if math.isclose(one[0], value)), None)
-            if near is not None:
-                left.remove(near)
-            elif value in chosen:
-                chosen.remove(value)
-                near = value, 0.0, value
-            pairs.append(near or (value, math.inf, value))
-        errors[state] = tuple((value, error) for value, error, _ in pairs)
-        fitted[state] = tuple(own for *_, own in pairs)
-    return errors, fitted
+    return match_constants(final, left, {coupling.state: float(coupling.sign)})

@@ -6,8 +6,9 @@ The order in which SymPy keeps the constants of a formula is not that in which i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import sympy
 
@@ -195,6 +196,43 @@ def take_apart(expr: sympy.Expr) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]
     """
     plain = expr.is_Symbol or expr == 0
     return free_constants(expr if plain else loosen(expr), "constant ")
+
+
+def match_constants(
+    equations: Mapping[str, sympy.Expr],
+    numbers: Sequence[tuple[float, float, float]],
+    known: Mapping[str, float] = MappingProxyType({}),
+) -> tuple[dict[str, tuple[tuple[float, float], ...]], dict[str, tuple[float, ...]]]:
+    """Give state -> (value, standard error), and fitted value, of the constants of equations.
+
+    Parameters
+    ----------
+    equations : state -> equation.
+    numbers : (value, standard error, fitted value) of the constants of all equations.
+    known : state -> a constant without an error. Any other that is not among the numbers has an
+        error that nobody knows.
+
+    >>> x = sympy.Symbol("x")
+    >>> match_constants({"x": 3 * x - x**2}, [(3.0, 0.1, 2.98)])
+    ({'x': ((3.0, 0.1), (-1.0, inf))}, {'x': (2.98, -1.0)})
+    """
+    errors: dict[str, tuple[tuple[float, float], ...]] = {}
+    fitted: dict[str, tuple[float, ...]] = {}
+    left = list(numbers)
+    for state, expr in equations.items():
+        pairs = []
+        chosen = [known[state]] if state in known else []
+        for value in take_apart(expr)[1].values():
+            near = next((one for one in left if math.isclose(one[0], value)), None)
+            if near is not None:
+                left.remove(near)
+            elif value in chosen:
+                chosen.remove(value)
+                near = value, 0.0, value
+            pairs.append(near or (value, math.inf, value))
+        errors[state] = tuple((value, error) for value, error, _ in pairs)
+        fitted[state] = tuple(own for *_, own in pairs)
+    return errors, fitted
 
 
 def put_constants(expr: sympy.Expr, values: Sequence[float]) -> sympy.Expr:

@@ -178,9 +178,7 @@ class _Step:
         found = []
         for place, error in zip(self.places, errors, strict=True):
             ratio = abs(place.value) / max(float(error), 1e-300)
-            doubt = math.exp(max(-700.0, -(ratio**2) / 2)) * math.sqrt(len(self.misses))
-            name = "a constant inside it" if place.term is None else shown(place.term)
-            found.append(TermCertainty(name, float(f"{ratio:.6g}"), round(1 / (1 + doubt), 6)))
+            found.append(TermCertainty.of(place.term, ratio, len(self.misses)))
         return tuple(found)
 
     def forecast(self) -> tuple[float, float]:

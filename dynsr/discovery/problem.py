@@ -79,12 +79,14 @@ from dynsr.methods import (
 )
 from dynsr.selection import (
     HIDDEN,
+    STOCHASTIC_SEARCH,
     ApproximationSettings,
     Compared,
     HiddenSettings,
     Pick,
     RankedCandidate,
     SelectionSettings,
+    StochasticSearchSettings,
     SystemChoice,
     SystemComparison,
     best_so_far,
@@ -130,6 +132,7 @@ class DiscoverySettings:
     windows : which rows of long records are searched.
     hidden : how a state that was not measured is looked for, where one is asked.
     free : how free functions in known equations are found.
+    stochastic : how drift and diffusion are found, where noise in the motion is asked for.
 
     >>> DiscoverySettings(rows=2000).selection.compared
     5
@@ -147,6 +150,7 @@ class DiscoverySettings:
     windows: WindowSettings = WindowSettings()
     hidden: HiddenSettings = HIDDEN
     free: FreeSettings = FREE
+    stochastic: StochasticSearchSettings = STOCHASTIC_SEARCH
 
     def without_snapping(self) -> DiscoverySettings:
         """Give the same settings for constants that stay as fitted."""

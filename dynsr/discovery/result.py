@@ -43,6 +43,13 @@ from dynsr.discovery.alternatives import MORE_CONSTANTS, count_constants
 from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.by_state import ByState
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow, read_history
+from dynsr.discovery.diffusion import (
+    Diffusion,
+    as_trajectories,
+    draw_paths,
+    measure_steps,
+    score_steps,
+)
 from dynsr.discovery.free_parts import FreeParts, refuse_curves
 from dynsr.discovery.identifying import Identifiability, identify, with_data
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
@@ -127,6 +134,8 @@ from dynsr.fit import (
     Noise,
     ParetoFront,
     ProfileSettings,
+    StochasticFit,
+    drives_of,
     is_noisy,
     measure_covariance,
     noise_of,
@@ -210,6 +219,8 @@ class Discovery:
         ``doses={"c": "dose/V"}``; a :class:`Parameter` with its interval.
     free : the functions of one column that ``discover`` found in known equations, see
         :class:`FreeParts`. Equations contain those that stay curves as functions, ``f(x)``.
+    diffusion : state -> the noise in its motion, where ``discover`` was asked for
+        it or saw it. The equations are then the drift.
 
     >>> x = sympy.Symbol("x")
     >>> Discovery({"x": -2 * x}, {"x": ()}, {}, {}).simulate([1.0], [0.0, 1.0]).x[-1].round(4)
@@ -238,6 +249,7 @@ class Discovery:
     delays: Mapping[str, Delay] = field(default_factory=dict)
     volumes: Mapping[str, Parameter] = field(default_factory=dict)
     free: FreeParts = FreeParts()
+    diffusion: Mapping[str, Diffusion] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Have a name that is no state's answered with those there are."""
@@ -557,6 +569,7 @@ class Discovery:
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its errors are of one step")
         refuse_curves(self.free, "identifiability is that of formulas")
+        self._refuse_noise("identifiability")
         system = self.system
         if not system.parameters:
             raise InputError("the equations have no parameters")
@@ -608,6 +621,7 @@ class Discovery:
             raise InputError("a map has no joint fit of its states; its errors are of one step")
         refuse_hidden(self.hidden, "an experiment starts")
         refuse_curves(self.free, "experiments are suggested for formulas")
+        self._refuse_noise("an experiment")
         if rows is not None and rows < 2:
             raise InputError(f"an experiment of {rows} rows shows no motion; give 2 or more")
         if span is not None and not (np.isfinite(span) and span > 0):
@@ -638,6 +652,7 @@ class Discovery:
         if self.is_map:
             raise InputError("a map has no joint fit of its states; its errors are of one step")
         refuse_curves(self.free, "profiles are those of formulas")
+        self._refuse_noise("profiles")
         if self.by_run.constants:
             raise InputError(
                 "parameters differ from run to run; ask for_run(NAME) for the profiles of one run"
@@ -705,6 +720,7 @@ class Discovery:
             raise InputError("a map has no joint fit of its states; its constants do not differ")
         refuse_hidden(self.hidden, "constants differ from run to run")
         refuse_curves(self.free, "constants differ from run to run in formulas")
+        self._refuse_noise("constants that differ from run to run")
         if not self.trajectories:
             raise InputError("the data are not here; discover again before constants can differ")
         if self.by_run.constants:
@@ -892,6 +908,7 @@ class Discovery:
         return read_own_bits(self.settings.get("complexity"))
 
     def _adopt(self, chosen: dict[str, sympy.Expr], state: str) -> Discovery:
+        self._refuse_noise("another formula")
         judging = self._settings(VerdictSettings, "verdict")
         fitting = self._settings(FitSettings, "selection", "fit")
         if self.is_map:
@@ -1086,6 +1103,92 @@ class Discovery:
         chosen = engine or self.engine
         jumps = {s: self._jumps(s, amounts) for s, amounts in (doses or {}).items()}
         return predict_with_doses(self.equations, x0, times, jumps, given, chosen, hold)
+
+    def simulate_paths(
+        self,
+        count: int = 100,
+        x0: Sequence[float] | np.ndarray | None = None,
+        t: Sequence[float] | np.ndarray | None = None,
+        inputs: Mapping[str, Any] | None = None,
+        seed: int = 0,
+        parts: int = 20,
+    ) -> tuple[Trajectory, ...]:
+        """Draw paths of equations with noise in the motion (Euler and Maruyama).
+
+        :meth:`simulate` follows the drift alone.
+
+        Parameters
+        ----------
+        count : how many.
+        x0, t : the start (k,) and the times (n,); by default those of the data.
+        inputs : input name -> expression in ``t``; by default those of the data.
+        seed : the source of chance.
+        parts : steps of a path between two times.
+
+        Raises InputError when the equations have no such noise or something is missing, EngineError
+        when a path leaves the finite numbers.
+
+        >>> from dynsr.discovery.diffusion import DiffusionTerm
+        >>> noise = {"x": Diffusion((DiffusionTerm("1", 0.5),), ("x",))}
+        >>> x = sympy.Symbol("x")
+        >>> found = Discovery({"x": -2 * x}, {"x": ()}, {}, {}, diffusion=noise)
+        >>> paths = found.simulate_paths(1000, [1.0], [0.0, 1.0, 2.0])
+        >>> [round(float(np.std([path.x[i, 0] for path in paths])), 1) for i in range(3)]
+        [0.0, 0.4, 0.4]
+        """
+        if not self.diffusion:
+            raise InputError(
+                "these equations have no noise in the motion; discover with stochastic=True"
+            )
+        if (x0 is None or t is None) and not self.trajectories:
+            raise InputError("the data are not here; give x0 and t")
+        if count < 1:
+            raise InputError(f"count must be 1 or more; it is {count}")
+        times = self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
+        start = self.carried[0].x[0][self._positions()] if x0 is None else x0
+        start = np.asarray(start, dtype=float)
+        if start.shape != (len(self.equations),):
+            raise InputError(f"x0 has shape {start.shape}; give {len(self.equations)} start states")
+        names = arguments_of(self.equations | {s: d.expr for s, d in self.diffusion.items()})
+        names = tuple(name for name in names if name not in self.equations)
+        exact = {n: parse(e, ["t"]) for n, e in {**self.inputs, **(inputs or {})}.items()}
+        runs = self.carried[:1] or (Trajectory(times, np.zeros((len(times), 1)), ("t_",)),)
+        (driven,) = drives_of(names, runs, exact)
+        rng = np.random.default_rng(check_seed(seed))
+        paths = draw_paths(self.equations, self.diffusion, start, times, driven, count, rng, parts)
+        return as_trajectories(paths, times, tuple(self.equations))
+
+    def path_and_band(
+        self, run: Trajectory | None = None, count: int = 200, share: float = 0.95
+    ) -> tuple[Trajectory, dict[str, tuple[np.ndarray, np.ndarray]]]:
+        """Give a path with noise in the motion, and the ends (n,) of the band of most of them.
+
+        Parameters
+        ----------
+        run : whose start and times they have; by default the first of the data.
+        count : how many paths the band is made of.
+        share : of the paths that the band contains.
+        """
+        source = run or self.carried[0]
+        start = [source.x[0, source.index(state)] for state in self.equations]
+        paths = self.simulate_paths(count, start, source.t, parts=4)
+        low, high = np.quantile(
+            np.array([path.x for path in paths]), [(1 - share) / 2, (1 + share) / 2], axis=0
+        )
+        return paths[0], {s: (low[:, i], high[:, i]) for i, s in enumerate(self.equations)}
+
+    def _refuse_noise(self, what: str) -> None:
+        """Raise InputError for what a joint fit says, where the motion has noise."""
+        if self.diffusion:
+            raise InputError(
+                f"{what}: the motion has noise, so no curve is fitted to all rows; found.constants "
+                "has the intervals of the drift"
+            )
+
+    @property
+    def noise_notes(self) -> dict[str, str]:
+        """State -> what is known of the noise in its motion, in words."""
+        return {state: own.text(state) for state, own in self.diffusion.items()}
 
     def _jumps(self, state: str, amounts: Any) -> Any:
         """Give what a state jumps by: amounts by its volume."""
@@ -1315,7 +1418,8 @@ class Discovery:
         ``forecast`` the median miss of forecasts over 50 rows in units of the state's spread,
         ``trajectory_rmse`` the error of one integration from the first row to the last (inf when
         it diverges). Inputs are those of the data: a column of the data goes before the expression
-        of the discovery. A map is scored by :func:`dynsr.discovery.maps.score_map`.
+        of the discovery. A map is scored by :func:`dynsr.discovery.maps.score_map`, and steps with
+        noise in the motion by :func:`dynsr.discovery.diffusion.score_steps`.
 
         Parameters
         ----------
@@ -1334,6 +1438,9 @@ class Discovery:
         runs = self._runs(data, hold)
         if self.is_map:
             return ByState(score_map(self.equations, runs))
+        if self.diffusion:
+            self._need_columns(runs)
+            return ByState(score_steps(self.steps_of(runs)))
         form = form_of(self.settings)
         runs = form.prepare(carry(runs))
         self._need_columns(runs)
@@ -1351,6 +1458,16 @@ class Discovery:
                 "trajectory_rmse": rmse(np.concatenate([w[:, position] for w in whole]), truth),
             }
         return scores
+
+    def steps_of(self, runs: Sequence[Trajectory] = ()) -> StochasticFit:
+        """Give the steps of rows with the equations, where these have noise in the motion.
+
+        Parameters
+        ----------
+        runs : trajectories; by default those of the discovery.
+        """
+        some = list(runs) or self._runs(None)
+        return measure_steps(self.equations, self.diffusion, some, self._known_inputs(some))
 
     def _runs(self, data: Any, hold: Mapping[str, str] | str | None = None) -> list[Trajectory]:
         """Give trajectories in the unit and with the inputs of the discovery; its own for None."""
@@ -1635,11 +1752,16 @@ class Discovery:
         )
 
     def plot(self) -> Figure:
-        """Draw the data and the equations integrated from their start; gives the figure."""
+        """Draw the data and the equations integrated from their start; gives the figure.
+
+        Of equations with noise in the motion it is one path, with the band of 95 % of them.
+        """
         from dynsr.report import draw_states
 
         if not self.trajectories:
             raise InputError("the data are not here; discover again before plotting")
+        if self.diffusion:
+            return draw_states(self.trajectories[0], *self.path_and_band())
         return draw_states(self.trajectories[0], self.simulate())
 
     def report(self, path: str | Path) -> Path:
@@ -1682,6 +1804,7 @@ class Discovery:
             **({"delays": to_plain(self.delays)} if self.delays else {}),
             **({"volumes": to_plain(self.volumes)} if self.volumes else {}),
             **({"free": to_plain(self.free)} if self.free.parts else {}),
+            **({"diffusion": to_plain(self.diffusion)} if self.diffusion else {}),
         }
 
     @classmethod
@@ -1708,6 +1831,7 @@ class Discovery:
             "delays": dict[str, Delay],
             "volumes": dict[str, Parameter],
             "free": FreeParts,
+            "diffusion": dict[str, Diffusion],
             "data": KeptData,
         }
         place = Path(path)
@@ -1719,7 +1843,8 @@ class Discovery:
     def __repr__(self) -> str:
         """Write the verdict, and below it the equations, one per line."""
         lines = write_lines(self.equations, self.settings)
-        return "\n".join([self.heading, *lines, *(part.text for part in self.free.parts.values())])
+        more = [*(part.text for part in self.free.parts.values()), *self.noise_notes.values()]
+        return "\n".join([self.heading, *lines, *more])
 
     def _repr_latex_(self) -> str:
         return f"$$\n{self._write_latex(self.equations)}\n$$"
@@ -1793,6 +1918,7 @@ def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
         found.by_run.runs
         or not (found.complete and judged)
         or found.is_map
+        or found.diffusion
         or not is_noisy(found.measured)
     ):
         return found

@@ -28,6 +28,7 @@ from dynsr.discovery.provenance import with_provenance
 from dynsr.discovery.result import Discovery, keep_if_asked, with_profiles
 from dynsr.discovery.second_order import search_orders
 from dynsr.discovery.start import Start
+from dynsr.discovery.stochastic import check_stochastic, search_stochastic
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
 from dynsr.discovery.unmeasured import coupling_of
 from dynsr.discovery.unseen import search_stepped, take_steps
@@ -145,6 +146,9 @@ class Units:
             profiled={s: ends for s, (_, _, ends) in known.items() if ends},
             front={s: self._restore_front(s, front) for s, front in found.front.items()},
             explanation={s: f"{why} ({self.words})" for s, why in found.explanation.items()},
+            diffusion={
+                s: own.in_units(s, self.columns, self.time) for s, own in found.diffusion.items()
+            },
             trajectories=tuple(runs),
             inputs=dict(inputs),
             settings={
@@ -243,9 +247,8 @@ def in_fitting_units(search: Search) -> Search:
         delays = settings.pop("delays", False)
         vary = check_vary(settings.pop("vary", False), runs, discrete)
         others = {"vary": vary, "delays": delays, "observed": observed, "ensemble": members}
-        hidden = check_hidden(settings.pop("hidden", False), runs, settings, others)
-        free = check_free(settings, {**others, "hidden": hidden})
-        uncut = bool(vary or hidden or free or delays is not False or observed or members)
+        kind = _Kind.read(runs, settings, others)
+        uncut = bool(vary or kind.together or delays is not False or observed or members)
         stepped = take_steps(runs, settings["inputs"], settings, uncut)
         runs = list(stepped.runs)
         every, deciding = runs, settings.get("settings", DISCOVERY)
@@ -253,7 +256,7 @@ def in_fitting_units(search: Search) -> Search:
         # Where runs have constants of their own, a window would be another run, and the start of a
         # hidden state is a constant of a run. Maps and delays are not fitted to all rows later.
         sizes, unfitted = deciding.windows, discrete or delays is not False
-        most = math.inf if vary or hidden else sizes.block if unfitted else sizes.above
+        most = math.inf if vary or kind.uncut else sizes.block if unfitted else sizes.above
         runs, windows, settings["slopes"] = take_windows(
             runs, deciding.windows, settings.get("slopes"), most, discrete
         )
@@ -270,12 +273,8 @@ def in_fitting_units(search: Search) -> Search:
                     asked_delays = check_delays(delays, runs, settings, bool(vary))
                     drives = settings["inputs"]
                     found = search_delayed(one_search, runs, settings, asked_delays, drives)
-                elif hidden or free:
-                    found = (
-                        _search_both(one_search, runs, settings, hidden)
-                        if hidden
-                        else search_free(one_search, runs, settings, _sizes_in(Units.of(runs)))
-                    )
+                elif kind.together:
+                    found = kind.search(one_search, runs, settings)
                 elif vary:
                     found = search_apart(one_search, runs, settings, vary)
                 elif windows or observed:
@@ -306,6 +305,56 @@ def in_fitting_units(search: Search) -> Search:
             return _keep_fitted(stepped.say(whole), settings.get("out"))
 
     return cast("Search", scaled)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What is fitted together with the equations: a hidden state, noise in the motion, free parts.
+
+    Parameters
+    ----------
+    hidden : the name of a state that was not measured; "" for none.
+    noisy : whether the motion has noise.
+    free : whether known equations have free functions.
+    """
+
+    hidden: str
+    noisy: bool
+    free: bool
+
+    @classmethod
+    def read(
+        cls, runs: Sequence[Trajectory], settings: dict[str, Any], others: Mapping[str, Any]
+    ) -> _Kind:
+        """Take what is asked for; raises InputError for what does not go together."""
+        noisy, asked = settings.pop("stochastic", False), settings.pop("hidden", False)
+        hidden = check_hidden(asked, runs, settings, {**others, "stochastic": noisy})
+        others = {**others, "hidden": hidden}
+        noisy = check_stochastic(noisy, runs, settings, others)
+        return cls(hidden, noisy, check_free(settings, others))
+
+    @property
+    def together(self) -> bool:
+        """Whether there is any of these."""
+        return bool(self.hidden or self.noisy or self.free)
+
+    @property
+    def uncut(self) -> bool:
+        """Whether all rows are searched, however many there are."""
+        return bool(self.hidden or self.noisy)
+
+    def search(
+        self,
+        search: Callable[[Sequence[Trajectory], dict[str, Any]], Discovery],
+        runs: Sequence[Trajectory],
+        settings: dict[str, Any],
+    ) -> Discovery:
+        """Search with it."""
+        if self.noisy:
+            return _search_stochastic_in(Units.of(runs), runs, settings)
+        if self.hidden:
+            return _search_both(search, runs, settings, self.hidden)
+        return search_free(search, runs, settings, _sizes_in(Units.of(runs)))
 
 
 def _search_in(
@@ -405,6 +454,22 @@ def _search_hidden_in(
     before, now = found.hidden_notes[name], restored.hidden_notes[name]
     said = {**restored.explanation, name: restored.explanation[name].replace(before, now)}
     return replace(restored, explanation=said)
+
+
+def _search_stochastic_in(
+    units: Units, runs: Sequence[Trajectory], settings: dict[str, Any]
+) -> Discovery:
+    """Search drift and diffusion in the units given."""
+    drives, progress = settings["inputs"], settings.get("progress")
+    progress = progress if callable(progress) else None
+    if units.usual:
+        found = search_stochastic(runs, settings, drives, progress)
+    else:
+        own = {n: units.apply_value(n, e) for n, e in drives.items()}
+        scaled = [units.apply(run) for run in runs]
+        found = units.restore(search_stochastic(scaled, settings, own, progress), runs, drives)
+    keep_if_asked(found, settings.get("out"))
+    return found
 
 
 def _sizes_in(units: Units) -> dict[str, sympy.Rational]:

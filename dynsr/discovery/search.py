@@ -161,6 +161,7 @@ def discover(
     vary: bool | str | Sequence[str] = False,
     delays: bool | float | Sequence[float] = False,
     hidden: bool | int | str = False,
+    stochastic: bool = False,
     ensemble: bool | int = False,
     start: Discovery | Start | str | Path | None = None,
 ) -> Discovery:
@@ -258,6 +259,10 @@ def discover(
         True or 1 names it "hidden". Its scale, its sign and a function of the measured states that
         is added to it cannot be known: the simplest form is given. The explanation says what the
         data determine.
+    stochastic : True if the motion itself has noise, ``dx = f dt + sqrt(D) dW``: the drift f of
+        each state is found, with the variance D of its noise, which may depend on the columns.
+        Errors of measurement are fitted with it where they are seen. ``found.diffusion`` has D
+        with its intervals, and ``found.simulate_paths()`` draws paths.
     ensemble : True, or a number of draws: how often each term is kept, and the interval of its
         coefficient, in fits to data drawn with replacement (:func:`dynsr.bootstrap`). The result
         is in ``found.ensemble``, in the report and in the shell's output.

@@ -135,6 +135,23 @@ class TermCertainty:
     ratio: float
     probability: float
 
+    @classmethod
+    def of(cls, term: sympy.Expr | None, ratio: float, rows: float) -> TermCertainty:
+        """Give the certainty of a term.
+
+        Parameters
+        ----------
+        term : the term without its constant; None for a constant inside it.
+        ratio : of the constant to its standard error.
+        rows : independent rows.
+
+        >>> TermCertainty.of(sympy.Symbol("x"), 3.0, 100.0)
+        TermCertainty(term='x', ratio=3.0, probability=0.900017)
+        """
+        doubt = math.exp(-ratio * ratio / 2) * math.sqrt(rows)
+        name = "a constant inside it" if term is None else shown(term)
+        return cls(name, _round(ratio), _round(1 / (1 + doubt)))
+
 
 @dataclass(frozen=True)
 class OtherFormula:
@@ -227,6 +244,22 @@ class Verdict:
 
 # The verdict of nobody.
 NOBODY = Verdict(NOT_TESTED, "these equations have no verdict")
+
+
+def is_probable(others: Sequence[float], settings: VerdictSettings) -> bool:
+    """Say whether an equation is probable enough for a law in noise.
+
+    Parameters
+    ----------
+    others : bits that each other formula takes more; one of b more has 2^-b of its weight.
+    settings : the numbers that decide.
+
+    >>> is_probable([5.0, 8.0], VERDICT), is_probable([5.0, 4.0], VERDICT)
+    (True, False)
+    """
+    with np.errstate(over="ignore"):
+        weight = float(np.sum(np.exp2(-np.array(others, dtype=float))))
+    return 1 / (1 + weight) >= settings.probable
 
 
 def untested(equations: Iterable[str]) -> Verdict:
@@ -827,8 +860,7 @@ class _Bench:
         closest = sorted(alternatives, key=lambda r: r.bits)
         if clean:
             return [r for r in closest if r.bits < self.settings.alternative_bits]
-        weight = sum(2.0 ** -min(max(r.bits, -60.0), 60.0) for r in closest)
-        return closest if 1 / (1 + weight) < self.settings.probable else []
+        return [] if is_probable([r.bits for r in closest], self.settings) else closest
 
     def _rows(self, followed: Followed, place: int) -> float:
         """Rows that were followed in which a state was measured, or any where it never was."""
@@ -915,9 +947,7 @@ class _Bench:
     ) -> tuple[TermCertainty, ...]:
         rows, found = self._rows(followed, list(self.equations).index(state)), []
         for term, ratio in evidence.ratios[state]:
-            doubt = math.exp(max(-700.0, -(ratio**2) / 2)) * math.sqrt(rows)
-            name = "a constant inside it" if term is None else shown(term)
-            found.append(TermCertainty(name, _round(ratio), _round(1 / (1 + doubt))))
+            found.append(TermCertainty.of(term, ratio, rows))
         return tuple(found)
 
     def compare(

@@ -39,6 +39,7 @@ class Source:
     dosed : states that were given doses, which are no part of the equations.
     delays : input -> the state and delay that it is.
     curves : what functions that are curves are, in words.
+    chance : what is known of noise in the motion, which is no part of the equations, in words.
     """
 
     system: ParametricSystem
@@ -51,6 +52,7 @@ class Source:
     dosed: tuple[str, ...] = ()
     delays: Mapping[str, Delay] = field(default_factory=dict)
     curves: tuple[str, ...] = ()
+    chance: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, found: Discovery | ParametricSystem | System) -> Source:
@@ -85,6 +87,7 @@ class Source:
             dosed=tuple(state for state in found.equations if state in doses),
             delays=found.delays,
             curves=tuple(f"{part.text}." for part in found.free.curves.values()),
+            chance=tuple(found.noise_notes.values()),
         )
 
     @property
@@ -202,6 +205,9 @@ class Source:
                 yield f"{new} is {old}."
         if self.system.time_unit:
             yield f"The time t is in {self.system.time_unit}."
+        if self.chance:
+            yield "These are the drift alone; the noise in the motion is no part of them."
+        yield from self.chance
         for state in self.dosed:
             yield f"Doses of {state} are no part of the equations: add them to the state."
         if self.timed and self.system.span[0]:

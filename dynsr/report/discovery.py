@@ -30,6 +30,7 @@ from dynsr.discovery import (
     FreePart,
     Parameter,
     StateVerdict,
+    cells_of,
     inputs_in,
     iterate,
     name_windows,
@@ -53,6 +54,7 @@ from dynsr.report.plots import (
     draw_residuals,
     draw_slopes,
     draw_states,
+    draw_steps,
 )
 from dynsr.report.tables import Table
 
@@ -209,6 +211,9 @@ _MOST_FOLLOWED = 4
 _INVISIBLE = 1e-6
 
 
+Bands = dict[str, tuple[np.ndarray, np.ndarray]]
+
+
 def write_report(found: Discovery, path: Path) -> Path:
     """Write the page of a discovery and give its path.
 
@@ -247,11 +252,13 @@ def render_discovery(found: Discovery) -> str:
         by_run=_by_run(found),
         free=found.free.sentences,
         free_pictures=_free(found),
+        noise=list(found.noise_notes.values()),
+        steps=_noise_pictures(found),
         free_tables=[_values(part) for part in found.free.curves.values()],
         fronts={
             state: _front(found, state, samples.get(state))
             for state in found.equations
-            if state not in {**found.hidden, **dict.fromkeys(found.free.states)}
+            if state not in {**found.hidden, **dict.fromkeys(found.free.states), **found.diffusion}
         },
         trajectories=list(_trajectories(found)),
         # What the data refuse has no fixed points that anybody needs.
@@ -277,7 +284,9 @@ def render_discovery(found: Discovery) -> str:
 def _samples(found: Discovery) -> dict[str, tuple[Samples, np.ndarray]]:
     """Give for each state its slopes, and what its equation says they are."""
     pairs = {}
-    for state, expr in found.equations.items() if found.trajectories else ():
+    # Where the motion has noise, no curve of a state has a slope.
+    sloped = found.trajectories and not found.diffusion
+    for state, expr in found.equations.items() if sloped else ():
         if state in found.hidden:
             continue
         samples = _slopes_of(found, state)
@@ -540,11 +549,11 @@ def _trajectories(found: Discovery) -> Iterator[Picture]:
         rows = slice(_MOST_STEPS) if found.is_map else run.every(_stride(run))
         thin = run.select(rows)
         drawn = _say_thinned(run, thin, found.is_map)
-        model = _simulate(found, thin)
+        model, bands = _path(found, run, rows) if found.diffusion else _curve(found, thin)
         name = f"Trajectory {number}" if len(found.trajectories) > 1 else "The trajectory"
         yield Picture.of(
-            draw_states(thin, model, _bands(found, thin) if model else None),
-            f"{name}: the data, and the equations {_FOLLOWED[found.is_map]}{drawn}"
+            draw_states(thin, model, bands),
+            f"{name}: the data, and the equations {_followed(found)}{drawn}"
             if model
             else f"{name}: the data. The equations cannot be integrated over it.{drawn}",
         )
@@ -553,6 +562,41 @@ def _trajectories(found: Discovery) -> Iterator[Picture]:
                 draw_phase_portrait(thin, model, *run.states[:2]),
                 f"{name} as a phase portrait: {run.states[1]} against {run.states[0]}.{drawn}",
             )
+
+
+def _followed(found: Discovery) -> str:
+    """Say what was done with the equations."""
+    if found.diffusion:
+        return (
+            "with noise in the motion: one path from the first row, and the band of 95 % of such "
+            "paths."
+        )
+    return _FOLLOWED[found.is_map]
+
+
+def _curve(found: Discovery, run: Trajectory) -> tuple[Trajectory | None, Bands]:
+    model = _simulate(found, run)
+    return model, _bands(found, run) if model else {}
+
+
+def _path(found: Discovery, run: Trajectory, rows: Any) -> tuple[Trajectory | None, Bands]:
+    try:
+        model, bands = found.path_and_band(run)
+    except DynsrError:
+        return None, {}
+    return model.select(rows), {s: (low[rows], high[rows]) for s, (low, high) in bands.items()}
+
+
+def _noise_pictures(found: Discovery) -> list[Picture]:
+    """Draw the changes of each state in cells of near rows, and the drift and diffusion there."""
+    if not (found.diffusion and found.trajectories):
+        return []
+    words = (
+        "Left: the mean change of each state in unit time, in cells of near rows, with its "
+        "standard error, and the drift found. Right: the variance in unit time of what each step "
+        "misses, and the diffusion found."
+    )
+    return [Picture.of(draw_steps(cells_of(found.steps_of())), words)]
 
 
 def list_fixed_points(found: Discovery) -> tuple[FixedPoint, ...]:
@@ -693,7 +737,7 @@ def _simulate(found: Discovery, run: Trajectory) -> Trajectory | None:
         return None
 
 
-def _bands(found: Discovery, run: Trajectory) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _bands(found: Discovery, run: Trajectory) -> Bands:
     """Give for each state the 2.5 % and 97.5 % quantiles over drawn constants; none for a map.
 
     None either where all constants are as sure as in exact data, which no picture could show.
@@ -734,6 +778,16 @@ def _scores(found: Discovery) -> Table | None:
     if not found.trajectories:
         return None
     rows = tuple((state, *scores.values()) for state, scores in found.score().items())
+    if found.diffusion:
+        return Table(
+            "scores",
+            "Errors on the data",
+            ("State", "One step", "Share"),
+            rows,
+            "One step: RMSE from each row to the next one. Share: its mean square in units of what "
+            "the noise in the motion and the errors of measurement add up to; 1 where these are "
+            "right.",
+        )
     return Table(
         "scores",
         "Errors on the data",
@@ -807,6 +861,11 @@ def _flat(values: object, before: str = "") -> Iterator[tuple[str, Any]]:
             yield f"{before}{name}", value
 
 
+def _figure(value: Any) -> str:
+    """Write a number of a record; "" for anything else that a changed one has there."""
+    return f"{value:g}" if isinstance(value, (int, float)) else ""
+
+
 def _command(found: Discovery) -> str:
     """Give the command that searches the same data in the same way."""
     settings = found.settings
@@ -821,11 +880,11 @@ def _command(found: Discovery) -> str:
         "order": ",".join(f"{state}=2" for state in settings.get("velocities", {})),
         "hold": ",".join(f"{name}={how}" for name, how in settings.get("hold", {}).items()),
         "functions": ",".join(settings.get("functions", ())),
-        "max-complexity": f"{settings['max_complexity']:g}" if "max_complexity" in settings else "",
+        "max-complexity": _figure(settings.get("max_complexity")),
         "complexity": ",".join(f"{k}={v:g}" for k, v in settings.get("complexity", {}).items()),
         "loss": settings.get("loss", ""),
         "nonnegative": ",".join(settings.get("nonnegative", ())),
-        "time-budget": f"{settings['time_budget']:g}" if "time_budget" in settings else "",
+        "time-budget": _figure(settings.get("time_budget")),
     }
     given = [f"--{name} {quote(value)}" for name, value in options.items() if value]
     given += [

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dynsr.data import Samples, Trajectory
-from dynsr.discovery import FreePart, Profile, RunParameters, Suggestion
+from dynsr.discovery import Cells, FreePart, Profile, RunParameters, Suggestion
 from dynsr.engines import Branches, FixedPoint
 from dynsr.expression import compile_numpy
 
@@ -293,6 +293,28 @@ def draw_free(parts: Sequence[FreePart]) -> Figure:
         _draw_part(axis, part)
     for axis in axes.flat[len(parts) :]:
         axis.set_axis_off()
+    _legend_below(figure, axes.flat[0])
+    return figure
+
+
+def draw_steps(cells: Sequence[Cells]) -> Figure:
+    """Draw drift and diffusion of each state: found as lines, in cells of near rows as points.
+
+    Parameters
+    ----------
+    cells : of each state.
+    """
+    figure, axes = _canvas(len(cells), 2, (_WIDTH, 2.6 * len(cells) + 0.4))
+    for (left, right), own in zip(axes, cells, strict=True):
+        dots = {"fmt": ".", "color": _DATA, "ms": 5, "lw": 1, "label": "steps of the data"}
+        look = {"color": COLOURS[1], "lw": 1.4, "label": "found"}
+        left.errorbar(own.at, own.slope, own.error, **dots)
+        left.plot(own.at, own.drift, **look)
+        left.set(xlabel=own.of, ylabel=f"drift of {own.state}")
+        right.errorbar(own.value, own.variance, **dots)
+        right.plot(own.value, own.diffusion, **look)
+        right.set(xlabel=own.state, ylabel=f"diffusion of {own.state}")
+        right.set_ylim(bottom=0)
     _legend_below(figure, axes.flat[0])
     return figure
 

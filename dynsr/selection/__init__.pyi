@@ -35,6 +35,13 @@ from .pick import (
 from .propose import term_bits
 from .relations import is_left_open
 from .shapes import bodies_of
+from .stochastic import (
+    STOCHASTIC_SEARCH,
+    StochasticFound,
+    StochasticSearch,
+    StochasticSearchSettings,
+    terms_of_constants,
+)
 from .subsets import Subset, best_subsets
 from .systems import (
     Compared,
@@ -48,6 +55,7 @@ from .terms import move_inside, products, weighted_sum
 
 __all__ = [
     "HIDDEN",
+    "STOCHASTIC_SEARCH",
     "Approximation",
     "ApproximationSettings",
     "Compared",
@@ -60,6 +68,9 @@ __all__ = [
     "Pick",
     "RankedCandidate",
     "SelectionSettings",
+    "StochasticFound",
+    "StochasticSearch",
+    "StochasticSearchSettings",
     "Subset",
     "SystemChoice",
     "SystemComparison",
@@ -92,6 +103,7 @@ __all__ = [
     "products",
     "rank_by_length",
     "term_bits",
+    "terms_of_constants",
     "trivial_candidates",
     "weighted_sum",
 ]

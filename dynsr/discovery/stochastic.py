@@ -1,0 +1,433 @@
+"""Stochastic: equations of states whose motion itself has noise, dx = f dt + sqrt(D) dW.
+
+The drift f is found as an equation is, and the variance D of the noise with it. A drift is a law of
+the data where each step is missed by chance alone: by what no column explains, in its size as in
+its sign, and what neighbouring steps do not share.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations_with_replacement
+from time import monotonic
+from typing import Any
+
+import numpy as np
+import sympy
+from scipy.special import chdtrc, fdtrc
+
+from dynsr.data import Trajectory
+from dynsr.discovery.diffusion import Diffusion, log_interval, write_diffusion
+from dynsr.discovery.hidden import claim_folder, is_given, record_search
+from dynsr.discovery.intervals import match_constants
+from dynsr.discovery.prediction import record_hold
+from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
+from dynsr.discovery.result import Discovery
+from dynsr.discovery.verdict import (
+    APPROXIMATION,
+    LAW,
+    LEVELS,
+    NOBODY,
+    NOT_FOUND,
+    OtherFormula,
+    StateVerdict,
+    TermCertainty,
+    Verdict,
+    VerdictSettings,
+    explain,
+    is_probable,
+)
+from dynsr.engines import DEFAULT_ENGINE, refuse_idle
+from dynsr.errors import InputError
+from dynsr.expression import shown
+from dynsr.fit import (
+    Candidate,
+    ParetoFront,
+    StochasticFit,
+    StochasticSystem,
+    interval_reach,
+    simple_numbers,
+    structure_bits,
+    tidy,
+)
+from dynsr.jobs import Budget, Step, finish_by, report_each
+from dynsr.methods import AUTO, DEFAULT_PRESET, choose_methods, read_demands
+from dynsr.selection import (
+    StochasticFound,
+    StochasticSearch,
+    StochasticSearchSettings,
+    terms_of_constants,
+)
+
+_NAME = "stochastic"
+# Options of a search that have no meaning where the motion has noise.
+_REFUSED = (
+    "known",
+    "slopes",
+    "scheme",
+    "order",
+    "discrete",
+    "explicit_time",
+    "method",
+    "targets",
+    "conserved",
+    "nonnegative",
+    "must",
+    "constraints",
+    "units",
+    "loss",
+    "start",
+)
+_DEMANDS = ("functions", "max_complexity", "terms")
+
+
+def check_stochastic(
+    asked: Any, runs: Sequence[Trajectory], settings: Mapping[str, Any], others: Mapping[str, Any]
+) -> bool:
+    """Say whether noise in the motion is asked for.
+
+    Parameters
+    ----------
+    asked : True or False.
+    runs : the data.
+    settings : of the search.
+    others : name -> value of further options that do not go with it.
+
+    Raises InputError where it is neither, or another option does not go with it.
+
+    >>> run = Trajectory(np.arange(3.0), np.ones((3, 1)), ("x",))
+    >>> check_stochastic(True, [run], {}, {})
+    True
+    """
+    if not isinstance(asked, bool):
+        raise InputError(f"stochastic={asked!r} must be True or False")
+    if not asked:
+        return False
+    given = {**settings, **others}
+    odd = [n for n in (*_REFUSED, *others) if is_given(n, given.get(n))]
+    odd += ["noise"] * any(run.noise for run in runs)
+    if odd:
+        raise InputError(f"{odd[0]} does not go with stochastic; leave one of the two out")
+    choose_methods(AUTO, settings.get("preset", DEFAULT_PRESET))
+    refuse_idle(settings.get("engine", DEFAULT_ENGINE), "each step of the rows is fitted by itself")
+    return True
+
+
+def search_stochastic(
+    runs: Sequence[Trajectory],
+    settings: Mapping[str, Any],
+    inputs: Mapping[str, sympy.Expr],
+    progress: Callable[[Step], None] | None = None,
+) -> Discovery:
+    """Search the drift and the diffusion of every state.
+
+    Parameters
+    ----------
+    runs : the data.
+    settings : of the search.
+    inputs : input name -> expression in ``t`` where it is known.
+    progress : is called as each step ends.
+    """
+    began, details = monotonic(), settings.get("settings", DISCOVERY)
+    if settings.get("snap") is False:
+        details = details.without_snapping()
+    states, names = runs[0].states, runs[0].names
+    demands = read_demands(states, names, **{n: settings[n] for n in _DEMANDS if n in settings})
+    budget = settings.get("time_budget")
+    record = {
+        **demands.as_record(),
+        **record_search(_NAME, settings, details),
+        **record_hold(runs[0], inputs, False, settings.get("hold")),
+        "engine": DEFAULT_ENGINE,
+    }
+    claim_folder(settings.get("out"), {_NAME: True}, record, runs, inputs)
+    search = StochasticSearch.of(runs, inputs, demands, details.stochastic)
+    if len(search.steps.h) < details.verdict.fewest:
+        raise InputError(
+            f"{len(search.steps.h)} steps between rows with every state measured are too few to "
+            "see noise in the motion; give more rows"
+        )
+    rounds: list[StochasticFound] = []
+    whole: list[StochasticFound] = []
+
+    def look() -> None:
+        stages = ("drift and diffusion", "errors of measurement")
+        for stage in report_each(stages, str, progress):
+            if stage == stages[0]:
+                rounds.extend(search.run())
+            else:
+                whole.append(search.finish(rounds[-1]))
+
+    until, complete = Budget(budget).until(details.shares.choices), True
+    try:
+        _, cut = finish_by(until, look, lambda: None)
+    except KeyboardInterrupt:
+        complete, cut = False, False
+        if not rounds:
+            raise
+    if not rounds:
+        raise InputError(
+            "no equations with noise in the motion were found in this time; give more"
+            if cut
+            else "the steps of these data have no probability: are all rows the same?"
+        )
+    best = (whole or rounds)[-1]
+    found = _discover(best, rounds[-1], search, runs, inputs, details, complete)
+    record |= {
+        "engines": {
+            "search": "none (NumPy on the steps between rows)",
+            "fit": "embedded (probability of each step)",
+            "simulate": "embedded",
+        },
+        **({"ended_by_budget": [_NAME]} if cut else {}),
+    }
+    return replace(found, settings=record, seconds=monotonic() - began)
+
+
+def _discover(
+    best: StochasticFound,
+    on_steps: StochasticFound,
+    search: StochasticSearch,
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: DiscoverySettings,
+    complete: bool,
+) -> Discovery:
+    """Give the system with its verdict."""
+    fit, states = best.fit, search.series.states
+    own = fit.estimate
+    numbers = simple_numbers(own, [None] * len(own.constants), settings.selection.fit)
+    final = {s: tidy(e) for s, e in own.put(numbers).items()}
+    sizes = fit.sizes[: len(numbers)].tolist()
+    known = list(zip(map(float, numbers), sizes, own.constants.tolist(), strict=True))
+    errors, fitted = match_constants(final, known)
+    others = {s: search.alternatives(on_steps, s) for s in states} if complete else {}
+    verdict = (
+        _Tests(best, search, settings.verdict, search.settings).give(others) if complete else NOBODY
+    )
+    freedom = max(int(np.count_nonzero(np.isfinite(fit.white()))) - len(fit.values), 1)
+    reach = interval_reach(freedom)
+    diffusion = _describe(best, search, reach)
+    front = {
+        s: ParetoFront(
+            Candidate(expr, bits, structure_bits(expr), _NAME)
+            for expr, bits in [(on_steps.drift[s], 0.0), *others.get(s, [])]
+        )
+        for s in states
+    }
+    return Discovery(
+        final,
+        errors,
+        front,
+        {s: explain(s, e, verdict.states[s]) if verdict.tested else "" for s, e in final.items()},
+        tuple(runs),
+        dict(inputs),
+        complete=complete,
+        fitted=fitted,
+        reach=reach,
+        verdict=verdict,
+        diffusion=diffusion,
+    )
+
+
+def _describe(
+    best: StochasticFound, search: StochasticSearch, reach: float
+) -> dict[str, Diffusion]:
+    """Give the noise in the motion of each state, with the intervals of its constants."""
+    fit, names = best.fit, search.names
+    place = len(fit.problem.owners)
+    system, found = fit.system, {}
+    for state, expr in fit.diffusion.items():
+        terms = sympy.Add.make_args(expr)
+        sizes = fit.sizes[place : place + len(terms)].tolist()
+        place += len(terms)
+        unseen = search.mean_of(expr) <= 2 * system.least[search.series.states.index(state)]
+        ends = [
+            log_interval(float(term.as_coeff_Mul()[0]), size, reach)
+            for term, size in zip(terms, sizes, strict=True)
+        ]
+        correlations = {
+            other: value
+            for pair, value in (system.correlations or {}).items()
+            for own, other in (pair, pair[::-1])
+            if own == state
+        }
+        found[state] = Diffusion(
+            () if unseen else write_diffusion(expr, names, ends),
+            names,
+            (system.errors or {}).get(state, 0.0),
+            correlations,
+        )
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Tests:
+    """Tests what each step misses."""
+
+    best: StochasticFound
+    search: StochasticSearch
+    settings: VerdictSettings
+    chances: StochasticSearchSettings
+
+    def give(self, others: Mapping[str, Sequence[tuple[sympy.Expr, float]]]) -> Verdict:
+        """Give the verdict on all states.
+
+        Parameters
+        ----------
+        others : state -> other drifts, and the bits that they take more.
+        """
+        surprise = self._surprise()
+        states = {s: self._test(s, others.get(s, ()), surprise) for s in self.search.series.states}
+        level = max((own.level for own in states.values()), key=LEVELS.index)
+        weak = [s for s, own in states.items() if own.level == level]
+        reason = (
+            "with noise in the motion; each step is missed by chance alone."
+            if level == LAW
+            else f"{', '.join(weak)}: {states[weak[0]].reason}"
+        )
+        span = float(np.median(self.search.steps.h))
+        return Verdict(level, reason, states, span)
+
+    def _test(
+        self, state: str, others: Sequence[tuple[sympy.Expr, float]], surprise: float
+    ) -> StateVerdict:
+        place = self.search.series.states.index(state)
+        white = self._along.white()[..., place]
+        told = np.isfinite(white)
+        chi = float(np.mean(white[told] ** 2))
+        terms = self._terms(state)
+        compared = tuple(
+            OtherFormula(shown(tidy(expr), 4), float(f"{bits:.6g}")) for expr, bits in others
+        )[: self.settings.alternatives]
+        spread = float(self.search.series.scale[place])
+        error = (self.best.fit.system.errors or {}).get(state, 0.0)
+        found = StateVerdict(
+            NOT_FOUND,
+            "",
+            self._r2(place),
+            chi,
+            noise=float(f"{error / spread:.6g}"),
+            rows=float(np.count_nonzero(told)),
+            terms=terms,
+            alternatives=compared,
+        )
+        seen = self._shown(white, surprise)
+        doubts = [*seen, *self._doubts(terms, others)]
+        drift = self.best.drift[state]
+        follows = "each step is missed by" if drift != 0 else "it moves by"
+        if not doubts:
+            return replace(found, level=LAW, reason=f"{follows} chance alone.")
+        level = NOT_FOUND if drift == 0 and seen else APPROXIMATION
+        return replace(found, level=level, reason=f"{'; '.join(doubts)}.")
+
+    def _r2(self, place: int) -> float:
+        """Share of the variance of a state that a step from the row before explains."""
+        misses = self.best.fit.misses()[..., place]
+        misses = misses[np.isfinite(misses)]
+        found = 1 - float(np.mean(misses**2)) / float(self.search.series.scale[place]) ** 2
+        return float(f"{found:.6g}")
+
+    def _terms(self, state: str) -> tuple[TermCertainty, ...]:
+        fit, rows = self.best.fit, float(len(self.search.steps.h))
+        ratios = fit.ratios[np.array(fit.problem.owners) == state].tolist()
+        named = zip(terms_of_constants(self.best.drift[state]), ratios, strict=True)
+        return tuple(TermCertainty.of(term, ratio, rows) for term, ratio in named)
+
+    def _shown(self, white: np.ndarray, surprise: float) -> list[str]:
+        """Give what the steps show to be no chance."""
+        found = []
+        of_misses, of_squares = self.chances.degrees
+        if self._follows(white, of_misses):
+            found.append("what its steps miss depends on the columns")
+        if self._follows(white**2, of_squares):
+            found.append("the size of its noise depends on the columns in another way")
+        if self._is_correlated(white):
+            found.append(
+                "what neighbouring steps miss is alike: the motion remembers more than its state, "
+                "or a state is missing"
+            )
+        if surprise:
+            found.append(f"the last {self.settings.held_back:.0%} of the data are missed by more")
+        return found
+
+    def _doubts(
+        self, terms: Sequence[TermCertainty], others: Sequence[tuple[sympy.Expr, float]]
+    ) -> list[str]:
+        """Give what leaves the drift itself open."""
+        found = []
+        unsure = dict.fromkeys(own.term for own in terms if own.ratio < self.settings.sure)
+        if unsure:
+            found.append(f"the data leave it open whether it needs {', '.join(unsure)}")
+        if not is_probable([bits for _, bits in others], self.settings):
+            near, bits = others[0]
+            how = "does better" if bits < 0 else "does as well"
+            found.append(f"{shown(tidy(near), 4)} {how}")
+        return found
+
+    @cached_property
+    def _along(self) -> StochasticFit:
+        """The fit with its steps in the order of the rows."""
+        fit = self.best.fit
+        rows = self.search.series.pieces(self.chances.piece)
+        return replace(fit, problem=replace(fit.problem, series=rows))
+
+    def _columns(self, degree: int) -> np.ndarray:
+        """(R (N - 1), c) products of all columns where the steps begin."""
+        series = self._along.problem.series
+        rows = [series.columns[name] for name in (*self.search.names, "t")]
+        rows = [np.nan_to_num(row - np.nanmean(row)) / max(np.nanstd(row), 1e-300) for row in rows]
+        columns = [np.ones(len(rows[0]))]
+        for power in range(1, degree + 1):
+            columns += [
+                np.prod([rows[i] for i in chosen], axis=0)
+                for chosen in combinations_with_replacement(range(len(rows)), power)
+            ]
+        return np.column_stack(columns)
+
+    def _follows(self, values: np.ndarray, degree: int) -> bool:
+        """Say whether products of the columns explain values at the steps (Fisher's test)."""
+        flat = values.ravel()
+        told = np.isfinite(flat)
+        while degree:
+            design = self._columns(degree)[told]
+            count = design.shape[1]
+            if count <= self.chances.products * np.count_nonzero(told):
+                break
+            degree -= 1
+        if not degree:
+            return False
+        own = flat[told] - flat[told].mean()
+        weights, *_ = np.linalg.lstsq(design, own, rcond=None)
+        left = float(np.sum((own - design @ weights) ** 2))
+        freedom = len(own) - count
+        ratio = (float(own @ own) - left) / (count - 1) / max(left / freedom, 1e-300)
+        return bool(fdtrc(count - 1, freedom, ratio) < self.chances.chance)
+
+    def _is_correlated(self, white: np.ndarray) -> bool:
+        """Say whether neighbouring steps are missed by the same (Ljung and Box 1978)."""
+        total, lags = 0.0, min(self.settings.steps, white.shape[1] - 1)
+        for lag in range(1, lags + 1):
+            pairs = white[:, lag:] * white[:, :-lag]
+            own = pairs[np.isfinite(pairs)]
+            total += float(np.sum(own)) ** 2 / max(len(own), 1)
+        return bool(lags and chdtrc(lags, total) < self.chances.chance)
+
+    def _surprise(self) -> float:
+        """Say whether constants of the first rows miss the last ones by more than chance."""
+        steps = self.best.fit.problem.series.apart()
+        held = max(1, int(self.settings.held_back * len(steps.h)))
+        order = np.argsort(steps.driven[0, -1, :, 0], kind="stable")
+        before, after = (steps.some(own) for own in (order[:-held], order[-held:]))
+        fit = self.best.fit
+        system = replace(fit.system, errors=None, correlations=None)
+        first = StochasticSystem(system.drift, system.diffusion, before).fit()
+        if first is None:
+            return 0.0
+        white = replace(first, problem=replace(first.problem, series=after)).white()
+        chi = float(np.mean(white**2))
+        # Twice what chance is, and four of its own standard errors.
+        return float(chi > 2 + 4 * math.sqrt(2 / white.size))
