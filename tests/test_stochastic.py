@@ -113,6 +113,22 @@ def test_constants_are_within_their_errors():
     assert 0.5 < np.std(ratios) < 1.5 and np.max(np.abs(ratios)) < 4
 
 
+@pytest.mark.parametrize("start", [(5.0, 0.1, -2.0), (-3.0, 2.0, 4.0), (0.1, -5.0, 1.0)])
+def test_each_term_has_its_own_constant(start):
+    """SymPy orders the terms of a formula by its numbers; what is said of each stays with it."""
+    one, two, three = map(sympy.Float, start)
+    drift = {"x": one + two * X + three * X**3}
+    noise = {"x": sympy.Float(abs(start[0])) * X**2 + sympy.Float(abs(start[1]))}
+    fit = StochasticSystem(drift, noise, Series.of([relaxing()]).apart()).fit()
+    for parts, whole in ((fit.parts("x"), fit.drift), (fit.noise_parts("x"), fit.diffusion)):
+        assert len(parts) == len(sympy.Add.make_args(whole["x"]))
+        for part in parts:
+            own = float(whole["x"].coeff(X, sympy.degree(part.body, X)))
+            assert part.factor == pytest.approx(own)
+            (place,) = part.outside
+            assert own in (fit.values[place], pytest.approx(np.exp(fit.values[place])))
+
+
 def test_noise_in_the_motion_is_found(found):
     """Drift, variance and verdict, with intervals that hold the truth."""
     assert bodies(found.equations["x"]) == {X} and found.verdict.level == "law"

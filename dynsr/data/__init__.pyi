@@ -1,11 +1,5 @@
 from .catalogue import DEFINITIONS, find_definition
-from .causes import (
-    Cause,
-    DiagnosisSettings,
-    diagnose,
-    near_rows_leave_open,
-    turns_back,
-)
+from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open, turns_back
 from .columns import Columns, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn

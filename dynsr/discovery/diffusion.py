@@ -13,7 +13,7 @@ import sympy
 from dynsr.data import Trajectory
 from dynsr.discovery.intervals import write_interval
 from dynsr.errors import EngineError
-from dynsr.expression import compile_columns, evaluate, parse, shown, to_text
+from dynsr.expression import compile_columns, evaluate, parse, shown
 from dynsr.fit import Driven, Series, StochasticFit, StochasticSystem
 
 _DIGITS = 4
@@ -108,25 +108,6 @@ class Diffusion:
         return Diffusion(tuple(found), self.columns, error, self.correlations)
 
 
-def write_diffusion(
-    expr: sympy.Expr, columns: Sequence[str], ends: Sequence[tuple[float, float] | None]
-) -> tuple[DiffusionTerm, ...]:
-    """Take an expression apart into its terms.
-
-    Parameters
-    ----------
-    expr : a sum of products with positive floats as factors.
-    columns : names that it contains.
-    ends : the interval of each float, in the order in which SymPy keeps the terms.
-    """
-    found = []
-    for term, own in zip(sympy.Add.make_args(expr), ends, strict=True):
-        factor, body = term.as_coeff_Mul()
-        low, high = own or (None, None)
-        found.append(DiffusionTerm(to_text(body), float(factor), low, high))
-    return tuple(found)
-
-
 def draw_paths(
     drift: Mapping[str, sympy.Expr],
     diffusion: Mapping[str, Diffusion],
@@ -212,7 +193,7 @@ def score_steps(fit: StochasticFit) -> dict[str, dict[str, float]]:
     ----------
     fit : of :func:`measure_steps`.
     """
-    misses, white = fit.misses(), fit.white()
+    misses, white = fit.misses, fit.white
     return {
         state: {
             "step_rmse": math.sqrt(float(np.nanmean(misses[..., i] ** 2))),
@@ -306,8 +287,8 @@ def as_trajectories(
     )
 
 
-def log_interval(value: float, error: float, reach: float) -> tuple[float, float] | None:
-    """Give the interval of a positive constant whose logarithm has a standard error.
+def log_interval(value: float, error: float, reach: float) -> tuple[float | None, float | None]:
+    """Give the interval of a positive constant, None for ends that its error leaves open.
 
     Parameters
     ----------
@@ -320,5 +301,5 @@ def log_interval(value: float, error: float, reach: float) -> tuple[float, float
     (0.82, 1.22)
     """
     if not math.isfinite(error) or reach * error > math.log(1 / np.finfo(float).eps):
-        return None
+        return None, None
     return value * math.exp(-reach * error), value * math.exp(reach * error)

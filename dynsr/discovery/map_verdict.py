@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations_with_replacement
 
 import numpy as np
 import sympy
@@ -20,11 +19,10 @@ from dynsr.data import Samples, Trajectory, near_rows_leave_open, scale_of
 from dynsr.discovery.drift import Drift, drift_of_rows, place_among
 from dynsr.discovery.drift_exact import same_in_time
 from dynsr.discovery.following import Place, open_constants
-from dynsr.discovery.maps import pair_rows
+from dynsr.discovery.maps import pair_rows, products_of
 from dynsr.discovery.verdict import (
     APPROXIMATION,
     LAW,
-    LEVELS,
     NOT_FOUND,
     VERDICT,
     OtherFormula,
@@ -32,6 +30,7 @@ from dynsr.discovery.verdict import (
     TermCertainty,
     Verdict,
     VerdictSettings,
+    weakest,
 )
 from dynsr.expression import (
     ByText,
@@ -87,14 +86,8 @@ def give_map_verdict(
             s: _test_state(step, free.get(s, math.inf), runs, (front or {}).get(s, ()), settings)
             for s, step in steps.items()
         }
-    level = max((own.level for own in states.values()), key=LEVELS.index)
-    weak = [s for s, own in states.items() if own.level == level]
-    reason = (
-        "every equation gives the next row within chance."
-        if level == LAW
-        else f"{', '.join(weak)}: {states[weak[0]].reason}"
-    )
-    return Verdict(level, reason, states, _span(runs, settings))
+    law = "every equation gives the next row within chance."
+    return weakest(states, law, _span(runs, settings))
 
 
 def _span(runs: Sequence[Trajectory], settings: VerdictSettings) -> float:
@@ -208,16 +201,8 @@ class _Step:
         return not textbooks().knows(self.expr, place_among(self.state, self.samples.columns))
 
     def _follows_products(self) -> bool:
-        points = self.samples.X
-        points = (points - points.mean(axis=0)) / np.maximum(points.std(axis=0), 1e-300)
-        columns = [np.ones(len(points))]
-        for degree in range(1, _DEGREE + 1):
-            columns += [
-                np.prod(points[:, list(chosen)], axis=1)
-                for chosen in combinations_with_replacement(range(points.shape[1]), degree)
-            ]
-        design = np.column_stack(columns)
-        freedom = len(points) - design.shape[1]
+        design = products_of(self.samples.X.T, _DEGREE)
+        freedom = len(design) - design.shape[1]
         if freedom < 2 * design.shape[1]:
             return False
         weights, *_ = np.linalg.lstsq(design, self.misses, rcond=None)

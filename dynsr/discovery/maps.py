@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,27 @@ def pair_rows(runs: Sequence[Trajectory], target: str) -> Samples:
         "given",
         np.concatenate([run.t[rows] for run, rows in zip(runs, kept, strict=True)]),
     )
+
+
+def products_of(rows: np.ndarray, degree: int) -> np.ndarray:
+    """Give the products (n, c) of columns, each in units of its spread around its mean, and 1.
+
+    Parameters
+    ----------
+    rows : (d, n) the columns; unknown values count as the mean.
+    degree : of the products at most.
+
+    >>> products_of(np.array([[1.0, 3.0], [2.0, 6.0]]), 2).tolist()
+    [[1.0, -1.0, -1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]]
+    """
+    spread = np.maximum(np.nanstd(rows, axis=1), 1e-300)
+    middle = np.nanmean(rows, axis=1)
+    units = np.nan_to_num((rows - middle[:, None]) / spread[:, None])
+    columns = [np.ones(rows.shape[1])]
+    for power in range(1, degree + 1):
+        chosen = combinations_with_replacement(range(len(rows)), power)
+        columns += [np.prod(units[list(some)], axis=0) for some in chosen]
+    return np.column_stack(columns)
 
 
 def measure_step_errors(

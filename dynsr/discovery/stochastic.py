@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations_with_replacement
 from time import monotonic
 from typing import Any
 
@@ -20,16 +19,16 @@ import sympy
 from scipy.special import chdtrc, fdtrc
 
 from dynsr.data import Trajectory
-from dynsr.discovery.diffusion import Diffusion, log_interval, write_diffusion
+from dynsr.discovery.diffusion import Diffusion, DiffusionTerm, log_interval
 from dynsr.discovery.hidden import claim_folder, is_given, record_search
 from dynsr.discovery.intervals import match_constants
+from dynsr.discovery.maps import products_of
 from dynsr.discovery.prediction import record_hold
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.verdict import (
     APPROXIMATION,
     LAW,
-    LEVELS,
     NOBODY,
     NOT_FOUND,
     OtherFormula,
@@ -39,10 +38,11 @@ from dynsr.discovery.verdict import (
     VerdictSettings,
     explain,
     is_probable,
+    weakest,
 )
 from dynsr.engines import DEFAULT_ENGINE, refuse_idle
 from dynsr.errors import InputError
-from dynsr.expression import shown
+from dynsr.expression import shown, to_text
 from dynsr.fit import (
     Candidate,
     ParetoFront,
@@ -59,7 +59,6 @@ from dynsr.selection import (
     StochasticFound,
     StochasticSearch,
     StochasticSearchSettings,
-    terms_of_constants,
 )
 
 _NAME = "stochastic"
@@ -208,7 +207,7 @@ def _discover(
     verdict = (
         _Tests(best, search, settings.verdict, search.settings).give(others) if complete else NOBODY
     )
-    freedom = max(int(np.count_nonzero(np.isfinite(fit.white()))) - len(fit.values), 1)
+    freedom = max(int(np.count_nonzero(np.isfinite(fit.white))) - len(fit.values), 1)
     reach = interval_reach(freedom)
     diffusion = _describe(best, search, reach)
     front = {
@@ -238,17 +237,14 @@ def _describe(
 ) -> dict[str, Diffusion]:
     """Give the noise in the motion of each state, with the intervals of its constants."""
     fit, names = best.fit, search.names
-    place = len(fit.problem.owners)
     system, found = fit.system, {}
     for state, expr in fit.diffusion.items():
-        terms = sympy.Add.make_args(expr)
-        sizes = fit.sizes[place : place + len(terms)].tolist()
-        place += len(terms)
         unseen = search.mean_of(expr) <= 2 * system.least[search.series.states.index(state)]
-        ends = [
-            log_interval(float(term.as_coeff_Mul()[0]), size, reach)
-            for term, size in zip(terms, sizes, strict=True)
-        ]
+        terms = []
+        for part in () if unseen else fit.noise_parts(state):
+            (place,) = part.outside
+            low, high = log_interval(part.factor, float(fit.sizes[place]), reach)
+            terms.append(DiffusionTerm(to_text(part.body), part.factor, low, high))
         correlations = {
             other: value
             for pair, value in (system.correlations or {}).items()
@@ -256,7 +252,7 @@ def _describe(
             if own == state
         }
         found[state] = Diffusion(
-            () if unseen else write_diffusion(expr, names, ends),
+            tuple(terms),
             names,
             (system.errors or {}).get(state, 0.0),
             correlations,
@@ -282,21 +278,14 @@ class _Tests:
         """
         surprise = self._surprise()
         states = {s: self._test(s, others.get(s, ()), surprise) for s in self.search.series.states}
-        level = max((own.level for own in states.values()), key=LEVELS.index)
-        weak = [s for s, own in states.items() if own.level == level]
-        reason = (
-            "with noise in the motion; each step is missed by chance alone."
-            if level == LAW
-            else f"{', '.join(weak)}: {states[weak[0]].reason}"
-        )
-        span = float(np.median(self.search.steps.h))
-        return Verdict(level, reason, states, span)
+        law = "with noise in the motion; each step is missed by chance alone."
+        return weakest(states, law, float(np.median(self.search.steps.h)))
 
     def _test(
-        self, state: str, others: Sequence[tuple[sympy.Expr, float]], surprise: float
+        self, state: str, others: Sequence[tuple[sympy.Expr, float]], surprise: bool
     ) -> StateVerdict:
         place = self.search.series.states.index(state)
-        white = self._along.white()[..., place]
+        white = self._along.white[..., place]
         told = np.isfinite(white)
         chi = float(np.mean(white[told] ** 2))
         terms = self._terms(state)
@@ -326,18 +315,20 @@ class _Tests:
 
     def _r2(self, place: int) -> float:
         """Share of the variance of a state that a step from the row before explains."""
-        misses = self.best.fit.misses()[..., place]
+        misses = self.best.fit.misses[..., place]
         misses = misses[np.isfinite(misses)]
         found = 1 - float(np.mean(misses**2)) / float(self.search.series.scale[place]) ** 2
         return float(f"{found:.6g}")
 
     def _terms(self, state: str) -> tuple[TermCertainty, ...]:
         fit, rows = self.best.fit, float(len(self.search.steps.h))
-        ratios = fit.ratios[np.array(fit.problem.owners) == state].tolist()
-        named = zip(terms_of_constants(self.best.drift[state]), ratios, strict=True)
-        return tuple(TermCertainty.of(term, ratio, rows) for term, ratio in named)
+        found = []
+        for part in fit.parts(state):
+            found += [(part.body, place) for place in part.outside]
+            found += [(None, place) for place in part.inside]
+        return tuple(TermCertainty.of(t, float(fit.ratios[place]), rows) for t, place in found)
 
-    def _shown(self, white: np.ndarray, surprise: float) -> list[str]:
+    def _shown(self, white: np.ndarray, surprise: bool) -> list[str]:
         """Give what the steps show to be no chance."""
         found = []
         of_misses, of_squares = self.chances.degrees
@@ -375,25 +366,13 @@ class _Tests:
         rows = self.search.series.pieces(self.chances.piece)
         return replace(fit, problem=replace(fit.problem, series=rows))
 
-    def _columns(self, degree: int) -> np.ndarray:
-        """(R (N - 1), c) products of all columns where the steps begin."""
-        series = self._along.problem.series
-        rows = [series.columns[name] for name in (*self.search.names, "t")]
-        rows = [np.nan_to_num(row - np.nanmean(row)) / max(np.nanstd(row), 1e-300) for row in rows]
-        columns = [np.ones(len(rows[0]))]
-        for power in range(1, degree + 1):
-            columns += [
-                np.prod([rows[i] for i in chosen], axis=0)
-                for chosen in combinations_with_replacement(range(len(rows)), power)
-            ]
-        return np.column_stack(columns)
-
     def _follows(self, values: np.ndarray, degree: int) -> bool:
         """Say whether products of the columns explain values at the steps (Fisher's test)."""
-        flat = values.ravel()
+        series, flat = self._along.problem.series, values.ravel()
+        columns = np.array([series.columns[name] for name in (*self.search.names, "t")])
         told = np.isfinite(flat)
         while degree:
-            design = self._columns(degree)[told]
+            design = products_of(columns, degree)[told]
             count = design.shape[1]
             if count <= self.chances.products * np.count_nonzero(told):
                 break
@@ -416,7 +395,7 @@ class _Tests:
             total += float(np.sum(own)) ** 2 / max(len(own), 1)
         return bool(lags and chdtrc(lags, total) < self.chances.chance)
 
-    def _surprise(self) -> float:
+    def _surprise(self) -> bool:
         """Say whether constants of the first rows miss the last ones by more than chance."""
         steps = self.best.fit.problem.series.apart()
         held = max(1, int(self.settings.held_back * len(steps.h)))
@@ -426,8 +405,8 @@ class _Tests:
         system = replace(fit.system, errors=None, correlations=None)
         first = StochasticSystem(system.drift, system.diffusion, before).fit()
         if first is None:
-            return 0.0
-        white = replace(first, problem=replace(first.problem, series=after)).white()
+            return False
+        white = replace(first, problem=replace(first.problem, series=after)).white
         chi = float(np.mean(white**2))
         # Twice what chance is, and four of its own standard errors.
-        return float(chi > 2 + 4 * math.sqrt(2 / white.size))
+        return bool(chi > 2 + 4 * math.sqrt(2 / white.size))

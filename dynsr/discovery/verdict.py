@@ -1110,6 +1110,21 @@ def summarise(states: Mapping[str, StateVerdict], span: float) -> Verdict:
     return Verdict(level, _say(level, states), dict(states), span)
 
 
+def weakest(states: Mapping[str, StateVerdict], law: str, span: float) -> Verdict:
+    """Give the verdict of a system whose steps are tested: that of its weakest state.
+
+    Parameters
+    ----------
+    states : state -> its own verdict.
+    law : the reason where every state has a law.
+    span : time over which the equations were followed in one piece.
+    """
+    level = max((own.level for own in states.values()), key=LEVELS.index)
+    weak = [s for s, own in states.items() if own.level == level]
+    reason = law if level == LAW else f"{', '.join(weak)}: {states[weak[0]].reason}"
+    return Verdict(level, reason, dict(states), span)
+
+
 def _say(level: str, states: Mapping[str, StateVerdict]) -> str:
     weak = [state for state, own in states.items() if own.level == level]
     if level == LAW:

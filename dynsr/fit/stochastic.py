@@ -117,13 +117,6 @@ class Series:
         found: np.ndarray = np.where(spread > _STEP * size, spread, np.where(size > 0, size, 1.0))
         return found
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether every state is measured at every row."""
-        ends = np.count_nonzero(self.h, axis=1) + 1
-        inside = np.arange(self.y.shape[1]) < ends[:, None]
-        return bool(np.all(np.isfinite(self.y[inside])))
-
     def every(self, lag: int) -> Series:
         """Give every row that is so many after the one before; each run begins at its first."""
         if lag == 1:
@@ -560,6 +553,28 @@ class StochasticSystem:
         )
 
 
+@dataclass(frozen=True)
+class Part:
+    """One term of a fitted sum.
+
+    Parameters
+    ----------
+    body : the term without its factor.
+    factor : its factor; 1 where it has none.
+    outside, inside : places of the constants that are its factor, and of those inside it.
+    """
+
+    body: sympy.Expr
+    factor: float
+    outside: tuple[int, ...]
+    inside: tuple[int, ...]
+
+    @property
+    def term(self) -> sympy.Expr:
+        """The whole term."""
+        return sympy.Float(self.factor) * self.body if self.outside else self.body
+
+
 @dataclass(frozen=True, eq=False)
 class DriftEstimate:
     """The constants of a drift with their covariance.
@@ -619,6 +634,50 @@ class StochasticFit:
         found: np.ndarray = np.abs(self.values[own]) / np.maximum(self.sizes[own], 1e-300)
         return found
 
+    def parts(self, state: str) -> list[Part]:
+        """Give the terms of the drift of a state, with the constants that are in each.
+
+        SymPy keeps the terms of a formula in another order once its constants are others, so they
+        are those of the formula that the fit began with.
+
+        Parameters
+        ----------
+        state : one whose drift is fitted.
+        """
+        first = self.problem.owners.index(state) if state in self.problem.owners else 0
+        return self._take_apart(self.problem.drift[state], first, self.values)
+
+    def noise_parts(self, state: str) -> list[Part]:
+        """Give the terms of the diffusion of a state likewise; errors are those of logarithms.
+
+        Parameters
+        ----------
+        state : one of the states.
+        """
+        first, values = len(self.problem.owners), self.values.copy()
+        values[first:] = np.exp(values[first:])
+        for other in self.problem.series.states[: self.problem.series.states.index(state)]:
+            first += len(free_constants(self.problem.diffusion[other], "c")[1])
+        return self._take_apart(self.problem.diffusion[state], first, values)
+
+    def _take_apart(self, expr: sympy.Expr, first: int, values: np.ndarray) -> list[Part]:
+        template, own = free_constants(expr, "c")
+        places = {symbol: first + i for i, symbol in enumerate(own)}
+        put = {symbol: sympy.Float(values[place]) for symbol, place in places.items()}
+        found = []
+        for term in sympy.Add.make_args(template):
+            factors = [symbol for symbol in own if symbol in sympy.Mul.make_args(term)]
+            rest = term / sympy.Mul(*factors)
+            found.append(
+                Part(
+                    rest.xreplace(put),
+                    math.prod(float(values[places[symbol]]) for symbol in factors),
+                    tuple(places[symbol] for symbol in factors),
+                    tuple(places[symbol] for symbol in own if symbol in rest.free_symbols),
+                )
+            )
+        return found
+
     @property
     def error_sizes(self) -> np.ndarray:
         """Standard errors of the logarithms of the errors of measurement."""
@@ -664,10 +723,12 @@ class StochasticFit:
         drift[len(self.problem.owners) :] = 0.0
         return precision_bits(self.information, units, drift)
 
+    @cached_property
     def misses(self) -> np.ndarray:
         """(R, N - 1, k) what each step misses; NaN where unmeasured."""
         return self._each(lambda own: own.misses[0])
 
+    @cached_property
     def white(self) -> np.ndarray:
         """(R, N - 1, k) what each step misses, with unit covariance; NaN where unmeasured."""
 

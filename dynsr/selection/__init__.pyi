@@ -40,7 +40,6 @@ from .stochastic import (
     StochasticFound,
     StochasticSearch,
     StochasticSearchSettings,
-    terms_of_constants,
 )
 from .subsets import Subset, best_subsets
 from .systems import (
@@ -103,7 +102,6 @@ __all__ = [
     "products",
     "rank_by_length",
     "term_bits",
-    "terms_of_constants",
     "trivial_candidates",
     "weighted_sum",
 ]

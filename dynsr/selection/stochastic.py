@@ -26,7 +26,6 @@ from dynsr.fit import (
     StochasticSettings,
     StochasticSystem,
     constant_bits,
-    free_constants,
     skeleton,
     structure_bits,
 )
@@ -208,8 +207,8 @@ class StochasticSearch:
         """
         ratios = fit.ratios
         free = fit.problem.free or self.series.states
-        inside = [t is None for s in free for t in terms_of_constants(fit.drift[s])]
-        if len(inside) != len(ratios) or np.any(ratios[inside] < 1):
+        inside = [place for s in free for part in fit.parts(s) for place in part.inside]
+        if np.any(ratios[inside] < 1):
             return None
         columns = {name: _filled(row) for name, row in self.series.columns.items()}
         if any(has_pole(expr, columns) for expr in fit.drift.values()):
@@ -318,19 +317,14 @@ class StochasticSearch:
 
     def _shortened(self, found: StochasticFound) -> Iterator[dict[str, sympy.Expr]]:
         """Give the system without one of its terms, that with the least sure constant first."""
-        ratios = iter(found.fit.ratios.tolist())
+        ratios, free = found.fit.ratios, found.fit.problem.free
         ranked: list[tuple[float, str, sympy.Expr]] = []
-        for state, expr in found.drift.items():
-            if found.fit.problem.free is not None and state not in found.fit.problem.free:
-                continue
-            template, own = free_constants(expr, "c")
-            sure = {symbol: next(ratios) for symbol in own}
-            put = {symbol: sympy.Float(value) for symbol, value in own.items()}
-            terms = sympy.Add.make_args(template)
-            for term in terms:
-                mine = [sure[s] for s in term.free_symbols if s in sure]
-                rest = sympy.Add(*[one for one in terms if one is not term]).xreplace(put)
-                ranked.append((min(mine, default=math.inf), state, rest))
+        for state in free or self.series.states:
+            parts = found.fit.parts(state)
+            for part in parts:
+                own = ratios[[*part.outside, *part.inside]]
+                rest = sympy.Add(*[one.term for one in parts if one is not part])
+                ranked.append((float(own.min(initial=math.inf)), state, rest))
         for _, state, rest in sorted(ranked, key=lambda one: one[0]):
             yield {**found.drift, state: rest}
 
@@ -349,7 +343,7 @@ class StochasticSearch:
     def _diffusions(self, best: StochasticFound, state: str) -> list[sympy.Expr]:
         """Give sums of products of columns that the squares of the residuals follow."""
         place = self.series.states.index(state)
-        white = best.fit.white()[..., place].ravel()
+        white = best.fit.white[..., place].ravel()
         told = np.isfinite(white)
         columns = {n: _filled(row)[told] for n, row in best.fit.problem.series.columns.items()}
         squares = white[told] ** 2 * evaluate(best.diffusion[state], columns)
@@ -413,7 +407,7 @@ class StochasticSearch:
     def _with_correlations(self, best: StochasticFound) -> StochasticFound:
         states, found = self.series.states, dict[tuple[str, str], float]()
         series, errors = best.fit.problem.series, best.fit.system.errors
-        white = best.fit.white().reshape(-1, len(states))
+        white = best.fit.white.reshape(-1, len(states))
         least = best.fit.system.least
         noisy = [i for i, s in enumerate(states) if self.mean_of(best.diffusion[s]) > 2 * least[i]]
         for i, j in combinations(noisy, 2):
@@ -464,38 +458,16 @@ class StochasticSearch:
         return found.fit.problem.series is self.steps
 
 
-def terms_of_constants(expr: sympy.Expr) -> list[sympy.Expr | None]:
-    """Give the term that each constant of a sum is a factor of, None for one inside a term.
-
-    Parameters
-    ----------
-    expr : the sum.
-
-    >>> x = sympy.Symbol("x")
-    >>> terms_of_constants(2.0 * x + 3.0 * sympy.exp(0.5 * x))
-    [x, exp(0.5*x), None]
-    """
-    template, own = free_constants(expr, "c")
-    put = {symbol: sympy.Float(value) for symbol, value in own.items()}
-    found: list[sympy.Expr | None] = []
-    for symbol in own:
-        term = next(t for t in sympy.Add.make_args(template) if symbol in t.free_symbols)
-        factor = symbol in sympy.Mul.make_args(term)
-        found.append((term / symbol).xreplace(put) if factor else None)
-    return found
-
-
 def _fit_variances(rows: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """Give the weights (s,) of rows (s, n) whose sum is the variance of what has these squares."""
+    if len(rows) == 1:
+        # The likelihood has its top where the mean of the squares in its unit is 1.
+        return np.array([float(np.mean(squares / rows[0]))])
     level = np.full(len(squares), float(squares.mean()))
-    weights = np.zeros(len(rows))
     for _ in range(2 * len(rows) + 2):
         scaled = rows / level
-        weights = nnls(scaled @ scaled.T, scaled @ (squares / level))[0]
+        weights: np.ndarray = nnls(scaled @ scaled.T, scaled @ (squares / level))[0]
         level = np.maximum(weights @ rows, np.finfo(float).tiny)
-        if len(rows) == 1:
-            # The likelihood has its top where the mean of the squares in its unit is 1.
-            return np.array([float(np.mean(squares / rows[0]))])
     return weights
 
 
