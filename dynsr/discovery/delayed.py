@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import monotonic
@@ -18,6 +18,7 @@ from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.verdict import LAW, LEVELS, NOBODY, NOT_FOUND, explain, give_verdict
 from dynsr.errors import InputError
+from dynsr.fit import skeleton
 from dynsr.jobs import Budget, finish_by
 from dynsr.selection import ComparisonSettings
 
@@ -86,10 +87,10 @@ def search_delayed(
     def scan() -> list[_Begun]:
         for fit in delayed.candidates(comparison, asked):
             fits.append(fit)  # noqa: PERF402 (a scan that is cut leaves what it found)
-        return _begin(delayed, fits, inputs, most)
+        return _begin(delayed, fits, inputs, comparison, most)
 
     def from_found() -> list[_Begun]:
-        return _begin(delayed, fits, inputs, most)
+        return _begin(delayed, fits, inputs, comparison, most)
 
     def without() -> list[_Begun]:
         return []
@@ -153,18 +154,22 @@ class _Study:
 
     def fitted(self, first: _Begun, found: Discovery) -> Discovery:
         """Give what was found with a delay after the delay was fitted with the constants."""
-        delayed, comparison, delay = self.delayed, self.comparison, first.delay
-        fit = delayed.fit(found.equations, delay, comparison)
+        comparison, short = self.comparison, first.fit
+        if short is not None and _alike(short.equations, found.equations):
+            return _with_delays(self.delayed, found, short, first.delay, self.inputs)
+        fit = self.delayed.fit(found.equations, first.delay, comparison)
         if fit is not None:
+            fit = self.delayed.measured(fit, comparison)
             again = {**self.own, "out": None, "start": found}
             near = self.search(fit.delayed.columns(fit.delay, fit.delay), again)
-            fit = delayed.fit(near.equations, fit.delay, comparison) or fit
+            if not _alike(near.equations, fit.equations):
+                other = self.delayed.fit(near.equations, fit.delay, comparison)
+                fit = fit if other is None else self.delayed.measured(other, comparison)
             found = near
         # Errors of a delayed state look like further terms: a short sum may take fewer bits.
-        short = delayed.fit(first.equations, delay, comparison) if first.equations else None
         if short is not None and (fit is None or short.bits < fit.bits):
             found, fit = _as_found(found, short, self.inputs), short
-        return _with_delays(delayed, found, fit, delay, self.inputs)
+        return _with_delays(self.delayed, found, fit, first.delay, self.inputs)
 
     def unfitted(self, first: _Begun, found: Discovery) -> Discovery:
         """Give what was found with a delay that is not fitted, without a verdict."""
@@ -180,14 +185,14 @@ class _Begun:
 
     delay: float
     delayed: Delayed
-    equations: Mapping[str, sympy.Expr] = field(default_factory=dict)
+    fit: DelayFit | None = None
 
     @property
     def start(self) -> dict[str, Discovery]:
         """What a search begins with: a short sum that is a law of the data ends it."""
-        if not self.equations:
+        if self.fit is None:
             return {}
-        return {"start": Discovery(dict(self.equations), {}, {}, {})}
+        return {"start": Discovery(dict(self.fit.equations), {}, {}, {})}
 
     def is_apart(self, others: Sequence[_Begun], far: float) -> bool:
         """Whether a fit of other delays would not move them to this one."""
@@ -195,8 +200,17 @@ class _Begun:
         return all(abs(one - other) > far * min(one, other) for one, other in pairs)
 
 
+def _alike(some: Mapping[str, sympy.Expr], others: Mapping[str, sympy.Expr]) -> bool:
+    """Whether equations are the same but for the values of their constants."""
+    return {s: skeleton(e) for s, e in some.items()} == {s: skeleton(e) for s, e in others.items()}
+
+
 def _begin(
-    delayed: Delayed, fits: Sequence[DelayFit], inputs: Mapping[str, sympy.Expr], most: int
+    delayed: Delayed,
+    fits: Sequence[DelayFit],
+    inputs: Mapping[str, sympy.Expr],
+    comparison: ComparisonSettings,
+    most: int,
 ) -> list[_Begun]:
     """Give delays, and the curves of sums that follow the runs with their own delayed states.
 
@@ -204,11 +218,12 @@ def _begin(
     """
     found: list[_Begun] = []
     for fit in sorted(fits, key=lambda fit: fit.bits):
-        one = _Begun(fit.delay, fit.delayed, fit.equations)
+        one = _Begun(fit.delay, fit.delayed, fit)
         delays = delayed.delays_in(fit.equations, fit.delay)
         if delays and one.is_apart(found, delayed.settings.far):
-            if delayed.explained(fit.equations, delays, inputs) > _LEAST:
-                found.append(one)
+            if fit.delayed.explained(fit.equations, delays, inputs) > _LEAST:
+                best = delayed.measured(fit, comparison)
+                found.append(_Begun(best.delay, best.delayed, best))
         if len(found) == most:
             break
     return found

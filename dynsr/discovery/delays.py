@@ -1,10 +1,11 @@
 """Delays: equations that contain a state as it was some time before.
 
-A delayed state is read from the smoothed curve of its column, so that equations are searched as
-with any other input. Which delay it is is seen by how well short sums of the library's terms
-explain the slopes; the delay is then fitted along the states together with all other constants.
-An equation with a delay is followed by the method of steps: over one delay after the other, the
-delayed state is the solution before.
+Which delay it is is seen by how well short sums of the library's terms explain the slopes, where
+delayed states are read from smoothed curves. Then the delay is fitted together with the states and
+all other constants, and delayed states are those of the fit (:mod:`dynsr.fit.delayed`). Along the
+curves of a fit that follows the data, equations are searched as with any other input. An equation
+with a delay is followed by the method of steps: over one delay after the other, the delayed state
+is the solution before.
 """
 
 from __future__ import annotations
@@ -13,19 +14,29 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import sympy
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from dynsr.data import SmoothedTrajectory, Trajectory, estimate_noise, smooth
+from dynsr.data import SmoothedTrajectory, Trajectory
 from dynsr.discovery.intervals import take_apart, write_interval
 from dynsr.discovery.parameters import name_constants, put_names
 from dynsr.discovery.prediction import Measured, predict
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine
 from dynsr.errors import EngineError, InputError
-from dynsr.fit import Mixed, MixedFit, MixedMesh, measure_runs, precision_bits, residual_bits
+from dynsr.fit import (
+    DelayedFit,
+    DelayedMesh,
+    DelayedSystem,
+    Measurements,
+    MixedMesh,
+    measure_runs,
+    precision_bits,
+    residual_bits,
+)
 from dynsr.library import Form, Library, LibrarySettings, Written
 from dynsr.selection import (
     ComparisonSettings,
@@ -36,9 +47,10 @@ from dynsr.selection import (
 )
 
 _ENDING = "_delayed"
-_TURN = "_delayed_by_delay"
-# The share of the delay in a fit, 1 where it stays as it is.
-_SHARE = "share of the delay"
+# Share of the delay that is history in addition, as long as the fit may lengthen the delay.
+_MARGIN = 0.02
+# Share of an error that hides the error of the rule.
+_HIDDEN = 0.1
 
 
 @dataclass(frozen=True)
@@ -60,8 +72,7 @@ class DelaySettings:
         slope to within so many of its standard errors: every short delay would do that.
     sure : smallest ratio of a delay to its standard error.
     searched : delays with which equations are searched.
-    rounds : fits of the delay at most.
-    close : share by which the delay moves in the last of them.
+    finest : times as many rows between those of the data, at most, with which the rule is tested.
     far : share by which a fit may move the delay away from where it was searched.
     free : delays over which equations are integrated with their own delayed states, to test them.
     """
@@ -78,8 +89,7 @@ class DelaySettings:
     apart: float = 5.0
     sure: float = 4.0
     searched: int = 2
-    rounds: int = 12
-    close: float = 1e-5
+    finest: int = 8
     far: float = 0.3
     free: int = 4
 
@@ -123,17 +133,19 @@ class Delay:
 
 @dataclass(frozen=True, eq=False)
 class Delayed:
-    """Runs whose states are known before each of their rows, by their smoothed curves.
+    """Runs whose states are known before each of their rows, by curves.
 
     Parameters
     ----------
     runs : the trajectories.
-    curves : each of them smoothed.
+    data : the same with their noise, to which systems are fitted.
+    curves : the curve of each of them: smoothed, or that of a system that follows it.
     names : state -> the column of the delayed state.
     settings : the numbers that decide.
     """
 
     runs: Sequence[Trajectory]
+    data: Measurements
     curves: Sequence[SmoothedTrajectory]
     names: Mapping[str, str]
     settings: DelaySettings
@@ -153,37 +165,30 @@ class Delayed:
         names = {state: f"{state}{_ENDING}" for state in runs[0].states}
         if taken := [name for name in names.values() if name in runs[0].names]:
             raise InputError(f"{taken[0]!r} is a column already; rename it, or leave delays out")
-        noise = estimate_noise(some)
-        return cls(some, [smooth(run, noise) for run in some], names, settings)
+        data = measure_runs(some, {}, sum(map(len, some)), {})
+        return cls(data.runs, data, data.smoothed, names, settings)
 
     @property
     def longest(self) -> float:
         """The longest delay that is tried."""
         return self.settings.longest * min(float(np.ptp(run.t)) for run in self.runs)
 
-    def columns(self, delay: float, begin: float, slopes: bool = False) -> list[Trajectory]:
+    def columns(self, delay: float, begin: float) -> list[Trajectory]:
         """Give the runs from some time on, with the delayed states as inputs.
 
         Parameters
         ----------
         delay : how long before.
         begin : time after the first row from which on rows are kept; the delay at least.
-        slopes : whether the slope of each delayed state times the delay is an input too.
         """
         found = []
         for run, curve in zip(self.runs, self.curves, strict=True):
             kept = run.select(np.flatnonzero(run.t >= run.t[0] + begin))
-            before = kept.t - delay
-            columns = dict(zip(self.names.values(), curve.curve(before), strict=True))
-            if slopes:
-                spline = CubicSpline(curve.t, curve.x)
-                turns = delay * spline(before, 1).T
-                columns |= {f"{s}{_TURN}": own for s, own in zip(self.names, turns, strict=True)}
-            inputs = np.column_stack([kept.inputs, *columns.values()])
+            columns = dict(zip(self.names.values(), curve.curve(kept.t - delay), strict=True))
             found.append(
                 replace(
                     kept,
-                    inputs=inputs,
+                    inputs=np.column_stack([kept.inputs, *columns.values()]),
                     input_names=(*kept.input_names, *columns),
                     hold={**kept.hold, **dict.fromkeys(columns, "smooth")},
                 )
@@ -340,67 +345,81 @@ class Delayed:
         comparison: ComparisonSettings,
         begin: float | None = None,
     ) -> DelayFit | None:
-        """Fit a delay and all constants along the states; None where that cannot be done.
+        """Fit a delay, all constants and the states; None where that cannot be done.
 
         Parameters
         ----------
         equations : state -> right-hand side in which delayed states are columns.
         delay : where the fit starts.
         comparison : how bits are counted.
-        begin : time after the first row from which on rows are kept.
+        begin : time after the first row from which on the states follow the equations.
         """
-        names = name_constants(equations, self.runs[0].names)
-        named, signed = put_names(equations, names)
-        share = sympy.Symbol(_SHARE)
-        moved = {
-            sympy.Symbol(column): sympy.Symbol(column)
-            - (share - 1) * sympy.Symbol(f"{state}{_TURN}")
-            for state, column in self.names.items()
-        }
-        mixed = Mixed(
-            {s: e.xreplace(moved) for s, e in named.items()}, dict.fromkeys([*signed, _SHARE], (0,))
-        )
-        theta = np.array([*(values[0] for values in signed.values()), 1.0])
-        first = delay
-        begin = delay * (1 + self.settings.far) if begin is None else begin
-        found: MixedFit | None = None
-        for _ in range(self.settings.rounds):
-            data = measure_runs(self.columns(delay, begin, slopes=True), {}, self.settings.rows, {})
-            rows = MixedMesh.of(data, tuple(equations))
-            near = None if found is None else found.found.states
-            found = mixed.fit(rows, theta, near)
-            if found is None or not abs(found.theta[-1] - 1) < self.settings.far:
-                return None
-            delay, theta = delay * float(found.theta[-1]), np.append(found.theta[:-1], 1.0)
-            if delay > begin or not delay > 0 or abs(delay - first) > self.settings.far * first:
-                return None
-            if abs(found.theta[-1] - 1) < self.settings.close:
-                break
-        if found is None:
+        named, signed, system = self._open(equations)
+        theta = np.array([*(values[0] for values in signed.values()), delay])
+        far = self.settings.far
+        begin = delay * (1 + far) if begin is None else begin
+        rows = MixedMesh.of(self.data, tuple(equations))
+        found = system.fit(rows, theta, begin) if system.names else None
+        if found is None or not abs(found.delay - delay) < far * delay or found.delay > begin:
             return None
-        numbers = dict(zip(map(sympy.Symbol, signed), map(sympy.Float, theta), strict=False))
+        numbers = dict(zip(map(sympy.Symbol, signed), map(sympy.Float, found.theta), strict=False))
         exprs = {s: e.xreplace(numbers) for s, e in named.items()}
-        mesh = rows.mesh
-        bits = residual_bits(found.mean_squares, mesh.rows, mesh.known)
+        mesh, known = found.problem.mesh, found.problem.mesh.known
+        counts = np.count_nonzero(mesh.weights[mesh.follows], axis=0).astype(float)
+        bits = residual_bits(found.mean_squares, counts, known)
         bits += SystemComparison(mesh, comparison).structure(exprs)
         bits += precision_bits(found.information, found.scales, found.theta)
         # What follows noisy data is smoother than their smoothed curve.
-        noise = most_of_noise(mesh.rows, comparison)
+        noise = most_of_noise(counts, comparison)
         follows = bool(np.all(found.mean_squares <= noise)) and not np.any(rows.least)
         own = self._along(found, rows) if follows else self
-        return DelayFit(found, delay, exprs, bits, own) if math.isfinite(bits) else None
+        return DelayFit(found, found.delay, exprs, bits, own) if math.isfinite(bits) else None
 
-    def _along(self, found: MixedFit, rows: MixedMesh) -> Delayed:
+    def _open(
+        self, equations: Mapping[str, sympy.Expr]
+    ) -> tuple[dict[str, sympy.Expr], dict[str, Any], DelayedSystem]:
+        """Give equations with names for constants, their values, and the system of both."""
+        named, signed = put_names(equations, name_constants(equations, self.runs[0].names))
+        used = {str(symbol) for expr in named.values() for symbol in expr.free_symbols}
+        names = {state: column for state, column in self.names.items() if column in used}
+        return named, signed, DelayedSystem(named, names, tuple(signed))
+
+    def measured(self, fit: DelayFit, comparison: ComparisonSettings) -> DelayFit:
+        """Give a fit whose errors count those of the rule, with the least history.
+
+        Rows are put between those of the data until the delay and the constants no longer move
+        by more than a tenth of their errors.
+
+        Parameters
+        ----------
+        fit : of these runs.
+        comparison : how bits are counted.
+        """
+        last = self.fit(fit.equations, fit.delay, comparison, fit.delay * (1 + _MARGIN))
+        if last is None:
+            return fit
+        fineness = 1
+        while fineness < self.settings.finest:
+            fineness *= 2
+            fine = replace(self, data=replace(self.data, fineness=fineness))
+            begin = last.delay * (1 + _MARGIN)
+            again = fine.fit(last.equations, last.delay, comparison, begin)
+            if again is None:
+                break
+            moved = again.fit.theta - last.fit.theta
+            errors = np.sqrt(np.diag(again.fit.covariance))
+            last = replace(again, fit=replace(again.fit, rule=moved))
+            if np.all(np.abs(moved) <= _HIDDEN * errors):
+                break
+        return last
+
+    def _along(self, found: DelayedFit, rows: MixedMesh) -> Delayed:
         """Give the same runs with the curves of a system that follows them to within the noise."""
         curves = []
         for number, curve in enumerate(self.curves):
             nodes, first = np.unique(rows.mesh.t[rows.run == number], return_index=True)
-            states = found.found.states[rows.run == number][first]
-            spline = CubicSpline(nodes, states)
-            kept = curve.t >= nodes[0]
-            x, slope = curve.x.copy(), curve.slope.copy()
-            x[kept], slope[kept] = spline(curve.t[kept]), spline(curve.t[kept], 1)
-            curves.append(replace(curve, x=x, slope=slope))
+            spline = CubicSpline(nodes, found.found.states[rows.run == number][first])
+            curves.append(replace(curve, x=spline(curve.t), slope=spline(curve.t, 1)))
         return replace(self, curves=curves)
 
 
@@ -415,9 +434,8 @@ class _Scan:
     @classmethod
     def of(cls, delayed: Delayed, settings: ComparisonSettings) -> _Scan:
         """Prepare the scan; its columns are those of any delay."""
-        begin = delayed.longest
-        data = measure_runs(delayed.columns(begin, begin), {}, delayed.settings.rows, {})
-        return cls(delayed, SystemComparison(data.mesh(tuple(delayed.names)), settings))
+        mesh = DelayedMesh.of(delayed.data.mesh(tuple(delayed.names)), delayed.names, 0.0)
+        return cls(delayed, SystemComparison(mesh.at(delayed.longest), settings))
 
     def bits(self, delay: float) -> float:
         """Bits of the slopes by the best short sums; inf for a delay of a slope."""
@@ -521,14 +539,14 @@ class DelayFit:
 
     Parameters
     ----------
-    fit : the fit; its last number is the share of the delay.
+    fit : the fit; its last number is the delay.
     delay : the delay.
     equations : state -> right-hand side with the fitted constants.
     bits : of residuals, structure and constants.
     delayed : the runs with the curves that delayed states were read from.
     """
 
-    fit: MixedFit
+    fit: DelayedFit
     delay: float
     equations: dict[str, sympy.Expr]
     bits: float
@@ -537,7 +555,7 @@ class DelayFit:
     @property
     def error(self) -> float:
         """The standard error of the delay; inf where the data do not determine it."""
-        return self.delay * math.sqrt(float(self.fit.covariance[-1, -1]))
+        return math.sqrt(float(self.fit.covariance[-1, -1]))
 
     def errors_of(
         self, equations: Mapping[str, sympy.Expr], sizes: Sequence[float]

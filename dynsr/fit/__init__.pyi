@@ -23,6 +23,7 @@ from .curved import (
     flat_curves,
     refit_curved,
 )
+from .delayed import DelayedFit, DelayedMesh, DelayedSystem
 from .description import (
     choose,
     constant_bits,
@@ -102,6 +103,9 @@ __all__ = [
     "CurvedFit",
     "CurvedSettings",
     "CurvedSystem",
+    "DelayedFit",
+    "DelayedMesh",
+    "DelayedSystem",
     "Driven",
     "FitSettings",
     "Flow",

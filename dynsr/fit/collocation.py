@@ -274,12 +274,16 @@ class Probes:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Defects (k, m) at a trial point, and their derivatives: (k, k, m) twice and (k, P, m)."""
+    """Defects (k, m) at a trial point, and their derivatives: (k, k, m) twice and (k, P, m).
+
+    ``inside`` (k, k, m) are the slopes of the equations by the states in the middle.
+    """
 
     defects: np.ndarray
     by_left: np.ndarray
     by_right: np.ndarray
     by_constant: np.ndarray
+    inside: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -429,6 +433,24 @@ class Collocation:
             base, _, by_constants = self._split(states, constants, driven, self._steps(constants))
         return usual_scales(base, self._owners[0], by_constants)
 
+    def driven(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
+        """(d, n + m) driven columns at the rows and in the middle of intervals.
+
+        Parameters
+        ----------
+        states : (k, n) the trajectory.
+        constants : (P,) values.
+        """
+        del states, constants
+        return self.mesh.driven
+
+    def _quarters(self, states: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(d, m) driven columns half way from the middle of intervals to their left, and right."""
+        n, (left, right) = len(self.mesh.t), self.mesh.ends
+        driven = self.driven(states, constants)
+        between = driven[:, n:]
+        return (driven[:, :n][:, left] + between) / 2, (driven[:, :n][:, right] + between) / 2
+
     def _middle(self, states: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         left, right = self.mesh.ends
         ends = (states[:, left] + states[:, right]) / 2
@@ -439,10 +461,10 @@ class Collocation:
         self, states: np.ndarray, constants: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slopes (k, n) at the rows; states and slopes (k, m) in the middle of the intervals."""
-        n = len(self.mesh.t)
-        at_rows = self.slope(*states, *self.mesh.driven[:, :n], *constants)
+        n, driven = len(self.mesh.t), self.driven(states, constants)
+        at_rows = self.slope(*states, *driven[:, :n], *constants)
         middle = self._middle(states, at_rows)
-        inside = self.slope(*middle, *self.mesh.driven[:, n:], *constants)
+        inside = self.slope(*middle, *driven[:, n:], *constants)
         return at_rows, middle, inside
 
     def _defects(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
@@ -459,9 +481,10 @@ class Collocation:
         """Defects and their derivatives, by more constants too where ``probes`` are given."""
         n, sixth, eighth = len(self.mesh.t), self.mesh.sixth, self.mesh.eighth
         (left, right), steps = self.mesh.ends, self._steps(constants)
-        f, by_x, by_c = self._split(states, constants, self.mesh.driven[:, :n], steps)
+        driven = self.driven(states, constants)
+        f, by_x, by_c = self._split(states, constants, driven[:, :n], steps)
         middle = self._middle(states, f)
-        fm, mid_x, mid_c = self._split(middle, constants, self.mesh.driven[:, n:], steps)
+        fm, mid_x, mid_c = self._split(middle, constants, driven[:, n:], steps)
         owners = self._owners[0]
         if probes is not None:
             owners = np.concatenate([owners, probes.owners])
@@ -485,6 +508,7 @@ class Collocation:
             by_left / unit[:, None],
             by_right / unit[:, None],
             by_constant / unit[:, None],
+            mid_x,
         )
 
     def _cost(self, states: np.ndarray, constants: np.ndarray, stiffness: float) -> float:
@@ -584,17 +608,15 @@ class Collocation:
 
         A right-hand side that jumps between rows would follow anything there.
         """
-        n, h = len(self.mesh.t), self.mesh.h
-        left, right = self.mesh.ends
+        h, (left, right) = self.mesh.h, self.mesh.ends
         with np.errstate(all="ignore"):
             f, middle, fm = self._along(states, constants)
             change = -h / 6 * (f[:, left] + 4 * fm + f[:, right])
-            between = self.mesh.driven[:, n:]
-            for at, sign in ((left, 1.0), (right, -1.0)):
+            sides = zip((left, right), (1.0, -1.0), self._quarters(states, constants), strict=True)
+            for at, sign, driven in sides:
                 # The cubic through the end and the middle, half way between the two.
                 end, slope = states[:, at], f[:, at]
                 quarter = (end + middle) / 2 + sign * h / 16 * (slope - fm)
-                driven = (self.mesh.driven[:, :n][:, at] + between) / 2
                 inside = self.slope(*quarter, *driven, *constants)
                 change = change + h / 12 * (slope + 4 * inside + fm)
             found: np.ndarray = np.sum((change / self.mesh.by_state[2]) ** 2, axis=1)

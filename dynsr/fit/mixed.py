@@ -399,7 +399,7 @@ class MixedFit(ScaledFit):
         """
         problem, found = self.problem, self.found
         mesh = problem.mesh
-        driven = mesh.driven[:, : len(mesh.t)]
+        driven = problem.driven(found.states.T, found.constants)[:, : len(mesh.t)]
         with np.errstate(all="ignore"):
             base, _, slopes = problem._split(  # noqa: SLF001
                 found.states.T,
