@@ -28,6 +28,8 @@ from dynsr.discovery.prediction import Measured, predict
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine
 from dynsr.errors import EngineError, InputError
 from dynsr.fit import (
+    FIT,
+    CollocationSettings,
     DelayedFit,
     DelayedMesh,
     DelayedSystem,
@@ -35,11 +37,11 @@ from dynsr.fit import (
     MixedMesh,
     measure_runs,
     precision_bits,
-    residual_bits,
 )
 from dynsr.library import Form, Library, LibrarySettings, Written
 from dynsr.selection import (
     ComparisonSettings,
+    Evidence,
     Subset,
     SystemComparison,
     best_subsets,
@@ -49,6 +51,10 @@ from dynsr.selection import (
 _ENDING = "_delayed"
 # Share of the delay that is history in addition, as long as the fit may lengthen the delay.
 _MARGIN = 0.02
+# Rows of a run at least.
+_FEWEST = 5
+# Share of a delay by which rounding moves a time at most.
+_ROUNDING = 1e-9
 # Share of an error that hides the error of the rule.
 _HIDDEN = 0.1
 
@@ -70,7 +76,6 @@ class DelaySettings:
     library : the terms.
     apart : a delay is not tried where the difference of a state and the delayed one explains the
         slope to within so many of its standard errors: every short delay would do that.
-    sure : smallest ratio of a delay to its standard error.
     searched : delays with which equations are searched.
     finest : times as many rows between those of the data, at most, with which the rule is tested.
     far : share by which a fit may move the delay away from where it was searched.
@@ -87,7 +92,6 @@ class DelaySettings:
     constant_bits: float = 5.0
     library: LibrarySettings = LibrarySettings(degree=2, alone=3, apart=4.0, most=800)
     apart: float = 5.0
-    sure: float = 4.0
     searched: int = 2
     finest: int = 8
     far: float = 0.3
@@ -158,15 +162,18 @@ class Delayed:
         ----------
         runs, settings : the data, and the numbers that decide.
 
-        Raises InputError when a delayed state would have the name of a column.
+        Raises InputError when a delayed state would have the name of a column, or a run has too few
+        rows.
         """
+        if (least := min(map(len, runs))) < _FEWEST:
+            raise InputError(f"a trajectory of {least} rows shows no delay; leave it out")
         stride = max(1, -(-max(map(len, runs)) // settings.rows))
         some = [run.select(run.every(stride)) for run in runs]
         names = {state: f"{state}{_ENDING}" for state in runs[0].states}
         if taken := [name for name in names.values() if name in runs[0].names]:
             raise InputError(f"{taken[0]!r} is a column already; rename it, or leave delays out")
         data = measure_runs(some, {}, sum(map(len, some)), {})
-        return cls(data.runs, data, data.smoothed, names, settings)
+        return cls(some, data, data.smoothed, names, settings)
 
     @property
     def longest(self) -> float:
@@ -211,40 +218,52 @@ class Delayed:
             bounds = [(own * (1 - settings.far), own * (1 + settings.far)) for own in asked]
         else:
             bounds = self._minima(scan, shortest)
-        begin = max([self.longest, *asked]) * (1 + settings.far)
         for pair in bounds:
-            near = float(minimize_scalar(scan.bits, bounds=pair, method="bounded").x)
-            own = [self.fit(exprs, near, comparison, begin) for _, exprs in scan.sums(near)]
-            fitted = [f for f in own if f is not None and f.delay > settings.sure * f.error]
+            with np.errstate(invalid="ignore"):
+                near = float(minimize_scalar(scan.bits, bounds=pair, method="bounded").x)
+            own = [self.fit(exprs, near, comparison) for _, exprs in scan.sums(near)]
+            fitted = [f for f in own if f is not None]
             yield from fitted
             if fitted:
-                best = min(fitted, key=lambda fit: fit.bits)
-                yield from self._thin(best, comparison, begin)
+                yield from self._renew(min(fitted, key=lambda fit: fit.bits), comparison)
 
-    def _thin(
-        self, fit: DelayFit, comparison: ComparisonSettings, begin: float
-    ) -> Iterator[DelayFit]:
-        """Give fits of fewer and fewer terms, each of fewer bits than the one before.
+    def _renew(self, fit: DelayFit, comparison: ComparisonSettings) -> Iterator[DelayFit]:
+        """Give fits with other equations, each of fewer bits than the one before.
 
-        Slopes at one delay are explained best with terms that replace its error; once the
-        delay is fitted, they are too many.
+        Slopes at one delay are explained best with terms that replace its error. Along the states
+        of a fit, with its delay free, terms are seen for what they are.
         """
         while True:
-            fewer = (
-                {**fit.equations, state: expr - term}
-                for state, expr in fit.equations.items()
-                for term in (expr.args if isinstance(expr, sympy.Add) else ())
-            )
             fits = (
-                self.fit(own, fit.delay, comparison, begin)
-                for own in fewer
-                if self.delays_in(own, fit.delay)
+                self.fit({**fit.equations, state: expr}, fit.delay, comparison)
+                for state in fit.equations
+                for expr in self._propose(fit, state, comparison)
             )
-            some = (f for f in fits if f is not None and f.bits < fit.bits)
+            some = (f for f in fits if f is not None and f.bits < fit.bits - comparison.gain)
             best = min(some, key=lambda own: own.bits, default=None)
             if best is None:
                 return
             yield (fit := best)
+
+    def _propose(
+        self, fit: DelayFit, state: str, comparison: ComparisonSettings
+    ) -> list[sympy.Expr]:
+        """Give sums that are expected to do best in the place of an equation, its delay free."""
+        found, problem = fit.fit.found, fit.fit.problem
+        mesh = problem.mesh
+        rows = np.count_nonzero(mesh.weights[mesh.follows], axis=0)
+        follows = bool(np.all(fit.fit.mean_squares <= most_of_noise(rows, comparison)))
+        systems = SystemComparison(mesh, comparison)
+        evidence = Evidence.in_place(
+            found,
+            problem,
+            {state: (1.0, found.exprs[state])},
+            systems.columns,
+            comparison.proposals.nodes,
+            # The states of a system that misses them are not quite those of another.
+            None if follows else comparison.softness,
+        )
+        return [] if evidence is None else systems.propose(state, evidence)[: comparison.tried]
 
     def _minima(self, scan: _Scan, shortest: float) -> list[tuple[float, float]]:
         """Give (low, high) around each of the delays with which short sums explain slopes best."""
@@ -344,6 +363,7 @@ class Delayed:
         delay: float,
         comparison: ComparisonSettings,
         begin: float | None = None,
+        settings: CollocationSettings | None = None,
     ) -> DelayFit | None:
         """Fit a delay, all constants and the states; None where that cannot be done.
 
@@ -352,22 +372,24 @@ class Delayed:
         equations : state -> right-hand side in which delayed states are columns.
         delay : where the fit starts.
         comparison : how bits are counted.
-        begin : time after the first row from which on the states follow the equations.
+        begin : time after the first row from which on the states follow the equations; by default
+            the longest delay that the fit may come to.
+        settings : how it is fitted; by default as other systems that are compared.
         """
         named, signed, system = self._open(equations)
         theta = np.array([*(values[0] for values in signed.values()), delay])
         far = self.settings.far
         begin = delay * (1 + far) if begin is None else begin
         rows = MixedMesh.of(self.data, tuple(equations))
-        found = system.fit(rows, theta, begin) if system.names else None
+        how = settings or comparison.fit
+        found = system.fit(rows, theta, begin, how) if system.names else None
         if found is None or not abs(found.delay - delay) < far * delay or found.delay > begin:
             return None
         numbers = dict(zip(map(sympy.Symbol, signed), map(sympy.Float, found.theta), strict=False))
         exprs = {s: e.xreplace(numbers) for s, e in named.items()}
-        mesh, known = found.problem.mesh, found.problem.mesh.known
+        mesh = found.problem.mesh
         counts = np.count_nonzero(mesh.weights[mesh.follows], axis=0).astype(float)
-        bits = residual_bits(found.mean_squares, counts, known)
-        bits += SystemComparison(mesh, comparison).structure(exprs)
+        bits = found.bits + SystemComparison(mesh, comparison).structure(exprs)
         bits += precision_bits(found.information, found.scales, found.theta)
         # What follows noisy data is smoother than their smoothed curve.
         noise = most_of_noise(counts, comparison)
@@ -395,7 +417,8 @@ class Delayed:
         fit : of these runs.
         comparison : how bits are counted.
         """
-        last = self.fit(fit.equations, fit.delay, comparison, fit.delay * (1 + _MARGIN))
+        begin = fit.delay * (1 + _MARGIN)
+        last = self.fit(fit.equations, fit.delay, comparison, begin, FIT.along)
         if last is None:
             return fit
         fineness = 1
@@ -403,12 +426,12 @@ class Delayed:
             fineness *= 2
             fine = replace(self, data=replace(self.data, fineness=fineness))
             begin = last.delay * (1 + _MARGIN)
-            again = fine.fit(last.equations, last.delay, comparison, begin)
+            again = fine.fit(last.equations, last.delay, comparison, begin, FIT.along)
             if again is None:
                 break
             moved = again.fit.theta - last.fit.theta
             errors = np.sqrt(np.diag(again.fit.covariance))
-            last = replace(again, fit=replace(again.fit, rule=moved))
+            last = replace(again, fit=replace(again.fit, rule=moved), bits=last.bits)
             if np.all(np.abs(moved) <= _HIDDEN * errors):
                 break
         return last
@@ -622,8 +645,10 @@ def follow(
         return np.where(times < t[0], own, curve(np.clip(times, known[0], known[-1])))
 
     for low, high in pairwise(ends):
-        inside = t[(t >= low) & (t <= high)]
-        times = np.unique(np.concatenate([np.linspace(low, high, nodes), inside]))
+        times, inside = np.linspace(low, high, nodes), t[(t >= low) & (t <= high)]
+        # Two times that rounding alone sets apart are one.
+        near = np.abs(inside - times[np.rint((inside - low) / (times[1] - low)).astype(int)])
+        times = np.unique(np.append(times, inside[near > _ROUNDING * step]))
         given = dict(inputs)
         for name, delay in delays.items():
             values = before(times - delay.value, states.index(delay.state))

@@ -80,6 +80,8 @@ def write_interval(low: float | None, high: float | None) -> str:
 
     >>> write_interval(0.98765, 1.02345), write_interval(0.5, None), write_interval(None, None)
     ('0.9877 to 1.023', '0.5 or more', 'unknown')
+    >>> write_interval(1.5 - 3e-12, 1.5 + 3e-12)
+    '1.499999999997 to 1.500000000003'
     """
     if low is None and high is None:
         return "unknown"
@@ -96,7 +98,8 @@ def _digits_of(low: float | None, high: float | None) -> int:
     if low is None or high is None or not 0 < high - low < math.inf:
         return 6
     size = max(abs(low), abs(high))
-    return min(10, max(2, math.ceil(math.log10(size / (high - low))) + 2))
+    # A float has no more than 17 digits.
+    return min(17, max(2, math.ceil(math.log10(size / (high - low))) + 2))
 
 
 def _close(one: float, other: float) -> bool:

@@ -762,11 +762,11 @@ class Collocation:
 
     def points(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
         """(k + d, n + m) states and driven columns at the rows and in the middle of intervals."""
-        n = len(self.mesh.t)
+        n, driven = len(self.mesh.t), self.driven(states.T, constants)
         values = [np.asarray(c) for c in constants]
-        slopes = self.slope(*states.T, *self.mesh.driven[:, :n], *values)
+        slopes = self.slope(*states.T, *driven[:, :n], *values)
         both = np.concatenate([states.T, self._middle(states.T, slopes)], axis=1)
-        return np.concatenate([both, self.mesh.driven])
+        return np.concatenate([both, driven])
 
 
 def usual_scales(own: np.ndarray, owners: np.ndarray, slopes: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ spline of order 5 (Wahba 1978): their third derivative is white noise, as large 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,6 +21,7 @@ from scipy import sparse
 from scipy.linalg import cho_solve_banded
 
 from dynsr.fit.collocation import Mesh, Probes, _Gathered, _Point
+from dynsr.fit.description import residual_bits
 from dynsr.fit.mixed import Mixed, MixedFit, MixedMesh, _Grouped
 from dynsr.fit.settings import FIT, CollocationSettings
 
@@ -389,6 +391,29 @@ class DelayedCollocation(_Grouped):
         squares = float(missed @ missed + bent @ bent)
         return _Gathered(_banded(normal), sides, stiffness * (flat @ flat.T), squares)
 
+    def volume_bits(self, states: np.ndarray, constants: np.ndarray) -> float:
+        """Give the bits of the states: how much less than all they are once the data are known.
+
+        Of a normal distribution of all states, the residuals at its mean and this are the bits of
+        the data (Laplace). It makes fits comparable of which one takes more rows for history.
+
+        Parameters
+        ----------
+        states : (k, n) the trajectory.
+        constants : (P,) values.
+        """
+        mesh, stiffness = self.mesh, self.settings.stiffness[-1]
+        with np.errstate(all="ignore"):
+            point = self._linearise(states, constants)
+        factor = self._eliminate(self._gather(point, states, stiffness), 0.0)[1]
+        bound = mesh.follows[mesh.left]
+        # A density of the defect is one of the next state times how fast the defect moves with it.
+        ends = np.moveaxis(point.by_right[..., bound], -1, 0) * math.sqrt(stiffness)
+        rough = mesh.roughness
+        last = np.abs(rough.data[rough.indptr[1:] - 1])
+        prior = np.sum(np.linalg.slogdet(ends)[1]) + np.sum(np.log(last))
+        return float(np.sum(np.log(factor[-1])) - prior) / math.log(2)
+
     def absorbed(self, states: np.ndarray, constants: np.ndarray) -> float:
         """Give how many of the measurements states and constants follow whatever they are.
 
@@ -463,6 +488,17 @@ class DelayedFit(MixedFit):
         return np.maximum(squares / np.maximum(rows, 1), np.maximum(self.least, 1e-300))
 
     @cached_property
+    def bits(self) -> float:
+        """Bits of all rows, history or not, given the equations with their numbers."""
+        mesh = self.problem.mesh
+        own = np.ascontiguousarray(self.found.states.T)
+        rough = (mesh.roughness @ self.found.states.ravel()).reshape(len(mesh.states), -1)
+        squares = self.found.mean_squares + np.sum(rough**2, axis=1) / np.maximum(mesh.rows, 1.0)
+        squares = np.maximum(squares, np.maximum(self.least, 1e-300))
+        volume = self.problem.volume_bits(own, self.found.constants)
+        return residual_bits(squares, mesh.rows, mesh.known) + volume
+
+    @cached_property
     def covariance(self) -> np.ndarray:
         """(Q, Q) of the numbers, with the error of the rule; inf where nothing determines it."""
         found: np.ndarray = MixedFit.covariance.func(self) + np.outer(self.rule, self.rule)  # type: ignore[attr-defined]
@@ -498,6 +534,33 @@ class DelayedSystem:
     names: Mapping[str, str]
     parameters: Sequence[str]
 
+    def problem(
+        self,
+        rows: MixedMesh,
+        theta: np.ndarray,
+        begin: float,
+        settings: CollocationSettings = FIT.along,
+    ) -> tuple[DelayedCollocation, np.ndarray]:
+        """Give the least-squares problem, and (P, Q) which of its constants each number is.
+
+        Parameters
+        ----------
+        rows, theta, begin, settings : as for :meth:`fit`.
+        """
+        delay = float(theta[-1])
+        mesh = DelayedMesh.of(rows.mesh, self.names, begin).at(delay)
+        mixed = Mixed(self.equations, dict.fromkeys(self.parameters, (0,)))
+        plain, ways = mixed.problem(replace(rows, mesh=mesh), theta[:-1], settings)
+        problem = DelayedCollocation(
+            plain.exprs,
+            mesh,
+            settings,
+            (*plain.places, (mesh.states[0], _DELAY, 0, "")),
+            (*plain.values, delay),
+        )
+        ways = np.block([[ways, np.zeros((len(ways), 1))], [np.zeros(len(theta) - 1), 1.0]])
+        return problem, ways
+
     def fit(
         self,
         rows: MixedMesh,
@@ -514,19 +577,9 @@ class DelayedSystem:
         begin : time after the first row of each run from which on states follow the equations.
         settings : the numbers that decide.
         """
-        delay = float(theta[-1])
-        mesh = DelayedMesh.of(rows.mesh, self.names, begin).at(delay)
+        problem, ways = self.problem(rows, theta, begin, settings)
         mixed = Mixed(self.equations, dict.fromkeys(self.parameters, (0,)))
-        plain, ways = mixed.problem(replace(rows, mesh=mesh), theta[:-1], settings)
-        problem = DelayedCollocation(
-            plain.exprs,
-            mesh,
-            settings,
-            (*plain.places, (mesh.states[0], _DELAY, 0, "")),
-            (*plain.values, delay),
-        )
-        ways = np.block([[ways, np.zeros((len(ways), 1))], [np.zeros(len(theta) - 1), 1.0]])
-        found = problem.fit_tied(np.ascontiguousarray(mesh.start.T), ways)
+        found = problem.fit_tied(np.ascontiguousarray(problem.mesh.start.T), ways)
         if found is None or not np.all(np.isfinite(found.misses)):
             return None
         return DelayedFit(problem, ways, found, rows.least, mixed, np.zeros(len(theta)))

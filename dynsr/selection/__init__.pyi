@@ -7,6 +7,7 @@ from .comparison import (
     most_of_noise,
     noise_shown,
 )
+from .evidence import Evidence
 from .first_look import Look, look, look_around
 from .hidden import (
     HIDDEN,
@@ -60,6 +61,7 @@ __all__ = [
     "Compared",
     "ComparisonSettings",
     "Coupling",
+    "Evidence",
     "HiddenFit",
     "HiddenSettings",
     "Look",
