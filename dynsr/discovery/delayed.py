@@ -16,9 +16,20 @@ from dynsr.data import Trajectory
 from dynsr.discovery.delays import Delayed, DelayFit
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import LAW, LEVELS, NOBODY, NOT_FOUND, explain, give_verdict
+from dynsr.discovery.verdict import (
+    LAW,
+    LEVELS,
+    NOBODY,
+    NOT_FOUND,
+    doubt,
+    explain,
+    give_verdict,
+    is_probable,
+    summarise,
+)
 from dynsr.errors import InputError
-from dynsr.fit import skeleton
+from dynsr.expression import shown
+from dynsr.fit import skeleton, tidy
 from dynsr.jobs import Budget, finish_by
 from dynsr.selection import ComparisonSettings
 
@@ -112,7 +123,7 @@ def search_delayed(
         found = search(first.delayed.columns(first.delay, first.delay), {**own, **first.start})
         if not found.complete:
             return found
-        study = _Study(delayed, search, comparison, inputs, own)
+        study = _Study(delayed, search, comparison, inputs, own, fits)
         answer, cut = finish_by(
             budget.until(1.0),
             partial(study.fitted, first, found),
@@ -144,6 +155,7 @@ class _Study:
     ----------
     delayed, search, comparison, inputs : as in :func:`search_delayed`.
     own : settings of a search with one delay.
+    fits : equations and delays that were compared.
     """
 
     delayed: Delayed
@@ -151,11 +163,13 @@ class _Study:
     comparison: ComparisonSettings
     inputs: Mapping[str, sympy.Expr]
     own: Mapping[str, Any]
+    fits: Sequence[DelayFit] = ()
 
     def fitted(self, first: _Begun, found: Discovery) -> Discovery:
         """Give what was found with a delay after the delay was fitted with the constants."""
         comparison, short = self.comparison, first.fit
         if short is not None and _alike(short.equations, found.equations):
+            found = self._doubted(found, short)
             return _with_delays(self.delayed, found, short, first.delay, self.inputs)
         fit = self.delayed.fit(found.equations, first.delay, comparison)
         if fit is not None:
@@ -169,7 +183,29 @@ class _Study:
         # Errors of a delayed state look like further terms: a short sum may take fewer bits.
         if short is not None and (fit is None or short.bits < fit.bits):
             found, fit = _as_found(found, short, self.inputs), short
+        found = found if fit is None else self._doubted(found, fit)
         return _with_delays(self.delayed, found, fit, first.delay, self.inputs)
+
+    def _doubted(self, found: Discovery, fit: DelayFit) -> Discovery:
+        """Take for no law what other equations, or another delay, explain in as few bits."""
+        settings, verdict = DISCOVERY.verdict, found.verdict
+        if verdict.level != LAW:
+            return found
+        others: dict[tuple[sympy.Expr, ...], DelayFit] = {}
+        for other in sorted(self.fits, key=lambda own: own.bits):
+            if other.bits - fit.bits >= settings.alternative_bits:
+                break
+            delays = self.delayed.delays_in(other.equations, other.delay)
+            follows = other.delayed.explained(other.equations, delays, self.inputs) > _LEAST
+            if follows and not _alike(other.equations, fit.equations):
+                others.setdefault(tuple(map(skeleton, other.equations.values())), other)
+        if is_probable([other.bits - fit.bits for other in others.values()], settings):
+            return found
+        closest = next(iter(others.values()))
+        text = ", ".join(f"{s}' = {shown(tidy(e), 4)}" for s, e in closest.equations.items())
+        why = f"the data cannot distinguish it from {text} with a delay of {closest.delay:.4g}."
+        states = {s: doubt(own, why) for s, own in verdict.states.items()}
+        return replace(found, verdict=summarise(states, verdict.span))
 
     def unfitted(self, first: _Begun, found: Discovery) -> Discovery:
         """Give what was found with a delay that is not fitted, without a verdict."""

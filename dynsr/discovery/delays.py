@@ -49,7 +49,7 @@ from dynsr.selection import (
 )
 
 _ENDING = "_delayed"
-# Share of the delay that is history in addition, as long as the fit may lengthen the delay.
+# Share by which a fit may make a delay longer than the history that was taken for it.
 _MARGIN = 0.02
 # Rows of a run at least.
 _FEWEST = 5
@@ -228,7 +228,7 @@ class Delayed:
                 yield from self._renew(min(fitted, key=lambda fit: fit.bits), comparison)
 
     def _renew(self, fit: DelayFit, comparison: ComparisonSettings) -> Iterator[DelayFit]:
-        """Give fits with other equations, each of fewer bits than the one before.
+        """Give fits with other equations, until none takes fewer bits than the best before.
 
         Slopes at one delay are explained best with terms that replace its error. Along the states
         of a fit, with its delay free, terms are seen for what they are.
@@ -239,11 +239,12 @@ class Delayed:
                 for state in fit.equations
                 for expr in self._propose(fit, state, comparison)
             )
-            some = (f for f in fits if f is not None and f.bits < fit.bits - comparison.gain)
-            best = min(some, key=lambda own: own.bits, default=None)
-            if best is None:
+            some = [f for f in fits if f is not None]
+            yield from some
+            best = min(some, key=lambda own: own.bits, default=fit)
+            if not best.bits < fit.bits - comparison.gain:
                 return
-            yield (fit := best)
+            fit = best
 
     def _propose(
         self, fit: DelayFit, state: str, comparison: ComparisonSettings
@@ -383,7 +384,11 @@ class Delayed:
         rows = MixedMesh.of(self.data, tuple(equations))
         how = settings or comparison.fit
         found = system.fit(rows, theta, begin, how) if system.names else None
-        if found is None or not abs(found.delay - delay) < far * delay or found.delay > begin:
+        if (
+            found is None
+            or not abs(found.delay - delay) < far * delay
+            or found.delay > begin * (1 + _MARGIN)
+        ):
             return None
         numbers = dict(zip(map(sympy.Symbol, signed), map(sympy.Float, found.theta), strict=False))
         exprs = {s: e.xreplace(numbers) for s, e in named.items()}
@@ -410,31 +415,29 @@ class Delayed:
         """Give a fit whose errors count those of the rule, with the least history.
 
         Rows are put between those of the data until the delay and the constants no longer move
-        by more than a tenth of their errors.
+        by more than a tenth of their errors. The bits stay those of the fit.
 
         Parameters
         ----------
         fit : of these runs.
         comparison : how bits are counted.
         """
-        begin = fit.delay * (1 + _MARGIN)
-        last = self.fit(fit.equations, fit.delay, comparison, begin, FIT.along)
+        last = self.fit(fit.equations, fit.delay, comparison, fit.delay, FIT.along)
         if last is None:
             return fit
         fineness = 1
         while fineness < self.settings.finest:
             fineness *= 2
             fine = replace(self, data=replace(self.data, fineness=fineness))
-            begin = last.delay * (1 + _MARGIN)
-            again = fine.fit(last.equations, last.delay, comparison, begin, FIT.along)
+            again = fine.fit(last.equations, last.delay, comparison, last.delay, FIT.along)
             if again is None:
                 break
             moved = again.fit.theta - last.fit.theta
             errors = np.sqrt(np.diag(again.fit.covariance))
-            last = replace(again, fit=replace(again.fit, rule=moved), bits=last.bits)
+            last = replace(again, fit=replace(again.fit, rule=moved))
             if np.all(np.abs(moved) <= _HIDDEN * errors):
                 break
-        return last
+        return replace(last, bits=fit.bits)
 
     def _along(self, found: DelayedFit, rows: MixedMesh) -> Delayed:
         """Give the same runs with the curves of a system that follows them to within the noise."""

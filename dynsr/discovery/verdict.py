@@ -356,14 +356,20 @@ def _doubt_together(
         expr = equations[state]
         beside = sorted(weak & {str(symbol) for symbol in expr.free_symbols})
         if own.level == LAW and beside and not expr.is_Symbol:
-            found[state] = _doubt(
+            found[state] = doubt(
                 own, f"only together with {_join(beside)}, whose own equation is no law."
             )
     return found
 
 
-def _doubt(law: StateVerdict, why: str) -> StateVerdict:
-    """Take a law for an approximation."""
+def doubt(law: StateVerdict, why: str) -> StateVerdict:
+    """Take a law for an approximation.
+
+    Parameters
+    ----------
+    law : the verdict of a law.
+    why : what is to be said after "but".
+    """
     said = f"{law.reason.removesuffix('.')}, but {why}"
     return replace(law, level=APPROXIMATION, reason=said)
 
@@ -713,7 +719,7 @@ class _Bench:
                     found[state] = replace(own, reason=f"{own.reason} Besides, {told_of[0]}")
                 continue
             if own.level == LAW:
-                told = _doubt(own, f"{drift.said}.")
+                told = doubt(own, f"{drift.said}.")
             elif state in lawful and drift.timed:
                 told = replace(own, reason=f"{own.reason} Besides, {drift.said}.")
             else:
@@ -1091,7 +1097,7 @@ def hold_to_slopes(
         if own.level == LAW and share > settings.slopes and error < settings.sharp:
             size = f"{100 * share:.2g} % of their size."
             said = f"misses the slopes of the data, which are exact, by {size}"
-            states[state] = _doubt(own, said)
+            states[state] = doubt(own, said)
     return verdict if states == verdict.states else summarise(states, verdict.span)
 
 
