@@ -1,5 +1,7 @@
 """Claims about the last fit of the constants of a whole system."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 import sympy
@@ -12,7 +14,8 @@ from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate
 from dynsr.fit.constants import free_constants
 from dynsr.fit.description import Noise
-from dynsr.fit.polishing import polish
+from dynsr.fit.polishing import polish, simple_numbers
+from dynsr.fit.settings import FIT
 from dynsr.fit.shooting import match_trajectories, measure_errors
 from dynsr.fit.variation import loosen
 from dynsr.selection.pick import Pick, RankedCandidate, rank_candidates
@@ -62,6 +65,49 @@ def test_constants_fitted_again_come_back_to_their_own_terms(seed):
     own = match.exprs["v"].as_coefficients_dict()
     assert float(own[parse("v")]) == pytest.approx(-friction, rel=0.2)
     assert float(own[parse("sin(a)")]) == pytest.approx(-pull, rel=0.1)
+
+
+@dataclass
+class Powers:
+    """Coefficients of 1, x, x^2, ... with their covariance."""
+
+    constants: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def errors(self):
+        """The standard errors."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def put(self, numbers):
+        """Give the sum with other coefficients."""
+        x = sympy.Symbol("x")
+        return {"x": sympy.Add(*[number * x**i for i, number in enumerate(numbers)])}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_constants_that_are_written_short_are_still_the_fitted_function(seed):
+    """Rounding moves a narrow sum of powers by less than its errors, where one by one it would not.
+
+    Far from 0, coefficients of powers have errors of their own size, and together hardly any.
+    """
+    rng, x = np.random.default_rng(seed), np.linspace(2.0, 2.5, 200)
+    design = x[:, None] ** np.arange(4) / 0.01
+    covariance = np.linalg.inv(design.T @ design)
+    constants = rng.multivariate_normal([3.137, -1.719, 0.841, -0.273], covariance)
+    fit = Powers(constants, covariance)
+    written = [float(n) for n in simple_numbers(fit, [None] * 4, FIT)]
+    moved = design @ (np.array(written) - constants)
+    # Half a unit of the last digit is half an error at most.
+    assert moved @ moved <= 4 * 0.5**2
+    alone = [
+        float(f"{c:.{max(0, int(np.ceil(np.log10(abs(c) / e))))}e}")
+        for c, e in zip(constants, fit.errors, strict=True)
+    ]
+    apart = design @ (np.array(alone) - constants)
+    assert apart @ apart > 100
+    digits = [len(f"{abs(n):.10g}".replace(".", "").strip("0")) for n in written]
+    assert sum(digits) < 20
 
 
 def test_every_final_constant_has_its_standard_error(exact):

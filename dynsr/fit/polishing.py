@@ -326,9 +326,9 @@ def _simple_numbers(
             continue
         break
     order = list(range(len(fit.constants)) if again is fit else _places(fit, numbers))
-    rest = _tied(fit, again, order, runs, inputs, settings)
+    rest = dict(zip(order, _write_tied(again, runs, inputs, settings), strict=True))
     return [
-        taken[i] if i in taken else sympy.Float(written_constant(*rest.get(i, own)))
+        taken[i] if i in taken else sympy.Float(rest[i] if i in rest else written_constant(*own))
         for i, own in enumerate(zip(fit.constants, fit.errors, strict=True))
     ]
 
@@ -358,11 +358,34 @@ def simple_numbers(
     values, covariance = fit.constants.copy(), fit.covariance.copy()
     for i, number in taken.items():
         values, covariance = know(values, covariance, i, number)
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return [
-        taken[i] if i in taken else sympy.Float(written_constant(*own))
-        for i, own in enumerate(zip(values, errors, strict=True))
-    ]
+    written = _write(values, covariance, {i: {i: 1} for i in range(len(values)) if i not in taken})
+    return [taken[i] if i in taken else sympy.Float(written[i]) for i in range(len(values))]
+
+
+def _write(
+    values: np.ndarray, covariance: np.ndarray, partners: Mapping[int, Mapping[int, int]]
+) -> dict[int, float]:
+    """Give the numbers with which constants are written, that of the fewest digits first.
+
+    What rounding changes in one constant, correlated ones correct: their fitted values move, and
+    their errors shrink. Rounded one by one, constants that are determined only together would give
+    another function.
+
+    Parameters
+    ----------
+    values, covariance : (P,) fitted values, and their covariance (P, P).
+    partners : place -> {place: sign} of all constants that are written as the same number.
+    """
+    found: dict[int, float] = {}
+    while left := [place for place in partners if place not in found]:
+        sizes, errors = np.abs(values[left]), np.sqrt(np.maximum(np.diag(covariance)[left], 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first = int(np.argmax(np.nan_to_num(errors / sizes, nan=0.0)))
+        place, number = left[first], written_constant(values[left[first]], errors[first])
+        for other, sign in partners[place].items():
+            found[other] = sign * number
+            values, covariance = know(values, covariance, other, sign * number)
+    return found
 
 
 def _ties(fit: Estimate, held: Sequence[int], settings: FitSettings) -> Ties:
@@ -373,33 +396,19 @@ def _ties(fit: Estimate, held: Sequence[int], settings: FitSettings) -> Ties:
     return find_ties(shapes, symbols, fit.constants, fit.covariance, settings, known)
 
 
-def _tied(
-    fit: Fit,
-    again: Fit,
-    order: Sequence[int],
-    runs: Data,
-    inputs: Mapping[str, sympy.Expr],
-    settings: FitSettings,
-) -> dict[int, tuple[float, float]]:
-    """Give the constants that are no simple numbers, with their errors; those that are one alike.
-
-    Parameters
-    ----------
-    fit : the fit of all constants.
-    again : the fit of those left.
-    order : their places in the first.
-    """
-    rest = dict(zip(order, zip(again.constants, again.errors, strict=True), strict=True))
-    ties = _ties(again, (), settings)
-    if not ties.count:
-        return rest
-    numbers = [sympy.Rational(float(v)) for v in ties.values]
-    held = _fit(again.put(numbers), runs, inputs, settings, near=again)
-    # The others rest where the linearised fit has them, which may cost as much as one more.
-    if held is None or again.ratio(held) > chdtri(ties.count + 1, 1 - settings.joint):
-        return rest
-    errors = np.sqrt(np.maximum(np.diag(ties.covariance), 0.0))
-    return dict(zip(order, zip(ties.values, errors, strict=True), strict=True))
+def _write_tied(
+    fit: Fit, runs: Data, inputs: Mapping[str, sympy.Expr], settings: FitSettings
+) -> list[float]:
+    """Give the numbers with which the constants of a fit are written; those that are one, alike."""
+    ties = _ties(fit, (), settings)
+    if ties.count:
+        numbers = [sympy.Rational(float(v)) for v in ties.values]
+        held = _fit(fit.put(numbers), runs, inputs, settings, near=fit)
+        # The others rest where the linearised fit has them, which may cost as much as one more.
+        if held is None or fit.ratio(held) > chdtri(ties.count + 1, 1 - settings.joint):
+            ties = Ties(fit.constants, fit.covariance, {i: {i: 1} for i in ties.partners})
+    found = _write(ties.values, ties.covariance, ties.partners)
+    return [found[i] for i in range(len(fit.constants))]
 
 
 def _places(fit: Fit, numbers: Sequence[sympy.Expr]) -> list[int]:
