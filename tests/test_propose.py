@@ -1,5 +1,8 @@
 """Proposals: the best sums of terms of the library by what the data say of one equation."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import sympy
@@ -7,11 +10,17 @@ import sympy
 from dynsr.fit import skeleton
 from dynsr.library import Place
 from dynsr.selection.evidence import Evidence
-from dynsr.selection.propose import propose
+from dynsr.selection.propose import PROPOSALS, ProposalSettings, propose
 
 
 def _propose(
-    law: str, *, noise: float, seed: int = 0, rows: int = 120, near: str | None = None
+    law: str,
+    *,
+    noise: float,
+    seed: int = 0,
+    rows: int = 120,
+    near: str | None = None,
+    settings: ProposalSettings = PROPOSALS,
 ) -> list[sympy.Expr]:
     rng = np.random.default_rng(seed)
     points = rng.uniform(0.2, 3.0, (2, rows))
@@ -22,7 +31,7 @@ def _propose(
     evidence = Evidence(("x", "y"), points, y, np.eye(rows) / size, 0.0, float(rows))
     place = Place("x", ("x", "y"), ("x", "y"), ())
     begun = None if near is None else sympy.sympify(near)
-    return propose(evidence, place, lambda _: True, near=begun)
+    return propose(evidence, place, lambda _: True, settings=settings, near=begun)
 
 
 @pytest.mark.parametrize(
@@ -61,6 +70,18 @@ def test_the_law_is_found_near_an_equation(near: str) -> None:
     law = "1.5*x - 0.7*x**2 - 0.6*x*y"
     best = _propose(law, noise=0.01, near=near)[0]
     assert skeleton(best) == skeleton(sympy.sympify(law))
+
+
+def test_what_is_expected_to_be_worse_is_not_proposed() -> None:
+    """Near the law, changes that miss by far are no proposals; without a bound they are."""
+    law = "1.5*x - 0.7*x**2 - 0.6*x*y"
+    few = _propose(law, noise=0.01, near=law)
+    every = _propose(law, noise=0.01, near=law, settings=replace(PROPOSALS, doubt=math.inf))
+    assert few == every[: len(few)]
+    own = {term.as_coeff_Mul()[1] for term in sympy.sympify(law).args}
+    exchanged = [e for e in every if own - {t.as_coeff_Mul()[1] for t in e.args}]
+    assert len(exchanged) > 5
+    assert not set(exchanged) & set(few)
 
 
 def test_proposals_do_not_depend_on_chance() -> None:

@@ -64,6 +64,8 @@ class ProposalSettings:
     exchanged : sums of which one form at a time is exchanged.
     rounds : times that this is done, while it finds better ones.
     kept : sums that are proposed.
+    doubt : bits by which a linear fit may misjudge a change of an equation: what it expects to take
+        that many more than the equation itself is not proposed.
     library : the forms that sums are made of.
     """
 
@@ -87,6 +89,7 @@ class ProposalSettings:
     exchanged: int = 5
     rounds: int = 3
     kept: int = 45
+    doubt: float = 3.0
     library: LibrarySettings = LibrarySettings()
 
 
@@ -247,6 +250,8 @@ class Proposer:
     def near(self, places: Sequence[int]) -> list[Sum]:
         """Give the best sums that come of one by adding, exchanging and dropping forms in turn.
 
+        Those that are expected to take many more bits than it are left out.
+
         Parameters
         ----------
         places : of its forms in the library, whose constants inside do not move.
@@ -255,10 +260,11 @@ class Proposer:
         with np.errstate(all="ignore"):
             begun = self._fit(np.array([places]), np.zeros((1, len(places), self.library.most)))
             begun = begun.some(np.isfinite(begun.left))
+            most = float(np.min(self._bits(begun), initial=math.inf)) + self.settings.doubt
             for layer in (begun, self._grow(begun, self._allowed)):
                 self._note(layer, found)
             self._refine(found)
-        return self._front_first(found)
+        return [one for one in self._front_first(found) if one.bits <= most]
 
     def _refine(self, found: dict[tuple[int, ...], Sum]) -> None:
         """Exchange forms of the best sums while that finds better ones, then drop some."""
