@@ -49,14 +49,8 @@ from dynsr.selection import (
 )
 
 _ENDING = "_delayed"
-# Share by which a fit may make a delay longer than the history that was taken for it.
-_MARGIN = 0.02
-# Rows of a run at least.
-_FEWEST = 5
 # Share of a delay by which rounding moves a time at most.
 _ROUNDING = 1e-9
-# Share of an error that hides the error of the rule.
-_HIDDEN = 0.1
 
 
 @dataclass(frozen=True)
@@ -77,6 +71,9 @@ class DelaySettings:
     apart : a delay is not tried where the difference of a state and the delayed one explains the
         slope to within so many of its standard errors: every short delay would do that.
     searched : delays with which equations are searched.
+    fewest : rows of a run at least.
+    margin : share by which a fit may make a delay longer than the history that was taken for it.
+    hidden : share of an error that hides the error of the rule.
     finest : times as many rows between those of the data, at most, with which the rule is tested.
     far : share by which a fit may move the delay away from where it was searched.
     free : delays over which equations are integrated with their own delayed states, to test them.
@@ -93,6 +90,9 @@ class DelaySettings:
     library: LibrarySettings = LibrarySettings(degree=2, alone=3, apart=4.0, most=800)
     apart: float = 5.0
     searched: int = 2
+    fewest: int = 5
+    margin: float = 0.02
+    hidden: float = 0.1
     finest: int = 8
     far: float = 0.3
     free: int = 4
@@ -165,7 +165,7 @@ class Delayed:
         Raises InputError when a delayed state would have the name of a column, or a run has too few
         rows.
         """
-        if (least := min(map(len, runs))) < _FEWEST:
+        if (least := min(map(len, runs))) < settings.fewest:
             raise InputError(f"a trajectory of {least} rows shows no delay; leave it out")
         stride = max(1, -(-max(map(len, runs)) // settings.rows))
         some = [run.select(run.every(stride)) for run in runs]
@@ -387,7 +387,7 @@ class Delayed:
         if (
             found is None
             or not abs(found.delay - delay) < far * delay
-            or found.delay > begin * (1 + _MARGIN)
+            or found.delay > begin * (1 + self.settings.margin)
         ):
             return None
         numbers = dict(zip(map(sympy.Symbol, signed), map(sympy.Float, found.theta), strict=False))
@@ -435,7 +435,7 @@ class Delayed:
             moved = again.fit.theta - last.fit.theta
             errors = np.sqrt(np.diag(again.fit.covariance))
             last = replace(again, fit=replace(again.fit, rule=moved))
-            if np.all(np.abs(moved) <= _HIDDEN * errors):
+            if np.all(np.abs(moved) <= self.settings.hidden * errors):
                 break
         return replace(last, bits=fit.bits)
 

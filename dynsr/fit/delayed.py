@@ -184,7 +184,7 @@ class DelayedMesh(Mesh):
             for j in range(4):
                 if i != j:
                     parts[:, i] /= at[:, i] - at[:, j]
-        parts *= 6 * np.sqrt((at[:, 3] - at[:, 0]) / 3)[:, None]
+        parts *= math.factorial(3) * np.sqrt((at[:, 3] - at[:, 0]) / 3)[:, None]
         blocks = []
         for j in range(k):
             place = (np.repeat(np.arange(len(some)), 4), rows.ravel() * k + j)
@@ -216,7 +216,7 @@ class DelayedMesh(Mesh):
         if not third:
             return np.full(len(self.states), np.inf)
         sizes = [np.mean(np.concatenate(own) ** 2, axis=0) for own in (second, third)]
-        return np.maximum((sizes[0] * sizes[1]) ** 0.25, 1e-300)
+        return np.maximum(np.sqrt(np.sqrt(sizes[0] * sizes[1])), 1e-300)
 
 
 @dataclass(frozen=True, eq=False)
@@ -433,7 +433,7 @@ class DelayedCollocation(_Grouped):
         weights = mesh.weights.ravel()
         (rows,) = np.nonzero(weights)
         total = 0.0
-        for some in np.array_split(rows, max(1, len(rows) // 200)):
+        for some in np.array_split(rows, math.isqrt(len(rows)) + 1):
             one = np.zeros((len(weights), len(some)))
             one[some, np.arange(len(some))] = 1.0
             solved = cho_solve_banded((factor, False), one)
