@@ -12,8 +12,10 @@ import pytest
 import typer
 from rich.text import Text
 
+from dynsr import discover
 from dynsr.cli import discovery as discovering
 from dynsr.cli import output
+from dynsr.data import read_trajectories
 from dynsr.discovery import result
 from dynsr.discovery.result import Discovery
 from dynsr.jobs import take_lost
@@ -23,13 +25,21 @@ pytestmark = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a devic
 SMALL = ("--preset", "quick", "--functions", "none", "-j", "1")
 
 
-@pytest.fixture
-def data(tmp_path):
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
     """An exact decay as a table."""
-    t = np.linspace(0, 6, 60)
+    t, path = np.linspace(0, 6, 60), tmp_path_factory.mktemp("data") / "d.csv"
     rows = [f"{a!r},{b!r}" for a, b in zip(t.tolist(), np.exp(-t / 2).tolist(), strict=True)]
-    (tmp_path / "d.csv").write_text("\n".join(["t,x", *rows]))
-    return tmp_path / "d.csv"
+    path.write_text("\n".join(["t,x", *rows]))
+    return path
+
+
+@pytest.fixture(scope="module")
+def saved(data):
+    """The file of a discovery in that table."""
+    asked = {"preset": "quick", "functions": [], "jobs": 1, "progress": False}
+    runs = read_trajectories(data).trajectories
+    return discover(runs, **asked).save(data.parent / "discovery.json")
 
 
 def run_into(kind, *words, both=False):
@@ -81,11 +91,8 @@ def test_where_nobody_hears_anything_the_work_is_done(kind, data, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["full", "gone"])
-def test_other_commands_end_as_quietly(kind, data, tmp_path):
+def test_other_commands_end_as_quietly(kind, data, saved, tmp_path):
     """Tables, scores, reports, replications and lists: files are written, the end is told."""
-    out = tmp_path / "out"
-    subprocess.run([sys.executable, "-m", "dynsr", "discover", data, *SMALL, "-q", "-o", out])
-    saved = out / "discovery.json"
     replication = ("--systems", "pendulum", "--methods", "sindy", "--runs", "1", "-q")
     lines = {
         ("generate", "pendulum", "--span", "0,100"): None,
