@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -51,6 +52,12 @@ def prey(noise=0.0, seed=0):
         200,
     )
     return see(pair, noise, seed)
+
+
+@cache
+def found_from_prey(noise):
+    """Give the discovery of a predator from its prey."""
+    return discover(prey(noise), hidden="y", jobs=1)
 
 
 def terms(expr):
@@ -178,7 +185,7 @@ def test_a_pendulum_is_found_in_noise(noise):
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
 def test_a_predator_is_found_from_its_prey(noise):
     """The scale of the predator is chosen, 0.4 y here; the other constants are the true ones."""
-    found = discover(prey(noise), hidden="y", jobs=1)
+    found = found_from_prey(noise)
     assert found.verdict.level == "law"
     assert found.hidden == {"y": -X * Y}
     assert terms(found.equations["x"]) == {X, X * Y}
@@ -192,7 +199,7 @@ def test_a_predator_is_found_from_its_prey(noise):
 @pytest.mark.slow
 def test_the_start_of_the_hidden_state_is_fitted():
     """The predator begins at 5, which is 2 in the chosen scale; the curve is that of the truth."""
-    found = discover(prey(0.01), hidden="y", jobs=1)
+    found = found_from_prey(0.01)
     truth = follow(
         lambda t, z: [1.1 * z[0] - 0.4 * z[0] * z[1], 0.1 * z[0] * z[1] - 0.4 * z[1]],
         [10.0, 5.0],
