@@ -218,33 +218,37 @@ class Delayed:
             bounds = [(own * (1 - settings.far), own * (1 + settings.far)) for own in asked]
         else:
             bounds = self._minima(scan, shortest)
+        begun: list[DelayFit] = []
         for pair in bounds:
             with np.errstate(invalid="ignore"):
                 near = float(minimize_scalar(scan.bits, bounds=pair, method="bounded").x)
             own = [self.fit(exprs, near, comparison) for _, exprs in scan.sums(near)]
             fitted = [f for f in own if f is not None]
             yield from fitted
-            if fitted:
-                yield from self._renew(min(fitted, key=lambda fit: fit.bits), comparison)
+            begun += sorted(fitted, key=lambda fit: fit.bits)[:1]
+        while begun:
+            better = []
+            for fit in begun:
+                some = self._renewed(fit, comparison)
+                yield from some
+                best = min(some, key=lambda own: own.bits, default=fit)
+                if best.bits < fit.bits - comparison.gain:
+                    better.append(best)
+            least = min((fit.bits for fit in better), default=math.inf)
+            begun = [fit for fit in better if fit.bits <= least + comparison.behind]
 
-    def _renew(self, fit: DelayFit, comparison: ComparisonSettings) -> Iterator[DelayFit]:
-        """Give fits with other equations, until none takes fewer bits than the best before.
+    def _renewed(self, fit: DelayFit, comparison: ComparisonSettings) -> list[DelayFit]:
+        """Give fits with other equations.
 
         Slopes at one delay are explained best with terms that replace its error. Along the states
         of a fit, with its delay free, terms are seen for what they are.
         """
-        while True:
-            fits = (
-                self.fit({**fit.equations, state: expr}, fit.delay, comparison)
-                for state in fit.equations
-                for expr in self._propose(fit, state, comparison)
-            )
-            some = [f for f in fits if f is not None]
-            yield from some
-            best = min(some, key=lambda own: own.bits, default=fit)
-            if not best.bits < fit.bits - comparison.gain:
-                return
-            fit = best
+        fits = (
+            self.fit({**fit.equations, state: expr}, fit.delay, comparison)
+            for state in fit.equations
+            for expr in self._propose(fit, state, comparison)
+        )
+        return [f for f in fits if f is not None]
 
     def _propose(
         self, fit: DelayFit, state: str, comparison: ComparisonSettings
