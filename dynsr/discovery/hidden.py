@@ -33,7 +33,7 @@ from dynsr.fit import (
     skeleton,
     tidy,
 )
-from dynsr.jobs import Budget, RunFolder, Step, fingerprint, finish_by, report_each, to_plain
+from dynsr.jobs import Budget, RunFolder, Step, collect_by, fingerprint, report_each, to_plain
 from dynsr.methods import AUTO, DEFAULT_PRESET, choose_methods, read_demands
 from dynsr.selection import (
     ComparisonSettings,
@@ -163,13 +163,8 @@ def search_hidden(
                 leading |= best_alone(data, how)
                 alone.append(find_without(data, leading, how))
 
-    until, complete = Budget(budget).until(details.shares.choices), True
-    try:
-        _, cut = finish_by(until, look, lambda: None)
-    except KeyboardInterrupt:
-        complete, cut = False, False
-        if not every:
-            raise
+    until = Budget(budget).until(details.shares.choices)
+    cut, complete = collect_by(until, look, every)
     if not every and cut:
         raise InputError(f"no equations with {name} were found in this time; give more")
     best = min(every, key=lambda one: one.bits, default=None)

@@ -53,7 +53,7 @@ from dynsr.fit import (
     structure_bits,
     tidy,
 )
-from dynsr.jobs import Budget, Step, finish_by, report_each
+from dynsr.jobs import Budget, Step, collect_by, report_each
 from dynsr.methods import AUTO, DEFAULT_PRESET, choose_methods, read_demands
 from dynsr.selection import (
     StochasticFound,
@@ -160,13 +160,8 @@ def search_stochastic(
             else:
                 whole.append(search.finish(rounds[-1]))
 
-    until, complete = Budget(budget).until(details.shares.choices), True
-    try:
-        _, cut = finish_by(until, look, lambda: None)
-    except KeyboardInterrupt:
-        complete, cut = False, False
-        if not rounds:
-            raise
+    until = Budget(budget).until(details.shares.choices)
+    cut, complete = collect_by(until, look, rounds)
     if not rounds:
         raise InputError(
             "no equations with noise in the motion were found in this time; give more"

@@ -1,4 +1,4 @@
-from .budget import Budget, End, TimeUp, Turn, finish_by, time_limit
+from .budget import Budget, End, TimeUp, Turn, collect_by, finish_by, time_limit
 from .cluster import on_cluster
 from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_notebook, say_left
 from .garbage import let_garbage_wait
@@ -45,6 +45,7 @@ __all__ = [
     "check_seed",
     "checksum",
     "clock",
+    "collect_by",
     "fingerprint",
     "finish_by",
     "from_plain",

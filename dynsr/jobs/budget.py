@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from types import FrameType
@@ -441,3 +441,29 @@ def finish_by(until: float, work: Callable[[], T], otherwise: Callable[[], T]) -
             if any(clock.over for clock in _BELL.clocks):
                 raise
     return otherwise(), True
+
+
+def collect_by(
+    until: float, look: Callable[[], None], found: Collection[object]
+) -> tuple[bool, bool]:
+    """Let a search fill a list by a time or until Ctrl-C.
+
+    Parameters
+    ----------
+    until : seconds of the monotonic clock; inf for never.
+    look : the search.
+    found : what it fills.
+
+    Gives whether the time cut it, and whether it is complete but for that: Ctrl-C did not end it.
+    Raises KeyboardInterrupt where Ctrl-C left nothing.
+
+    >>> found = []
+    >>> collect_by(float("inf"), lambda: found.append(1), found)
+    (False, True)
+    """
+    try:
+        return finish_by(until, look, lambda: None)[1], True
+    except KeyboardInterrupt:
+        if not found:
+            raise
+        return False, False
