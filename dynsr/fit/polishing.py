@@ -358,34 +358,27 @@ def simple_numbers(
     values, covariance = fit.constants.copy(), fit.covariance.copy()
     for i, number in taken.items():
         values, covariance = know(values, covariance, i, number)
-    written = _write(values, covariance, {i: {i: 1} for i in range(len(values)) if i not in taken})
+    written = _write(Ties.untied(values, covariance))
     return [taken[i] if i in taken else sympy.Float(written[i]) for i in range(len(values))]
 
 
-def _write(
-    values: np.ndarray, covariance: np.ndarray, partners: Mapping[int, Mapping[int, int]]
-) -> dict[int, float]:
-    """Give the numbers with which constants are written, that of the fewest digits first.
+def _write(ties: Ties) -> list[float]:
+    """Give the numbers with which constants are written; that of the fewest digits is made first.
 
     What rounding changes in one constant, correlated ones correct: their fitted values move, and
     their errors shrink. Rounded one by one, constants that are determined only together would give
-    another function.
-
-    Parameters
-    ----------
-    values, covariance : (P,) fitted values, and their covariance (P, P).
-    partners : place -> {place: sign} of all constants that are written as the same number.
+    another function. Constants that are one are written as one.
     """
-    found: dict[int, float] = {}
-    while left := [place for place in partners if place not in found]:
+    values, covariance, found = ties.values, ties.covariance, dict[int, float]()
+    while left := [place for place in range(len(values)) if place not in found]:
         sizes, errors = np.abs(values[left]), np.sqrt(np.maximum(np.diag(covariance)[left], 0.0))
         with np.errstate(divide="ignore", invalid="ignore"):
             first = int(np.argmax(np.nan_to_num(errors / sizes, nan=0.0)))
         place, number = left[first], written_constant(values[left[first]], errors[first])
-        for other, sign in partners[place].items():
+        for other, sign in ties.partners[place].items():
             found[other] = sign * number
             values, covariance = know(values, covariance, other, sign * number)
-    return found
+    return [found[place] for place in range(len(values))]
 
 
 def _ties(fit: Estimate, held: Sequence[int], settings: FitSettings) -> Ties:
@@ -406,9 +399,8 @@ def _write_tied(
         held = _fit(fit.put(numbers), runs, inputs, settings, near=fit)
         # The others rest where the linearised fit has them, which may cost as much as one more.
         if held is None or fit.ratio(held) > chdtri(ties.count + 1, 1 - settings.joint):
-            ties = Ties(fit.constants, fit.covariance, {i: {i: 1} for i in ties.partners})
-    found = _write(ties.values, ties.covariance, ties.partners)
-    return [found[i] for i in range(len(fit.constants))]
+            ties = Ties.untied(fit.constants, fit.covariance)
+    return _write(ties)
 
 
 def _places(fit: Fit, numbers: Sequence[sympy.Expr]) -> list[int]:

@@ -104,6 +104,16 @@ class Ties:
     distance: float = 0.0
     count: int = 0
 
+    @classmethod
+    def untied(cls, values: np.ndarray, covariance: np.ndarray) -> Ties:
+        """Give constants each of which stands for itself.
+
+        Parameters
+        ----------
+        values, covariance : (P,) and (P, P), as fitted.
+        """
+        return cls(values, covariance, {i: {i: 1} for i in range(len(values))})
+
 
 def find_ties(
     shapes: Mapping[str, sympy.Expr],
@@ -136,7 +146,7 @@ def find_ties(
     >>> ties.values.round(6).tolist()
     [0.7315, -0.7315]
     """
-    ties = Ties(values, covariance, {i: {i: 1} for i in range(len(values))})
+    ties = Ties.untied(values, covariance)
     if not np.all(np.isfinite(covariance)) or len(values) < 2:
         return ties
     places = {symbol: i for i, symbol in enumerate(constants)}
