@@ -255,10 +255,7 @@ class Delayed:
     ) -> list[sympy.Expr]:
         """Give sums that are expected to do best in the place of an equation, its delay free."""
         found, problem = fit.fit.found, fit.fit.problem
-        mesh = problem.mesh
-        rows = np.count_nonzero(mesh.weights[mesh.follows], axis=0)
-        follows = bool(np.all(fit.fit.mean_squares <= most_of_noise(rows, comparison)))
-        systems = SystemComparison(mesh, comparison)
+        systems = SystemComparison(problem.mesh, comparison)
         evidence = Evidence.in_place(
             found,
             problem,
@@ -266,7 +263,7 @@ class Delayed:
             systems.columns,
             comparison.proposals.nodes,
             # The states of a system that misses them are not quite those of another.
-            None if follows else comparison.softness,
+            None if _leaves_noise(fit.fit, comparison) else comparison.softness,
         )
         return [] if evidence is None else systems.propose(state, evidence)[: comparison.tried]
 
@@ -396,14 +393,13 @@ class Delayed:
             return None
         numbers = dict(zip(map(sympy.Symbol, signed), map(sympy.Float, found.theta), strict=False))
         exprs = {s: e.xreplace(numbers) for s, e in named.items()}
-        mesh = found.problem.mesh
-        counts = np.count_nonzero(mesh.weights[mesh.follows], axis=0).astype(float)
-        bits = found.bits + SystemComparison(mesh, comparison).structure(exprs)
+        bits = found.bits + SystemComparison(found.problem.mesh, comparison).structure(exprs)
         bits += precision_bits(found.information, found.scales, found.theta)
         # What follows noisy data is smoother than their smoothed curve.
-        noise = most_of_noise(counts, comparison)
-        follows = bool(np.all(found.mean_squares <= noise)) and not np.any(rows.least)
-        own = self._along(found, rows) if follows else self
+        own = self
+        if _leaves_noise(found, comparison) and not np.any(rows.least):
+            along = self.data.along(found.found.states, tuple(equations))
+            own = replace(self, curves=along.smoothed)
         return DelayFit(found, found.delay, exprs, bits, own) if math.isfinite(bits) else None
 
     def _open(
@@ -418,8 +414,8 @@ class Delayed:
     def measured(self, fit: DelayFit, comparison: ComparisonSettings) -> DelayFit:
         """Give a fit whose errors count those of the rule, with the least history.
 
-        Rows are put between those of the data until the delay and the constants no longer move
-        by more than a tenth of their errors. The bits stay those of the fit.
+        Rows are put between those of the data until the delay and the constants move by a small
+        share of their errors at most. The bits stay those of the fit.
 
         Parameters
         ----------
@@ -443,14 +439,10 @@ class Delayed:
                 break
         return replace(last, bits=fit.bits)
 
-    def _along(self, found: DelayedFit, rows: MixedMesh) -> Delayed:
-        """Give the same runs with the curves of a system that follows them to within the noise."""
-        curves = []
-        for number, curve in enumerate(self.curves):
-            nodes, first = np.unique(rows.mesh.t[rows.run == number], return_index=True)
-            spline = CubicSpline(nodes, found.found.states[rows.run == number][first])
-            curves.append(replace(curve, x=spline(curve.t), slope=spline(curve.t, 1)))
-        return replace(self, curves=curves)
+
+def _leaves_noise(fit: DelayedFit, comparison: ComparisonSettings) -> bool:
+    """Whether the residuals of every state, history apart, are its noise."""
+    return bool(np.all(fit.mean_squares <= most_of_noise(fit.rows, comparison)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ import sympy
 from scipy import sparse
 from scipy.linalg import cho_solve_banded
 
-from dynsr.fit.collocation import Mesh, Probes, _Gathered, _Point
+from dynsr.fit.collocation import Linearised, Mesh, Probes, _Gathered, _Point
 from dynsr.fit.description import residual_bits
 from dynsr.fit.mixed import Mixed, MixedFit, MixedMesh, _Grouped
 from dynsr.fit.settings import FIT, CollocationSettings
@@ -70,7 +70,7 @@ class DelayedMesh(Mesh):
         delay : how much earlier.
         """
         driven = self.driven.copy()
-        driven[: len(self.sources)] = self.before(self.start.T, self.points, delay)[0]
+        driven[: len(self.sources)] = self.before(self.start.T, delay)[0]
         return replace(self, driven=driven)
 
     @cached_property
@@ -116,13 +116,12 @@ class DelayedMesh(Mesh):
 
         Parameters
         ----------
-        times : (n,), (m,) or (n + m,) times at rows or in intervals, in their order.
+        times : (m,) in the intervals, or (n + m,) at the rows and in the intervals, in their order.
         delay : how much earlier.
         """
         n, count = len(self.t), len(times)
-        owner = {n: np.arange(n), len(self.left): self.left}.get(
-            count, np.concatenate([np.arange(n), self.left])
-        )
+        between = count == len(self.left)
+        owner = self.left if between else np.concatenate([np.arange(n), self.left])
         first = self.firsts[owner]
         wanted = times - delay
         inside = wanted >= self.t[first]
@@ -155,18 +154,36 @@ class DelayedMesh(Mesh):
             sparse.csr_array((slope.ravel(), rows.ravel(), indices), shape=(count, n)),
         )
 
+    @cached_property
+    def _known_weights(self) -> dict[float, tuple[sparse.csr_array, sparse.csr_array]]:
+        """Delay -> its weights at all points, of the last one: a step asks for them many times."""
+        return {}
+
+    def point_weights(self, delay: float) -> tuple[sparse.csr_array, sparse.csr_array]:
+        """Give :meth:`weights_before` of all points.
+
+        Parameters
+        ----------
+        delay : how much earlier.
+        """
+        if delay not in self._known_weights:
+            self._known_weights.clear()
+            self._known_weights[delay] = self.weights_before(self.points, delay)
+        return self._known_weights[delay]
+
     def before(
-        self, states: np.ndarray, times: np.ndarray, delay: float
+        self, states: np.ndarray, delay: float, times: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Give (e, points) columns at an earlier time, and their derivatives by the delay.
 
         Parameters
         ----------
         states : (k, n) at the rows.
-        times, delay : as for :meth:`weights_before`.
+        delay, times : as for :meth:`weights_before`; by default all points.
         """
         rows = np.concatenate([states, self.driven[:, : len(self.t)]])[list(self.sources)]
-        weights, slopes = self.weights_before(times, delay)
+        found = self.point_weights(delay) if times is None else self.weights_before(times, delay)
+        weights, slopes = found
         return (weights @ rows.T).T, (slopes @ rows.T).T
 
     @cached_property
@@ -257,7 +274,7 @@ class DelayedCollocation(_Grouped):
         constants : (P,) values.
         """
         found = self.mesh.driven.copy()
-        found[: self._count] = self.mesh.before(states, self.mesh.points, constants[-1])[0]
+        found[: self._count] = self.mesh.before(states, constants[-1])[0]
         return found
 
     def _quarters(self, states: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -265,7 +282,7 @@ class DelayedCollocation(_Grouped):
         middle = self.mesh.points[len(self.mesh.t) :]
         for found, sign in zip(sides, (-1, 1), strict=True):
             times = middle + sign * self.mesh.h / 4
-            found[: self._count] = self.mesh.before(states, times, constants[-1])[0]
+            found[: self._count] = self.mesh.before(states, constants[-1], times)[0]
         return sides
 
     def _by_earlier(
@@ -281,31 +298,21 @@ class DelayedCollocation(_Grouped):
         by: np.ndarray = (found[:, 1:] - found[:, :1]) / steps[:, None]
         return by
 
-    def slope_of(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
-        """(k, n) right-hand sides at the rows.
+    def slopes_at_rows(
+        self, states: np.ndarray, constants: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(k, n) right-hand sides at the rows, and their derivatives by the delay.
 
         Parameters
         ----------
         states : (k, n) the trajectory.
         constants : (P,) values.
         """
-        driven = self.driven(states, constants)[:, : len(self.mesh.t)]
-        found: np.ndarray = self.slope(*states, *driven, *constants)
-        return found
-
-    def earlier_slopes(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
-        """(k, n) derivatives of the right-hand sides by the delay at the rows.
-
-        Parameters
-        ----------
-        states : (k, n) the trajectory.
-        constants : (P,) values.
-        """
-        mesh = self.mesh
-        driven = self.driven(states, constants)[:, : len(mesh.t)]
-        moved = mesh.before(states, mesh.t, constants[-1])[1]
+        n = len(self.mesh.t)
+        driven = self.driven(states, constants)[:, :n]
+        moved = self.mesh.before(states, constants[-1])[1][:, :n]
         by = self._by_earlier(states, constants, driven)
-        return np.einsum("aen,en->an", by, moved)
+        return self.slope(*states, *driven, *constants), np.einsum("aen,en->an", by, moved)
 
     def _linearise(
         self, states: np.ndarray, constants: np.ndarray, probes: Probes | None = None
@@ -323,7 +330,7 @@ class DelayedCollocation(_Grouped):
             -sixth * (high - 4 * eighth * np.einsum("acm,cem->aem", point.inside, high)) / unit,
             -sixth * 4 * inside / unit,
         )
-        moved = mesh.before(states, mesh.points, constants[-1])[1]
+        moved = mesh.before(states, constants[-1])[1]
         by_constant = point.by_constant.copy()
         by_constant[:, len(constants) - 1] = sum(
             np.einsum("aem,em->am", by, to)
@@ -354,7 +361,7 @@ class DelayedCollocation(_Grouped):
         mesh = self.mesh
         (k, m), n, (left, right) = point.defects.shape, len(mesh.t), mesh.ends
         every, span = np.arange(n), np.arange(m)
-        weights = mesh.weights_before(mesh.points, delay)[0]
+        weights = mesh.point_weights(delay)[0]
         parts = (weights[every[left]], weights[every[right]], weights[n:])
         total = sparse.csr_array((k * m, n * k))
         for a in range(k):
@@ -391,6 +398,15 @@ class DelayedCollocation(_Grouped):
         squares = float(missed @ missed + bent @ bent)
         return _Gathered(_banded(normal), sides, stiffness * (flat @ flat.T), squares)
 
+    def _solved(
+        self, states: np.ndarray, constants: np.ndarray
+    ) -> tuple[_Late, _Gathered, Linearised, np.ndarray]:
+        """Give derivatives, normal equations, those without the states, and the factor of these."""
+        with np.errstate(all="ignore"):
+            point = self._linearise(states, constants)
+        gathered = self._gather(point, states, self.settings.stiffness[-1])
+        return point, gathered, *self._eliminate(gathered, 0.0)[:2]
+
     def volume_bits(self, states: np.ndarray, constants: np.ndarray) -> float:
         """Give the bits of the states: how much less than all they are once the data are known.
 
@@ -402,13 +418,11 @@ class DelayedCollocation(_Grouped):
         states : (k, n) the trajectory.
         constants : (P,) values.
         """
-        mesh, stiffness = self.mesh, self.settings.stiffness[-1]
-        with np.errstate(all="ignore"):
-            point = self._linearise(states, constants)
-        factor = self._eliminate(self._gather(point, states, stiffness), 0.0)[1]
+        mesh, (point, _, _, factor) = self.mesh, self._solved(states, constants)
         bound = mesh.follows[mesh.left]
         # A density of the defect is one of the next state times how fast the defect moves with it.
-        ends = np.moveaxis(point.by_right[..., bound], -1, 0) * math.sqrt(stiffness)
+        ends = np.moveaxis(point.by_right[..., bound], -1, 0)
+        ends = ends * math.sqrt(self.settings.stiffness[-1])
         rough = mesh.roughness
         last = np.abs(rough.data[rough.indptr[1:] - 1])
         prior = np.sum(np.linalg.slogdet(ends)[1]) + np.sum(np.log(last))
@@ -424,11 +438,7 @@ class DelayedCollocation(_Grouped):
         states : (k, n) the trajectory.
         constants : (P,) values.
         """
-        mesh, stiffness = self.mesh, self.settings.stiffness[-1]
-        with np.errstate(all="ignore"):
-            point = self._linearise(states, constants)
-        gathered = self._gather(point, states, stiffness)
-        found, factor, _ = self._eliminate(gathered, 0.0)
+        mesh, (_, gathered, found, factor) = self.mesh, self._solved(states, constants)
         moved = cho_solve_banded((factor, False), gathered.sides[:, 1:])
         weights = mesh.weights.ravel()
         (rows,) = np.nonzero(weights)
@@ -479,13 +489,18 @@ class DelayedFit(MixedFit):
         return max(float(mesh.rows.sum()) - self.problem.absorbed(own, self.found.constants), 1.0)
 
     @cached_property
+    def rows(self) -> np.ndarray:
+        """(k,) measured rows of the states that are no history."""
+        mesh = self.problem.mesh
+        return np.count_nonzero(mesh.weights[mesh.follows], axis=0).astype(float)
+
+    @cached_property
     def mean_squares(self) -> np.ndarray:
         """(k,) mean squared residuals, in units of the noise, of the rows that are no history."""
         mesh = self.problem.mesh
         history = np.where(mesh.follows[:, None], 0.0, self.found.misses)
         squares = self.found.mean_squares * mesh.rows - np.sum(history**2, axis=0)
-        rows = np.count_nonzero(mesh.weights[mesh.follows], axis=0)
-        return np.maximum(squares / np.maximum(rows, 1), np.maximum(self.least, 1e-300))
+        return np.maximum(squares / np.maximum(self.rows, 1.0), np.maximum(self.least, 1e-300))
 
     @cached_property
     def bits(self) -> float:
@@ -509,9 +524,8 @@ class DelayedFit(MixedFit):
         """(Q,) changes of the numbers that change an equation by as much as it says."""
         found: np.ndarray = MixedFit.scales.func(self)  # type: ignore[attr-defined]
         own = np.ascontiguousarray(self.found.states.T)
-        slopes = self.problem.earlier_slopes(own, self.found.constants)
-        sizes = np.sqrt(np.mean(self.problem.slope_of(own, self.found.constants) ** 2, axis=1))
-        moved = np.sqrt(np.mean(slopes**2, axis=1))
+        slopes = self.problem.slopes_at_rows(own, self.found.constants)
+        sizes, moved = (np.sqrt(np.mean(some**2, axis=1)) for some in slopes)
         with np.errstate(all="ignore"):
             own_scales = sizes / moved
         usable = own_scales[np.isfinite(own_scales) & (own_scales > 0)]
@@ -534,6 +548,11 @@ class DelayedSystem:
     names: Mapping[str, str]
     parameters: Sequence[str]
 
+    @cached_property
+    def _mixed(self) -> Mixed:
+        """The same with delayed columns as any others."""
+        return Mixed(self.equations, dict.fromkeys(self.parameters, (0,)))
+
     def problem(
         self,
         rows: MixedMesh,
@@ -549,8 +568,7 @@ class DelayedSystem:
         """
         delay = float(theta[-1])
         mesh = DelayedMesh.of(rows.mesh, self.names, begin).at(delay)
-        mixed = Mixed(self.equations, dict.fromkeys(self.parameters, (0,)))
-        plain, ways = mixed.problem(replace(rows, mesh=mesh), theta[:-1], settings)
+        plain, ways = self._mixed.problem(replace(rows, mesh=mesh), theta[:-1], settings)
         problem = DelayedCollocation(
             plain.exprs,
             mesh,
@@ -578,8 +596,7 @@ class DelayedSystem:
         settings : the numbers that decide.
         """
         problem, ways = self.problem(rows, theta, begin, settings)
-        mixed = Mixed(self.equations, dict.fromkeys(self.parameters, (0,)))
         found = problem.fit_tied(np.ascontiguousarray(problem.mesh.start.T), ways)
         if found is None or not np.all(np.isfinite(found.misses)):
             return None
-        return DelayedFit(problem, ways, found, rows.least, mixed, np.zeros(len(theta)))
+        return DelayedFit(problem, ways, found, rows.least, self._mixed)
