@@ -9,10 +9,11 @@ from .forcing import Forced, find_forced
 from .holding import Hold, check_hold, choose_hold
 from .kept import DATA, KeptData, digest, read_kept, write_kept
 from .known_noise import KnownNoise
+from .limits import Limits
 from .motion_noise import MotionNoise, measure_motion_noise
 from .name_parts import bracketed_unit
 from .noise_model import StateNoise, is_still, measurement_noise, robust_scale, scale_of
-from .observation import at_own_rows, carry, told_rows
+from .observation import at_own_rows, carry, told_rows, within_limits
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
 from .reading import (
     column_units,
@@ -69,6 +70,7 @@ __all__ = [
     "Hold",
     "KeptData",
     "KnownNoise",
+    "Limits",
     "MeasuredSum",
     "MotionNoise",
     "OddSettings",
@@ -148,6 +150,7 @@ __all__ = [
     "told_rows",
     "turns_back",
     "weak_form",
+    "within_limits",
     "write_bytes",
     "write_csv",
     "write_kept",

@@ -10,6 +10,7 @@ import numpy as np
 
 from dynsr.data.holding import Hold
 from dynsr.data.known_noise import KnownNoise
+from dynsr.data.limits import Limits
 from dynsr.data.steps import between_rows
 from dynsr.data.times import convert_times
 from dynsr.data.trajectory import Trajectory
@@ -153,6 +154,7 @@ def _join(parts: Sequence[Trajectory], groups: Sequence[Source]) -> Trajectory:
     first = 0
     inputs: dict[str, np.ndarray] = {}
     noise: dict[str, KnownNoise] = {}
+    limits: dict[str, Limits] = {}
     for part, rows in zip(parts, places, strict=True):
         x[rows, first : first + len(part.states)] = part.observed
         first += len(part.states)
@@ -160,6 +162,9 @@ def _join(parts: Sequence[Trajectory], groups: Sequence[Source]) -> Trajectory:
             sd = np.full(len(t), np.sqrt(np.mean(known.sd**2)))
             sd[rows] = known.sd
             noise[state] = replace(known, sd=sd)
+        for state, seen in part.limits.items():
+            limits[state] = Limits.none(len(t))
+            limits[state].below[rows], limits[state].above[rows] = seen.below, seen.above
         for name, column in zip(part.input_names, part.inputs.T, strict=True):
             own = inputs.setdefault(name, np.full(len(t), np.nan))
             own[rows] = np.where(np.isnan(own[rows]), column, own[rows])
@@ -179,6 +184,7 @@ def _join(parts: Sequence[Trajectory], groups: Sequence[Source]) -> Trajectory:
         _joined_origin(parts),
         holds,
         noise=noise,
+        limits=limits,
     )
 
 

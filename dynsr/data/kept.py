@@ -18,6 +18,7 @@ import numpy as np
 from dynsr.data.dosing import Dosing
 from dynsr.data.holding import check_hold
 from dynsr.data.known_noise import KnownNoise
+from dynsr.data.limits import Limits
 from dynsr.data.sums import MeasuredSum
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError, one_line
@@ -85,7 +86,7 @@ class KeptData:
     ----------
     sha256 : digest of the file.
     states, inputs : the names of its columns.
-    more : the columns after those: state and "curve", "sd", "sum" or "sum sd".
+    more : the columns after those: state and "curve", "sd", "sum", "sum sd", "below" or "above".
     runs : the runs, in the order of their rows.
     """
 
@@ -149,6 +150,8 @@ def _columns_of(run: Trajectory) -> dict[tuple[str, str], np.ndarray]:
         found[state, "sum"] = own.values
         if own.noise is not None:
             found[state, "sum sd"] = own.noise.sd
+    for state, limits in run.limits.items():
+        found[state, "below"], found[state, "above"] = limits.below, limits.above
     return found
 
 
@@ -212,6 +215,7 @@ def _read_run(rows: np.ndarray, own: KeptRun, kept: KeptData) -> Trajectory:
     for state, one in own.sums.items():
         noise = _read_noise(more[state, "sum sd"], one.noise) if one.noise else None
         sums[state] = MeasuredSum(more[state, "sum"], one.others, noise)
+    limits = {s: Limits(more[s, "below"], more[s, "above"]) for s, n in kept.more if n == "below"}
     return Trajectory(
         t[:, 0],
         np.where(gaps, np.column_stack(curves), x),
@@ -223,6 +227,7 @@ def _read_run(rows: np.ndarray, own: KeptRun, kept: KeptData) -> Trajectory:
         gaps,
         {state: _read_noise(more[state, "sd"], one) for state, one in own.noise.items()},
         sums,
+        limits,
     )
 
 

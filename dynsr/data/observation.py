@@ -57,11 +57,29 @@ def carry(runs: Sequence[Trajectory]) -> list[Trajectory]:
     begun = [_with_lines(run, _usual(runs)) for run in runs]
     noise = estimate_noise(begun)
     return [
-        replace(run, x=np.where(run.measured, run.x, smooth(run, noise).x))
+        replace(run, x=np.where(run.measured, run.x, within_limits(run, smooth(run, noise).x)))
         if run.unmeasured.size
         else run
         for run in begun
     ]
+
+
+def within_limits(run: Trajectory, x: np.ndarray) -> np.ndarray:
+    """Give curves with what is on the wrong side of a limit moved to it.
+
+    Parameters
+    ----------
+    run : the trajectory, whose limits they are.
+    x : (n, k) curves of its states.
+    """
+    if not run.limits:
+        return x
+    moved = x.copy()
+    for state, own in run.limits.items():
+        if state not in run.sums:
+            place = run.index(state)
+            moved[:, place] = own.within(x[:, place])
+    return moved
 
 
 def told_rows(runs: Sequence[Trajectory], state: str) -> list[np.ndarray]:

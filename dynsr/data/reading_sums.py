@@ -115,6 +115,11 @@ def _seen(
     others = matrix - np.eye(len(states))
     sums: dict[str, MeasuredSum] = {}
     noise: dict[str, KnownNoise] = {}
+    limits = {
+        state: run.limits[column].in_units(float(scales[place]))
+        for place, (state, column) in enumerate(zip(states, run.states, strict=True))
+        if column in run.limits
+    }
     for place, state in enumerate(states):
         known = run.noise.get(run.states[place])
         if known is not None and scales[place] != 1:
@@ -126,4 +131,4 @@ def _seen(
         values = run.observed[:, place] / scales[place]
         sums[state] = MeasuredSum(values, parts, known)
     gaps = run.unmeasured
-    return replace(run, x=x, states=states, unmeasured=gaps, noise=noise, sums=sums)
+    return replace(run, x=x, states=states, unmeasured=gaps, noise=noise, sums=sums, limits=limits)

@@ -29,7 +29,7 @@ from dynsr.data.noise_model import (
     least_noise,
     neighbour_noise,
 )
-from dynsr.data.trajectory import Trajectory
+from dynsr.data.trajectory import FEWEST_ROWS, Trajectory
 from dynsr.errors import InputError
 
 # What is worked out from longer columns is not kept for the next who asks.
@@ -585,13 +585,24 @@ def _said_noise(runs: Sequence[Trajectory], state: str) -> StateNoise | None:
 def _own_columns(
     runs: Sequence[Trajectory], taken: Sequence[np.ndarray], place: int
 ) -> list[Column]:
-    """Give times, values and what was taken from these where a state was measured."""
+    """Give times, values and what was taken from these where a state was measured.
+
+    Of rows near a limit only errors to one side were measured, as if there were less noise.
+    """
     columns = []
     for run, part in zip(runs, taken, strict=True):
         own = run.measured[:, place]
+        if run.states[place] in run.limits:
+            far = own & ~_near(run.limits[run.states[place]].there)
+            own = far if np.count_nonzero(far) >= FEWEST_ROWS else own
         if np.count_nonzero(own) >= 5:
             columns.append((run.t[own], (run.x - part)[own, place], part[own, place]))
     return columns
+
+
+def _near(rows: np.ndarray) -> np.ndarray:
+    """(n,) whether one of some rows (n,) is at most two rows away."""
+    return np.convolve(rows, np.ones(5), "same") > 0
 
 
 def _state_noise(columns: Sequence[Column], settings: SmoothSettings) -> StateNoise:

@@ -20,6 +20,7 @@ from dynsr.data.holding import (
     holds_its_value,
 )
 from dynsr.data.known_noise import KnownNoise
+from dynsr.data.limits import Limits
 from dynsr.data.sums import MeasuredSum
 from dynsr.data.times import check_time_unit, count_times
 from dynsr.errors import InputError, one_line
@@ -147,6 +148,8 @@ class Trajectory:
         :class:`dynsr.data.KnownNoise`. Those of other columns go.
     sums : state that nobody measured alone -> the sum in which it was measured; see
         :class:`dynsr.data.MeasuredSum`. Those of other columns go.
+    limits : state -> the rows in which it was only seen to be below or above a limit; see
+        :class:`dynsr.data.Limits`. Those of measured cells and of other columns go.
     unmeasured : (n, k) cells that were not measured, whatever ``x`` holds there; by default those
         that are NaN. Empty where every cell was measured.
 
@@ -167,6 +170,7 @@ class Trajectory:
     unmeasured: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=bool))
     noise: Mapping[str, KnownNoise] = field(default_factory=dict)
     sums: Mapping[str, MeasuredSum] = field(default_factory=dict)
+    limits: Mapping[str, Limits] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Bring the fields to float64 and check them."""
@@ -198,6 +202,7 @@ class Trajectory:
         object.__setattr__(self, "noise", known)
         sums = {s: own for s, own in self.sums.items() if {s, *own.others} <= set(states)}
         object.__setattr__(self, "sums", sums)
+        object.__setattr__(self, "limits", _find_limits(self.limits, states, gaps, len(t)))
         for key, value in (("t", t), ("x", x), ("inputs", u), ("states", states)):
             object.__setattr__(self, key, value)
         object.__setattr__(self, "input_names", input_names)
@@ -348,6 +353,7 @@ class Trajectory:
             return np.union1d(self._one_in(stride), self._steps)
         wanted = -(-len(self) // stride)
         own = [self.own_rows(state) for state in self.states]
+        own += [np.flatnonzero(limits.there) for limits in self.limits.values()]
         kept = [rows[:: max(1, len(rows) // wanted)] for rows in own]
         return np.unique(np.concatenate([*kept, self._steps]))
 
@@ -391,6 +397,7 @@ class Trajectory:
         gaps = self.unmeasured[rows] if self.unmeasured.size else self.unmeasured
         noise = {state: own.select(rows) for state, own in self.noise.items()}
         sums = {state: own.select(rows) for state, own in self.sums.items()}
+        limits = {state: own.select(rows) for state, own in self.limits.items()}
         return replace(
             self,
             t=self.t[rows],
@@ -399,6 +406,7 @@ class Trajectory:
             unmeasured=gaps,
             noise=noise,
             sums=sums,
+            limits=limits,
         )
 
 
@@ -479,6 +487,22 @@ def _find_gaps(x: np.ndarray, unmeasured: Any) -> np.ndarray:
             raise InputError(f"unmeasured {given.shape} does not fit x {x.shape}")
         gaps |= given
     return gaps if np.any(gaps) else np.empty((0, 0), dtype=bool)
+
+
+def _find_limits(
+    given: Mapping[str, Limits], states: Sequence[str], gaps: np.ndarray, rows: int
+) -> dict[str, Limits]:
+    """Give the limits of cells that were not measured, of the states that have any."""
+    found = {}
+    for state, own in given.items():
+        if state not in states or not gaps.size:
+            continue
+        if not own.below.shape == own.above.shape == (rows,):
+            raise InputError(f"limits {own.below.shape} of {state!r} do not fit {rows} rows")
+        left = own.where(gaps[:, list(states).index(state)])
+        if left.there.any():
+            found[state] = left
+    return found
 
 
 def _check_times(t: np.ndarray) -> None:

@@ -449,7 +449,7 @@ def _without_freedom(expr: sympy.Expr, part: Part) -> sympy.Expr | None:
 
 def _worse(fit: CurvedFit, before: CurvedFit, count: int, settings: FitSettings) -> bool:
     """Whether constants that were fixed make the fit worse than chance does."""
-    rise = float(np.sum(fit.found.misses**2) - np.sum(before.found.misses**2)) / before.scale
+    rise = (fit.found.squares - before.found.squares) / before.scale
     return rise > chdtri(count, 1 - settings.joint)
 
 

@@ -34,7 +34,8 @@ def say_data(runs: Sequence[Trajectory]) -> str:
     ----------
     runs : the trajectories.
     """
-    digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
+    limits = [[s, own.below, own.above] for run in runs for s, own in run.limits.items()]
+    digest = fingerprint([*([run.t, run.columns, run.names] for run in runs), *limits])
     return f"{sum(map(len, runs))} rows of {', '.join(runs[0].names)}, {digest}"
 
 

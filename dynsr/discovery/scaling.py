@@ -107,7 +107,16 @@ class Units:
         sizes = {name: float(unit) for name, unit in self.columns.items()}
         noise = {s: own.in_units(sizes[s]) for s, own in run.noise.items()}
         sums = {s: own.in_units(sizes[s], sizes) for s, own in run.sums.items()}
-        return replace(run, t=t, x=columns[:, :k], inputs=columns[:, k:], noise=noise, sums=sums)
+        limits = {s: own.in_units(sizes[s]) for s, own in run.limits.items()}
+        return replace(
+            run,
+            t=t,
+            x=columns[:, :k],
+            inputs=columns[:, k:],
+            noise=noise,
+            sums=sums,
+            limits=limits,
+        )
 
     def apply_value(self, name: str, expr: sympy.Expr) -> sympy.Expr:
         """Give an expression for a column in these units."""
@@ -447,6 +456,7 @@ def _search_hidden_in(
             x=np.column_stack([run.observed, made.x[:, -1] * float(unit)]),
             inputs=run.inputs,
             noise=run.noise,
+            limits=run.limits,
         )
         for run, made in pairs
     ]

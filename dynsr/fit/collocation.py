@@ -38,8 +38,10 @@ from dynsr.data import (
     scale_of,
     smooth,
     told_rows,
+    within_limits,
 )
 from dynsr.expression import Program, compile_columns
+from dynsr.fit.censored import Censored, deviance
 from dynsr.fit.constants import free_constants
 from dynsr.fit.settings import FIT, CollocationSettings
 from dynsr.fit.shooting import Driven, drives_of
@@ -83,6 +85,7 @@ class Mesh:
     known : (k,) whether the noise of a state is known; by default it is an estimate.
     mix : (k, k) what was measured in the place of each state, as a combination of all of them; None
         where each was measured itself.
+    censored : the cells in which only a limit is known, whose weight is 0; None for none.
     """
 
     t: np.ndarray
@@ -95,6 +98,7 @@ class Mesh:
     driven_names: tuple[str, ...]
     known: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=bool))
     mix: np.ndarray | None = None
+    censored: Censored | None = None
 
     def seen(self, states: np.ndarray) -> np.ndarray:
         """Give what is measured (k, n) of states (k, n)."""
@@ -169,6 +173,18 @@ class Mesh:
         """(k,) measured rows of every state."""
         return np.count_nonzero(self.weights, axis=0).astype(float)
 
+    def with_noise(self, shares: np.ndarray) -> Mesh:
+        """Give the same rows with other noise.
+
+        Parameters
+        ----------
+        shares : (k,) the noise of each state, as a multiple of what it was.
+        """
+        cells = self.censored
+        if cells is not None:
+            cells = replace(cells, sure=cells.sure / shares[cells.places[0]])
+        return replace(self, weights=self.weights / shares, censored=cells)
+
     def freedom(self, constants: int) -> int:
         """Give the measurements less the constants and starts that are fitted to them, 1 at least.
 
@@ -190,8 +206,12 @@ class CollocationFit:
     constants : (P,) their values, in the order of the states and of their appearance.
     states : (n, k) the fitted trajectory at the rows of the mesh.
     misses : (n, k) fitted minus measured in units of the noise, 0 where nothing is measured.
-    mean_squares : (k,) their mean squares, with those of the error of the steps.
+    mean_squares : (k,) their mean squares, with those of the error of the steps. The squares that
+        censored cells add are in it; the rows that divide it are those of measured cells alone,
+        since only these have a density that the size of the noise is in.
     information : (P, P) what the data say of the constants, in inverse squares of their units.
+    censored : (c,) residuals of the censored cells, the roots of their deviances.
+    allowed : (k,) the part of the mean squares that censored cells would have on their limits.
     """
 
     exprs: dict[str, sympy.Expr]
@@ -200,6 +220,13 @@ class CollocationFit:
     misses: np.ndarray
     mean_squares: np.ndarray
     information: np.ndarray
+    censored: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    allowed: np.ndarray | float = 0.0
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared residuals, of measured and of censored cells."""
+        return float(np.sum(self.misses**2)) + float(np.sum(self.censored**2))
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -517,6 +544,8 @@ class Collocation:
             defects = self._defects(states, constants)
             misses = (self.mesh.seen(states) - x) * weights
             cost = float(np.vdot(misses, misses) + stiffness * np.vdot(defects, defects))
+            if self.mesh.censored is not None:
+                cost += self.mesh.censored.terms(self.mesh.seen(states))[-1]
         return cost if np.isfinite(cost) else np.inf
 
     def fit(
@@ -572,6 +601,9 @@ class Collocation:
         except (LinAlgError, ValueError):
             return None
         squares = np.sum(self._missed(states) ** 2, axis=1) + self._unresolved(states, constants)
+        if self.mesh.censored is not None:
+            own = self.mesh.censored.residuals(self.mesh.seen(states)) ** 2
+            squares += self.mesh.censored.by_state(own, len(squares))
         # Where the steps came to rest early, the states do not follow the system yet.
         defects = self._defects(states, constants)
         left = self.settings.stiffness[-1] * np.sum(defects**2, axis=1)
@@ -595,7 +627,14 @@ class Collocation:
         """
         exprs = self.put([sympy.Float(c) for c in constants.tolist()])
         misses = self._missed(states).T
-        return CollocationFit(exprs, constants, states.T, misses, mean_squares, information)
+        found = CollocationFit(exprs, constants, states.T, misses, mean_squares, information)
+        if self.mesh.censored is None:
+            return found
+        own = self.mesh.censored.residuals(self.mesh.seen(states))
+        # A curve at its limit is not a wrong one.
+        most = np.minimum(own**2, deviance(np.zeros(1)))
+        allowed = self.mesh.censored.by_state(most, len(states))
+        return replace(found, censored=own, allowed=allowed / np.maximum(self.mesh.rows, 1.0))
 
     def _missed(self, states: np.ndarray) -> np.ndarray:
         """(k, n) states minus measured ones in units of the noise."""
@@ -692,7 +731,11 @@ class Collocation:
         x, weights, _ = self.mesh.by_state
         own, squared, misses = np.arange(k), weights**2, self.mesh.seen(states) - x
         diagonal, beside = np.zeros((k, k, n)), np.zeros((k, k, n))
-        pulled = squared * misses
+        pulled, squares = squared * misses, np.sum(squared * misses**2)
+        if self.mesh.censored is not None:
+            places = self.mesh.censored.places
+            bend, pull, more = self.mesh.censored.terms(self.mesh.seen(states))
+            squared[places], pulled[places], squares = bend, pull, squares + more
         if self.mesh.mix is None:
             diagonal[own, own] = squared
         else:
@@ -710,7 +753,6 @@ class Collocation:
         border[..., right] += stiffness * _products(high, pulls)
         sides = np.ascontiguousarray(border.transpose(1, 2, 0)).reshape(1 + count, n * k)
         flat = pulls.transpose(1, 0, 2).reshape(1 + count, -1)
-        squares = np.sum(squared * misses**2)
         return _Gathered(_band(diagonal, beside), sides.T, stiffness * (flat @ flat.T), squares)
 
     @np.errstate(all="ignore")
@@ -1116,7 +1158,7 @@ class Measurements:
         others = [s for s in self.runs[0].states if s not in states]
         inputs = self.runs[0].input_names
         beside = [self.runs[0].index(state) for state in others]
-        pieces, first = [], 0
+        pieces, first, censored = [], 0, []
         for run, deviation, smoothed, drive, rows, t, jumps in zip(
             self.runs,
             self.deviations,
@@ -1129,6 +1171,8 @@ class Measurements:
         ):
             both = np.concatenate([t, (t[1:] + t[:-1]) / 2])
             curve = smoothed.curve(both)
+            if run.limits:
+                curve[:, rows] = within_limits(run, curve[:, rows].T).T
             read = drive(both)
             read[:, rows[jumps]] = drive(run.t[jumps], before=True)
             driven = np.concatenate([curve[beside], read])
@@ -1140,6 +1184,8 @@ class Measurements:
                     apart = [s for s in summed.others if s not in states]
                     seen = summed.without({s: smoothed.x[:, run.index(s)] for s in apart})
                     x[rows, place] = np.where(run.measured[:, own[place]], seen, 0.0)
+            if run.limits:
+                censored += self._censored(run, states, deviation, smoothed, first + rows)
             pieces.append(
                 (
                     t,
@@ -1164,7 +1210,57 @@ class Measurements:
             (*others, *inputs, "t"),
             self.known(states),
             _mix(self.runs[0], states),
+            _join_censored(censored),
         )
+
+    def _censored(
+        self,
+        run: Trajectory,
+        states: Sequence[str],
+        deviation: np.ndarray,
+        smoothed: SmoothedTrajectory,
+        nodes: np.ndarray,
+    ) -> list[Censored]:
+        """Give the censored cells of a run, one list of them a state.
+
+        Their noise is what it is around them; where the run has no measured row, the usual one.
+        """
+        found = []
+        for place, state in enumerate(states):
+            if state not in run.limits:
+                continue
+            limits, column = run.limits[state], run.index(state)
+            rows = np.flatnonzero(limits.known)
+            level = np.where(np.isfinite(limits.below), limits.below, limits.above)[rows]
+            side = np.where(np.isfinite(limits.below), 1.0, -1.0)[rows]
+            if state in run.sums:
+                apart = {s: f for s, f in run.sums[state].others.items() if s not in states}
+                level = level - sum(f * smoothed.x[rows, run.index(s)] for s, f in apart.items())
+            own = np.isfinite(deviation[:, column])
+            noise = deviation[own, column] if own.any() else self._usual_noise[column : column + 1]
+            sd = np.interp(rows, np.flatnonzero(own) if own.any() else [0], noise)
+            places = np.full(len(rows), place), nodes[rows]
+            found.append(Censored(places, level, side / sd))
+        return found
+
+    @cached_property
+    def _usual_noise(self) -> np.ndarray:
+        """(k,) median noise of what was measured of each state; inf of one that never was."""
+        every = np.concatenate(self.deviations)
+        return np.array(
+            [
+                np.median(own[np.isfinite(own)]) if np.isfinite(own).any() else np.inf
+                for own in every.T
+            ]
+        )
+
+
+def _join_censored(parts: Sequence[Censored]) -> Censored | None:
+    if not parts:
+        return None
+    states, rows = (np.concatenate([own.places[i] for own in parts]) for i in (0, 1))
+    limits, sure = (np.concatenate([getattr(own, n) for own in parts]) for n in ("limits", "sure"))
+    return Censored((states, rows), limits, sure)
 
 
 def _told_noise(run: Trajectory, state: str) -> KnownNoise | None:
@@ -1338,6 +1434,19 @@ class AlongFit:
             return 1.0
         return max(float(np.sum(self.found.misses**2)) / self.freedom, 1e-12)
 
+    @property
+    def shown_noise(self) -> np.ndarray:
+        """(k,) noise that the residuals of measured cells show, as a multiple of what was given.
+
+        1 where it is known, or nothing was measured. Censored cells are left out: to the size of
+        the noise those below the limit add what those above it take, but for chance.
+        """
+        mesh = self.problem.mesh
+        squares = np.sum(self.found.misses**2, axis=0) / np.maximum(mesh.rows, 1.0)
+        fitted = mesh.rows.sum() / mesh.freedom(len(self.constants))
+        free = (mesh.rows > 0) & ~mesh.known & (squares > 0)
+        return np.sqrt(np.where(free, squares * fitted, 1.0))
+
     @cached_property
     def covariance(self) -> np.ndarray:
         """(P, P) of the constants."""
@@ -1369,7 +1478,7 @@ class AlongFit:
         ----------
         other : the fit of fewer constants.
         """
-        return float(np.sum(other.found.misses**2) - np.sum(self.found.misses**2)) / self.scale
+        return (other.found.squares - self.found.squares) / self.scale
 
 
 def fit_along(
@@ -1390,4 +1499,25 @@ def fit_along(
     mesh = data.mesh(tuple(exprs)) if near is None else near.problem.mesh
     problem = Collocation(exprs, mesh, settings)
     found = problem.fit(None if near is None else near.found)
-    return None if found is None else AlongFit(problem, found)
+    if found is None:
+        return None
+    fit = AlongFit(problem, found)
+    return fit if mesh.censored is None or near is not None else _with_own_noise(fit)
+
+
+def _with_own_noise(fit: AlongFit) -> AlongFit:
+    """Fit again in the noise that the residuals show, until the two agree.
+
+    How much a censored cell says depends on the noise. Of rows near a limit only errors to one side
+    were measured, so that their neighbours show too little of it.
+    """
+    for _ in range(fit.problem.settings.steps):
+        shown = fit.shown_noise
+        if np.max(np.abs(shown - 1)) < math.sqrt(fit.problem.settings.gain):
+            break
+        problem = replace(fit.problem, mesh=fit.problem.mesh.with_noise(shown))
+        found = problem.fit(fit.found, strict=True)
+        if found is None:
+            break
+        fit = AlongFit(problem, found)
+    return fit

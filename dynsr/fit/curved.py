@@ -787,7 +787,7 @@ def _choose_costs(fit: CurvedFit, settings: CurvedSettings) -> np.ndarray:
     now, forms, ahead, paid_level = map(np.array, (problem.costs, shapes, pulls, levels))
     # At the fit the slope of the data's part is minus that of the bending.
     slope = -np.einsum("j,jq->q", now, ahead)
-    squares = float(np.sum(fit.found.misses**2))
+    squares = fit.found.squares
     ranks = [np.linalg.matrix_rank(shape, hermitian=True) for shape in shapes]
     rows = fit.problem.mesh.freedom(0) - (ways.shape[1] - sum(ranks))
     centre = np.log(now)

@@ -386,16 +386,26 @@ class DelayedCollocation(_Grouped):
         mesh, (k, n) = self.mesh, states.shape
         x, weights, _ = mesh.by_state
         mix = np.eye(k) if mesh.mix is None else mesh.mix
+        missed, more = (mesh.seen(states) - x) * weights, 0.0
+        if mesh.censored is not None:
+            bend, pull, more = mesh.censored.terms(mesh.seen(states))
+            root = np.sqrt(bend)
+            weights = weights.copy()
+            weights[mesh.censored.places] = root
+            missed[mesh.censored.places] = np.divide(
+                pull, root, out=np.zeros_like(root), where=root > 0
+            )
+            more -= float(np.sum(missed[mesh.censored.places] ** 2))
         seen = sparse.diags_array(weights.T.ravel()) @ sparse.kron(sparse.eye_array(n), mix)
         by_states, rough = point.by_states, mesh.roughness
         pulls = np.concatenate([point.defects[:, None], point.by_constant], axis=1)
         flat = pulls.transpose(1, 0, 2).reshape(pulls.shape[1], -1)
-        missed = ((mesh.seen(states) - x) * weights).T.ravel()
+        missed = missed.T.ravel()
         bent = rough @ states.T.ravel()
         normal = seen.T @ seen + stiffness * (by_states.T @ by_states) + rough.T @ rough
         sides = stiffness * (by_states.T @ flat.T)
         sides[:, 0] += seen.T @ missed + rough.T @ bent
-        squares = float(missed @ missed + bent @ bent)
+        squares = float(missed @ missed + bent @ bent) + more
         return _Gathered(_banded(normal), sides, stiffness * (flat @ flat.T), squares)
 
     def _solved(

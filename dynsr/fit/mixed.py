@@ -92,6 +92,7 @@ class MixedMesh:
             weights=mesh.weights[own],
             start=mesh.start[own],
             driven=mesh.driven[:, kept],
+            censored=None if mesh.censored is None else mesh.censored.at(own),
         )
         return MixedMesh(part, np.zeros(len(part.t), dtype=int), self.least)
 

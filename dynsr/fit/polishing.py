@@ -180,7 +180,7 @@ def _polish_noisy(
 def _follows(fit: Fit, states: Sequence[str], runs: Data, settings: FitSettings) -> bool:
     """Say whether the residuals of every state are of the size of its measurement noise."""
     if isinstance(fit, AlongFit):
-        return bool(np.all(fit.found.mean_squares <= settings.followed**2))
+        return bool(np.all(fit.found.mean_squares - fit.found.allowed <= settings.followed**2))
     runs = _plain(runs)
     noise, spread = noise_and_spread(runs)
     columns = [runs[0].index(state) for state in states]

@@ -227,9 +227,12 @@ class SystemComparison:
 
         mesh, begin = self.mesh, self.mesh.start if near is None else near.states
         data = (mesh.t, mesh.left, mesh.x, mesh.weights, mesh.driven, mesh.states)
+        cells = () if mesh.censored is None else mesh.censored.arrays
         # The text of a formula has fewer digits than its constants.
         system = (problem.exprs, problem.constants, begin, strict)
-        found = recalled("system", make, *system, *data, mesh.driven_names, problem.settings)
+        found = recalled(
+            "system", make, *system, *data, *cells, mesh.driven_names, problem.settings
+        )
         return None if found is None else problem.as_fit(*found)
 
     def _count(self, problem: Collocation, found: CollocationFit | None) -> SystemFit | None:
@@ -473,7 +476,8 @@ def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
     settings : the numbers that decide.
     """
     rows = fit.problem.mesh.rows
-    return bool(np.all((fit.fit.mean_squares <= most_of_noise(rows, settings)) | (rows == 0)))
+    squares = fit.fit.mean_squares - fit.fit.allowed
+    return bool(np.all((squares <= most_of_noise(rows, settings)) | (rows == 0)))
 
 
 def may_be_exact(fit: SystemFit, data: Measurements) -> bool:

@@ -186,6 +186,7 @@ def first_part(mesh: Mesh, nodes: int) -> Mesh:
         weights=mesh.weights[:count],
         start=mesh.start[:count],
         driven=np.concatenate([at, between], axis=1),
+        censored=None if mesh.censored is None else mesh.censored.at(np.arange(n) < count),
     )
 
 
