@@ -54,11 +54,17 @@ def test_marks_in_a_column_of_labels_are_labels():
     "cell", ["<0.5", "< 0.5", "> 80", ">=80", "\u2264 0.5", "<0.5 mg/L", "<0,5"]
 )
 def test_a_value_beyond_a_limit_is_missing_and_told(cell):
-    """How many cells, and the limit, are told."""
+    """How many cells, and the limit, are told; the limit is kept with its side."""
     others = ("3,5", "4,25") if "," in cell else ("3.5", "4.25")
     reading = read(others[0], cell, others[1], cell)
     np.testing.assert_array_equal(reading.values, [3.5, NAN, 4.25, NAN])
-    assert reading.notes == (f"2 cells are beyond a limit ({cell}) and so without a value",)
+    said = f"2 cells are beyond a limit ({cell}), which counts in place of a value"
+    assert reading.notes == (said,)
+    limit = 0.5 if "5" in cell else 80.0
+    sides = (reading.limits.below, reading.limits.above)
+    low, high = sides if limit == 0.5 else sides[::-1]
+    np.testing.assert_array_equal(low, [NAN, limit, NAN, limit])
+    assert np.isnan(high).all()
 
 
 def test_a_column_beyond_its_limit_throughout_is_left_out():

@@ -67,6 +67,7 @@ def load_table(
     say: Callable[[str], None] = output.note,
     noise: options.Names = None,
     doses: Mapping[str, str] | None = None,
+    limits: options.Names = None,
 ) -> list[Trajectory]:
     """Read the trajectories of files and say how their columns were understood."""
     from dynsr.data import read_trajectories
@@ -84,6 +85,7 @@ def load_table(
             hold=options.read_hold(hold),
             noise=options.read_noise(noise),
             doses=doses,
+            limits=options.read_limits(limits),
         )
     warned = {str(warning.message) for warning in caught}
     for own in caught:
@@ -195,6 +197,7 @@ def describe(
     decimal: options.Decimal = None,
     hold: options.Hold = None,
     noise: options.KnownNoise = None,
+    limits: options.Limits = None,
     doses: options.Doses = None,
     json: options.Json = False,
 ) -> None:
@@ -220,6 +223,7 @@ def describe(
         hold=options.read_hold(hold),
         noise=options.read_noise(noise),
         doses=given,
+        limits=options.read_limits(limits),
     )
     if json:
         output.print_json(found.to_dict())

@@ -260,6 +260,7 @@ def discover(
     hold: options.Hold = None,
     doses: options.Doses = None,
     noise: options.KnownNoise = None,
+    limits: options.Limits = None,
     observed: options.Observed = None,
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
@@ -472,6 +473,7 @@ def discover(
             "quantity": quantity,
             "decimal": decimal,
             "noise": options.read_noise(noise),
+            "limits": options.read_limits(limits),
             "doses": said,
             "dose_table": table,
         }
@@ -495,10 +497,11 @@ def discover(
                 notes.say,
                 noise,
                 given_doses,
+                limits,
             )
         else:
             given = [*(columns or []), *formulas]
-            given_beside = [*(hold or []), *(doses or []), *(noise or [])]
+            given_beside = [*(hold or []), *(doses or []), *(noise or []), *(limits or [])]
             _refuse_columns(time_column, states, trajectory, given, given_beside, quantity, decimal)
             data, formulas = _training_data(str(system), engine)
         with on_cluster(cluster), SearchProgress(quiet) as progress:

@@ -193,6 +193,16 @@ KnownNoise = Annotated[
         rich_help_panel=DATA,
     ),
 ]
+Limits = Annotated[
+    Names,
+    typer.Option(
+        "--limit",
+        "--limits",
+        help="Limits of measurement. Values at or below x=0.05, and cells such as BDL, say only "
+        "that x was below it. Also the end of the range, 'x=>100', or both, x=0.05..100.",
+        rich_help_panel=DATA,
+    ),
+]
 Observed = Annotated[
     Names,
     typer.Option(
@@ -499,6 +509,17 @@ def read_noise(values: Sequence[str] | None) -> dict[str, str] | None:
     ({'x': '0.1', 'y': '5%'}, None)
     """
     return _read_texts(values, "--noise", "a state and its errors, such as x=0.1, x=5% or x=x_sd")
+
+
+def read_limits(values: Sequence[str] | None) -> dict[str, str] | None:
+    """Read ``x=0.05,y=>100`` as the limits of states; None without the option.
+
+    Raises InputError that names what is not such a pair.
+
+    >>> read_limits(["x=0.05,y=>100"]), read_limits(None)
+    ({'x': '0.05', 'y': '>100'}, None)
+    """
+    return _read_texts(values, "--limit", "a state and its limit, such as x=0.05 or 'x=>100'")
 
 
 def read_orders(values: Sequence[str] | None) -> int | dict[str, int]:

@@ -10,26 +10,34 @@ from typing import Any
 
 # What people and programs write where there is no value; compared without case.
 _NOTHING = """
-nan n/a na <na> n.a. n.a n.d. n.d nd n.m. k.a. bdl bld b.d.l. lod loq <lod <loq <dl <mdl null none
+nan n/a na <na> n.a. n.a n.d. n.d nd n.m. k.a. null none
 nil missing void overflow ovrflw overrange
 . .. ... - -- --- \u2013 \u2014 ? ?? * ** *** #n/a #na #nv #div/0! #value! #ref! #num!
 #name? #null! #wert! #zahl! #bezug! -nan nan(ind) -nan(ind) 1.#qnan 1.#ind -1.#ind
 """
-_NO_WORDS = (
+# What says that a value was below the limit of its measurement, which is not written.
+_BELOW = "bdl bld b.d.l. blq bql bloq lod loq <lod <loq <lloq <dl <ld <lq <mdl"
+_BELOW_WORDS = (
+    "below detection limit",
+    "below limit of detection",
+    "below quantification limit",
+    "below limit of quantification",
+    "below lod",
+    "below loq",
     "not detected",
+)
+BELOW = frozenset((*_BELOW_WORDS, *_BELOW.split()))
+_NO_WORDS = (
     "not determined",
     "not measured",
     "not available",
-    "below detection limit",
-    "below lod",
-    "below loq",
     "not sampled",
     "no sample",
     "sample lost",
     "over range",
     "no data",
 )
-MISSING = frozenset(("", *_NO_WORDS, *_NOTHING.split()))
+MISSING = frozenset(("", *_NO_WORDS, *_NOTHING.split(), *BELOW))
 _SPACES = " \u00a0\u202f\u2009"
 _CELL = re.compile(
     r"""(?P<limit>[<>≤≥]=?|=[<>])?\s*(?P<money>[$€£¥])?\s*(?P<sign>[-+\u2212]?)
@@ -76,11 +84,20 @@ def is_missing(cell: Any) -> bool:
     [True, True, True, True, False, False]
     """
     if isinstance(cell, str):
-        return cell.strip().lower() in MISSING
+        return cell.strip().lower() in MISSING or says_below(cell)
     try:
         return cell is None or bool(cell != cell)  # noqa: PLR0124
     except (TypeError, ValueError):  # pandas.NA, or a cell that holds several values
         return type(cell).__name__ == "NAType"
+
+
+def says_below(cell: Any) -> bool:
+    """Whether a cell says that the value is below a limit that is not written.
+
+    >>> [says_below(cell) for cell in ("BDL", "< LOD", "n.d.", "<0.5", None)]
+    [True, True, False, False, False]
+    """
+    return isinstance(cell, str) and " ".join(cell.lower().split()).replace("< ", "<") in BELOW
 
 
 @cache
@@ -112,6 +129,11 @@ class Amount:
     limit: str
     unit: str
     apart: bool
+
+    @property
+    def is_below(self) -> bool:
+        """Whether the value is below the number, where it is beyond it."""
+        return "<" in self.limit or "\u2264" in self.limit
 
     @property
     def marks(self) -> frozenset[str]:

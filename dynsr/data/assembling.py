@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dynsr.data.limits import Limits
 from dynsr.data.name_parts import bare_name
 from dynsr.data.trajectory import as_floats, as_times, without_mask
 from dynsr.errors import InputError, one_line, printable
@@ -44,6 +45,7 @@ class Columns:
     faults : column that cannot be used as it is -> what is said when it is needed.
     twice : names that several columns of the source have, the first of which keeps its name.
     words : column -> number in it -> the word of the source that was read as it.
+    limits : column -> its cells in which only a limit is known; those of no column go.
     """
 
     names: tuple[str, ...]
@@ -58,6 +60,7 @@ class Columns:
     faults: Mapping[str, str] = field(default_factory=dict)
     twice: tuple[str, ...] = ()
     words: Mapping[str, Mapping[float, str]] = field(default_factory=dict)
+    limits: Mapping[str, Limits] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that there are columns of one length, each with a name of its own."""
@@ -67,6 +70,8 @@ class Columns:
             raise InputError(f"{self.label} has no columns; it needs times and states")
         if not len(self.values[0]):
             raise InputError(f"{self.label} has no rows; it needs rows of times and states")
+        kept = {name: own for name, own in self.limits.items() if name in self.names}
+        object.__setattr__(self, "limits", kept)
         often = Counter(self.names)
         for name, value in zip(self.names, self.values, strict=True):
             if name and often[name] > 1:
@@ -144,10 +149,13 @@ def assemble(
     called, columns, units = _apart(called, columns, units)
     readings = read_columns(columns, decimal, delimiter)
     there = np.any([_has_value(reading.values) for reading in readings], axis=0)
+    for reading in readings:
+        there = there if reading.limits is None else there | reading.limits.there
     if not there.any():
         raise InputError(f"{label} has no rows with a value; it needs rows of times and states")
     new, repeats, renamed = _distinguish(called, [reading.values for reading in readings])
     left_out: dict[str, str] = {}
+    limits: dict[str, Limits] = {}
     found: list[tuple[str, np.ndarray]] = []
     told, units_of, faults, words = list(notes), {}, {}, {}
     for j, (name, reading) in enumerate(zip(new, readings, strict=True)):
@@ -164,6 +172,8 @@ def assemble(
             faults[name] = reading.fault
         if reading.words:
             words[name] = reading.words
+        if reading.limits is not None:
+            limits[name] = reading.limits.select(there)
     told += [
         f"column name {old!r} is used twice in {label}; one of them is called {name!r} here"
         for old, name in renamed
@@ -180,6 +190,7 @@ def assemble(
         faults=faults,
         twice=tuple(dict.fromkeys(old for old, _ in renamed)),
         words=words,
+        limits=limits,
     )
 
 

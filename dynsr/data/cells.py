@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from dynsr.data.amounts import Amount, is_missing, is_unit, parse_number, without_marks
+from dynsr.data.amounts import (
+    Amount,
+    is_missing,
+    is_unit,
+    parse_number,
+    says_below,
+    without_marks,
+)
+from dynsr.data.limits import Limits
 from dynsr.data.trajectory import as_floats
 from dynsr.errors import InputError
 
@@ -62,6 +70,7 @@ class Reading:
     left_out : why it is of no use as a column; "" where it is.
     fault : what a message says once the column is needed; "" for nothing.
     words : number -> the word that was read as it.
+    limits : the cells in which only a limit is known; None for none.
     """
 
     values: np.ndarray
@@ -70,6 +79,7 @@ class Reading:
     left_out: str = ""
     fault: str = ""
     words: Mapping[float, str] = field(default_factory=dict)
+    limits: Limits | None = None
 
 
 def read_columns(
@@ -145,6 +155,7 @@ class _Look:
         self.codes, self.distinct = pandas.factorize(column)
         self.counts = np.bincount(self.codes[self.codes >= 0], minlength=len(self.distinct))
         self.decisive: dict[str, str] = {}
+        self.low: list[int] = []
         self.parsed: list[Amount | None] = []
         self.marked: list[int] = []
         self.numbers = self._all_alike(self.distinct)
@@ -167,6 +178,7 @@ class _Look:
         self.places = np.flatnonzero(words & ~empty)
         self.others = ~words & ~empty
         self.texts = [self.distinct[j].strip() for j in self.places]
+        self.low = [j for j in np.flatnonzero(empty).tolist() if says_below(self.distinct[j])]
 
     def _parse(self) -> None:
         """Take each text apart as a number, and note which decimal marks are shown."""
@@ -240,7 +252,8 @@ class _Look:
         if not self.there.any():
             return Reading(np.full(len(self.column), np.nan), left_out=_EMPTY)
         if self.numbers is not None and decimal in (None, self.mark):
-            return Reading(self._spread(self.numbers).astype(float))
+            values = self._spread(self.numbers).astype(float)
+            return Reading(values, limits=self._find_limits(self.mark)[0])
         if self.numbers is not None:
             self.texts = list(self.texts)
             self._parse()
@@ -290,7 +303,11 @@ class _Look:
             table.append(text if value is None else np.nan if own and own.limit else value)
         if beyond := self._count(lambda number: number is not None and number.limit != ""):
             cells = "1 cell is" if beyond == 1 else f"{beyond} cells are"
-            notes += (f"{cells} beyond a limit ({self._limits()}) and so without a value",)
+            notes += (
+                f"{cells} beyond a limit ({self._limits()}), which counts in place of a value",
+            )
+        limits, said = self._find_limits(mark)
+        notes += said
         if self.marked:
             count = sum(int(self.counts[self.places[j]]) for j in self.marked)
             cells = "1 cell has" if count == 1 else f"{count} cells have"
@@ -300,9 +317,25 @@ class _Look:
         if any(isinstance(value, str) for value in table):
             return Reading(values, unit, notes)
         try:
-            return Reading(values.astype(float), unit, notes)
+            return Reading(values.astype(float), unit, notes, limits=limits)
         except (TypeError, ValueError, OverflowError):  # dates among numbers
             return Reading(values, unit, notes)
+
+    def _find_limits(self, mark: str) -> tuple[Limits | None, tuple[str, ...]]:
+        """Give the limits that cells say, and what is said of words that mean one of these."""
+        table = Limits.none(len(self.distinct) + 1)
+        for place, number in zip(self.places, self.parsed, strict=False):
+            if number is not None and number.limit:
+                value = number.value(mark)
+                side = table.below if number.is_below else table.above
+                side[place] = np.nan if value is None else value
+        written = np.unique(table.below[~np.isnan(table.below)])
+        table.below[self.low] = written[0] if len(written) == 1 else np.inf
+        if not table.there.any():
+            return None, ()
+        word = self.distinct[self.low[0]].strip() if self.low else ""
+        said = (f"{word!r} was read as <{written[0]:g}",) if word and len(written) == 1 else ()
+        return table.select(self.codes), said
 
     def _choose_mark(
         self, decimal: str | None, other: str, delimiter: str

@@ -70,6 +70,7 @@ def load_columns(source: Any, decimal: str | None = None) -> Columns:
             "the trajectory",
             inputs=tuple(source.input_names),
             time_unit=source.time_unit,
+            limits=source.limits,
         )
     if _is_xarray(source):
         from dynsr.data.scientific import from_xarray

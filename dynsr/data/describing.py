@@ -33,6 +33,7 @@ def describe(
     hold: Mapping[str, str] | str | None = None,
     noise: Mapping[str, Any] | None = None,
     doses: Mapping[str, str] | None = None,
+    limits: Mapping[str, Any] | None = None,
     max_rows: int = MAX_ROWS,
     settings: OddSettings = _SETTINGS,
 ) -> Description:
@@ -44,8 +45,8 @@ def describe(
     ----------
     source : what :func:`dynsr.data.read_trajectories` reads: a file, a frame, a mapping of columns,
         arrays, a Trajectory, or a list of these.
-    time, states, inputs, trajectory, quantity, decimal, hold, noise, doses, max_rows : as for
-        :func:`dynsr.data.read_trajectories`.
+    time, states, inputs, trajectory, quantity, decimal, hold, noise, doses, limits, max_rows : as
+        for :func:`dynsr.data.read_trajectories`.
     settings : the numbers that decide what looks odd.
 
     Raises InputError, one line that names the value and the remedy, when the table cannot be used.
@@ -69,6 +70,7 @@ def describe(
             hold=hold,
             noise=noise,
             doses=doses,
+            limits=limits,
             max_rows=max_rows,
         )
     heard = [one_line(w.message) for w in caught if issubclass(w.category, DynsrWarning)]

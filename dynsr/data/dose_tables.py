@@ -194,7 +194,9 @@ def _merge(
     for name, column in rows.items():
         new = [amounts[dose] if names[of[dose]] == name else 0.0 for *_, dose in made]
         values.append(np.insert(column, places, new))
-    found = replace(data, names=(*data.names, *rows), values=tuple(values))
+    stays = np.flatnonzero(np.insert(np.ones(length), places, 0))
+    limits = {name: own.at(stays, len(values[0])) for name, own in data.limits.items()}
+    found = replace(data, names=(*data.names, *rows), values=tuple(values), limits=limits)
     if states == [""]:
         labels = {*when.columns, *shared}
         pairs = zip(data.names, data.values, strict=True)

@@ -163,8 +163,7 @@ def _join(parts: Sequence[Trajectory], groups: Sequence[Source]) -> Trajectory:
             sd[rows] = known.sd
             noise[state] = replace(known, sd=sd)
         for state, seen in part.limits.items():
-            limits[state] = Limits.none(len(t))
-            limits[state].below[rows], limits[state].above[rows] = seen.below, seen.above
+            limits[state] = seen.at(rows, len(t))
         for name, column in zip(part.input_names, part.inputs.T, strict=True):
             own = inputs.setdefault(name, np.full(len(t), np.nan))
             own[rows] = np.where(np.isnan(own[rows]), column, own[rows])

@@ -2,9 +2,77 @@
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+
+from dynsr.errors import InputError, one_line
+
+_PAIR = re.compile(r"(?P<low>[^.\s].*?|)\s*\.\.\s*(?P<high>\S.*|)")
+
+
+@dataclass(frozen=True)
+class Range:
+    """The limits between which a state can be measured, as the user says.
+
+    Parameters
+    ----------
+    below : at or below it a value is below the limit of detection; None for no such limit.
+    above : at or above it a value is beyond the end of the range; None for no such limit.
+    """
+
+    below: float | None = None
+    above: float | None = None
+
+
+def read_limits(limits: Mapping[str, Any] | None) -> dict[str, Range]:
+    """Read what a caller says of the limits of states.
+
+    Parameters
+    ----------
+    limits : state -> the limit of detection in its units, as a number or as text such as "<0.05";
+        the upper end of the range, such as ">100"; or both, as a pair or as "0.05..100".
+
+    Raises InputError where it has another form, or the range is empty.
+
+    >>> read_limits({"x": 0.05, "y": ">100", "z": "0.05..100"})["z"]
+    Range(below=0.05, above=100.0)
+    """
+    found = {}
+    for state, said in (limits or {}).items():
+        own = _read_limit(said)
+        ends = [end for end in (own.below, own.above) if end is not None] if own else []
+        if own is None or not ends or not all(map(math.isfinite, ends)) or ends != sorted(ends):
+            shown = one_line(repr(said))[:60]
+            raise InputError(
+                f"the limit of {state!r} is {shown}; give the limit of detection, such as 0.05, "
+                'the end of the range, such as ">100", or both, such as "0.05..100"'
+            )
+        found[state] = own
+    return found
+
+
+def _read_limit(said: Any) -> Range | None:
+    if isinstance(said, str):
+        text = said.strip()
+        if pair := _PAIR.fullmatch(text):
+            said = tuple(end or None for end in (pair["low"], pair["high"]))
+        elif text[:1] in (">", "\u2265"):
+            said = (None, text[1:].lstrip("= "))
+        else:
+            said = (text.lstrip("<=\u2264 "), None)
+    if not isinstance(said, (tuple, list)):
+        said = (said, None)
+    if len(said) != 2:
+        return None
+    try:
+        return Range(*(None if end is None else float(end) for end in said))
+    except (TypeError, ValueError):
+        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +108,26 @@ class Limits:
         """(n,) whether a row has a limit that is known."""
         return np.isfinite(self.below) | np.isfinite(self.above)
 
+    @classmethod
+    def join(cls, parts: Sequence[Limits]) -> Limits:
+        """Give the rows of several, one below the other."""
+        return cls(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("below", "above")))
+
     def select(self, rows: slice | np.ndarray) -> Limits:
         """Give the limits of some rows."""
         return Limits(self.below[rows], self.above[rows])
+
+    def at(self, rows: np.ndarray, count: int) -> Limits:
+        """Give the limits of more rows, of which these are some.
+
+        Parameters
+        ----------
+        rows : (n,) the place of each.
+        count : how many there are then.
+        """
+        found = Limits.none(count)
+        found.below[rows], found.above[rows] = self.below, self.above
+        return found
 
     def where(self, kept: np.ndarray) -> Limits:
         """Give the same rows with the limits of some of them, and no others.
@@ -66,3 +151,25 @@ class Limits:
     def with_words(self, limit: float) -> Limits:
         """Give the same limits, with a number in the place of those that are not known."""
         return replace(self, below=np.where(np.isinf(self.below), limit, self.below))
+
+
+def limit_cells(x: np.ndarray, limits: Limits | None, given: Range) -> tuple[np.ndarray, Limits]:
+    """Give values and limits of a state where the user says between which it can be measured.
+
+    Parameters
+    ----------
+    x : (n,) values; NaN where there is none.
+    limits : those of cells.
+    given : what the user says.
+
+    >>> x, limits = limit_cells(np.array([0.3, 0.05, 0.01]), None, Range(0.05))
+    >>> x.tolist(), limits.below.tolist()
+    ([0.3, nan, nan], [nan, 0.05, 0.05])
+    """
+    own = Limits.none(len(x)) if limits is None else limits
+    if given.below is not None:
+        own = own.with_words(given.below)
+        own = replace(own, below=np.where(x <= given.below, given.below, own.below))
+    if given.above is not None:
+        own = replace(own, above=np.where(x >= given.above, given.above, own.above))
+    return np.where(own.there, np.nan, x), own

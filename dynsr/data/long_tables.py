@@ -175,6 +175,7 @@ def widen(columns: Columns, time: Times, long: Long) -> tuple[Columns, np.ndarra
     kept = [n for n in columns.names if n not in dropped]
     names, values = list(kept), [look.values(n)[rows] for n in kept]
     units = {n: u for n, u in columns.units.items() if n not in dropped}
+    limits = {n: own.select(rows) for n, own in columns.limits.items() if n not in dropped}
     single = len([n for n in long.values if not is_error_name(n)]) == 1
     for number in long.values:
         for key in dict.fromkeys(keys.tolist()):
@@ -186,13 +187,21 @@ def widen(columns: Columns, time: Times, long: Long) -> tuple[Columns, np.ndarra
             column[place[own]] = look.values(number)[own]
             names.append(name if name not in names else f"{name}_{number}")
             values.append(column)
+            if number in columns.limits:
+                limits[names[-1]] = columns.limits[number].select(own).at(place[own], len(rows))
             if long.unit is not None:
                 units[names[-1]] = label_of(look.values(long.unit)[own][0])
             elif number in columns.units:
                 units[names[-1]] = columns.units[number]
     inputs = tuple(n for n in columns.inputs if n in names)
     wide = replace(
-        columns, names=tuple(names), values=tuple(values), units=units, inputs=inputs, time_unit=""
+        columns,
+        names=tuple(names),
+        values=tuple(values),
+        units=units,
+        inputs=inputs,
+        time_unit="",
+        limits=limits,
     )
     return wide, rows
 

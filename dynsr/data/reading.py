@@ -24,6 +24,7 @@ from dynsr.data.dosing import clean_doses, columns_of_doses, cut_at_doses, read_
 from dynsr.data.grouping import find_restarts
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
+from dynsr.data.limits import limit_cells, read_limits
 from dynsr.data.names import clean_name, find_column
 from dynsr.data.noise_model import rounding
 from dynsr.data.oddities import OddSettings, odd_marks
@@ -70,6 +71,7 @@ def read_trajectories(
     hold: Mapping[str, str] | str | None = None,
     noise: Mapping[str, Any] | None = None,
     doses: Mapping[str, str] | None = None,
+    limits: Mapping[str, Any] | None = None,
     max_rows: int = MAX_ROWS,
 ) -> Table:
     """Read one or many trajectories from a table, a file of one, or a list of such sources.
@@ -99,6 +101,9 @@ def read_trajectories(
         is called so, such as x_sd, then say how rows differ.
     doses : state -> column of the amounts by which it jumps right after a row; an empty cell is 0.
         The trajectories keep the column as an input, at which ``dynsr.discover`` cuts them.
+    limits : state -> the limit of its measurement in its units: values at or below it, and cells
+        such as "BDL", say only that it was below. Also the upper end of the range, such as ">100",
+        or both, such as "0.05..100". Cells such as "<0.05" say their limit themselves.
     max_rows : more rows than this are thinned evenly, with a DynsrWarning.
 
     Times may be uneven, and rows may be in any order where it is known which belong together.
@@ -123,6 +128,7 @@ def read_trajectories(
         errors,
         max_rows,
         columns_of_doses(doses),
+        read_limits(limits),
     )
     if isinstance(source, list):
         return _read_list(
@@ -136,6 +142,7 @@ def read_trajectories(
             hold,
             noise,
             read_doses(doses),
+            limits,
             max_rows,
         )
     times = None if time is None or _is_named(time, source) else time
@@ -163,7 +170,10 @@ def read_trajectories(
     for note in marks:
         warnings.warn(note, DynsrWarning, stacklevel=2)
     found = replace(found, notes=(*found.notes, *marks))
-    runs = decide_hold(say_noise(found.runs, noise, found.roles.renamed), hold)
+    runs = say_noise(
+        say_limits(found.runs, limits, found.roles.renamed), noise, found.roles.renamed
+    )
+    runs = decide_hold(runs, hold)
     understood = describe_runs(
         columns.label,
         runs,
@@ -264,6 +274,7 @@ def _read_list(
     hold: Mapping[str, str] | str | None,
     noise: Mapping[str, Any] | None,
     doses: Mapping[str, str],
+    limits: Mapping[str, Any] | None,
     max_rows: int,
 ) -> Table:
     if not sources:
@@ -285,6 +296,7 @@ def _read_list(
                 decimal=decimal,
                 noise=errors,
                 doses=_doses_of(load, doses),
+                limits=_limits_of(source, load, limits),
                 max_rows=share,
             )
         )
@@ -297,7 +309,7 @@ def _read_list(
     ]
     runs, joined = join_sources(parts)
     renamed = {old: new for table in tables for old, new in table.description.renamed.items()}
-    runs = say_noise(runs, noise, renamed)
+    runs = say_noise(say_limits(runs, limits, renamed), noise, renamed)
     if hold is None:
         # What one file says of an input holds for all.
         given: dict[str, str] = {}
@@ -355,6 +367,17 @@ def _doses_of(load: Callable[[], Columns], doses: Mapping[str, str]) -> dict[str
     columns = load()
     names = {*columns.names, *map(clean_name, columns.names)}
     return {state: own for state, own in doses.items() if split_volume(own)[0] in names} or None
+
+
+def _limits_of(
+    source: Any, load: Callable[[], Columns], limits: Mapping[str, Any] | None
+) -> dict[str, Any] | None:
+    """Give the limits of the states that one of several sources has."""
+    if not limits or isinstance(source, Trajectory):
+        return None
+    columns = load()
+    names = {*columns.names, *map(clean_name, columns.names)}
+    return {state: own for state, own in limits.items() if state in names} or None
 
 
 def _refuse_twice(sources: Sequence[Any]) -> None:
@@ -424,6 +447,36 @@ def find_columns(noise: Mapping[str, Any] | None) -> dict[str, str]:
     said = {s: own for s, own in (noise or {}).items() if isinstance(own, str)}
     read = {state: read_noise(state, own, 1) for state, own in said.items()}
     return {state: own for state, own in read.items() if isinstance(own, str)}
+
+
+def say_limits(
+    runs: Sequence[Trajectory], limits: Mapping[str, Any] | None, renamed: Mapping[str, str]
+) -> list[Trajectory]:
+    """Give runs whose values beyond the limits that the caller says are known as such alone.
+
+    Parameters
+    ----------
+    runs : the trajectories.
+    limits : state -> its limits, as :func:`read_trajectories` takes them.
+    renamed : name in the source -> name in formulas.
+
+    Raises InputError when something is no state, or no limit.
+    """
+    said = {renamed.get(state, state): own for state, own in read_limits(limits).items()}
+    for state in said:
+        if state not in runs[0].states:
+            raise InputError(
+                f"limits names {state!r}, which is no state; the states are: "
+                f"{', '.join(runs[0].states)}"
+            )
+    found = []
+    for run in runs:
+        x, own = run.observed.copy(), dict(run.limits)
+        for state, given in said.items():
+            place = run.index(state)
+            x[:, place], own[state] = limit_cells(x[:, place], own.get(state), given)
+        found.append(replace(run, x=x, limits=own) if said else run)
+    return found
 
 
 def say_noise(
@@ -507,7 +560,10 @@ def _with_names(columns: Columns, states: Sequence[str] | str | None) -> Columns
             f"{len(wanted)} state names ({', '.join(wanted)}) do not fit {columns.label} with "
             f"{len(columns.names) - 1} columns and the time; give one name for each column"
         )
-    return replace(columns, names=("t", *wanted))
+    names = ("t", *wanted)
+    old = zip(columns.names, names, strict=True)
+    limits = {new: columns.limits[own] for own, new in old if own in columns.limits}
+    return replace(columns, names=names, limits=limits)
 
 
 def _split_inputs(
@@ -577,6 +633,7 @@ def take_trajectories(
     quantity: str | None = None,
     decimal: str | None = None,
     noise: Mapping[str, Any] | None = None,
+    limits: Mapping[str, Any] | None = None,
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
@@ -595,6 +652,8 @@ def take_trajectories(
     noise : state -> its measurement errors, as for
         :func:`dynsr.data.reading.read_trajectories`; or (n,) standard deviations at the times, or a
         list of one such array a trajectory.
+    limits : state -> the limits of its measurement, as for
+        :func:`dynsr.data.reading.read_trajectories`.
 
     Raises InputError when nothing usable is there.
 
@@ -607,15 +666,25 @@ def take_trajectories(
     given = read_doses(doses)
     if any(own is not None for own in (time, states, trajectory, quantity, decimal)):
         runs = _read_columns(
-            data, columns, time, states, trajectory, quantity, decimal, errors, given or None
+            data,
+            columns,
+            time,
+            states,
+            trajectory,
+            quantity,
+            decimal,
+            errors,
+            given or None,
+            limits,
         )
     else:
-        runs = _read(data, columns, errors, given or None)
+        runs = _read(data, columns, errors, given or None, limits)
     runs = [_as_inputs(run, columns or []) for run in runs]
     if not runs:
         raise InputError("there is no trajectory in the data; give at least one")
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
+    runs = say_limits(runs, {clean_name(n): own for n, own in (limits or {}).items()}, {})
     runs = cut_at_doses(say_noise(runs, noise, {}), clean_doses(given or None) or None)
     short = min(runs, key=len)
     if len(short) < FEWEST_ROWS:
@@ -651,6 +720,7 @@ def _read(
     inputs: Sequence[str] | None,
     noise: Mapping[str, str] | None = None,
     doses: Mapping[str, str] | None = None,
+    limits: Mapping[str, Any] | None = None,
 ) -> list[Trajectory]:
     if isinstance(data, Table):
         return data.trajectories
@@ -667,7 +737,9 @@ def _read(
     data = list(data) if isinstance(data, tuple) and data else data
     if isinstance(data, list) and data and all(map(_is_pair, data)):
         return _in_one_unit([_from_arrays(*pair) for pair in data])
-    return read_trajectories(data, inputs=inputs, noise=noise, doses=doses).trajectories
+    return read_trajectories(
+        data, inputs=inputs, noise=noise, doses=doses, limits=limits
+    ).trajectories
 
 
 def _read_columns(
@@ -680,6 +752,7 @@ def _read_columns(
     decimal: str | None,
     noise: Mapping[str, str] | None = None,
     doses: Mapping[str, str] | None = None,
+    limits: Mapping[str, Any] | None = None,
 ) -> list[Trajectory]:
     """Read trajectories whose columns the caller names."""
     data = data.trajectories if isinstance(data, Table) else data
@@ -696,6 +769,7 @@ def _read_columns(
         decimal=decimal,
         noise=noise,
         doses=doses,
+        limits=limits,
     ).trajectories
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynsr.data.columns import Columns
+from dynsr.data.limits import Limits
 from dynsr.data.lines import last_digit
 from dynsr.data.name_parts import (
     FEWEST_WELLS,
@@ -212,8 +213,14 @@ def stack_replicates(columns: Columns, found: SideBySide) -> tuple[Columns, np.n
     units = {**columns.units}
     for own in found.members.values():
         units |= {s: columns.units[n] for s, n in own.items() if n in columns.units}
+    limits = {n: columns.limits[n].select(source) for n in kept if n in columns.limits}
+    none = Limits.none(rows)
+    for stem in found.stems:
+        members = [own[stem] for own in found.members.values()]
+        if set(members) & set(columns.limits):
+            limits[stem] = Limits.join([columns.limits.get(n, none) for n in members])
     return (
-        replace(columns, names=tuple(names), values=tuple(values), units=units),
+        replace(columns, names=tuple(names), values=tuple(values), units=units, limits=limits),
         source,
         label,
     )

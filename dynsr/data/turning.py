@@ -11,6 +11,7 @@ import numpy as np
 from dynsr.data.amounts import is_missing
 from dynsr.data.columns import Columns
 from dynsr.data.grouping import is_label_name, is_text, label_of
+from dynsr.data.limits import Limits
 from dynsr.data.times import read_counted, read_times
 from dynsr.data.trajectory import FEWEST_ROWS
 
@@ -52,6 +53,11 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
     if not all(numbers) or not names:
         return columns, []
     table = np.column_stack(named.values[first:])
+    none = Limits.none(len(table))
+    each = [named.limits.get(name, none) for name in moments]
+    limits = Limits(
+        *(np.column_stack([getattr(own, n) for own in each]) for n in ("below", "above"))
+    )
     said = (
         f"Columns such as {moments[0]!r} and {moments[-1]!r} are times, so the table was turned: "
         f"its rows are named by {', '.join(map(repr, names))}."
@@ -61,11 +67,15 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
         what = "A row" if len(remarks) == 1 else f"{len(remarks)} rows"
         was = "was" if len(remarks) == 1 else "were"
         notes.append(f"{what} with a single cell, such as {remarks[0][:40]!r}, {was} skipped.")
-    return _turn(named, times, table, names), notes
+    return _turn(named, times, table, names, limits), notes
 
 
 def _turn(
-    columns: Columns, times: tuple[np.ndarray, str], table: np.ndarray, labels: Sequence[str]
+    columns: Columns,
+    times: tuple[np.ndarray, str],
+    table: np.ndarray,
+    labels: Sequence[str],
+    limits: Limits,
 ) -> Columns:
     by_name = dict(zip(columns.names, columns.values, strict=True))
     keys = [[label_of(cell) for cell in by_name[name].tolist()] for name in labels]
@@ -80,6 +90,7 @@ def _turn(
             inputs=(),
             time_unit=unit,
             named=True,
+            limits={key: limits.select(np.array(row)) for row, key in enumerate(keys[0])},
         )
     rows = len(table)
     count = len(t)
@@ -92,6 +103,7 @@ def _turn(
         units={"time": unit} if unit else {},
         inputs=(),
         named=True,
+        limits={"value": Limits(limits.below.reshape(-1), limits.above.reshape(-1))},
     )
 
 
@@ -107,7 +119,13 @@ def _with_head(columns: Columns) -> tuple[Columns, list[str]]:
     whole = filled.sum(axis=0) > 1
     remarks = [label_of(cell) for cell in columns.values[0][1:][~whole]]
     rest = tuple(_as_numbers(values[1:][whole]) for values in columns.values)
-    return replace(columns, names=tuple(map(label_of, cells)), values=rest, named=True), remarks
+    names = tuple(map(label_of, cells))
+    limits = {
+        new: columns.limits[old].select(slice(1, None)).select(whole)
+        for old, new in zip(columns.names, names, strict=True)
+        if old in columns.limits
+    }
+    return replace(columns, names=names, values=rest, named=True, limits=limits), remarks
 
 
 def _as_numbers(values: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from dynsr.data.dosing import Dosing, find_nonmem, split_after_doses
 from dynsr.data.grouping import Grouping, guess_grouping
 from dynsr.data.holding import HOLDS
 from dynsr.data.known_noise import KnownNoise, check_noise
+from dynsr.data.limits import Limits, Range
 from dynsr.data.long_tables import describe_long, find_quantity, widen
 from dynsr.data.name_parts import bracketed_unit
 from dynsr.data.names import clean_name, find_column
@@ -27,6 +28,9 @@ from dynsr.data.turning import turn_rows
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 
+# The two sides of a limit.
+_SIDES = ("below", "above")
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -40,6 +44,7 @@ class Asked:
     errors : state -> the column of its measurement errors.
     doses : state -> the column of the amounts by which it jumps.
     max_rows : more rows than this are thinned.
+    limits : state -> the limits of its measurement.
     """
 
     states: Sequence[str] | None = None
@@ -50,6 +55,7 @@ class Asked:
     errors: Mapping[str, str] = field(default_factory=dict)
     max_rows: int = 20_000_000
     doses: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, Range] = field(default_factory=dict)
 
     def keeping(self, states: Sequence[str], inputs: Sequence[str]) -> Asked:
         """Give what was asked of a source whose columns have their roles."""
@@ -125,7 +131,7 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     roles = replace(roles, reshaped=gone)
     grouping, dosing, said = _after_doses(columns, times, grouping, roles)
     notes += said
-    runs, said = _order(columns, times, grouping, roles)
+    runs, said = _order(columns, times, grouping, roles, asked)
     notes += said
     if roles.held:
         listed = " and ".join(map(repr, roles.held))
@@ -160,7 +166,11 @@ def _without_kinds(columns: Columns, asked: Asked) -> Columns:
 
 
 def _at(columns: Columns, rows: np.ndarray) -> Columns:
-    return replace(columns, values=tuple(values[rows] for values in columns.values))
+    return replace(
+        columns,
+        values=tuple(values[rows] for values in columns.values),
+        limits={name: own.select(rows) for name, own in columns.limits.items()},
+    )
 
 
 def _with_numbers(columns: Columns) -> Columns:
@@ -346,7 +356,7 @@ def _after_doses(
 
 
 def _order(
-    columns: Columns, times: Times, grouping: Grouping, roles: Roles
+    columns: Columns, times: Times, grouping: Grouping, roles: Roles, asked: Asked
 ) -> tuple[list[Run], list[str]]:
     """Give the rows of each trajectory in order of time, and what was done to them."""
     used = [*roles.states, *roles.inputs, *roles.noise.values()]
@@ -362,6 +372,10 @@ def _order(
             f"equation; give at least {FEWEST_ROWS}"
         )
     given = tuple(roles.doses.values())
+    limits, unknown = _limits_of(columns, roles, asked)
+    values |= {
+        _limit_name(n, side): getattr(own, side) for n, own in limits.items() for side in _SIDES
+    }
     # An empty cell says that nothing was given, and doses of one time are given together.
     values |= {name: np.nan_to_num(values[name]) for name in given}
     runs, notes = order_rows(grouping, t, values, roles.states, times.name, columns.label, given)
@@ -369,7 +383,35 @@ def _order(
     runs, said = _observed(runs, roles, columns.label)
     notes += said
     runs, said = _long_enough(runs, columns.label)
-    return runs, [*notes, *said]
+    return runs, [*notes, *unknown, *said]
+
+
+def _limit_name(state: str, side: str) -> str:
+    """Name the column in which the limits of a state go along with its rows."""
+    return f"{state}\0{side}"
+
+
+def _limits_of(columns: Columns, roles: Roles, asked: Asked) -> tuple[dict[str, Limits], list[str]]:
+    """Give the limits of states that are known, and what is said of words that name none."""
+    found, notes = {}, []
+    for name in roles.states:
+        own = columns.limits.get(name)
+        if own is None:
+            continue
+        new = roles.renamed[name]
+        given = asked.limits.get(name, asked.limits.get(new))
+        if given is not None and given.below is not None:
+            own = own.with_words(given.below)
+        if count := int(np.sum(np.isinf(own.below))):
+            cells = "1 cell says" if count == 1 else f"{count} cells say"
+            notes.append(
+                f"{cells} that {name!r} was below a limit that is not written, and so without a "
+                f"value; say the limit, and they count: --limit {new}=..."
+            )
+        own = own.where(own.known)
+        if own.there.any():
+            found[name] = own
+    return found, notes
 
 
 def _held(runs: Sequence[Run], roles: Roles) -> list[Run]:
@@ -396,11 +438,17 @@ def _observed(runs: Sequence[Run], roles: Roles, label: str) -> tuple[list[Run],
     gaps = _count_empty(runs, roles.inputs)
     told = [f"{name!r}, an input, in {count}" for name, count in gaps.items()]
     found = [_with_inputs(run, roles) for run in runs]
+    found = [_without_limits_of_values(run, roles.states) for run in found]
     found = [run.at(_rows_told(run, roles)) for run in found]
     kept = sum(len(run.t) for run in found)
-    empty = _count_empty(found, roles.states)
+    without = _count_empty(found, roles.states)
+    limited = [
+        (n, int(own.there.sum())) for r in found for n, own in _limits_in(r, roles.states).items()
+    ]
+    empty = {n: c - sum(own for m, own in limited if m == n) for n, c in without.items()}
+    empty = {name: count for name, count in empty.items() if count}
     for name in roles.states:
-        count = kept - empty.get(name, 0)
+        count = kept - without.get(name, 0)
         if count < FEWEST_ROWS:
             others = ",".join(clean_name(n) for n in roles.states if n != name) or "..."
             raise InputError(
@@ -427,6 +475,22 @@ def _observed(runs: Sequence[Run], roles: Roles, label: str) -> tuple[list[Run],
     return found, notes
 
 
+def _limits_in(run: Run, states: Sequence[str]) -> dict[str, Limits]:
+    """State -> its limits, for those that have any."""
+    return {
+        name: Limits(*(run.values[_limit_name(name, side)] for side in _SIDES))
+        for name in states
+        if _limit_name(name, _SIDES[0]) in run.values
+    }
+
+
+def _without_limits_of_values(run: Run, states: Sequence[str]) -> Run:
+    """Leave limits out where the mean of other rows of the same time has a value."""
+    left = {n: own.where(np.isnan(run.values[n])) for n, own in _limits_in(run, states).items()}
+    more = {_limit_name(n, side): getattr(own, side) for n, own in left.items() for side in _SIDES}
+    return replace(run, values={**run.values, **more})
+
+
 def _count_empty(runs: Sequence[Run], names: Sequence[str]) -> dict[str, int]:
     """Column -> how many of its cells are empty, where any is."""
     counts = {name: sum(int(np.sum(np.isnan(run.values[name]))) for run in runs) for name in names}
@@ -441,6 +505,8 @@ def _with_inputs(run: Run, roles: Roles) -> Run:
 def _rows_told(run: Run, roles: Roles) -> np.ndarray:
     """Give the rows where a state has a value; with inputs, those between two such rows too."""
     there = np.any([np.isfinite(run.values[name]) for name in roles.states], axis=0)
+    for limits in _limits_in(run, roles.states).values():
+        there |= limits.there
     for name in roles.doses.values():
         there |= run.values[name] != 0
     known = np.all([np.isfinite(run.values[name]) for name in roles.inputs], axis=0)
@@ -535,6 +601,7 @@ def _make(
             },
             noise=_read_errors(run, roles, asked),
             hold=held,
+            limits={roles.renamed[n]: own for n, own in _limits_in(run, roles.states).items()},
         )
         # A state that is measured seldom keeps its rows.
         some = whole.every(rows.step or 1) if whole.unmeasured.size else rows

@@ -247,7 +247,7 @@ def in_fitting_units(search: Search) -> Search:
             n: settings.pop(n, None)
             for n in ("time", "states", "trajectory", "quantity", "decimal")
         }
-        asked |= {n: settings.pop(n, None) for n in ("doses", "noise")}
+        asked |= {n: settings.pop(n, None) for n in ("doses", "noise", "limits")}
         asked["hold"] = settings.get("hold")
         runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), **asked)
         runs = read_sums(runs, observed := settings.pop("observed", None))

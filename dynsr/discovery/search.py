@@ -133,6 +133,7 @@ def discover(
     hold: Mapping[str, str] | str | None = None,
     doses: Mapping[str, str] | None = None,
     noise: Mapping[str, Any] | None = None,
+    limits: Mapping[str, Any] | None = None,
     observed: Mapping[str, str | sympy.Expr] | None = None,
     known: Mapping[str, str | sympy.Expr] | None = None,
     seed: int = 0,
@@ -193,6 +194,10 @@ def discover(
         its value such as "5 %", a column of errors, or a value for each row. They weight the rows
         and are not estimated. A column such as x_sd that is not named here gives relative errors,
         whose size is estimated.
+    limits : state -> the limit of its measurement in its units. Values at or below it, and cells
+        such as "BDL", say only that the state was below it, which counts by its likelihood. Also
+        the upper end of the range, such as ">100", or both, such as "0.05..100". Cells such as
+        "<0.05" say their limit themselves.
     observed : column -> the linear combination of states that it is, such as {"total": "S + I"}.
         A state in it that has no column was not measured alone: it takes the place of the column.
         Each such state needs one sum.
@@ -291,7 +296,7 @@ def discover(
     chosen, workers = find_engine(engine), effective_n_jobs(jobs)
     shared = share_engine(chosen, workers)
     runs, drives = take_trajectories(
-        data, inputs, time, states, trajectory, hold, doses, quantity, decimal, noise
+        data, inputs, time, states, trajectory, hold, doses, quantity, decimal, noise, limits
     )
     seed = check_asked(
         runs[0].states,

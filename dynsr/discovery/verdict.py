@@ -20,6 +20,7 @@ from dynsr.arguments import Renamed, renamed
 from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose, is_still
 from dynsr.discovery.alternatives import compare_alternatives
 from dynsr.discovery.by_state import ByState
+from dynsr.discovery.completing import complete_cells
 from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
 from dynsr.discovery.drift_along import Along
 from dynsr.discovery.drift_exact import drift_of_slopes, same_in_time
@@ -304,6 +305,9 @@ def give_verdict(
     curves : for each run (n, k) values of the states, in the order of the equations, from which the
         fits of starts begin; by default they begin at the measurements.
 
+    Cells of which only a limit is known are drawn from what the equations say of them, beyond the
+    limit; a curve on its wrong side misses them.
+
     >>> t = np.linspace(0, 3, 61)
     >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
     >>> give_verdict({"x": -0.5 * sympy.Symbol("x")}, [decay]).level
@@ -311,6 +315,7 @@ def give_verdict(
     """
     try:
         with np.errstate(all="ignore"):
+            runs, noise = complete_cells(equations, runs, inputs or {}, noise, settings.rows)
             bench = _Bench.of(equations, runs, inputs or {}, noise, settings, fixed, curves)
             return _give_verdict(bench, front or {}, alternatives, causes or {})
     except (ArithmeticError, np.linalg.LinAlgError, InputError) as error:
