@@ -27,8 +27,9 @@ from dynsr.data import (
     write_kept,
 )
 from dynsr.discovery.verdict import give_verdict
-from dynsr.fit import Measurements, fit_along
+from dynsr.fit import Collocation, Measurements, MixedMesh, fit_along, measure_runs
 from dynsr.fit.censored import Censored, deviance, residual, residual_slope, steepness
+from dynsr.report.plots import draw_states
 from tests.command_line import run as run_command
 
 # On reading it is said how many cells are beyond a limit.
@@ -403,3 +404,31 @@ def test_a_decay_far_below_its_limit_is_one():
         assert found.verdict.level == "law"
         (constant,) = found.constants["x"]
         assert constant.low < -0.7 < constant.high
+
+
+def test_a_picture_has_a_triangle_at_each_limit():
+    """Below points down, above up; a state without limits has none, and the legend says what is."""
+    runs, _ = take_trajectories({"t": T, "x": TRUE, "y": TRUE + 1}, limits={"y": "1.1..1.8"})
+    figure = draw_states(runs[0])
+    axes = figure.axes
+    marks = [{line.get_marker(): line for line in axis.lines} for axis in axes]
+    assert set(marks[0]) == {"o"} and set(marks[1]) == {"o", "v", "^"}
+    drawn = marks[1]["v"].get_ydata()
+    assert np.array_equal(np.isfinite(drawn), TRUE + 1 <= 1.1) and np.nanmax(drawn) == 1.1
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["data", "below a limit", "above a limit"]
+    found = replace(runs[0], x=np.column_stack([TRUE, TRUE + 1]), limits={})
+    low, high = draw_states(runs[0], found).axes[1].get_ylim()
+    assert low < 1.1 and high > 1.8
+
+
+def test_each_of_several_runs_has_its_own_cells():
+    """A fit of one run of many, as constants that differ need it, is that of the run alone."""
+    runs = [decay(0.02, seed) for seed in range(3)]
+    every = MixedMesh.of(measure_runs(runs, {}, 2000, {}), ("x",))
+    for number, own in enumerate(every.runs):
+        low = runs[number].limits["x"].there
+        assert np.array_equal(own.mesh.t[own.mesh.censored.places[1]], T[low])
+        found = Collocation({"x": -0.65 * X}, own.mesh).fit()
+        assert found.constants[0] == pytest.approx(-0.7, abs=0.05)
+        assert len(found.censored) == low.sum()

@@ -149,7 +149,7 @@ def draw_states(
     Parameters
     ----------
     true : the trajectory of the data, with k states; of one that was not measured at every row
-        the points that there are.
+        the points that there are, and small triangles at limits that it was beyond.
     found : a trajectory of the same states, at any times.
     intervals : state -> (lower, upper), each (n,) at the times of ``found``, in state units.
     """
@@ -158,6 +158,7 @@ def draw_states(
     for axis, state in zip(axes.flat, true.states, strict=True):
         column = true.observed[:, true.index(state)]
         axis.plot(true.t, column, label="data", **_look_of(column))
+        beyond = _draw_limits(axis, true, state)
         if found is not None:
             curve = found.x[:, found.index(state)]
             axis.plot(found.t, curve, color=COLOURS[1], lw=1.1, label="found")
@@ -166,11 +167,34 @@ def draw_states(
                     found.t, *intervals[state], color=COLOURS[1], alpha=0.25, label="interval"
                 )
             # What nobody measured has nothing but its curve.
-            _follow(axis, column if np.isfinite(column).any() else curve, [curve])
+            seen = np.concatenate([column, *beyond])
+            _follow(axis, seen if np.isfinite(seen).any() else curve, [curve])
         axis.set_ylabel(state if np.isfinite(column).any() else f"{state}, not measured")
     axes.flat[-1].set_xlabel(_time_label(true.time_unit))
-    _legend_below(figure, axes.flat[0])
+    _legend_below(figure, *axes.flat)
     return figure
+
+
+def _draw_limits(axis: Axes, run: Trajectory, state: str) -> list[np.ndarray]:
+    """Draw a triangle at each limit that a state was below or above, which points to where it was.
+
+    Gives the limits.
+    """
+    if state not in run.limits:
+        return []
+    sides = {"v": run.limits[state].below, "^": run.limits[state].above}
+    words = {"v": "below a limit", "^": "above a limit"}
+    for mark, limit in sides.items():
+        if np.isfinite(limit).any():
+            look: dict[str, Any] = {
+                "ls": "",
+                "mew": 0.8,
+                "mfc": "none",
+                "mec": _DATA,
+                "ms": _DOT_SIZES[1] + 1,
+            }
+            axis.plot(run.t, limit, marker=mark, label=words[mark], **look)
+    return [limit[np.isfinite(limit)] for limit in sides.values()]
 
 
 def draw_residuals(
@@ -683,9 +707,11 @@ def _follow(axis: Axes, truth: np.ndarray, found: Sequence[np.ndarray]) -> None:
     axis.set_ylim(*_limits(truth, found))
 
 
-def _legend_below(figure: Figure, axis: Axes) -> None:
-    """Put the legend below the axes, in as many lines as its words need."""
-    handles, labels = axis.get_legend_handles_labels()
+def _legend_below(figure: Figure, *some: Axes) -> None:
+    """Put the legend of some axes below all, in as many lines as its words need."""
+    pairs = [zip(*axis.get_legend_handles_labels(), strict=True) for axis in some]
+    by_label = {label: handle for own in pairs for handle, label in own}
+    labels, handles = list(by_label), list(by_label.values())
     measured = figure.get_layout_engine() is not None
     width = figure.get_figwidth()
     widest = _LEGEND_MARK + _LEGEND_LETTER * max(map(len, labels), default=0)
