@@ -19,15 +19,17 @@ from dynsr.data import (
     KnownNoise,
     Limits,
     carry,
+    describe,
     load_with_doses,
     read_kept,
     read_sums,
     read_trajectories,
     take_trajectories,
+    write_csv,
     write_kept,
 )
 from dynsr.discovery.verdict import give_verdict
-from dynsr.fit import Collocation, Measurements, MixedMesh, fit_along, measure_runs
+from dynsr.fit import Collocation, DelayedSystem, Measurements, MixedMesh, fit_along, measure_runs
 from dynsr.fit.censored import Censored, deviance, residual, residual_slope, steepness
 from dynsr.report.plots import draw_states
 from tests.command_line import run as run_command
@@ -432,3 +434,46 @@ def test_each_of_several_runs_has_its_own_cells():
         found = Collocation({"x": -0.65 * X}, own.mesh).fit()
         assert found.constants[0] == pytest.approx(-0.7, abs=0.05)
         assert len(found.censored) == low.sum()
+
+
+def test_a_table_that_is_written_says_its_limits(tmp_path):
+    """What write_csv writes is read again with the same limits, and people see <0.05."""
+    runs, _ = take_trajectories((T, TRUE), limits={"x": "0.05..0.9"})
+    path = tmp_path / "again.csv"
+    write_csv(runs, path)
+    assert "6.0,<0.05" in path.read_text() and "0.0,>0.9" in path.read_text()
+    found = limits_of(str(path))
+    assert np.array_equal(found.below, runs[0].limits["x"].below, equal_nan=True)
+    assert np.array_equal(found.above, runs[0].limits["x"].above, equal_nan=True)
+    (note,) = describe((T, TRUE), limits={"x": 0.05}).notes
+    assert note.startswith("'x' is beyond a limit in 18 of 61 rows")
+
+
+def test_a_fit_with_a_delay_takes_censored_cells():
+    """The cost is the same by either way, its slope is right, and the delay is the true one."""
+    step, rows = 0.01, 4000
+    truth = np.full(rows, 2.0)
+    for i in range(rows - 1):
+        past = truth[max(i - 120, 0)]
+        truth[i + 1] = truth[i] * (1 + step * 1.5 * (1 - past / 10))
+    t, x = step * np.arange(0, rows, 20), truth[::20]
+    x = x + 0.05 * x.std() * np.random.default_rng(0).normal(size=len(x))
+    runs, _ = take_trajectories((t, x), limits={"x": 6.0})
+    data = MixedMesh.of(measure_runs(runs, {}, 2000, {}), ("x",))
+    rate, crowd, late = sympy.symbols("a b late")
+    system = DelayedSystem({"x": rate * X - crowd * X * late}, {"x": "late"}, ["a", "b"])
+    found = system.fit(data, np.array([1.4, 0.14, 1.1]), 2.4)
+    errors = np.sqrt(np.diag(found.covariance))
+    assert len(found.found.censored) == np.sum(x <= 6) > 60
+    assert np.all(np.abs(found.theta - [1.5, 0.15, 1.2]) < 3 * errors + [0.01, 0.001, 0.01])
+    problem, _ = system.problem(data, found.theta, 2.4)
+    rng, stiffness = np.random.default_rng(0), problem.settings.stiffness[-1]
+    states = found.found.states.T + 0.01 * rng.normal(size=found.found.states.T.shape)
+    constants = found.found.constants
+    gathered = problem._gather(problem._linearise(states, constants), states, stiffness)
+    cost = problem.cost(states, constants)
+    assert gathered.squares + gathered.products[0, 0] == pytest.approx(cost, rel=1e-9)
+    way = rng.normal(size=states.shape)
+    ends = [problem.cost(states + size * way, constants) for size in (1e-6, -1e-6)]
+    slope = 2 * gathered.sides[:, 0] @ way.T.ravel()
+    assert slope == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-6)

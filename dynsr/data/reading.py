@@ -170,9 +170,9 @@ def read_trajectories(
     for note in marks:
         warnings.warn(note, DynsrWarning, stacklevel=2)
     found = replace(found, notes=(*found.notes, *marks))
-    runs = say_noise(
-        say_limits(found.runs, limits, found.roles.renamed), noise, found.roles.renamed
-    )
+    runs = say_limits(found.runs, limits, found.roles.renamed)
+    found = replace(found, notes=(*found.notes, *_count_limits(runs, limits, found.roles)))
+    runs = say_noise(runs, noise, found.roles.renamed)
     runs = decide_hold(runs, hold)
     understood = describe_runs(
         columns.label,
@@ -479,6 +479,22 @@ def say_limits(
     return found
 
 
+def _count_limits(
+    runs: Sequence[Trajectory], limits: Mapping[str, Any] | None, roles: Roles
+) -> list[str]:
+    """Say in how many rows states are beyond the limits that the caller says."""
+    rows = sum(map(len, runs))
+    counts = {}
+    for name in limits or {}:
+        state = roles.renamed.get(name, name)
+        own = [run.limits[state] for run in runs if state in run.limits]
+        counts[state] = sum(int(np.sum(one.known)) for one in own)
+    return [
+        f"{state!r} is beyond a limit in {count} of {rows} rows, which counts in place of a value."
+        for state, count in counts.items()
+    ]
+
+
 def say_noise(
     runs: Sequence[Trajectory], noise: Mapping[str, Any] | None, renamed: Mapping[str, str]
 ) -> list[Trajectory]:
@@ -599,7 +615,8 @@ def write_csv(
     path : the file, delimited by tabs when its name ends in .tsv, else by commas.
     force : whether a file that is there is replaced.
 
-    The file appears whole or not at all. Raises InputError when it cannot be written, a file is
+    Where only a limit is known the cell says so, such as "<0.05". The file appears whole or not at
+    all. Raises InputError when it cannot be written, a file is
     there and ``force`` is not given, or the trajectories have different columns.
     """
     import pandas
@@ -613,6 +630,12 @@ def write_csv(
             raise InputError("the trajectories have different columns; write them to several files")
         table = np.column_stack([run.t, run.observed, run.inputs])
         frame = pandas.DataFrame(table, columns=["t", *run.names])
+        for state, limits in run.limits.items():
+            cells = frame[state].astype(object)
+            for mark, limit in (("<", limits.below), (">", limits.above)):
+                beyond = np.isfinite(limit)
+                cells[beyond] = [f"{mark}{value!r}" for value in limit[beyond].tolist()]
+            frame[state] = cells
         if len(runs) > 1:
             frame.insert(0, "trajectory", number)
         frames.append(frame)
