@@ -28,6 +28,7 @@ from dynsr.data import (
     write_csv,
     write_kept,
 )
+from dynsr.discovery.scaling import Units
 from dynsr.discovery.verdict import give_verdict
 from dynsr.fit import Collocation, DelayedSystem, Measurements, MixedMesh, fit_along, measure_runs
 from dynsr.fit.censored import Censored, deviance, residual, residual_slope, steepness
@@ -95,6 +96,12 @@ def test_limits_go_with_their_rows_and_units():
     assert np.allclose(other.below[there], LIMIT / 2)
     turned = run.limits["x"].in_units(-1.0)
     assert np.allclose(turned.above[there], -LIMIT) and np.isnan(turned.below).all()
+    # Data of any size are searched in units of their own, and their limits too.
+    small = replace(run, x=1e-12 * run.x, limits={"x": run.limits["x"].in_units(1e12)})
+    units = Units.of([small])
+    again = units.apply(small)
+    share = again.limits["x"].below[there] / np.nanmax(again.x)
+    assert np.allclose(share, LIMIT / np.nanmax(run.x)) and np.nanmax(again.x) > 0.01
     # A cell that was measured has no limit, and limits of other columns go.
     full = Trajectory(T, TRUE[:, None], ("x",), limits=run.limits)
     assert full.limits == {} and replace(run, states=("y",)).limits == {}

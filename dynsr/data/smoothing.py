@@ -602,7 +602,8 @@ def _own_columns(
 
 def _near(rows: np.ndarray) -> np.ndarray:
     """(n,) whether one of some rows (n,) is at most two rows away."""
-    return np.convolve(rows, np.ones(5), "same") > 0
+    found: np.ndarray = np.convolve(rows, np.ones(5))[2:-2] > 0
+    return found
 
 
 def _state_noise(columns: Sequence[Column], settings: SmoothSettings) -> StateNoise:
