@@ -345,7 +345,7 @@ def test_limits_that_are_said_hold_for_values():
     two = [{"t": T, "x": TRUE}, {"t": T[::2], "y": TRUE[::2]}]
     (joined,) = read_trajectories(two, limits={"y": 0.12}).trajectories
     assert "x" not in joined.limits and (joined.limits["y"].below == 0.12).sum() > 10
-    for wrong in ("low", (1.0, 0.5), (None, None), np.nan, [1, 2, 3]):
+    for wrong in ("<low", "", (1.0, 0.5), (None, None), np.nan, [1, 2, 3]):
         with pytest.raises(InputError, match=r"the limit of 'x' is .*give the limit of detection"):
             take_trajectories((T, TRUE), limits={"x": wrong})
     with pytest.raises(InputError, match="limits names 'y', which is no state; the states are: x"):
@@ -359,8 +359,8 @@ def test_the_shell_takes_limits(tmp_path):
     said = run_command("describe", path).stdout
     assert "61 rows" not in said and "--limit x=..." in said
     assert "61 rows" in run_command("describe", path, "--limit", f"x={LIMIT}").stdout
-    wrong = run_command("describe", path, "--limit", "x=low", code=2)
-    assert wrong.stderr.count("\n") == 1 and "the limit of 'x' is 'low'" in wrong.stderr
+    wrong = run_command("describe", path, "--limit", "x=<low", code=2)
+    assert wrong.stderr.count("\n") == 1 and "the limit of 'x' is '<low'" in wrong.stderr
     wrong = run_command("discover", path, "--limit", "x", code=2)
     assert "--limit 'x' must be a state and its limit" in wrong.stderr
 
@@ -484,3 +484,27 @@ def test_a_fit_with_a_delay_takes_censored_cells():
     ends = [problem.cost(states + size * way, constants) for size in (1e-6, -1e-6)]
     slope = 2 * gathered.sides[:, 0] @ way.T.ravel()
     assert slope == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-6)
+
+
+def test_each_row_may_have_a_limit_of_its_own():
+    """A column of limits belongs to its state and is none; words mean the limit of their row."""
+    lod = np.where(T < 3, 0.2, 0.1)
+    low = lod >= TRUE
+    cells = ["BDL" if beyond else f"{v:.6f}" for v, beyond in zip(TRUE, low, strict=True)]
+    for x in (cells, TRUE):
+        table = {"t": T, "x": x, "x_lod": lod}
+        found = read_trajectories(table, limits={"x": "x_lod"})
+        (run,) = found.trajectories
+        assert run.states == ("x",) and found.left_out["x_lod"] == "is the limit of 'x'"
+        assert np.array_equal(run.limits["x"].below[low], lod[low])
+        assert np.array_equal(run.limits["x"].there, low)
+        (again,), _ = take_trajectories(table, limits={"x": "x_lod"})
+        assert np.array_equal(again.limits["x"].below, run.limits["x"].below, equal_nan=True)
+        assert again.origin["said_limits"] == {"x": "x_lod"}
+    with pytest.raises(InputError, match="the limit of 'x' is no number and no column: 'x_lod'"):
+        take_trajectories((T, TRUE), limits={"x": "x_lod"})
+    with pytest.raises(InputError, match="low"):
+        read_trajectories({"t": T, "x": TRUE}, limits={"x": "low"})
+    assert take_trajectories((T, TRUE), limits={"x": 0.1})[0][0].origin["said_limits"] == {
+        "x": "<0.1"
+    }

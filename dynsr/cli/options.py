@@ -199,7 +199,8 @@ Limits = Annotated[
         "--limit",
         "--limits",
         help="Limits of measurement. Values at or below x=0.05, and cells such as BDL, say only "
-        "that x was below it. Also the end of the range, 'x=>100', or both, x=0.05..100.",
+        "that x was below it. Also the end of the range, 'x=>100', both, x=0.05..100, or a column "
+        "of limits, x=x_lod.",
         rich_help_panel=DATA,
     ),
 ]

@@ -23,10 +23,19 @@ class Range:
     ----------
     below : at or below it a value is below the limit of detection; None for no such limit.
     above : at or above it a value is beyond the end of the range; None for no such limit.
+    column : the column of the limits of detection, one for each row; "" for none.
     """
 
     below: float | None = None
     above: float | None = None
+    column: str = ""
+
+    @property
+    def words(self) -> str:
+        """The limits as they are written, such as "0.05..100"."""
+        if self.column or self.above is None:
+            return self.column or f"<{self.below:g}"
+        return f">{self.above:g}" if self.below is None else f"{self.below:g}..{self.above:g}"
 
 
 def read_limits(limits: Mapping[str, Any] | None) -> dict[str, Range]:
@@ -35,22 +44,25 @@ def read_limits(limits: Mapping[str, Any] | None) -> dict[str, Range]:
     Parameters
     ----------
     limits : state -> the limit of detection in its units, as a number or as text such as "<0.05";
-        the upper end of the range, such as ">100"; or both, as a pair or as "0.05..100".
+        the upper end of the range, such as ">100"; both, as a pair or as "0.05..100"; or the name
+        of a column of limits of detection.
 
     Raises InputError where it has another form, or the range is empty.
 
-    >>> read_limits({"x": 0.05, "y": ">100", "z": "0.05..100"})["z"]
-    Range(below=0.05, above=100.0)
+    >>> read = read_limits({"x": 0.05, "y": ">100", "z": "0.05..100", "w": "w_lod"})
+    >>> [own.words for own in read.values()]
+    ['<0.05', '>100', '0.05..100', 'w_lod']
     """
     found = {}
     for state, said in (limits or {}).items():
         own = _read_limit(said)
         ends = [end for end in (own.below, own.above) if end is not None] if own else []
-        if own is None or not ends or not all(map(math.isfinite, ends)) or ends != sorted(ends):
+        fine = bool(ends) and all(map(math.isfinite, ends)) and ends == sorted(ends)
+        if own is None or not (fine or own.column):
             shown = one_line(repr(said))[:60]
             raise InputError(
                 f"the limit of {state!r} is {shown}; give the limit of detection, such as 0.05, "
-                'the end of the range, such as ">100", or both, such as "0.05..100"'
+                'the end of the range, such as ">100", both, such as "0.05..100", or a column'
             )
         found[state] = own
     return found
@@ -63,6 +75,8 @@ def _read_limit(said: Any) -> Range | None:
             said = tuple(end or None for end in (pair["low"], pair["high"]))
         elif text[:1] in (">", "\u2265"):
             said = (None, text[1:].lstrip("= "))
+        elif re.match(r"[^\W\d]", text) and text.lower() not in ("nan", "inf", "infinity"):
+            return Range(column=text)
         else:
             said = (text.lstrip("<=\u2264 "), None)
     if not isinstance(said, (tuple, list)):
@@ -70,9 +84,10 @@ def _read_limit(said: Any) -> Range | None:
     if len(said) != 2:
         return None
     try:
-        return Range(*(None if end is None else float(end) for end in said))
+        below, above = (None if end is None else float(end) for end in said)
     except (TypeError, ValueError):
         return None
+    return Range(below, above)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,28 +163,40 @@ class Limits:
         found: np.ndarray = np.fmax(np.fmin(x, self.below), self.above)
         return found
 
-    def with_words(self, limit: float) -> Limits:
-        """Give the same limits, with a number in the place of those that are not known."""
-        return replace(self, below=np.where(np.isinf(self.below), limit, self.below))
+    def with_words(self, limit: np.ndarray | float) -> Limits:
+        """Give the same limits, with a number in the place of those that are not known.
+
+        Parameters
+        ----------
+        limit : the number, or (n,) of them; where that is NaN, the limit stays unknown.
+        """
+        words = np.isinf(self.below) & ~np.isnan(limit)
+        return replace(self, below=np.where(words, limit, self.below))
 
 
-def limit_cells(x: np.ndarray, limits: Limits | None, given: Range) -> tuple[np.ndarray, Limits]:
-    """Give values and limits of a state where the user says between which it can be measured.
+def limit_cells(
+    x: np.ndarray,
+    limits: Limits | None,
+    below: np.ndarray | float | None = None,
+    above: float | None = None,
+) -> tuple[np.ndarray, Limits]:
+    """Give values and limits of a state where it is known between which it can be measured.
 
     Parameters
     ----------
     x : (n,) values; NaN where there is none.
     limits : those of cells.
-    given : what the user says.
+    below : the limit of detection, or (n,) of them, NaN for none; None for none at all.
+    above : the upper end of the range; None for none.
 
-    >>> x, limits = limit_cells(np.array([0.3, 0.05, 0.01]), None, Range(0.05))
+    >>> x, limits = limit_cells(np.array([0.3, 0.05, 0.01]), None, 0.05)
     >>> x.tolist(), limits.below.tolist()
     ([0.3, nan, nan], [nan, 0.05, 0.05])
     """
     own = Limits.none(len(x)) if limits is None else limits
-    if given.below is not None:
-        own = own.with_words(given.below)
-        own = replace(own, below=np.where(x <= given.below, given.below, own.below))
-    if given.above is not None:
-        own = replace(own, above=np.where(x >= given.above, given.above, own.above))
+    if below is not None:
+        own = own.with_words(below)
+        own = replace(own, below=np.where(x <= below, below, own.below))
+    if above is not None:
+        own = replace(own, above=np.where(x >= above, above, own.above))
     return np.where(own.there, np.nan, x), own

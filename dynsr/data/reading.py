@@ -103,7 +103,8 @@ def read_trajectories(
         The trajectories keep the column as an input, at which ``dynsr.discover`` cuts them.
     limits : state -> the limit of its measurement in its units: values at or below it, and cells
         such as "BDL", say only that it was below. Also the upper end of the range, such as ">100",
-        or both, such as "0.05..100". Cells such as "<0.05" say their limit themselves.
+        both, such as "0.05..100", or the column of the limits of detection. Cells such as "<0.05"
+        say their limit themselves.
     max_rows : more rows than this are thinned evenly, with a DynsrWarning.
 
     Times may be uneven, and rows may be in any order where it is known which belong together.
@@ -472,10 +473,20 @@ def say_limits(
     found = []
     for run in runs:
         x, own = run.observed.copy(), dict(run.limits)
+        words = dict(run.origin.get("said_limits", {}))
         for state, given in said.items():
             place = run.index(state)
-            x[:, place], own[state] = limit_cells(x[:, place], own.get(state), given)
-        found.append(replace(run, x=x, limits=own) if said else run)
+            if not given.column:
+                cells = x[:, place], own.get(state), given.below, given.above
+                x[:, place], own[state] = limit_cells(*cells)
+            elif words.get(state) != given.column:
+                raise InputError(
+                    f"the limit of {state!r} is no number and no column: {given.column!r}; the "
+                    f"columns are: {', '.join(run.names)}"
+                )
+            words[state] = given.words
+        origin = {**run.origin, "said_limits": words}
+        found.append(replace(run, x=x, limits=own, origin=origin) if said else run)
     return found
 
 

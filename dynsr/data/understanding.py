@@ -13,7 +13,7 @@ from dynsr.data.dosing import Dosing, find_nonmem, split_after_doses
 from dynsr.data.grouping import Grouping, guess_grouping
 from dynsr.data.holding import HOLDS
 from dynsr.data.known_noise import KnownNoise, check_noise
-from dynsr.data.limits import Limits, Range
+from dynsr.data.limits import Limits, Range, limit_cells
 from dynsr.data.long_tables import describe_long, find_quantity, widen
 from dynsr.data.name_parts import bracketed_unit
 from dynsr.data.names import clean_name, find_column
@@ -114,6 +114,7 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     notes += said
     columns, times, quantity, said = _next_to_each_other(columns, times, asked)
     notes += said
+    columns = _with_limits(columns, asked)
     grouping = _group(columns, times, asked)
     notes += _interleaved(times, grouping)
     roles = guess_roles(
@@ -282,6 +283,27 @@ def _next_to_each_other(
         f"run, with {found.values[0]!r} as its values; --quantity none says otherwise."
     )
     return wide, times.at(rows), found.quantity, [note]
+
+
+def _with_limits(columns: Columns, asked: Asked) -> Columns:
+    """Take the limits of states from the columns that the caller named for them."""
+    for state, own in asked.limits.items():
+        if not own.column:
+            continue
+        name = find_column(state, columns, "limit of a state")
+        column = find_column(own.column, columns, "limit")
+        by_name = dict(zip(columns.names, columns.values, strict=True))
+        x, below = (to_numbers(by_name[n], n, columns.label) for n in (name, column))
+        x, limits = limit_cells(x, columns.limits.get(name), below)
+        del by_name[column]
+        columns = replace(
+            columns,
+            names=tuple(by_name),
+            values=tuple({**by_name, name: x}.values()),
+            limits={**columns.limits, name: limits},
+            left_out={**columns.left_out, column: f"is the limit of {name!r}"},
+        )
+    return columns
 
 
 def _group(columns: Columns, times: Times, asked: Asked) -> Grouping:
@@ -574,6 +596,8 @@ def _make(
     said = {roles.renamed[state]: own for state, own in roles.noise.items()}
     if said:
         origin["said_noise"] = said
+    if columns_said := {n: own.column for n, own in asked.limits.items() if own.column}:
+        origin["said_limits"] = {roles.renamed.get(n, n): own for n, own in columns_said.items()}
     held = dict.fromkeys((roles.renamed[n] for n in roles.doses.values()), HOLDS[0])
     names = [roles.renamed[name] for name in wanted]
     count = len(roles.states)

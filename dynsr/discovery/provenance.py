@@ -23,7 +23,7 @@ def with_provenance(
     """
     told = {
         name: runs[0].origin.get(name)
-        for name in ("columns", "table", "time_unit", "doses", "said_noise")
+        for name in ("columns", "table", "time_unit", "doses", "said_noise", "said_limits")
     }
     known = {name: words for name, words in told.items() if words}
     known |= {"observed": {n: str(e) for n, e in observed.items()}} if observed else {}

@@ -196,8 +196,8 @@ def discover(
         whose size is estimated.
     limits : state -> the limit of its measurement in its units. Values at or below it, and cells
         such as "BDL", say only that the state was below it, which counts by its likelihood. Also
-        the upper end of the range, such as ">100", or both, such as "0.05..100". Cells such as
-        "<0.05" say their limit themselves.
+        the upper end of the range, such as ">100", both, such as "0.05..100", or the column of the
+        limits of detection. Cells such as "<0.05" say their limit themselves.
     observed : column -> the linear combination of states that it is, such as {"total": "S + I"}.
         A state in it that has no column was not measured alone: it takes the place of the column.
         Each such state needs one sum.
