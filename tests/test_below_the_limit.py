@@ -30,6 +30,7 @@ from dynsr.data import (
 )
 from dynsr.discovery.scaling import Units
 from dynsr.discovery.verdict import give_verdict
+from dynsr.errors import DynsrWarning
 from dynsr.fit import Collocation, DelayedSystem, Measurements, MixedMesh, fit_along, measure_runs
 from dynsr.fit.censored import Censored, deviance, residual, residual_slope, steepness
 from dynsr.report.plots import draw_states
@@ -508,3 +509,15 @@ def test_each_row_may_have_a_limit_of_its_own():
     assert take_trajectories((T, TRUE), limits={"x": 0.1})[0][0].origin["said_limits"] == {
         "x": "<0.1"
     }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["discrete", "stochastic"])
+def test_where_limits_do_not_count_one_line_says_so(kind):
+    """Maps and noise in the motion take cells beyond a limit for empty ones, and say it."""
+    values = 0.9 ** np.arange(61)
+    with pytest.warns(DynsrWarning, match="cells beyond a limit count as empty there"):
+        found = discover(
+            (np.arange(61.0), values), limits={"x": 0.05}, preset="quick", jobs=1, **{kind: True}
+        )
+    assert found.equations["x"].as_coeff_Mul()[1] == X

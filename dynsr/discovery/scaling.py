@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
+from warnings import warn
 
 import numpy as np
 import sympy
@@ -35,7 +36,7 @@ from dynsr.discovery.unseen import search_stepped, take_steps
 from dynsr.discovery.verdict import LAW, LEVELS
 from dynsr.discovery.volumes import with_volumes
 from dynsr.engines import DEFAULT_ENGINE, start_engine
-from dynsr.errors import InputError
+from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import counting, expand_terms, read_own_bits
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
 from dynsr.jobs import Budget, finish_by
@@ -340,6 +341,9 @@ class _Kind:
         hidden = check_hidden(asked, runs, settings, {**others, "stochastic": noisy})
         others = {**others, "hidden": hidden}
         noisy = check_stochastic(noisy, runs, settings, others)
+        if any(run.limits for run in runs) and (noisy or settings.get("discrete")):
+            words = "maps and noise in the motion: cells beyond a limit count as empty there"
+            warn(words, DynsrWarning, stacklevel=5)
         return cls(hidden, noisy, check_free(settings, others))
 
     @property
