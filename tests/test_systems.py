@@ -191,13 +191,13 @@ def test_an_equation_that_nothing_beats_comes_back_as_given():
 def test_a_second_comparison_knows_what_the_first_one_learnt(monkeypatch):
     """The same system is found again, with a tenth of the fits at most."""
     fits = []
-    fit = Collocation.fit
+    solve = Collocation.solve
 
     def counted(problem, *args, **options):
         fits.append(problem)
-        return fit(problem, *args, **options)
+        return solve(problem, *args, **options)
 
-    monkeypatch.setattr(Collocation, "fit", counted)
+    monkeypatch.setattr(Collocation, "solve", counted)
     first = {s: pool[0] for s, pool in pools("SIR").items()}
     known, choices, counts = Compared(), [], []
     for _ in range(2):

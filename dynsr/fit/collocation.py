@@ -560,13 +560,7 @@ class Collocation:
             from a fit of almost the same system nothing is to be gone back to.
         """
         states = np.ascontiguousarray((self.mesh.start if near is None else near.states).T)
-        constants = self.constants
-        for stiffness in self.settings.stiffness[-1:] if strict else self.settings.stiffness:
-            moved = self._stage(states, constants, stiffness)
-            if moved is None:
-                return None
-            states, constants = moved
-        return self._finish(states, constants)
+        return self._in_stages(states, strict)
 
     def cost(self, states: np.ndarray, constants: np.ndarray) -> float:
         """Sum of squares that a fit ends in: misses, and defects times their last weight.
@@ -661,14 +655,32 @@ class Collocation:
             found: np.ndarray = np.sum((change / self.mesh.by_state[2]) ** 2, axis=1)
         return np.where(np.isfinite(found), found, np.inf)
 
+    def _in_stages(
+        self, states: np.ndarray, begun: bool, ways: np.ndarray | None = None
+    ) -> CollocationFit | None:
+        """Fit from states (k, n); where these follow the system already, in the last stage alone.
+
+        The stages before lead to its start, which need not be exact.
+        """
+        constants, (*early, last) = self.constants, self.settings.stiffness
+        stages = [(weight, self.settings.early) for weight in ([] if begun else early)]
+        for weight, gain in (*stages, (last, self.settings.gain)):
+            moved = self._stage(states, constants, weight, ways, gain)
+            if moved is None:
+                return None
+            states, constants = moved
+        return self._finish(states, constants)
+
     def _stage(
         self,
         states: np.ndarray,
         constants: np.ndarray,
         stiffness: float,
         ways: np.ndarray | None = None,
+        gain: float | None = None,
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Levenberg and Marquardt's steps at one weight of the defects."""
+        gain = self.settings.gain if gain is None else gain
         cost, damping = self._cost(states, constants, stiffness), 1e-6
         if not np.isfinite(cost):
             return None
@@ -691,7 +703,7 @@ class Collocation:
                     damping /= 10
                     break
                 damping = max(damping * 10, 1e-4)
-            if not cost < before * (1 - self.settings.gain):
+            if not cost < before * (1 - gain):
                 break
         return states, constants
 

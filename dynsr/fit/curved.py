@@ -354,13 +354,7 @@ class _Curved(Collocation):
         ways : (N, Q) directions in which the numbers may go.
         begun : whether the start follows the system already.
         """
-        constants, stages = self.constants, self.settings.stiffness
-        for stiffness in stages[-1:] if begun else stages:
-            moved = self._stage(states, constants, stiffness, self.ties @ ways)
-            if moved is None:
-                return None
-            states, constants = moved
-        return self._finish(states, constants)
+        return self._in_stages(states, begun, self.ties @ ways)
 
 
 @dataclass(frozen=True, eq=False)

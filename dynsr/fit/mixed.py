@@ -192,14 +192,7 @@ class _Grouped(Collocation):
         ways : (P, Q) which constants are one.
         begun : whether the start follows the system already.
         """
-        constants = self.constants
-        stages = self.settings.stiffness
-        for stiffness in stages[-1:] if begun else stages:
-            moved = self._stage(states, constants, stiffness, ways)
-            if moved is None:
-                return None
-            states, constants = moved
-        return self._finish(states, constants)
+        return self._in_stages(states, begun, ways)
 
 
 def _constant(state: str, name: str, group: int) -> sympy.Symbol:

@@ -17,6 +17,7 @@ class CollocationSettings:
         At 1e5 a system of 1000 rows may leave its own solution by a tenth of the noise at most.
     steps : steps of a stage at most.
     gain : a stage ends when a step lowers the sum of squares by less than this share.
+    early : the same for the stages before the last, which lead to its start.
     difference : step of the numerical derivatives, relative to a state's spread and a constant.
     expected : mean squared defect, times its last weight, that does not speak against a system:
         between 0 and 1, for what a solver of loose tolerance leaves in measured states.
@@ -27,6 +28,7 @@ class CollocationSettings:
     gain: float = 1e-4
     difference: float = 1e-7
     expected: float = 0.0
+    early: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ class FitSettings:
     within: float = 2.0
     joint: float = 0.95
     vocabulary: Vocabulary | None = None
-    along: CollocationSettings = CollocationSettings(steps=40, gain=1e-8)
+    along: CollocationSettings = CollocationSettings(steps=40, gain=1e-8, early=1e-8)
     strict: CollocationSettings = CollocationSettings(stiffness=(1e5, 1e7, 1e9))
 
 

@@ -121,7 +121,7 @@ class ComparisonSettings:
     rows: int = 2000
     parts: Parts = Parts()
     demands: Demands = Demands()
-    fit: CollocationSettings = CollocationSettings()
+    fit: CollocationSettings = CollocationSettings(early=0.5)
 
     def ask(self, data: Measurements) -> bool:
         """Whether states are asked, and not their slopes alone.

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain, combinations
 
 import numpy as np
 import sympy
 
 from dynsr.expression import evaluate, expand_terms
-from dynsr.fit import Measurements, skeleton
+from dynsr.fit import CollocationSettings, Measurements, skeleton
 from dynsr.library import Written
 from dynsr.selection.alone import Alone
 from dynsr.selection.changes import prune
@@ -196,6 +197,11 @@ class HiddenComparison(SystemComparison):
     """Fits systems in which a hidden state enters by one term alone."""
 
     coupling: Coupling = field(kw_only=True)
+
+    @cached_property
+    def _held(self) -> CollocationSettings:
+        # The first curve of a hidden state is rough: it takes all steps of each stage.
+        return replace(super()._held, early=self.settings.fit.gain)
 
     def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
         """Fit every constant and start; None where the system is not one of these."""
