@@ -312,7 +312,7 @@ def test_a_fit_that_came_to_rest_early_pays_for_its_defects():
     mesh = mesh_of([(t, x)], 0.02, ("x",))
     wrong = Collocation({"x": parse("-0.9*x^2")}, mesh)
     stiff = wrong.fit()
-    early = wrong._finish(mesh.start.T.copy(), stiff.constants)
+    early = wrong.as_fit(*wrong._finish(mesh.start.T.copy(), stiff.constants))
     assert np.mean(early.misses**2) < np.mean(stiff.misses**2)
     assert early.mean_squares[0] > 10 * stiff.mean_squares[0]
 

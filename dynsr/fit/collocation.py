@@ -559,8 +559,20 @@ class Collocation:
         strict : whether the states follow the system from the first step on, and not in stages:
             from a fit of almost the same system nothing is to be gone back to.
         """
-        states = np.ascontiguousarray((self.mesh.start if near is None else near.states).T)
-        return self._in_stages(states, strict)
+        found = self.solve(near, strict)
+        return None if found is None else self.as_fit(*found)
+
+    def solve(
+        self, near: CollocationFit | None = None, strict: bool = False
+    ) -> tuple[np.ndarray, ...] | None:
+        """Give the arrays that a fit ends with, as :meth:`as_fit` takes them; None as for a fit.
+
+        Parameters
+        ----------
+        near, strict : as for a fit.
+        """
+        begun = self.mesh.start if near is None else near.states
+        return self._in_stages(np.ascontiguousarray(begun.T), strict)
 
     def cost(self, states: np.ndarray, constants: np.ndarray) -> float:
         """Sum of squares that a fit ends in: misses, and defects times their last weight.
@@ -589,7 +601,8 @@ class Collocation:
         moved = self._stage(states, constants, stiffness, ways)
         return None if moved is None else (*moved, self._cost(*moved, stiffness))
 
-    def _finish(self, states: np.ndarray, constants: np.ndarray) -> CollocationFit | None:
+    def _finish(self, states: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, ...] | None:
+        """Give states, constants, mean squares and information; None where this is not known."""
         try:
             information = self.normal(states.T, constants).information
         except (LinAlgError, ValueError):
@@ -603,7 +616,7 @@ class Collocation:
         left = self.settings.stiffness[-1] * np.sum(defects**2, axis=1)
         squares += np.maximum(left - self.settings.expected * defects.shape[1], 0.0)
         squares /= np.maximum(self.mesh.rows, 1.0)
-        return self.as_fit(states, constants, squares, information)
+        return states, constants, squares, information
 
     def as_fit(
         self,
@@ -657,7 +670,7 @@ class Collocation:
 
     def _in_stages(
         self, states: np.ndarray, begun: bool, ways: np.ndarray | None = None
-    ) -> CollocationFit | None:
+    ) -> tuple[np.ndarray, ...] | None:
         """Fit from states (k, n); where these follow the system already, in the last stage alone.
 
         The stages before lead to its start, which need not be exact.

@@ -354,7 +354,8 @@ class _Curved(Collocation):
         ways : (N, Q) directions in which the numbers may go.
         begun : whether the start follows the system already.
         """
-        return self._in_stages(states, begun, self.ties @ ways)
+        found = self._in_stages(states, begun, self.ties @ ways)
+        return None if found is None else self.as_fit(*found)
 
 
 @dataclass(frozen=True, eq=False)

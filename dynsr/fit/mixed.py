@@ -192,7 +192,8 @@ class _Grouped(Collocation):
         ways : (P, Q) which constants are one.
         begun : whether the start follows the system already.
         """
-        return self._in_stages(states, begun, ways)
+        found = self._in_stages(states, begun, ways)
+        return None if found is None else self.as_fit(*found)
 
 
 def _constant(state: str, name: str, group: int) -> sympy.Symbol:

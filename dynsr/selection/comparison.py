@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import sympy
@@ -218,21 +218,13 @@ class SystemComparison:
         self, problem: Collocation, near: CollocationFit | None, strict: bool = False
     ) -> CollocationFit | None:
         """Fit a system; where a run keeps its fits, one that an earlier run made is taken."""
-
-        def make() -> tuple[np.ndarray, ...] | None:
-            fit = problem.fit(near, strict)
-            if fit is None:
-                return None
-            return fit.states.T, fit.constants, fit.mean_squares, fit.information
-
         mesh, begin = self.mesh, self.mesh.start if near is None else near.states
         data = (mesh.t, mesh.left, mesh.x, mesh.weights, mesh.driven, mesh.states)
         cells = () if mesh.censored is None else mesh.censored.arrays
         # The text of a formula has fewer digits than its constants.
         system = (problem.exprs, problem.constants, begin, strict)
-        found = recalled(
-            "system", make, *system, *data, *cells, mesh.driven_names, problem.settings
-        )
+        every = (*system, *data, *cells, mesh.driven_names, problem.settings)
+        found = recalled("system", partial(problem.solve, near, strict), *every)
         return None if found is None else problem.as_fit(*found)
 
     def _count(self, problem: Collocation, found: CollocationFit | None) -> SystemFit | None:
