@@ -128,6 +128,7 @@ def test_numbers_in_use_are_recognised(value, error, number):
         (0.9104, 0.05),  # 0.9, 0.91 and 1 all lie within two standard errors
         (-0.8303, 0.0006 / 4),  # 2.0001 errors and more from 0.83, and 5/6 is 20 away
         (0.4547, 0.0004),  # 5/11 is no number that people write
+        (2.7183, 0.002),  # e is the base of exp, and no factor that people write
         (1.3750, 0.001),  # 11/8 lies right here, and 1.37 and 1.38 do as well
     ],
 )

@@ -40,7 +40,7 @@ DIGITS = {1: Kind(0.15), 2: Kind(0.15), 3: Kind(0.02, True), 4: Kind(0.01, True)
 KNOWN = Kind(0.01)
 MEASURED = 0.25
 # Numbers of physics and mathematics that have names.
-_NAMED: tuple[Number, ...] = (Fraction(981, 100), sympy.pi, 2 * sympy.pi, sympy.E)
+_NAMED: tuple[Number, ...] = (Fraction(981, 100), sympy.pi, 2 * sympy.pi)
 _LARGEST_WHOLE = 100
 
 
