@@ -1,10 +1,11 @@
-"""Delayed: equations are searched with states as they were some time before."""
+"""Delayed: equations are searched with states and inputs as they were some time before."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -78,7 +79,7 @@ def search_delayed(
     asked: Sequence[float],
     inputs: Mapping[str, sympy.Expr],
 ) -> Discovery:
-    """Search equations that may contain states as they were some time before.
+    """Search equations that may contain states and inputs as they were some time before.
 
     Parameters
     ----------
@@ -95,27 +96,27 @@ def search_delayed(
     most = len(asked) or details.delays.searched
     fits: list[DelayFit] = []
 
-    def scan() -> list[_Begun]:
+    def scan() -> None:
         for fit in delayed.candidates(comparison, asked):
             fits.append(fit)  # noqa: PERF402 (a scan that is cut leaves what it found)
-        return _begin(delayed, fits, inputs, comparison, most)
 
-    def from_found() -> list[_Begun]:
-        return _begin(delayed, fits, inputs, comparison, most)
+    _, late = finish_by(budget.until(details.shares.searches), scan, lambda: None)
+    waiting = _begin(delayed, fits, inputs, comparison)
 
-    def without() -> list[_Begun]:
-        return []
+    def begin() -> Iterator[_Begun]:
+        until, any_begun = budget.until(details.shares.choices), False
+        # Whether equations follow the runs is seen of one delay after the other, when it is needed.
+        while first := finish_by(until, lambda: next(waiting, None), lambda: None)[0]:
+            yield first
+            until, any_begun = budget.until(1.0), True
+        if not any_begun:
+            yield from (_Begun(delay, delayed) for delay in asked)
 
-    shares = details.shares
-    begun, late = finish_by(budget.until(shares.searches), scan, without)
-    if late:
-        begun, _ = finish_by(budget.until(shares.choices), from_found, without)
-    begun = begun or [_Begun(delay, delayed) for delay in asked]
     answers: list[Discovery] = []
-    out, apart = settings.get("out"), begun[:most]
-    for number, first in enumerate(apart, start=1):
+    out = settings.get("out")
+    for number, first in enumerate(islice(begin(), most), start=1):
         # Each delay is searched with twice.
-        own = {**settings, "time_budget": budget.rest(2 * (len(apart) - number + 1))}
+        own = {**settings, "time_budget": budget.rest(2 * (most - number + 1))}
         if answers and budget.is_over:
             late = True
             break
@@ -246,9 +247,8 @@ def _begin(
     fits: Sequence[DelayFit],
     inputs: Mapping[str, sympy.Expr],
     comparison: ComparisonSettings,
-    most: int,
-) -> list[_Begun]:
-    """Give delays, and the curves of sums that follow the runs with their own delayed states.
+) -> Iterator[_Begun]:
+    """Give delays, and the curves of sums that follow the runs with their own delayed columns.
 
     In an oscillation, a delay longer by a period, or a very short one, explains slopes as well.
     """
@@ -260,9 +260,7 @@ def _begin(
             if fit.delayed.explained(fit.equations, delays, inputs) > _LEAST:
                 best = delayed.measured(fit, comparison)
                 found.append(_Begun(best.delay, best.delayed, best))
-        if len(found) == most:
-            break
-    return found
+                yield found[-1]
 
 
 def _as_found(found: Discovery, fit: DelayFit, inputs: Mapping[str, sympy.Expr]) -> Discovery:

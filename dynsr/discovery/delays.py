@@ -1,11 +1,11 @@
-"""Delays: equations that contain a state as it was some time before.
+"""Delays: equations that contain a state or an input as it was some time before.
 
 Which delay it is is seen by how well short sums of the library's terms explain the slopes, where
 delayed states are read from smoothed curves. Then the delay is fitted together with the states and
 all other constants, and delayed states are those of the fit (:mod:`dynsr.fit.delayed`). Along the
 curves of a fit that follows the data, equations are searched as with any other input. An equation
 with a delay is followed by the method of steps: over one delay after the other, the delayed state
-is the solution before.
+is the solution before. A delayed input is a known function of the time, and is followed as such.
 """
 
 from __future__ import annotations
@@ -21,20 +21,23 @@ import sympy
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from dynsr.data import SmoothedTrajectory, Trajectory
+from dynsr.data import Hold, SmoothedTrajectory, Trajectory
 from dynsr.discovery.intervals import take_apart, write_interval
 from dynsr.discovery.parameters import name_constants, put_names
 from dynsr.discovery.prediction import Measured, predict
-from dynsr.engines import DEFAULT_ENGINE, AbstractEngine
+from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, Drive
 from dynsr.errors import EngineError, InputError
+from dynsr.expression import parse
 from dynsr.fit import (
     FIT,
     CollocationSettings,
     DelayedFit,
     DelayedMesh,
     DelayedSystem,
+    Driven,
     Measurements,
     MixedMesh,
+    drives_of,
     measure_runs,
     precision_bits,
 )
@@ -100,11 +103,11 @@ class DelaySettings:
 
 @dataclass(frozen=True)
 class Delay:
-    """A state as it was some time before.
+    """A state, or an input, as it was some time before.
 
     Parameters
     ----------
-    state : the state.
+    state : the state or the input.
     value : how long before, in the unit of the times.
     error : its standard error; inf where the data do not determine it.
     low, high : the ends of its 95 % interval; None where the data do not determine it.
@@ -137,20 +140,22 @@ class Delay:
 
 @dataclass(frozen=True, eq=False)
 class Delayed:
-    """Runs whose states are known before each of their rows, by curves.
+    """Runs whose states are known before each of their rows, by curves, and whose inputs are too.
 
     Parameters
     ----------
     runs : the trajectories.
     data : the same with their noise, to which systems are fitted.
     curves : the curve of each of them: smoothed, or that of a system that follows it.
-    names : state -> the column of the delayed state.
+    inputs : the inputs of each of them as functions of the time.
+    names : state or input -> the column of the delayed one; inputs are the last.
     settings : the numbers that decide.
     """
 
     runs: Sequence[Trajectory]
     data: Measurements
     curves: Sequence[SmoothedTrajectory]
+    inputs: Sequence[Driven]
     names: Mapping[str, str]
     settings: DelaySettings
 
@@ -162,18 +167,24 @@ class Delayed:
         ----------
         runs, settings : the data, and the numbers that decide.
 
-        Raises InputError when a delayed state would have the name of a column, or a run has too few
-        rows.
+        Raises InputError when a delayed column would have the name of another one, or a run has too
+        few rows.
         """
         if (least := min(map(len, runs))) < settings.fewest:
             raise InputError(f"a trajectory of {least} rows shows no delay; leave it out")
         stride = max(1, -(-max(map(len, runs)) // settings.rows))
         some = [run.select(run.every(stride)) for run in runs]
-        names = {state: f"{state}{_ENDING}" for state in runs[0].states}
+        names = {name: f"{name}{_ENDING}" for name in runs[0].names}
         if taken := [name for name in names.values() if name in runs[0].names]:
             raise InputError(f"{taken[0]!r} is a column already; rename it, or leave delays out")
         data = measure_runs(some, {}, sum(map(len, some)), {})
-        return cls(some, data, data.smoothed, names, settings)
+        inputs = drives_of(runs[0].input_names, runs, {})
+        return cls(some, data, data.smoothed, inputs, names, settings)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The states, which are the first of the names."""
+        return self.runs[0].states
 
     @property
     def longest(self) -> float:
@@ -181,7 +192,10 @@ class Delayed:
         return self.settings.longest * min(float(np.ptp(run.t)) for run in self.runs)
 
     def columns(self, delay: float, begin: float) -> list[Trajectory]:
-        """Give the runs from some time on, with the delayed states as inputs.
+        """Give the runs from some time on, with the delayed states and inputs as inputs.
+
+        Where a delayed input jumps or has a kink between rows, there is one more row, at which no
+        state was measured.
 
         Parameters
         ----------
@@ -189,15 +203,25 @@ class Delayed:
         begin : time after the first row from which on rows are kept; the delay at least.
         """
         found = []
-        for run, curve in zip(self.runs, self.curves, strict=True):
+        for run, curve, inputs in zip(self.runs, self.curves, self.inputs, strict=True):
             kept = run.select(np.flatnonzero(run.t >= run.t[0] + begin))
-            columns = dict(zip(self.names.values(), curve.curve(kept.t - delay), strict=True))
+            later = [drive.later(self.names[drive.name], delay) for drive in inputs.drives]
+            rounding = _ROUNDING * float(np.ptp(run.t))
+            kept = _with_rows(kept, curve, inputs, later, rounding)
+            known = {
+                drive.name: drive.at(kept.t + (rounding if len(drive.kinks) else 0.0))
+                for drive in later
+            }
+            before = curve.curve(kept.t - delay)
+            columns = {self.names[s]: x for s, x in zip(self.states, before, strict=True)} | known
+            ways: dict[str, Hold] = {self.names[state]: "smooth" for state in self.states}
+            ways |= {self.names[name]: run.held(name) for name in run.input_names}
             found.append(
                 replace(
                     kept,
                     inputs=np.column_stack([kept.inputs, *columns.values()]),
                     input_names=(*kept.input_names, *columns),
-                    hold={**kept.hold, **dict.fromkeys(columns, "smooth")},
+                    hold={**kept.hold, **ways},
                 )
             )
         return found
@@ -283,20 +307,26 @@ class Delayed:
         return [(max(grid[i] - width, shortest), min(grid[i] + width, self.longest)) for i in best]
 
     def points(self, delay: float) -> tuple[np.ndarray, ...]:
-        """Give states, delayed states, slopes and their errors (k, n), for all delays alike."""
+        """Give states, delayed states, slopes and their errors (k, n), for all delays alike.
+
+        Inputs and delayed inputs (m, n) are the last two.
+        """
         parts = []
         each = -(-self.settings.points // len(self.runs))
-        for run, curve in zip(self.runs, self.curves, strict=True):
+        for run, curve, inputs in zip(self.runs, self.curves, self.inputs, strict=True):
             rows = np.flatnonzero(run.t >= run.t[0] + self.longest)
             rows = rows[np.unique(np.linspace(0, len(rows) - 1, each).astype(int))]
-            before = curve.curve(run.t[rows] - delay)
-            parts.append((curve.x[rows].T, before, curve.slope[rows].T, curve.slope_sd[rows].T))
+            times = run.t[rows]
+            # The time is the last of what drives.
+            driven = inputs(times)[:-1], inputs(times - delay)[:-1]
+            states = curve.x[rows].T, curve.curve(times - delay)
+            parts.append((*states, curve.slope[rows].T, curve.slope_sd[rows].T, *driven))
         return tuple(np.concatenate(own, axis=1) for own in zip(*parts, strict=True))
 
     def delays_in(
         self, equations: Mapping[str, sympy.Expr], delay: float, fit: DelayFit | None = None
     ) -> dict[str, Delay]:
-        """Give column -> delay of the delayed states that equations contain.
+        """Give column -> delay of the delayed states and inputs that equations contain.
 
         Parameters
         ----------
@@ -305,8 +335,8 @@ class Delayed:
         """
         used = {str(s) for e in equations.values() for s in e.free_symbols}
         return {
-            column: Delay(state, delay) if fit is None else fit.as_delay(state)
-            for state, column in self.names.items()
+            column: Delay(name, delay) if fit is None else fit.as_delay(name)
+            for name, column in self.names.items()
             if column in used
         }
 
@@ -333,6 +363,11 @@ class Delayed:
             given: dict[str, object] = {
                 name: inputs[name] if name in inputs else _measured(run, name)
                 for name in run.input_names
+            }
+            given |= {
+                column: put_off(given[own.state], own.value, column)
+                for column, own in delays.items()
+                if own.state in run.input_names
             }
             begin = run.t[0] + delay
             while begin < run.t[-1]:
@@ -408,8 +443,9 @@ class Delayed:
         """Give equations with names for constants, their values, and the system of both."""
         named, signed = put_names(equations, name_constants(equations, self.runs[0].names))
         used = {str(symbol) for expr in named.values() for symbol in expr.free_symbols}
-        names = {state: column for state, column in self.names.items() if column in used}
-        return named, signed, DelayedSystem(named, names, tuple(signed))
+        names = {name: column for name, column in self.names.items() if column in used}
+        inputs = self.inputs if names.keys() - {*self.states} else ()
+        return named, signed, DelayedSystem(named, names, tuple(signed), inputs)
 
     def measured(self, fit: DelayFit, comparison: ComparisonSettings) -> DelayFit:
         """Give a fit whose errors count those of the rule, with the least history.
@@ -456,7 +492,8 @@ class _Scan:
     @classmethod
     def of(cls, delayed: Delayed, settings: ComparisonSettings) -> _Scan:
         """Prepare the scan; its columns are those of any delay."""
-        mesh = DelayedMesh.of(delayed.data.mesh(tuple(delayed.names)), delayed.names, 0.0)
+        rows = delayed.data.mesh(delayed.states)
+        mesh = DelayedMesh.of(rows, delayed.names, 0.0, delayed.inputs)
         return cls(delayed, SystemComparison(mesh.at(delayed.longest), settings))
 
     def bits(self, delay: float) -> float:
@@ -465,13 +502,20 @@ class _Scan:
         return found[0][0] if found else math.inf
 
     def sums(self, delay: float) -> list[tuple[float, dict[str, sympy.Expr]]]:
-        """Give the best short sums with their bits, best first; none for a delay of a slope."""
-        settings = self.delayed.settings
-        states, delayed, slopes, errors = self.delayed.points(delay)
+        """Give the best short sums with their bits, best first; none for a delay of a slope.
+
+        Inputs have such a delay too: their differences are no slopes of states.
+        """
+        settings, own = self.delayed.settings, self.delayed.states
+        states, delayed, slopes, errors, inputs, late = self.delayed.points(delay)
+        others = self.delayed.runs[0].input_names
+        before = [self.delayed.names[name] for name in (*own, *others)]
         if np.any(_is_slope(states, delayed, slopes, errors, delay) < settings.apart):
-            return []
-        points = np.concatenate([states, delayed])
-        names = [*self.delayed.names, *self.delayed.names.values()]
+            if not others:
+                return []
+            delayed, before = delayed[:0], before[len(own) :]
+        points = np.concatenate([states, inputs, delayed, late])
+        names = [*own, *others, *before]
         library = Library.of(names, points, settings=settings.library)
         with np.errstate(all="ignore"):
             values = library.both(points)[0]
@@ -482,8 +526,8 @@ class _Scan:
         inside = [library.constants[row].tolist() for row in fine]
         gram = terms @ terms.T
 
-        def write(own: Subset) -> sympy.Expr:
-            parts = zip(own.coefficients, own.places, strict=True)
+        def write(subset: Subset) -> sympy.Expr:
+            parts = zip(subset.coefficients, subset.places, strict=True)
             return sympy.Add(
                 *(
                     sympy.Float(factor / sizes[fine[i]]) * forms[i].write(names, inside[i])
@@ -492,7 +536,7 @@ class _Scan:
             )
 
         each = []
-        for state, slope in zip(self.delayed.names, slopes, strict=True):
+        for state, slope in zip(own, slopes, strict=True):
             costs = [self._cost(f, c, names, state) for f, c in zip(forms, inside, strict=True)]
             each.append(
                 best_subsets(
@@ -508,8 +552,8 @@ class _Scan:
         # The best sums of all states together, then the second best, ...
         return [
             (
-                sum(own.bits for own in some),
-                dict(zip(self.delayed.names, map(write, some), strict=True)),
+                sum(one.bits for one in some),
+                dict(zip(own, map(write, some), strict=True)),
             )
             for some in zip(*each, strict=False)
         ]
@@ -539,6 +583,59 @@ def _part_of(
 def _measured(run: Trajectory, name: str) -> Measured:
     place = run.input_names.index(name)
     return Measured(name, run.t, run.inputs[:, place], run.held(name))
+
+
+def put_off(value: Any, delay: float, name: str) -> Any:
+    """Give an input as it was some time before.
+
+    Parameters
+    ----------
+    value : expression in ``t``, function of one time, or :class:`Measured` values.
+    delay : how long before.
+    name : of the delayed input.
+
+    >>> put_off("sin(t)", 0.5, "u_delayed")
+    sin(t - 0.5)
+    """
+    if isinstance(value, Measured):
+        return value.later(name, delay)
+    if callable(value) and not isinstance(value, sympy.Basic):
+        return lambda t: value(t - delay)
+    t = sympy.Symbol("t")
+    return parse(value, ["t"]).xreplace({t: t - delay})
+
+
+def _with_rows(
+    run: Trajectory,
+    curve: SmoothedTrajectory,
+    inputs: Driven,
+    later: Sequence[Drive],
+    rounding: float,
+) -> Trajectory:
+    """Give a run with rows, at which nothing was measured, where some inputs jump or have kinks."""
+    kinks = np.unique(np.concatenate([np.empty(0), *(drive.kinks for drive in later)]))
+    kinks = kinks[(kinks > run.t[0]) & (kinks < run.t[-1])]
+    after = np.searchsorted(run.t, kinks)
+    gaps = np.minimum(run.t[after] - kinks, kinks - run.t[after - 1])
+    # Two times that rounding alone sets apart are one.
+    kinks = kinks[gaps > rounding]
+    if not len(kinks):
+        return run
+    t = np.concatenate([run.t, kinks])
+    order = np.argsort(t)
+    new = order >= len(run)
+    rows = np.where(new, np.searchsorted(run.t, t[order]) - 1, order)
+    x, values, gaps = run.x[rows], run.inputs[rows], ~run.measured[rows]
+    x[new], values[new], gaps[new] = curve.curve(t[order][new]).T, inputs(kinks)[:-1].T, True
+    return replace(
+        run,
+        t=t[order],
+        x=x,
+        inputs=values,
+        unmeasured=gaps,
+        noise={state: own.select(rows) for state, own in run.noise.items()},
+        sums={state: own.select(rows) for state, own in run.sums.items()},
+    )
 
 
 def _is_slope(
@@ -617,7 +714,7 @@ def follow(
     Parameters
     ----------
     equations : state -> right-hand side; delayed states are inputs.
-    delays : input -> the delay that it is.
+    delays : input -> the delay that it is; those of inputs are among ``inputs``.
     history : gives the states (k, n) at n times up to the first one of ``t``.
     t : (m,) increasing times.
     inputs : all other inputs, as :func:`dynsr.discovery.predict` takes them.
@@ -627,6 +724,9 @@ def follow(
     Raises InputError and EngineError where :func:`dynsr.discovery.predict` does.
     """
     states = list(equations)
+    delays = {name: delay for name, delay in delays.items() if delay.state in equations}
+    if not delays:
+        return predict(equations, history(t[:1])[:, 0], t, inputs, engine)
     step = min(delay.value for delay in delays.values())
     ends = np.append(np.arange(t[0], t[-1], step), t[-1])
     solved: list[tuple[np.ndarray, np.ndarray]] = []
@@ -672,7 +772,7 @@ def read_history(
     states : the k states.
     delays : column -> the delay that it is.
     """
-    columns = {own.state: (name, own.value) for name, own in delays.items()}
+    columns = {own.state: (name, own.value) for name, own in delays.items() if own.state in states}
     curves = {
         state: CubicSpline(run.t - value, run.inputs[:, run.input_names.index(name)])
         for state, (name, value) in columns.items()

@@ -159,13 +159,15 @@ class Measured:
     """An input that was measured: (m,) ``values`` at times ``t``.
 
     ``hold`` says what it does between them: "previous", "linear" or "smooth"; by default its
-    values show it. Raises InputError when the values do not fit the times or are not finite.
+    values show it. ``past`` is what it was before the first of them, where that is known. Raises
+    InputError when the values do not fit the times or are not finite.
     """
 
     name: str
     t: np.ndarray
     values: np.ndarray
     hold: Hold | None = None
+    past: Measured | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -184,12 +186,45 @@ class Measured:
     def drive(self) -> Drive:
         """The input as pieces, which engines take."""
         hold = self.hold or choose_hold(self.t, self.values)
-        return Drive.through(self.name, self.t, self.values, hold)
+        own = Drive.through(self.name, self.t, self.values, hold)
+        return own if self.past is None else self.past.drive.then(own)
+
+    @property
+    def first(self) -> float:
+        """The first time at which it is known without a gap after it."""
+        own = float(self.t[0])
+        if self.past is None or self.past.t[-1] < own - self._slack:
+            return own
+        return min(own, self.past.first)
+
+    @property
+    def _slack(self) -> float:
+        return _SLACK * float(np.ptp(self.t))
+
+    def is_known_from(self, time: float) -> bool:
+        """Whether it is known from some time on.
+
+        Parameters
+        ----------
+        time : the time.
+        """
+        return self.first <= time + self._slack
+
+    def later(self, name: str, delay: float) -> Measured:
+        """Give the input as it was some time before.
+
+        Parameters
+        ----------
+        name : of the delayed input.
+        delay : how long before.
+        """
+        past = self.past and self.past.later(name, delay)
+        return replace(self, name=name, t=self.t + delay, past=past)
 
     def check_covers(self, times: np.ndarray) -> None:
         """Raise InputError when a time lies beyond the rows; nothing is known there."""
-        first, last = float(self.t[0]), float(self.t[-1])
-        slack = _SLACK * (last - first)
+        first, last = self.first, float(self.t[-1])
+        slack = self._slack
         beyond = times[(times < first - slack) | (times > last + slack)]
         if beyond.size:
             raise InputError(

@@ -42,7 +42,7 @@ from dynsr.data import (
 from dynsr.discovery.alternatives import MORE_CONSTANTS, count_constants
 from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.by_state import ByState
-from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow, read_history
+from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow, put_off, read_history
 from dynsr.discovery.diffusion import (
     Diffusion,
     as_trajectories,
@@ -214,7 +214,8 @@ class Discovery:
     summary : what is known of the data where they are not there, as after :meth:`load`.
     by_run : the parameters that differ from run to run, see :meth:`vary`. Equations contain them as
         inputs that are constant in each run.
-    delays : input -> the state and delay that it is, where ``discover`` was given ``delays``.
+    delays : input -> the state, or other input, and the delay that it is, where ``discover`` was
+        given ``delays``.
     volumes : name -> the volume by which amounts are divided, where ``discover`` was given
         ``doses={"c": "dose/V"}``; a :class:`Parameter` with its interval.
     free : the functions of one column that ``discover`` found in known equations, see
@@ -1057,7 +1058,8 @@ class Discovery:
         """Integrate the equations; by default from the start and at the times of the data.
 
         A map is iterated, once for every time after the first. Equations with delays are followed
-        by the method of steps.
+        by the method of steps. A delayed input needs its values before the first time: an
+        expression and a function have them, and before values at the times are those of the data.
 
         Parameters
         ----------
@@ -1083,7 +1085,8 @@ class Discovery:
         if self.delays:
             if hold is not None or doses is not None:
                 raise InputError("equations with delays are followed without hold and doses")
-            return self._follow(x0, times, {**self.inputs_of(), **(inputs or {})}, engine, history)
+            given = self.inputs_of() | self._with_delayed(inputs or {}, times)
+            return self._follow(x0, times, given, engine, history)
         if history is not None:
             raise InputError("the equations have no delays; leave history out")
         if x0 is None:
@@ -1094,12 +1097,7 @@ class Discovery:
                 raise InputError("a map has no time between rows; leave hold and doses out")
             own = inputs_in(self.carried[0], self.equations) if t is None else self.inputs
             return iterate(self.equations, x0, times, {**own, **(inputs or {})})
-        given = {**self.inputs_of(), **(inputs or {})}
-        for name, value in (inputs or {}).items():
-            if name in self.hold and is_sampled(value):
-                # What is given at the times themselves is taken as the data were.
-                values = sample_input(name, value, times)
-                given[name] = Measured(name, times, values, self.hold[name])
+        given = self.inputs_of() | self._as_held(inputs or {}, times)
         chosen = engine or self.engine
         jumps = {s: self._jumps(s, amounts) for s, amounts in (doses or {}).items()}
         return predict_with_doses(self.equations, x0, times, jumps, given, chosen, hold)
@@ -1220,8 +1218,52 @@ class Discovery:
             given = start[:, None] if history is None else history(t)
             return np.broadcast_to(np.asarray(given, dtype=float), (count, len(t)))
 
-        others = {name: value for name, value in inputs.items() if name not in self.delays}
+        own = {name for name, delay in self.delays.items() if delay.state in self.equations}
+        others = {name: value for name, value in inputs.items() if name not in own}
         return follow(self.equations, self.delays, before, times, others, engine or self.engine)
+
+    def _as_held(self, inputs: Mapping[str, Any], times: np.ndarray) -> dict[str, Any]:
+        """Give inputs; what is given at the times themselves is taken as the data were."""
+        return {
+            name: Measured(name, times, sample_input(name, value, times), self.hold[name])
+            if name in self.hold and is_sampled(value)
+            else value
+            for name, value in inputs.items()
+        }
+
+    def _with_delayed(self, inputs: Mapping[str, Any], times: np.ndarray) -> dict[str, Any]:
+        """Give inputs with those that are delayed, as they were before.
+
+        Raises InputError where neither they nor the data say what they were before.
+        """
+        found = self._as_held(inputs, times)
+        for column, delay in self.delays.items():
+            if (value := found.get(delay.state)) is None or column in found:
+                continue
+            if is_sampled(value):
+                values = sample_input(delay.state, value, times)
+                value = Measured(delay.state, times, values, self.hold.get(column))
+            if isinstance(value, Measured):
+                value = replace(value, past=value.past or self._past_of(delay.state, column))
+                begin = float(times[0]) - delay.value
+                if not value.is_known_from(begin):
+                    raise InputError(
+                        f"{column!r} is {delay.state!r} {delay.value:g} before, and nothing says "
+                        f"what {delay.state!r} was from t = {begin:g} on; give it as an expression "
+                        "or a function of the time"
+                    )
+            found[column] = put_off(value, delay.value, column)
+        return found
+
+    def _past_of(self, name: str, column: str) -> Measured | None:
+        """Give an input as it was in the first run; its delayed column has its first values."""
+        past = None
+        for run in self.carried[:1]:
+            for own, later in ((column, self.delays[column].value), (name, 0.0)):
+                if own in run.input_names:
+                    values = run.inputs[:, run.input_names.index(own)]
+                    past = Measured(name, run.t - later, values, run.held(own), past)
+        return past
 
     @cached_property
     def carried(self) -> tuple[Trajectory, ...]:

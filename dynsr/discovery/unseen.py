@@ -58,11 +58,14 @@ class Stepped:
     def say(self, found: Discovery) -> Discovery:
         """Give a discovery whose record and explanation have the steps, and warn of them.
 
+        What bends between rows because of a delay of the input is no such step.
+
         Parameters
         ----------
         found : in these runs.
         """
-        if self.steps is None:
+        delayed = {delay.state for delay in found.delays.values()}
+        if self.steps is None or delayed & {*self.steps.inputs}:
             return found
         said = self._words(self.steps)
         warn(said, DynsrWarning, stacklevel=2)

@@ -94,17 +94,57 @@ class Drive:
         found: np.ndarray = self.starts[1:][np.abs(after - before) > size]
         return found
 
-    def at(self, t: np.ndarray, before: bool = False) -> np.ndarray:
+    @cached_property
+    def slope(self) -> Drive:
+        """The derivative of the input by the time, piece by piece."""
+        powers = np.arange(len(self.pieces) - 1, 0, -1)[:, None]
+        found = self.pieces[:-1] * powers
+        return replace(self, pieces=found if len(found) else np.zeros_like(self.pieces))
+
+    @cached_property
+    def kinks(self) -> np.ndarray:
+        """Times, increasing, at which the input or its slope changes its value at once.
+
+        Pieces of a higher degree than 1 are those of a spline, which has none.
+
+        >>> t = np.arange(4.0)
+        >>> Drive.through("u", t, np.abs(t - 1), "linear").kinks.tolist()
+        [1.0]
+        """
+        if len(self.pieces) > 2:
+            return np.empty(0)
+        return np.union1d(self.jumps, self.slope.jumps)
+
+    def at(
+        self, t: np.ndarray, before: bool = False, inside: np.ndarray | None = None
+    ) -> np.ndarray:
         """Give the input at times of any shape; where it jumps, what it is after the jump.
 
         Parameters
         ----------
         t : the times.
         before : give what it is before a jump.
+        inside : times of the same shape, whose pieces are taken: at its end, a piece is what it is
+            before a jump.
         """
-        after = np.searchsorted(self.starts, t, side="left" if before else "right")
+        where = t if inside is None else inside
+        after = np.searchsorted(self.starts, where, side="left" if before else "right")
         place = np.maximum(after - 1, 0)
         return _value(self.pieces[:, place], t - self.starts[place])
+
+    def later(self, name: str, delay: float) -> Drive:
+        """Give the input as it was some time before.
+
+        Parameters
+        ----------
+        name : what right-hand sides call it.
+        delay : how long before.
+
+        >>> step = Drive.through("u", np.arange(3.0), np.array([0.0, 2.0, 2.0]), "previous")
+        >>> step.later("u_delayed", 0.25).jumps.tolist()
+        [1.25]
+        """
+        return replace(self, name=name, starts=self.starts + delay)
 
     def within(self, begin: float, end: float) -> Drive:
         """Give the pieces between two times; the last one goes on, so that no jump is at the end.
@@ -116,6 +156,24 @@ class Drive:
         first = max(int(np.searchsorted(self.starts, begin, side="right")) - 1, 0)
         last = max(int(np.searchsorted(self.starts, end)), first + 1)
         return replace(self, starts=self.starts[first:last], pieces=self.pieces[:, first:last])
+
+    def then(self, other: Drive) -> Drive:
+        """Give this input until another one begins, and that from there on.
+
+        Parameters
+        ----------
+        other : the other one.
+
+        >>> one, two = (Drive("u", np.array([t]), np.array([[t]])) for t in (1.0, 2.0))
+        >>> one.then(two).at(np.array([1.5, 2.5])).tolist()
+        [1.0, 2.0]
+        """
+        own = self.starts < other.starts[0]
+        parts = self.pieces[:, own], other.pieces
+        rows = max(map(len, parts))
+        full = [np.pad(part, ((rows - len(part), 0), (0, 0))) for part in parts]
+        starts = np.concatenate([self.starts[own], other.starts])
+        return replace(self, starts=starts, pieces=np.concatenate(full, axis=1))
 
     def compile(self) -> Callable[[float], float]:
         """Give the input as a function of one time, without arrays."""
