@@ -216,7 +216,8 @@ Delays = Annotated[
     str | None,
     typer.Option(
         "--delays",
-        help="Let equations contain states as they were some time before: auto, or about how long.",
+        help="Let equations contain states and inputs as they were some time before: auto, or "
+        "about how long.",
         metavar="auto|TIME,...",
         rich_help_panel=SEARCH,
     ),

@@ -114,6 +114,13 @@ def search_delayed(
 
     answers: list[Discovery] = []
     out = settings.get("out")
+    best_fit = min(fits, key=lambda fit: fit.bits, default=None)
+    needs_none = best_fit is not None and not best_fit.has_delay
+    if needs_none:
+        found = search(runs, {**settings, "time_budget": budget.rest(2 * most + 1)})
+        if found.verdict.level == LAW or not found.complete:
+            return replace(found, seconds=monotonic() - began)
+        answers.append(found)
     for number, first in enumerate(islice(begin(), most), start=1):
         # Each delay is searched with twice.
         own = {**settings, "time_budget": budget.rest(2 * (most - number + 1))}
@@ -134,7 +141,7 @@ def search_delayed(
         answers.append(answer)
         if answer.verdict.level == LAW:
             break
-    if not answers or not (answers[-1].delays or budget.is_over):
+    if not answers or not (needs_none or answers[-1].delays or budget.is_over):
         answers.append(search(runs, {**settings, "time_budget": budget.rest()}))
     best = min(answers, key=_rank)
     if late:
@@ -204,7 +211,10 @@ class _Study:
             return found
         closest = next(iter(others.values()))
         text = ", ".join(f"{s}' = {shown(tidy(e), 4)}" for s, e in closest.equations.items())
-        why = f"the data cannot distinguish it from {text} with a delay of {closest.delay:.4g}."
+        with_delay = (
+            f"with a delay of {closest.delay:.4g}" if closest.has_delay else "without a delay"
+        )
+        why = f"the data cannot distinguish it from {text} {with_delay}."
         states = {s: doubt(own, why) for s, own in verdict.states.items()}
         return replace(found, verdict=summarise(states, verdict.span))
 

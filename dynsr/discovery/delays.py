@@ -40,6 +40,7 @@ from dynsr.fit import (
     drives_of,
     measure_runs,
     precision_bits,
+    skeleton,
 )
 from dynsr.library import Form, Library, LibrarySettings, Written
 from dynsr.selection import (
@@ -231,6 +232,8 @@ class Delayed:
     ) -> Iterator[DelayFit]:
         """Give delays with the sums that they were fitted with, as they are found.
 
+        Some have sums without a delay: what needs none competes with the others.
+
         Parameters
         ----------
         comparison : how bits are counted.
@@ -243,13 +246,21 @@ class Delayed:
         else:
             bounds = self._minima(scan, shortest)
         begun: list[DelayFit] = []
+        plain: dict[tuple[sympy.Expr, ...], DelayFit] = {}
         for pair in bounds:
             with np.errstate(invalid="ignore"):
                 near = float(minimize_scalar(scan.bits, bounds=pair, method="bounded").x)
-            own = [self.fit(exprs, near, comparison) for _, exprs in scan.sums(near)]
-            fitted = [f for f in own if f is not None]
-            yield from fitted
+            fitted = []
+            for _, exprs in scan.sums(near):
+                shape = tuple(map(skeleton, exprs.values()))
+                if shape not in plain and (fit := self.fit(exprs, near, comparison)) is not None:
+                    yield fit
+                    if fit.has_delay:
+                        fitted.append(fit)
+                    else:
+                        plain[shape] = fit
             begun += sorted(fitted, key=lambda fit: fit.bits)[:1]
+        begun += sorted(plain.values(), key=lambda fit: fit.bits)[:1]
         while begun:
             better = []
             for fit in begun:
@@ -356,7 +367,7 @@ class Delayed:
 
         It is -inf where a solution diverges.
         """
-        delay = max(own.value for own in delays.values())
+        delay = max((own.value for own in delays.values()), default=self.longest)
         missed, spread = np.zeros((2, len(equations)))
         for run, curve in zip(self.runs, self.curves, strict=True):
             places = [run.index(state) for state in equations]
@@ -404,6 +415,8 @@ class Delayed:
     ) -> DelayFit | None:
         """Fit a delay, all constants and the states; None where that cannot be done.
 
+        Equations without a delayed column have the least history, of three rows.
+
         Parameters
         ----------
         equations : state -> right-hand side in which delayed states are columns.
@@ -416,20 +429,28 @@ class Delayed:
         named, signed, system = self._open(equations)
         theta = np.array([*(values[0] for values in signed.values()), delay])
         far = self.settings.far
+        if not system.names:
+            begin = max(float(run.t[3] - run.t[0]) for run in self.runs)
         begin = delay * (1 + far) if begin is None else begin
         rows = MixedMesh.of(self.data, tuple(equations))
         how = settings or comparison.fit
-        found = system.fit(rows, theta, begin, how) if system.names else None
-        if (
-            found is None
-            or not abs(found.delay - delay) < far * delay
-            or found.delay > begin * (1 + self.settings.margin)
+        found = system.fit(rows, theta, begin, how)
+        if found is None:
+            return None
+        moved = abs(found.delay - delay)
+        if system.names and (
+            not moved < far * delay or found.delay > begin * (1 + self.settings.margin)
         ):
             return None
         numbers = dict(zip(map(sympy.Symbol, signed), map(sympy.Float, found.theta), strict=False))
         exprs = {s: e.xreplace(numbers) for s, e in named.items()}
         bits = found.bits + SystemComparison(found.problem.mesh, comparison).structure(exprs)
-        bits += precision_bits(found.information, found.scales, found.theta)
+        own_numbers = slice(None if system.names else -1)
+        bits += precision_bits(
+            found.information[own_numbers, own_numbers],
+            found.scales[own_numbers],
+            found.theta[own_numbers],
+        )
         # What follows noisy data is smoother than their smoothed curve.
         own = self
         if _leaves_noise(found, comparison) and not np.any(rows.least):
@@ -670,6 +691,11 @@ class DelayFit:
     equations: dict[str, sympy.Expr]
     bits: float
     delayed: Delayed
+
+    @property
+    def has_delay(self) -> bool:
+        """Whether the equations contain a delayed column."""
+        return self.fit.problem.mesh.count > 0
 
     @property
     def error(self) -> float:

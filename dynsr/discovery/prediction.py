@@ -221,6 +221,19 @@ class Measured:
         past = self.past and self.past.later(name, delay)
         return replace(self, name=name, t=self.t + delay, past=past)
 
+    def aligned(self, times: np.ndarray) -> Measured:
+        """Give the input with times that are some others where rounding alone sets them apart.
+
+        Parameters
+        ----------
+        times : (n,) the others, increasing.
+        """
+        after = np.clip(np.searchsorted(times, self.t), 1, len(times) - 1)
+        before = times[after - 1]
+        near = np.where(self.t - before < times[after] - self.t, before, times[after])
+        t = np.where(np.abs(near - self.t) <= self._slack, near, self.t)
+        return replace(self, t=t, past=self.past and self.past.aligned(times))
+
     def check_covers(self, times: np.ndarray) -> None:
         """Raise InputError when a time lies beyond the rows; nothing is known there."""
         first, last = self.first, float(self.t[-1])
@@ -286,6 +299,7 @@ def _follow_measured(
     engine: AbstractEngine,
 ) -> Trajectory:
     """Integrate with the measured inputs; no step passes over a row of theirs."""
+    measured = {name: one.aligned(times) for name, one in measured.items()}
     replaced = {sympy.Symbol(k): v for k, v in exact.items()}
     rhs = [as_float_tree(e.xreplace(replaced)) for e in equations.values()]
     rows = np.concatenate([times, *(one.t for one in measured.values())])

@@ -257,9 +257,9 @@ def discover(
     vary : True if constants may differ from run to run. Some runs are searched alone, all are
         fitted together, and the description length decides which constants are shared. A state,
         or several, allows it in their equations only. See :meth:`Discovery.vary`.
-    delays : True if equations may contain states as they were some time before, such as
-        ``x(t - 1.6)``. The data determine the delay, one for all states. A number, or several, is
-        where its fit starts. ``found.delays`` has it with its interval.
+    delays : True if equations may contain states and inputs as they were some time before, such as
+        ``x(t - 1.6)``. The data determine the delay, one for all columns, or that none is needed. A
+        number, or several, is where its fit starts. ``found.delays`` has it with its interval.
     hidden : the name of one more state, which nobody measured and whose equation is searched too.
         True or 1 names it "hidden". Its scale, its sign and a function of the measured states that
         is added to it cannot be known: the simplest form is given. The explanation says what the

@@ -30,7 +30,8 @@ class Format:
     needs : (module, extra) that it is written with; None where nothing is needed.
     check : raises InputError where it cannot express the equations.
     folder : writes it where it is several files: name -> text.
-    delays : whether it can express states as they were some time before.
+    delays : whether it can express states as they were some time before; a delayed input is an
+        input for all of them.
     """
 
     title: str

@@ -144,14 +144,14 @@ def write_modelica(source: Source) -> str:
     swap = {sympy.Symbol("t"): sympy.Symbol("time")}
     swap |= {
         sympy.Symbol(name): sympy.Function("delay")(sympy.Symbol(own.state), own.value)
-        for name, own in source.delays.items()
+        for name, own in source.late.items()
     }
 
     def written(expr: sympy.Expr) -> str:
         return to_text(expr.xreplace(swap)).replace("**", "^").replace("Abs(", "abs(")
 
     lines = [f"  parameter Real {n} = {number(v)};" for n, v in source.parameters.items()]
-    lines += [f"  input Real {u};" for u in source.measured if u not in source.delays]
+    lines += [f"  input Real {u};" for u in source.measured if u not in source.late]
     lines += [f"  Real {u};" for u in source.known]
     lines += [
         f"  Real {s}(start = {number(v)}, fixed = true);"

@@ -142,7 +142,7 @@ def write_python(source: Source) -> str:
     )
     start, end, count = times(source)
     first = f"[{', '.join(map(number, source.start))}]"
-    inputs = [f"{u}=0.0" for u in source.measured if u not in source.delays]
+    inputs = [f"{u}=0.0" for u in source.measured if u not in source.late]
     inputs += [f"{u}=past({n}, {d})" for u, n, d in _delayed(source)]
     call = f"lambda t, state: {{}}(t, state, {', '.join(inputs)})" if inputs else "{}"
     remark = "    # Put in what the inputs do: numbers, or functions of t.\n" if inputs else ""
@@ -154,7 +154,7 @@ def write_python(source: Source) -> str:
             "    print(state)\n"
         )
         load = ""
-    elif source.delays:
+    elif source.late:
         load = "    from scipy.integrate import solve_ivp\n\n"
         remark = "    # Put in the states before the first time, and what other inputs do.\n"
         example = _steps(source, start, end, first, call.format("rhs"))
@@ -177,12 +177,12 @@ def write_python(source: Source) -> str:
 
 def _delayed(source: Source) -> list[tuple[str, int, str]]:
     """Give the name of each delayed state, the place of its state, and the delay."""
-    return [(u, source.states.index(d.state), number(d.value)) for u, d in source.delays.items()]
+    return [(u, source.states.index(d.state), number(d.value)) for u, d in source.late.items()]
 
 
 def _steps(source: Source, start: float, end: float, first: str, call: str) -> str:
     """Write the method of steps: within the shortest delay, delayed states are known."""
-    shortest = number(min(own.value for own in source.delays.values()))
+    shortest = number(min(own.value for own in source.late.values()))
     return (
         f"    before = {first}\n"
         "    parts = []\n\n"
@@ -476,7 +476,7 @@ def write_matlab(source: Source) -> str:
     first = "; ".join(map(number, source.start))
     call = f"@(t, state) {name}(t, state{', p' if source.measured else ''})"
     example = f"% [t, states] = ode45({call}, [{start} {end}], [{first}]);\n"
-    if source.delays:
+    if source.late:
         lags = "; ".join(delay for *_, delay in _delayed(source))
         put = "p"
         for column, (u, place, _) in enumerate(_delayed(source), 1):
@@ -539,7 +539,7 @@ def write_r(source: Source) -> str:
             f"# solution <- ode(y = start, {call}{more if source.measured else ''})\n"
         )
     )
-    if source.delays:
+    if source.late:
         late = ", ".join(
             f"{source.called(u)} = if (t - {d} > {start}) lagvalue(t - {d}, {n + 1}) "
             f"else start[[{n + 1}]]"
@@ -587,7 +587,7 @@ def write_julia(source: Source) -> str:
         row = f"{start} + (n - 1) * {number(source.system.step)}"
         called = f"(du, u, p, n) -> {name}(du, u, p, {row})" if source.timed else name
         problem = f"DiscreteProblem({called}, start, (0, {count - 1}), parameters)"
-    if source.delays:
+    if source.late:
         late = ", ".join(
             f"{source.called(u)} = h(p, t - {d}; idxs = {n + 1})" for u, n, d in _delayed(source)
         )

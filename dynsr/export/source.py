@@ -37,7 +37,7 @@ class Source:
     own : name in the code -> name in the equations, where they differ.
     calls : input -> the name by which a call gives it, where that is another than in the code.
     dosed : states that were given doses, which are no part of the equations.
-    delays : input -> the state and delay that it is.
+    delays : input -> the state, or other input, and the delay that it is.
     curves : what functions that are curves are, in words.
     chance : what is known of noise in the motion, which is no part of the equations, in words.
     """
@@ -68,9 +68,6 @@ class Source:
             return cls(found)
         given = found.settings.get("doses")
         doses = given if isinstance(given, Mapping) else {}
-        for name, own in found.delays.items():
-            if own.state not in found.equations:
-                raise InputError(f"{name!r} is a delay of {own.state!r}, which is no state")
         # A verdict has the noise as a share of the spread.
         data = found.data_summary
         noise = {
@@ -168,15 +165,20 @@ class Source:
         """(k,) values of the states at the first time; ones where the data are not there."""
         return [float(self.system.x0.get(state, 1.0)) for state in self.states]
 
+    @property
+    def late(self) -> dict[str, Delay]:
+        """Input -> the state and delay that it is; a delayed input is an input as any other."""
+        return {name: own for name, own in self.delays.items() if own.state in self.states}
+
     def refuse_delays(self, title: str, able: Collection[str]) -> None:
-        """Raise InputError where the equations have delays.
+        """Raise InputError where the equations have delayed states.
 
         Parameters
         ----------
         title : the tool that takes none.
         able : the formats that do.
         """
-        if self.delays:
+        if self.late:
             raise InputError(f"{title} takes no delay; formats that do: {', '.join(able)}")
 
     @property
@@ -219,7 +221,8 @@ class Source:
             yield f"{p.name} = {p.value:.6g}{unit}{within}"
         yield from self.curves
         for name, own in self.delays.items():
-            yield f"{self.called(name)} is {own.text}."
+            given = "" if name in self.late else "; give it as an input"
+            yield f"{self.called(name)} is {own.text}{given}."
         for name in self.measured:
             if name not in self.delays:
                 yield f"{self.called(name)} is an input whose values were measured."
@@ -366,7 +369,7 @@ def _renamed(source: Source, new: Mapping[str, str]) -> Source:
     )
     noise = source.noise and {new.get(s, s): v for s, v in source.noise.items()}
     own = {b: a for a, b in new.items() if a != b and not b.startswith("blank")}
-    delays = {new[n]: replace(d, state=new[d.state]) for n, d in source.delays.items()}
+    delays = {new[n]: replace(d, state=new.get(d.state, d.state)) for n, d in source.delays.items()}
     return replace(source, system=changed, noise=noise, own=own, delays=delays)
 
 

@@ -870,6 +870,9 @@ def _command(found: Discovery) -> str:
     """Give the command that searches the same data in the same way."""
     settings = found.settings
     known = settings.get("known", {})
+    own = found.columns_asked.get("inputs", [])
+    # Delayed columns are none of the data.
+    hold = {n: how for n, how in settings.get("hold", {}).items() if not found.delays or n in own}
     options = {
         "inputs": ",".join(f"{name}={shown(e)}" for name, e in found.inputs.items()),
         "method": settings.get("method", "auto"),
@@ -878,7 +881,8 @@ def _command(found: Discovery) -> str:
         "seed": str(settings.get("seed", "")),
         "engine": settings.get("engine", ""),
         "order": ",".join(f"{state}=2" for state in settings.get("velocities", {})),
-        "hold": ",".join(f"{name}={how}" for name, how in settings.get("hold", {}).items()),
+        "hold": ",".join(f"{name}={how}" for name, how in hold.items()),
+        "delays": ",".join({f"{delay.value:.6g}": None for delay in found.delays.values()}),
         "functions": ",".join(settings.get("functions", ())),
         "max-complexity": _figure(settings.get("max_complexity")),
         "complexity": ",".join(f"{k}={v:g}" for k, v in settings.get("complexity", {}).items()),
