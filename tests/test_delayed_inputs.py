@@ -46,9 +46,9 @@ class Known:
         u = _steps(t) if held else _waves(t)
         return Trajectory(t, y[:, None], ("y",), u[:, None], ("u",))
 
-    def fit(self, run):
+    def fit(self, runs):
         """Fit the delay and all constants, from a delay that is too long."""
-        delayed = Delayed.of([run], DelaySettings())
+        delayed = Delayed.of(runs, DelaySettings())
         fit = delayed.fit({"y": self.equation}, 1.04 * self.delay, ComparisonSettings())
         return delayed.measured(fit, ComparisonSettings())
 
@@ -141,7 +141,7 @@ def test_the_derivatives_of_the_defects_are_those_of_small_differences(hold, sta
 @pytest.mark.parametrize("system", [PIPE, HEATER])
 def test_the_error_of_the_rule_is_counted_in_exact_data(system, held):
     """The interval contains a delay between rows, and it is narrow."""
-    fit = system.fit(system.run(held))
+    fit = system.fit([system.run(held)])
     own = fit.as_delay("u")
     assert own.low < system.delay < own.high
     assert own.error < 1e-4
@@ -154,9 +154,18 @@ def test_the_error_of_the_rule_is_counted_in_exact_data(system, held):
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_the_delay_of_an_input_is_fitted_in_noise(system, held, noise):
     """It is within three of its standard errors, and these are a share of a row."""
-    own = system.fit(system.run(held, noise, 1)).as_delay("u")
+    own = system.fit([system.run(held, noise, 1)]).as_delay("u")
     assert own.error < 0.2 * noise
     assert abs(own.value - system.delay) < 3 * own.error
+
+
+def test_runs_that_share_a_delay_are_fitted_together():
+    """Two runs of 5 % noise say more of the delay than either of them."""
+    runs = [PIPE.run(True, 0.05, 1), PIPE.run(False, 0.05, 2)]
+    alone = [PIPE.fit([run]).as_delay("u").error for run in runs]
+    own = PIPE.fit(runs).as_delay("u")
+    assert own.error < 0.95 * min(alone)
+    assert abs(own.value - 1.7) < 3 * own.error
 
 
 @pytest.mark.slow
@@ -164,7 +173,7 @@ def test_95_percent_intervals_contain_the_truth_as_often_as_they_say():
     """Of 10 draws of 5 % noise, 90 % or more of the intervals of the delay and of each constant."""
     inside = np.zeros(3)
     for seed in range(10):
-        fit = PIPE.fit(PIPE.run(True, 0.05, seed))
+        fit = PIPE.fit([PIPE.run(True, 0.05, seed)])
         values = np.append(np.abs(fit.fit.theta[:2]), fit.delay)
         errors = np.sqrt(np.diag(fit.fit.covariance))
         inside += np.abs(values - np.array([1.25, 1.25, 1.7])) < fit.fit.reach * errors

@@ -72,8 +72,8 @@ class DelaySettings:
     minima : delays, best first, that are fitted.
     constant_bits : bits of one of their constants.
     library : the terms.
-    apart : a delay is not tried where the difference of a state and the delayed one explains the
-        slope to within so many of its standard errors: every short delay would do that.
+    apart : a delay of states is not tried where the difference of a state and the delayed one
+        explains the slope to within so many of its standard errors: every short one would do that.
     searched : delays with which equations are searched.
     fewest : rows of a run at least.
     margin : share by which a fit may make a delay longer than the history that was taken for it.

@@ -1527,7 +1527,7 @@ class Discovery:
         return found
 
     def _by_name(self, runs: list[Trajectory]) -> list[Trajectory]:
-        """Give runs the delayed states, and what parameters that differ were in runs of their name.
+        """Give runs their delayed columns, and parameters that differ as in runs of their name.
 
         Raises InputError where parameters differ and runs have other names.
         """
