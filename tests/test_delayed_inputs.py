@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -126,7 +127,7 @@ def test_the_derivatives_of_the_defects_are_those_of_small_differences(hold, sta
         sides = [problem._defects(*move(step)).ravel() for step in (1e-6, -1e-6)]
         return (sides[0] - sides[1]) / 2e-6
 
-    for place in range(0, states.size, 7):
+    for place in range(0, states.size, 29):
         row, state = divmod(place, 2)
         one = np.zeros_like(states)
         one[state, row] = 1.0
@@ -173,7 +174,8 @@ def test_95_percent_intervals_contain_the_truth_as_often_as_they_say():
     """Of 10 draws of 5 % noise, 90 % or more of the intervals of the delay and of each constant."""
     inside = np.zeros(3)
     for seed in range(10):
-        fit = PIPE.fit([PIPE.run(True, 0.05, seed)])
+        delayed = Delayed.of([PIPE.run(True, 0.05, seed)], DelaySettings())
+        fit = delayed.fit({"y": PIPE.equation}, 1.75, ComparisonSettings())
         values = np.append(np.abs(fit.fit.theta[:2]), fit.delay)
         errors = np.sqrt(np.diag(fit.fit.covariance))
         inside += np.abs(values - np.array([1.25, 1.25, 1.7])) < fit.fit.reach * errors
@@ -268,11 +270,7 @@ def test_a_delayed_input_is_kept_exported_and_scored_as_what_it_is(tmp_path):
 
 def test_an_input_that_acts_at_once_takes_fewer_bits_without_a_delay():
     """Of all sums that are fitted, the true one without a delay is the first."""
-    t = np.linspace(0, END, ROWS)
-    y = _solution(PIPE, True, 0.0)
-    y = y + 0.05 * y.std() * np.random.default_rng(5).normal(size=ROWS)
-    run = Trajectory(t, y[:, None], ("y",), _steps(t)[:, None], ("u",))
-    delayed = Delayed.of([run], DelaySettings(minima=1))
+    delayed = Delayed.of([PIPE.run(True, 0.05, 5, 0.0)], DelaySettings())
     best = min(delayed.candidates(ComparisonSettings(), [1.7]), key=lambda fit: fit.bits)
     assert not best.has_delay
     assert skeleton(best.equations["y"]) == skeleton(1.25 * U - 1.25 * Y)
@@ -282,7 +280,7 @@ def test_an_input_that_acts_at_once_takes_fewer_bits_without_a_delay():
 @pytest.mark.parametrize(("held", "noise"), [(False, 0.01), (True, 0.05)])
 def test_a_pipe_is_found(held, noise):
     """The true terms and no others, a delay whose interval contains the truth, and a law."""
-    found = discover(PIPE.run(held, noise), delays=1.6 if held else True, jobs=1, preset="quick")
+    found = discover(PIPE.run(held, noise), delays=1.6, jobs=1, preset="quick")
     assert found.verdict.level == "law"
     assert skeleton(found.equations["y"]) == skeleton(1.25 * BEFORE - 1.25 * Y)
     own = found.delays["u_delayed"]
@@ -291,14 +289,9 @@ def test_a_pipe_is_found(held, noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("held", "noise"), [(True, 0.0), (False, 0.05)])
-def test_no_delay_is_found_where_there_is_none(held, noise):
-    """An input that acts at once: the law, without a delay."""
-    t = np.linspace(0, END, ROWS)
-    y = _solution(PIPE, held, 0.0)
-    y = y + noise * y.std() * np.random.default_rng(5).normal(size=ROWS)
-    u = _steps(t) if held else _waves(t)
-    run = Trajectory(t, y[:, None], ("y",), u[:, None], ("u",))
+def test_no_delay_is_found_where_there_is_none():
+    """An input that acts at once, in 5 % noise: the law, without a delay."""
+    run = PIPE.run(False, 0.05, 5, 0.0)
     found = discover(run, delays=True, jobs=1, preset="quick")
     assert found.verdict.level == "law" and not found.delays
     assert skeleton(found.equations["y"]) == skeleton(1.25 * U - 1.25 * Y)
@@ -306,11 +299,23 @@ def test_no_delay_is_found_where_there_is_none(held, noise):
 
 @pytest.mark.slow
 def test_the_shell_takes_and_shows_the_delay_of_an_input(tmp_path):
-    """`--inputs u --delays 1.6` finds 1.7, without a word on steps between rows."""
-    run, table = PIPE.run(True), tmp_path / "pipe.csv"
+    """`--inputs u --delays 1.6` finds about 1.7, without a word on steps between rows."""
+    run, table = PIPE.run(True, 0.01), tmp_path / "pipe.csv"
     columns = np.column_stack([run.t, run.x, run.inputs])
     np.savetxt(table, columns, header="t,y,u", delimiter=",", comments="")
-    asked = ("--inputs", "u", "--delays", "1.6", "-j", "1", "-o", tmp_path / "out")
+    asked = (
+        "--inputs",
+        "u",
+        "--delays",
+        "1.6",
+        "--preset",
+        "quick",
+        "-j",
+        "1",
+        "-o",
+        tmp_path / "out",
+    )
     said = call("discover", table, *asked).output
-    assert "u(t - 1.7), the delay is 1.69999" in said
+    low, high = re.search(r"u\(t - [\d.]+\), the delay is ([\d.]+) to ([\d.]+)\.", said).groups()
+    assert float(low) < 1.7 < float(high)
     assert "steps between rows" not in said
