@@ -741,6 +741,8 @@ class Collocation:
                 shift = -np.linalg.solve(scaled, pull / scale) / scale
             # A linear step says nothing of what is far away.
             shift = np.clip(shift, -reach, reach)
+        if not np.all(np.isfinite(shift)):
+            raise LinAlgError
         if ways is not None:
             shift = ways @ shift
         moved, _ = lapack.dtbtrs(factor, -(white @ np.append(1.0, shift)), uplo="U")
