@@ -32,7 +32,7 @@ from dynsr.discovery.scaling import Units
 from dynsr.discovery.verdict import give_verdict
 from dynsr.errors import DynsrWarning
 from dynsr.fit import Collocation, DelayedSystem, Measurements, MixedMesh, fit_along, measure_runs
-from dynsr.fit.censored import Censored, deviance, residual, residual_slope, steepness
+from dynsr.fit.censored import Censored, deviance, residual, steepness
 from dynsr.report.plots import draw_states
 from tests.command_line import run as run_command
 
@@ -67,8 +67,8 @@ def test_the_likelihood_is_that_of_a_normal_measurement_beyond_its_limit():
     assert np.allclose(residual(z) ** 2, deviance(z))
     small = z[(z > -5) & (z < 5)]
     slopes = (residual(small - 1e-5) - residual(small + 1e-5)) / 2e-5
-    assert np.allclose(residual_slope(small), slopes, rtol=1e-5)
-    assert residual_slope(np.array([1e3])) == 0 and deviance(np.array([1e3])) == 0
+    assert np.allclose(steepness(small) / residual(small), slopes, rtol=1e-5)
+    assert steepness(np.array([1e3])) == 0 and deviance(np.array([1e3])) == 0
     assert np.isclose(deviance(np.array([-1e8]))[0], 1e16)
     # The curvature is 1 less the variance of what is beyond the limit.
     for place, side in ((z, 1.0), (z, -1.0)):

@@ -323,12 +323,15 @@ class _Look:
 
     def _find_limits(self, mark: str) -> tuple[Limits | None, tuple[str, ...]]:
         """Give the limits that cells say, and what is said of words that mean one of these."""
+        pairs = zip(self.places, self.parsed, strict=False)
+        beyond = [(place, own) for place, own in pairs if own is not None and own.limit]
+        if not beyond and not self.low:
+            return None, ()
         table = Limits.none(len(self.distinct) + 1)
-        for place, number in zip(self.places, self.parsed, strict=False):
-            if number is not None and number.limit:
-                value = number.value(mark)
-                side = table.below if number.is_below else table.above
-                side[place] = np.nan if value is None else value
+        for place, number in beyond:
+            value = number.value(mark)
+            side = table.below if number.is_below else table.above
+            side[place] = np.nan if value is None else value
         written = np.unique(table.below[~np.isnan(table.below)])
         table.below[self.low] = written[0] if len(written) == 1 else np.inf
         if not table.there.any():

@@ -123,6 +123,16 @@ class Limits:
         """(n,) whether a row has a limit that is known."""
         return np.isfinite(self.below) | np.isfinite(self.above)
 
+    @property
+    def level(self) -> np.ndarray:
+        """(n,) the limit of each row, whichever it is; NaN or inf where it is not known."""
+        return np.where(np.isfinite(self.below), self.below, self.above)
+
+    @property
+    def side(self) -> np.ndarray:
+        """(n,) 1 where the value was below a limit that is known, -1 elsewhere."""
+        return np.where(np.isfinite(self.below), 1.0, -1.0)
+
     @classmethod
     def join(cls, parts: Sequence[Limits]) -> Limits:
         """Give the rows of several, one below the other."""

@@ -55,14 +55,11 @@ def complete_cells(
         x, gaps, limits = run.x.copy(), ~run.measured, dict(run.limits)
         for state in [s for s in names if s in run.limits]:
             place, own = run.index(state), limits.pop(state)
-            low = np.isfinite(own.below)
             cells = np.flatnonzero(own.known)
-            side = np.where(low, 1.0, -1.0)[cells]
-            limit = np.where(low, own.below, own.above)[cells]
             middle = np.interp(run.t, curve.t, curve.x[:, place])[cells]
-            sd = side * sizes[state]
+            sd = own.side[cells] * sizes[state]
             # A uniform share of the probability beyond the limit, which may be next to nothing.
-            shares = np.log1p(-rng.random(len(cells))) + log_ndtr((limit - middle) / sd)
+            shares = np.log1p(-rng.random(len(cells))) + log_ndtr((own.level[cells] - middle) / sd)
             x[cells, place] = middle + sd * ndtri_exp(shares)
             gaps[cells, place] = False
         whole.append(replace(run, x=x, unmeasured=gaps, limits=limits))

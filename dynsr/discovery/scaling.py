@@ -49,7 +49,8 @@ _LARGEST = 1e50
 _APART = 1e-9
 # Whole numbers of more digits are written as floats.
 _LONG = 10**12
-
+# What settings say of the columns of the data.
+_COLUMNS = ("time", "states", "trajectory", "quantity", "decimal", "doses", "noise", "limits")
 Search = TypeVar("Search", bound=Callable[..., Discovery])
 
 
@@ -244,11 +245,7 @@ def in_fitting_units(search: Search) -> Search:
     def scaled(data: Any, **settings: Any) -> Discovery:
         # What cannot integrate is refused before the data are read.
         start_engine(settings.get("engine", DEFAULT_ENGINE))
-        asked = {
-            n: settings.pop(n, None)
-            for n in ("time", "states", "trajectory", "quantity", "decimal")
-        }
-        asked |= {n: settings.pop(n, None) for n in ("doses", "noise", "limits")}
+        asked = {name: settings.pop(name, None) for name in _COLUMNS}
         asked["hold"] = settings.get("hold")
         runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), **asked)
         runs = read_sums(runs, observed := settings.pop("observed", None))
@@ -258,6 +255,12 @@ def in_fitting_units(search: Search) -> Search:
         vary = check_vary(settings.pop("vary", False), runs, discrete)
         others = {"vary": vary, "delays": delays, "observed": observed, "ensemble": members}
         kind = _Kind.read(runs, settings, others)
+        if any(run.limits for run in runs) and (kind.noisy or discrete):
+            warn(
+                "maps and noise in the motion: cells beyond a limit count as empty there",
+                DynsrWarning,
+                stacklevel=4,
+            )
         uncut = bool(vary or kind.together or delays is not False or observed or members)
         stepped = take_steps(runs, settings["inputs"], settings, uncut)
         runs = list(stepped.runs)
@@ -341,9 +344,6 @@ class _Kind:
         hidden = check_hidden(asked, runs, settings, {**others, "stochastic": noisy})
         others = {**others, "hidden": hidden}
         noisy = check_stochastic(noisy, runs, settings, others)
-        if any(run.limits for run in runs) and (noisy or settings.get("discrete")):
-            words = "maps and noise in the motion: cells beyond a limit count as empty there"
-            warn(words, DynsrWarning, stacklevel=5)
         return cls(hidden, noisy, check_free(settings, others))
 
     @property

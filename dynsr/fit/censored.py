@@ -57,20 +57,6 @@ def residual(z: np.ndarray) -> np.ndarray:
     return np.sqrt(deviance(z))
 
 
-def residual_slope(z: np.ndarray) -> np.ndarray:
-    """Give minus the slope of :func:`residual` at z; 0 where that is 0.
-
-    Parameters
-    ----------
-    z : as for :func:`deviance`.
-
-    >>> residual_slope(np.array([-1e9, 0.0, 99.0])).round(3).tolist()
-    [1.0, 0.678, 0.0]
-    """
-    size = residual(z)
-    return np.divide(steepness(z), size, out=np.zeros_like(size), where=size > 0)
-
-
 @dataclass(frozen=True, eq=False)
 class Censored:
     """The censored cells of a mesh.
@@ -109,6 +95,10 @@ class Censored:
         """Give how far states (k, n) are on the right side, (c,) in units of the noise."""
         found: np.ndarray = self.sure * (self.limits - seen[self.places])
         return found
+
+    def deviances(self, seen: np.ndarray) -> np.ndarray:
+        """Give what the cells add (c,) to the sum of squares of states (k, n)."""
+        return deviance(self.inside(seen))
 
     def residuals(self, seen: np.ndarray) -> np.ndarray:
         """Give the roots of the deviances (c,), positive where states (k, n) are to be lower."""

@@ -545,7 +545,7 @@ class Collocation:
             misses = (self.mesh.seen(states) - x) * weights
             cost = float(np.vdot(misses, misses) + stiffness * np.vdot(defects, defects))
             if self.mesh.censored is not None:
-                cost += self.mesh.censored.terms(self.mesh.seen(states))[-1]
+                cost += float(np.sum(self.mesh.censored.deviances(self.mesh.seen(states))))
         return cost if np.isfinite(cost) else np.inf
 
     def fit(
@@ -609,7 +609,7 @@ class Collocation:
             return None
         squares = np.sum(self._missed(states) ** 2, axis=1) + self._unresolved(states, constants)
         if self.mesh.censored is not None:
-            own = self.mesh.censored.residuals(self.mesh.seen(states)) ** 2
+            own = self.mesh.censored.deviances(self.mesh.seen(states))
             squares += self.mesh.censored.by_state(own, len(squares))
         # Where the steps came to rest early, the states do not follow the system yet.
         defects = self._defects(states, constants)
@@ -1258,8 +1258,7 @@ class Measurements:
                 continue
             limits, column = run.limits[state], run.index(state)
             rows = np.flatnonzero(limits.known)
-            level = np.where(np.isfinite(limits.below), limits.below, limits.above)[rows]
-            side = np.where(np.isfinite(limits.below), 1.0, -1.0)[rows]
+            level = limits.level[rows]
             if state in run.sums:
                 apart = {s: f for s, f in run.sums[state].others.items() if s not in states}
                 level = level - sum(f * smoothed.x[rows, run.index(s)] for s, f in apart.items())
@@ -1267,7 +1266,7 @@ class Measurements:
             noise = deviation[own, column] if own.any() else self._usual_noise[column : column + 1]
             sd = np.interp(rows, np.flatnonzero(own) if own.any() else [0], noise)
             places = np.full(len(rows), place), nodes[rows]
-            found.append(Censored(places, level, side / sd))
+            found.append(Censored(places, level, limits.side[rows] / sd))
         return found
 
     @cached_property

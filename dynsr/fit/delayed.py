@@ -704,7 +704,7 @@ class DelayedCollocation(_Grouped):
             by[:, 2 * k : 2 * k + len(constants)] += own
             if count:
                 by[:, 2 * k + len(constants) :] += self._by_sources(
-                    cuts, part, pair, place, constants
+                    cuts, part, point, pair, place, constants
                 )
             if place == len(walk.parts) - 1:
                 defects = point.defects
@@ -714,12 +714,17 @@ class DelayedCollocation(_Grouped):
         return defects, by
 
     def _by_sources(
-        self, cuts: _Cuts, part: _Part, pair: np.ndarray, place: int, constants: np.ndarray
+        self,
+        cuts: _Cuts,
+        part: _Part,
+        point: _Point,
+        pair: np.ndarray,
+        place: int,
+        constants: np.ndarray,
     ) -> np.ndarray:
         """(k, 3 e, c) derivatives of the defects of a part by states before, of its whole step."""
         count, small = len(self.mesh.sources), part.mesh
-        point, ends = part.linearised(pair, constants), len(small.t)
-        middle = part.middle(pair, constants)
+        ends, middle = len(small.t), part.middle(pair, constants)
         at_rows = self._by_earlier(pair, constants, small.driven[:, :ends])[:, :count]
         inside = self._by_earlier(middle, constants, small.driven[:, ends:])[:, :count]
         by = _by_columns(point, small, at_rows, inside)
