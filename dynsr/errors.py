@@ -108,6 +108,19 @@ def one_line(message: object) -> str:
     return printable(" ".join(str(message).split()))
 
 
+def quoted(text: object) -> str:
+    """Give what a user wrote as it is quoted in a message: in quotation marks, and not too long.
+
+    Parameters
+    ----------
+    text : what was given; of a longer text the first 60 letters.
+
+    >>> quoted("no such method"), len(quoted("x" * 100))
+    ("'no such method'", 62)
+    """
+    return repr(str(text)[:60])
+
+
 def in_words(error: BaseException) -> str:
     """Give the one line that a user reads of what ended a command or a job.
 

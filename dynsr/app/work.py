@@ -38,7 +38,7 @@ from dynsr.discovery import (
     write_lines,
     write_map_mathml,
 )
-from dynsr.errors import DynsrError, DynsrWarning, InputError, one_line
+from dynsr.errors import DynsrError, DynsrWarning, InputError, one_line, quoted
 from dynsr.export import Source, list_formats, name_file, pack_format
 from dynsr.expression import NAMED_FUNCTIONS, parse, shown, to_mathml, to_text
 from dynsr.fit import ParetoFront, tidy
@@ -454,7 +454,7 @@ def read_options(options: Mapping[str, Any], states: Sequence[str]) -> dict[str,
         elif name in ("preset", "scheme"):
             found[name] = str(value)
         else:
-            raise InputError(f"unknown option {name[:40]!r}; load the page again")
+            raise InputError(f"unknown option {quoted(name)}; load the page again")
     return found
 
 
@@ -463,9 +463,7 @@ def _number(name: str, value: Any) -> float | int:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise InputError(
-            f"{words} {str(value)[:40]!r} is not a number; write one, or none"
-        ) from None
+        raise InputError(f"{words} {quoted(value)} is not a number; write one, or none") from None
     return int(number) if name == "seed" and number.is_integer() else number
 
 

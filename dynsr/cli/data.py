@@ -13,7 +13,7 @@ import typer
 
 from dynsr.cli import options, output
 from dynsr.engines import DEFAULT_ENGINE
-from dynsr.errors import InputError
+from dynsr.errors import InputError, quoted
 
 # Relative and absolute error of an integration, unless others are asked for.
 _RELTOL, _ABSTOL = 1e-6, 1e-9
@@ -307,7 +307,7 @@ def read_equations(texts: Sequence[str]) -> dict[str, str]:
         left, equals, right = piece.partition("=")
         match = _LEFT_SIDE.fullmatch(left.strip())
         if not equals or not match or not right.strip():
-            raise InputError(f"cannot read equation {piece[:60]!r}; write it like x'=y")
+            raise InputError(f"cannot read equation {quoted(piece)}; write it like x'=y")
         state = match[1] or match[2]
         if state in found:
             raise InputError(f"{state!r} has two equations; give it one")

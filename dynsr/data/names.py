@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 from dynsr.data.columns import Columns
 from dynsr.data.name_parts import bare_name
-from dynsr.errors import DynsrWarning, InputError
+from dynsr.errors import DynsrWarning, InputError, quoted
 from dynsr.expression import check_name
 
 # How a warning of new names begins.
@@ -98,7 +98,7 @@ def rename(names: Sequence[str], formulas: Mapping[str, str]) -> dict[str, str]:
         renamed[name] = new
     changed = {name: new for name, new in renamed.items() if bare_name(name) != new}
     if changed:
-        shown = ", ".join(f"{name[:60]!r} -> {new}" for name, new in changed.items())
+        shown = ", ".join(f"{quoted(name)} -> {new}" for name, new in changed.items())
         warnings.warn(
             f"{RENAMED}: {shown}",
             DynsrWarning,

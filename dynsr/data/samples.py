@@ -70,6 +70,11 @@ class Samples:
         with np.errstate(all="ignore"):
             return np.copysign(np.sqrt(self.loss(predicted, self.y)), self.y - predicted)
 
+    @property
+    def timed(self) -> dict[str, np.ndarray]:
+        """Name -> (n,) values of each column, with the time as ``t``."""
+        return {**self.columns, "t": self.t}
+
     def select(self, rows: slice | np.ndarray) -> Samples:
         """Give the samples of some rows.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from dynsr.data.roles import Roles
 from dynsr.data.trajectory import FEWEST_ROWS, as_floats
-from dynsr.errors import DynsrWarning, InputError
+from dynsr.errors import DynsrWarning, InputError, quoted
 
 _SCALE_RATIO = 1e6
 
@@ -38,7 +38,7 @@ def to_numbers(values: np.ndarray, name: str, label: str) -> np.ndarray:
         many = len(set(map(str, values))) < len(values) and all(n is None for n in numbers)
         remedy = f", or say --trajectory {name} if it distinguishes trajectories" if many else ""
         raise InputError(
-            f"column {name!r} of {label} has the text {str(values[row])[:40]!r} in row "
+            f"column {name!r} of {label} has the text {quoted(values[row])} in row "
             f"{row + 1}; give a number or leave the cell empty, or leave the column out{remedy}"
         )
     return np.array(numbers, dtype=float)

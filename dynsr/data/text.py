@@ -23,7 +23,7 @@ import numpy as np
 from dynsr.data.assembling import MAX_BYTES, Columns, assemble, check_size, unreadable
 from dynsr.data.blocks import find_blocks
 from dynsr.data.layout import NUMBER, TEXT, Row, kind, rows_that_are_none, search_layout
-from dynsr.errors import InputError
+from dynsr.errors import InputError, quoted
 
 _HEAD_BYTES = 1 << 16
 _HEAD_LINES = 20
@@ -257,7 +257,7 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
     if frame.shape[1] == 1 and frame[0].dtype.kind not in "fiub":
         raise InputError(
             f"cannot separate the columns of {path.name!r} (first line "
-            f"{head.first_line[:40]!r}); separate cells by comma, tab, semicolon, | or spaces"
+            f"{quoted(head.first_line)}); separate cells by comma, tab, semicolon, | or spaces"
         )
     names = _fit_names(path.name, head, frame)
     if layout.skipped:

@@ -24,7 +24,7 @@ from dynsr.data.times import (
     unit_in_name,
 )
 from dynsr.data.trajectory import as_floats
-from dynsr.errors import InputError
+from dynsr.errors import InputError, quoted
 
 _DAY = 86400.0
 _HOURS = re.compile(r"h|hrs?|hours?|stunden?|heures?|horas?|ora", re.IGNORECASE)
@@ -225,7 +225,7 @@ class _Look:
             other = next((i for i in rows if read_times(values[[first, i]], name) is None), rows[1])
             raise InputError(
                 f"time {name!r} of {self._columns.label} is written in two ways: "
-                f"{str(values[first])[:40]!r} in row {first + 1} and {str(values[other])[:40]!r} "
+                f"{quoted(values[first])} in row {first + 1} and {quoted(values[other])} "
                 f"in row {other + 1}; write all dates in one way, such as 2024-12-31"
             )
         row = next(
@@ -233,7 +233,7 @@ class _Look:
         )
         raise InputError(
             f"time {name!r} of {self._columns.label} has the text "
-            f"{str(values[row])[:40]!r} in row "
+            f"{quoted(values[row])} in row "
             f"{row + 1}; give numbers, or dates such as 2024-12-31"
         )
 

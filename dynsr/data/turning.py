@@ -14,6 +14,7 @@ from dynsr.data.grouping import is_label_name, is_text, label_of
 from dynsr.data.limits import Limits
 from dynsr.data.times import read_counted, read_times
 from dynsr.data.trajectory import FEWEST_ROWS
+from dynsr.errors import quoted
 
 _BLANK = re.compile(r"|unnamed: \d+|column \d+", re.IGNORECASE)
 
@@ -66,7 +67,7 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
     if remarks:
         what = "A row" if len(remarks) == 1 else f"{len(remarks)} rows"
         was = "was" if len(remarks) == 1 else "were"
-        notes.append(f"{what} with a single cell, such as {remarks[0][:40]!r}, {was} skipped.")
+        notes.append(f"{what} with a single cell, such as {quoted(remarks[0])}, {was} skipped.")
     return _turn(named, times, table, names, limits), notes
 
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dynsr.errors import InputError
+from dynsr.errors import InputError, quoted
 from dynsr.jobs import check_seed
 
 
@@ -23,12 +23,11 @@ def check_asked(states: Sequence[str], seed: Any, **given: Any) -> int:
     """
     for name, (fits, wanted) in _KINDS.items():
         if name in given and not fits(given[name]):
-            raise InputError(f"{name} {str(given[name])[:40]!r} must be {wanted}")
+            raise InputError(f"{name} {quoted(given[name])} must be {wanted}")
     for state in given.get("slopes") or {}:
         if state not in states:
             raise InputError(
-                f"slopes of {str(state)[:40]!r}, which is no state; the states are: "
-                f"{', '.join(states)}"
+                f"slopes of {quoted(state)}, which is no state; the states are: {', '.join(states)}"
             )
     return check_seed(seed)
 

@@ -124,7 +124,7 @@ def measure_step_errors(
     if not values:
         return (), ()
     put = {symbol: sympy.Float(value) for symbol, value in values.items()}
-    columns = {**samples.columns, "t": samples.t}
+    columns = samples.timed
     slopes = [evaluate(differentiate(template, symbol).xreplace(put), columns) for symbol in values]
     jacobian = np.column_stack([np.broadcast_to(s, samples.y.shape) for s in slopes])
     misses = samples.y - evaluate(template.xreplace(put), columns)
@@ -162,7 +162,7 @@ def measure_step_covariance(
     normal = np.zeros((len(symbols),) * 2)
     for state, expr in equations.items():
         samples = pair_rows(runs, state)
-        columns = {**samples.columns, "t": samples.t}
+        columns = samples.timed
         slopes = [evaluate(differentiate(expr, s).xreplace(put), columns) for s in symbols]
         jacobian = np.column_stack([np.broadcast_to(s, samples.y.shape) for s in slopes])
         misses = samples.y - evaluate(expr.xreplace(put), columns)
@@ -294,7 +294,7 @@ def score_map(
             for found, s in zip(short, starts, strict=True)
         ]
         scores[state] = {
-            "step_rmse": rmse(evaluate(expr, {**samples.columns, "t": samples.t}), samples.y),
+            "step_rmse": rmse(evaluate(expr, samples.timed), samples.y),
             "forecast": float(np.median(np.nan_to_num(misses, nan=np.inf))) / spread,
             "trajectory_rmse": rmse(np.concatenate([w[:, place] for w in whole]), truth),
         }

@@ -24,7 +24,7 @@ from dynsr.discovery.intervals import (
     take_apart,
     write_interval,
 )
-from dynsr.errors import InputError, say_near
+from dynsr.errors import InputError, quoted, say_near
 from dynsr.expression import check_name, shown, slope_latex, to_latex_formula
 from dynsr.fit import pairs_alike
 
@@ -232,7 +232,7 @@ class ParametricSystem:
     def __post_init__(self) -> None:
         """Check that first values are of states; raises InputError."""
         if odd := self.x0.keys() - self.equations.keys():
-            raise InputError(f"x0 has a value for {min(odd)[:40]!r}, which has no equation")
+            raise InputError(f"x0 has a value for {quoted(min(odd))}, which has no equation")
 
     @classmethod
     def of(cls, system: System) -> ParametricSystem:

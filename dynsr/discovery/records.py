@@ -14,7 +14,7 @@ import sympy
 
 from dynsr.data import Trajectory, write_own
 from dynsr.engines import DEFAULT_ENGINE
-from dynsr.errors import InputError, one_line
+from dynsr.errors import InputError, one_line, quoted
 from dynsr.expression import arguments_of, check_name, parse
 from dynsr.fit import Candidate, ParetoFront
 from dynsr.jobs import RecordError, checksum, fingerprint, from_plain, read_json, to_json
@@ -110,7 +110,7 @@ def read_discovery(
         raise InputError(f"{label!r} is no saved discovery; give one that save() wrote")
     if record["format"] != FORMAT:
         raise InputError(
-            f"{label!r} is a {record['format'][:40]!r}, not {FORMAT!r}; discover again"
+            f"{label!r} is a {quoted(record['format'])}, not {FORMAT!r}; discover again"
         )
     missing = [name for name in _FIELDS if name not in record]
     if missing:
@@ -183,7 +183,7 @@ _DEFAULTS = {
 
 def _check_states(part: Mapping[str, Any], equations: Mapping[str, sympy.Expr], name: str) -> None:
     if odd := part.keys() - equations.keys():
-        raise InputError(f"{name!r} is of a state without an equation, {min(odd)[:40]!r}")
+        raise InputError(f"{name!r} is of a state without an equation, {quoted(min(odd))}")
 
 
 def _candidate(text: str, loss: float, bits: float, source: str) -> Candidate:

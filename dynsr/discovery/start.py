@@ -13,7 +13,7 @@ from dynsr.discovery.free_parts import refuse_curves
 from dynsr.discovery.orders import Form
 from dynsr.discovery.records import RECORD
 from dynsr.discovery.result import Discovery
-from dynsr.errors import InputError
+from dynsr.errors import InputError, quoted
 from dynsr.expression import parse, to_text
 from dynsr.jobs import fingerprint
 
@@ -57,7 +57,7 @@ class Start:
             given = Discovery.load(path / RECORD if path.is_dir() else path)
         if not isinstance(given, Discovery):
             raise InputError(
-                f"start {str(given)[:40]!r} must be a Discovery, or the file that one was saved to"
+                f"start {quoted(given)} must be a Discovery, or the file that one was saved to"
             )
         refuse_curves(given.free, "a search starts from formulas")
         known = given.settings.get("known")

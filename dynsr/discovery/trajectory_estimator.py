@@ -233,7 +233,7 @@ class TrajectoryRegressor(BaseEstimator):
         scores = []
         for state in self._states:
             samples = form.samples(runs, state, **({"slopes": slopes[state]} if slopes else {}))
-            found = evaluate(self.equations_[state], {**samples.columns, "t": samples.t})
+            found = evaluate(self.equations_[state], samples.timed)
             scores.append(metric(samples.y, found, **metric_kws))
         return float(np.mean(scores))
 

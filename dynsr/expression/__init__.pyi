@@ -12,6 +12,7 @@ from .evaluation import (
 from .export import (
     JULIA_WORDS,
     AllDigits,
+    abridged,
     arguments_of,
     call_names,
     julia_code,
@@ -49,6 +50,7 @@ __all__ = [
     "Unit",
     "Units",
     "Vocabulary",
+    "abridged",
     "added_bits",
     "arguments_of",
     "as_float_tree",

@@ -16,7 +16,7 @@ from typing import Any
 
 import sympy
 
-from dynsr.errors import InputError, need
+from dynsr.errors import InputError, need, quoted
 
 Powers = tuple[tuple[str, Fraction], ...]
 # Functions that give back the unit of their argument; all others take and give plain numbers.
@@ -302,13 +302,13 @@ def _registry() -> Any:
 def _read(registry: Any, name: str, text: str) -> Unit:
     plain = str(text).strip() in ("", "1")
     if len(str(text)) > _LONGEST or _TOWER.search(str(text)):
-        raise InputError(f"unit {str(text)[:40]!r} of {name!r} is too long; write it like m/s")
+        raise InputError(f"unit {quoted(text)} of {name!r} is too long; write it like m/s")
     try:
         unit = registry.Unit("dimensionless" if plain else str(text).strip())
         one, two = (registry.Quantity(n, unit).to_base_units().magnitude for n in (1.0, 2.0))
     except Exception:  # pint's own, and those of the tokenizer that it reads with
         raise InputError(
-            f"unit {str(text)[:40]!r} of {name!r} is unknown to pint; write it like m/s, or "
+            f"unit {quoted(text)} of {name!r} is unknown to pint; write it like m/s, or "
             "count for what is counted"
         ) from None
     if not math.isclose(two, 2 * one, rel_tol=1e-9):

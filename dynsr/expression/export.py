@@ -314,6 +314,11 @@ def shown(expr: sympy.Expr, digits: int = 6, first: Collection[str] = ()) -> str
     return str(text).replace(_BEFORE, "")
 
 
+def abridged(text: str) -> str:
+    """Give a formula as it is written within a sentence: a long one without its end."""
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
 def _with_few_fractions(expr: sympy.Expr) -> sympy.Expr:
     """Write fractions of large numbers as decimals, but for exponents."""
     if expr.is_Rational:

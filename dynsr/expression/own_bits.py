@@ -14,7 +14,7 @@ from typing import Any
 
 import sympy
 
-from dynsr.errors import InputError
+from dynsr.errors import InputError, quoted
 from dynsr.expression.operators import FUNCTIONS
 from dynsr.expression.parsing import FUNCTION_ALIASES
 from dynsr.expression.vocabulary import NAMED_FUNCTIONS
@@ -42,7 +42,7 @@ def read_own_bits(given: Mapping[str, Any] | None) -> dict[str, float]:
         return {}
     if not isinstance(given, Mapping):
         raise InputError(
-            f"complexity {str(given)[:40]!r} must map functions and operators to bits, such as "
+            f"complexity {quoted(given)} must map functions and operators to bits, such as "
             "{'sin': 8, '/': 4}"
         )
     found: dict[str, float] = {}
@@ -50,7 +50,7 @@ def read_own_bits(given: Mapping[str, Any] | None) -> dict[str, float]:
         token = "**" if name == "^" else FUNCTION_ALIASES.get(str(name), str(name))
         if token not in (*NAMED_FUNCTIONS, *_OPERATORS):
             raise InputError(
-                f"complexity of {str(name)[:40]!r}, which is unknown; the functions are: "
+                f"complexity of {quoted(name)}, which is unknown; the functions are: "
                 f"{', '.join(NAMED_FUNCTIONS)}; the operators: {' '.join(_OPERATORS)}"
             )
         if isinstance(bits, bool) or not isinstance(bits, (int, float)):

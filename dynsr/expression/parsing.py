@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 
 from dynsr.arguments import checked
-from dynsr.errors import InputError
+from dynsr.errors import InputError, quoted
 from dynsr.expression.operators import CONSTANTS, FUNCTIONS, OPERATORS
 
 FUNCTION_ALIASES = {
@@ -55,7 +55,7 @@ def check_name(name: str, role: str = "variable") -> str:
     """
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise InputError(
-            f"{role} name {str(name)[:60]!r} cannot be used in a formula; "
+            f"{role} name {quoted(name)} cannot be used in a formula; "
             "use letters, digits and underscores, starting with a letter"
         )
     normal = unicodedata.normalize("NFKC", name)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import sympy
 
-from dynsr.errors import InputError
+from dynsr.errors import InputError, quoted
 from dynsr.expression.operators import FUNCTIONS
 from dynsr.expression.parsing import FUNCTION_ALIASES
 
@@ -67,7 +67,7 @@ class Vocabulary:
                 functions.add(token)
             else:
                 raise InputError(
-                    f"unknown function {str(name)[:40]!r}; the functions are: "
+                    f"unknown function {quoted(name)}; the functions are: "
                     f"{', '.join(NAMED_FUNCTIONS)}; the operators: {' '.join(NAMED_OPERATORS)}"
                 )
         return cls(

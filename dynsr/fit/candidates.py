@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
-from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +14,7 @@ import sympy
 
 from dynsr.arguments import Renamed, checked
 from dynsr.data import Samples
-from dynsr.expression import ByText, complexity, evaluate, shown, to_latex_formula
+from dynsr.expression import ByText, abridged, complexity, evaluate, shown, to_latex_formula
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -122,7 +121,7 @@ class ParetoFront:
     def __repr__(self) -> str:
         """Write how many formulas there are, the simplest and the most accurate."""
         ends = [*self.candidates[:1], *self.candidates[1:][-1:]]
-        formulas = (shorten(shown(c.expr, 4), 60, placeholder="...") for c in ends)
+        formulas = (abridged(shown(c.expr, 4)) for c in ends)
         said = " ... ".join(
             f"{formula} ({c.complexity:.0f} bits, RMSE {c.loss:.3g})"
             for formula, c in zip(formulas, ends, strict=True)

@@ -23,7 +23,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from dynsr import __version__
 from dynsr.data import is_part, remove_stale, write_text
-from dynsr.errors import DynsrError, DynsrWarning, InputError
+from dynsr.errors import DynsrError, DynsrWarning, InputError, quoted
 
 T = TypeVar("T")
 
@@ -168,25 +168,25 @@ def from_plain(kind: Any, value: Any) -> Any:
         return None if value is None and chosen is not float else from_plain(chosen, value)
     if origin is tuple:
         if not isinstance(value, (list, tuple)):
-            raise TypeError(f"{str(value)[:40]!r} is no list")
+            raise TypeError(f"{quoted(value)} is no list")
         kinds = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
         return tuple(from_plain(k, v) for k, v in zip(kinds, value, strict=True))
     if isinstance(origin, type) and issubclass(origin, Mapping):
         if not isinstance(value, Mapping):
-            raise TypeError(f"{str(value)[:40]!r} is no mapping")
+            raise TypeError(f"{quoted(value)} is no mapping")
         return {str(k): from_plain(inner[1], v) for k, v in value.items()}
     if is_dataclass(kind):
         return _read_dataclass(kind, value)
     if kind is float:
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
-            raise TypeError(f"{str(value)[:40]!r} is no number")
+            raise TypeError(f"{quoted(value)} is no number")
         return math.inf if value is None else float(value)
     if hasattr(kind, "free_symbols"):
         from dynsr.expression import parse
 
         return parse(str(value))
     if not isinstance(value, kind):
-        raise TypeError(f"{str(value)[:40]!r} is no {kind.__name__}")
+        raise TypeError(f"{quoted(value)} is no {kind.__name__}")
     return value
 
 

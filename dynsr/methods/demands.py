@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.errors import InputError
+from dynsr.errors import InputError, quoted
 from dynsr.expression import (
     Units,
     Vocabulary,
@@ -316,7 +316,7 @@ class Demands:
         whole = self.force(state, candidate.expr, known)
         if whole != candidate.expr:
             candidate = score_candidate(refit(loosen(whole), samples), samples, candidate.source)
-        positive = self.stays_positive(state, known + candidate.expr, _columns(samples))
+        positive = self.stays_positive(state, known + candidate.expr, samples.timed)
         return candidate if positive and self.allows(candidate.expr) else None
 
     def complete(self, equations: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
@@ -361,10 +361,6 @@ class Demands:
         if not math.isinf(self.max_complexity):
             record["max_complexity"] = self.max_complexity
         return record
-
-
-def _columns(samples: Samples) -> dict[str, np.ndarray]:
-    return {**samples.columns, "t": samples.t}
 
 
 def _factor(value: float) -> sympy.Expr:
@@ -423,7 +419,7 @@ def _read_units(units: Mapping[str, str], names: Sequence[str]) -> Units:
     for name in units:
         if name not in (*names, "t"):
             columns = ", ".join((*names, "t"))
-            raise InputError(f"units name {str(name)[:40]!r}, which is not one of: {columns}")
+            raise InputError(f"units name {quoted(name)}, which is not one of: {columns}")
     return read_units(units)
 
 
@@ -450,7 +446,7 @@ def _read_term(term: str | sympy.Expr, names: Sequence[str]) -> sympy.Expr:
 def _read_state(state: object, states: Sequence[str], option: str) -> str:
     if state not in states:
         raise InputError(
-            f"{option} names {str(state)[:40]!r}, which is no state; they are: {', '.join(states)}"
+            f"{option} names {quoted(state)}, which is no state; they are: {', '.join(states)}"
         )
     return str(state)
 
@@ -471,9 +467,7 @@ def _read_constraints(
     for line in _listed(given or ()):
         match = _CONSTRAINT.fullmatch(str(line))
         if match is None:
-            raise InputError(
-                f"cannot read constraint {str(line)[:60]!r}; write it like 'x: x*y < 0'"
-            )
+            raise InputError(f"cannot read constraint {quoted(line)}; write it like 'x: x*y < 0'")
         state, term, relation = match.groups()
         yield _make_constraint(state, term, _OF_RELATION[relation[0]], states, names)
 
@@ -505,14 +499,14 @@ def _read_must(
         for line in _listed(given or ()):
             state, colon, term = str(line).partition(":")
             if not colon or not term.strip():
-                raise InputError(f"cannot read must {str(line)[:60]!r}; write it like 'x: x*y'")
+                raise InputError(f"cannot read must {quoted(line)}; write it like 'x: x*y'")
             pairs.append((state.strip(), term))
     for state, term in pairs:
         _read_state(state, states, "must")
         expanded = sympy.expand(parse(term, names))
         if expanded.is_Add or expanded == 0:
             raise InputError(
-                f"must of {state!r} has {str(term).strip()[:60]!r}, which is not one term; name "
+                f"must of {state!r} has {quoted(str(term).strip())}, which is not one term; name "
                 "its terms one by one, without their coefficients"
             )
         yield state, bare_term(expanded)
@@ -528,13 +522,13 @@ def _read_conserved(
         shares = terms_of(expr)
         if len(shares) < 2 or any(not term.is_Symbol for term in shares):
             raise InputError(
-                f"conserved {str(total)[:60]!r} must be a sum of at least two states times "
+                f"conserved {quoted(total)} must be a sum of at least two states times "
                 "numbers, such as 'S + I + R'"
             )
         free = [s for s in states if sympy.Symbol(s) in shares and s not in found]
         if not free:
             raise InputError(
-                f"conserved {str(total)[:60]!r} leaves no state whose equation could follow; "
+                f"conserved {quoted(total)} leaves no state whose equation could follow; "
                 "give fewer sums"
             )
         found[free[-1]] = expr

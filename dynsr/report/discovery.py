@@ -290,7 +290,7 @@ def _samples(found: Discovery) -> dict[str, tuple[Samples, np.ndarray]]:
         if state in found.hidden:
             continue
         samples = _slopes_of(found, state)
-        pairs[state] = samples, evaluate(expr, {**samples.columns, "t": samples.t})
+        pairs[state] = samples, evaluate(expr, samples.timed)
     return pairs
 
 
