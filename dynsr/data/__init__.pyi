@@ -12,7 +12,14 @@ from .known_noise import KnownNoise
 from .limits import Limits
 from .motion_noise import MotionNoise, measure_motion_noise
 from .name_parts import bracketed_unit
-from .noise_model import StateNoise, is_still, measurement_noise, robust_scale, scale_of
+from .noise_model import (
+    StateNoise,
+    is_still,
+    measurement_noise,
+    robust_scale,
+    scale_error,
+    scale_of,
+)
 from .observation import at_own_rows, carry, told_rows, within_limits
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
 from .reading import (
@@ -26,7 +33,7 @@ from .reading import (
 )
 from .reading_sums import read_sums
 from .samples import SCHEMES, Samples, join_samples, make_samples
-from .slopes import SMOOTHERS, SlopeSettings, choose_samples, smooth_column
+from .slopes import FEWEST_SMOOTH, SMOOTHERS, SlopeSettings, choose_samples, smooth_column
 from .smoothing import SmoothedTrajectory, estimate_noise, smooth
 from .sums import MeasuredSum
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
@@ -57,6 +64,7 @@ from .writing import (
 __all__ = [
     "DATA",
     "DEFINITIONS",
+    "FEWEST_SMOOTH",
     "PAPER_SYSTEMS",
     "SCHEMES",
     "SMOOTHERS",
@@ -141,6 +149,7 @@ __all__ = [
     "remove_stale",
     "robust_scale",
     "sample_input",
+    "scale_error",
     "scale_of",
     "smooth",
     "smooth_column",

@@ -40,8 +40,8 @@ from dynsr.errors import InputError, need
 SMOOTHERS = ("gp", "spline", "total-variation", "weak")
 # Order up to which all central differences are looked at; higher ones while the errors fall.
 _USUAL_ORDER = 6
-# Rows of a state below which a run says nothing of its slopes.
-_FEWEST = 5
+# Rows of a state below which a run is not smoothed and says nothing of its slopes.
+FEWEST_SMOOTH = 5
 _SAVGOL = re.compile(r"savgol\((\d+),(\d+)\)")
 
 
@@ -484,9 +484,9 @@ def choose_samples(
     given = _own_slopes(runs, target, slopes, settings)
     if any(run.unmeasured.size for run in runs):
         rows = told_rows(runs, target)
-        both = [(g, own) for g, own in zip(given, rows, strict=True) if len(own) >= _FEWEST]
+        both = [(g, own) for g, own in zip(given, rows, strict=True) if len(own) >= FEWEST_SMOOTH]
         given = [None if g is None else g[own] for g, own in both]
-        runs = at_own_rows(runs, target, _FEWEST)
+        runs = at_own_rows(runs, target, FEWEST_SMOOTH)
         if not runs:
             raise InputError(f"{target} was measured in too few rows for slopes; give more of them")
     resolve = scheme == "auto" and slopes is None

@@ -14,6 +14,7 @@ from dataclasses import replace
 import sympy
 
 from dynsr.discovery.alternatives import count_constants
+from dynsr.discovery.following import LEAST_SQUARE
 from dynsr.discovery.problem import OtherFormulas, Problem
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.verdict import LEVELS, NOT_FOUND, OtherFormula, Verdict
@@ -21,9 +22,6 @@ from dynsr.expression import parse, shown
 from dynsr.fit import ParetoFront, constant_bits, skeleton, tidy, with_floats
 from dynsr.jobs import finish_by
 from dynsr.library import structure_in
-
-# Misses, squared in units of the noise, below which nothing is told apart.
-_FINEST = 1e-3
 
 
 def adopt_better(
@@ -165,7 +163,7 @@ def _length(
     bits = structure_in(problem.columns)(written)
     for state, expr in found.equations.items():
         own = verdict.states[state]
-        square = own.noise**2 if problem.form.discrete else max(own.chi_square, _FINEST)
+        square = own.noise**2 if problem.form.discrete else max(own.chi_square, LEAST_SQUARE)
         bits += (independent[state] or rows) / 2 * math.log2(max(square, 1e-300))
         bits += count_constants(expr) * constant_bits(rows)
     return bits

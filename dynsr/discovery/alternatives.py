@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.discovery.following import Course, Followed, Place
+from dynsr.discovery.following import LEAST_SQUARE, Course, Followed, Place
 from dynsr.expression import ByText, differentiate, evaluate
 from dynsr.fit import (
     Candidate,
@@ -43,6 +43,7 @@ def compare_alternatives(
     course: Course,
     most: int,
     different: float,
+    rows: int,
 ) -> dict[str, list[tuple[sympy.Expr, float]]]:
     """Give for every state (formula, bits that it takes more than the equation), fewest first.
 
@@ -55,6 +56,7 @@ def compare_alternatives(
     course : the trajectories.
     most : formulas a state that are compared.
     different : rms difference, in shares of the slopes' spread, of formulas that are different.
+    rows : rows on which formulas are compared with the equation; of more, evenly spaced ones.
 
     The bits are those of the residuals in the linearised fit, of the formula, and of its constants.
     """
@@ -63,7 +65,7 @@ def compare_alternatives(
         (state, expr)
         for state in equations
         for expr in _closest(
-            state, equations[state], front.get(state, ()), columns, most, different
+            state, equations[state], front.get(state, ()), columns, most, different, rows
         )
     ]
     if not chosen:
@@ -76,8 +78,8 @@ def compare_alternatives(
     for (state, expr), value in zip(chosen, bits, strict=True):
         more = count_constants(expr) - count_constants(equations[state])
         cost = structure({**written, state: with_floats(expr)}) - said
-        rows = float(np.sum(followed.counts)) * course.thinned
-        found[state].append((expr, float(value) + cost + more * constant_bits(rows)))
+        measured = float(np.sum(followed.counts)) * course.thinned
+        found[state].append((expr, float(value) + cost + more * constant_bits(measured)))
     return {state: sorted(pairs, key=lambda pair: pair[1]) for state, pairs in found.items()}
 
 
@@ -122,12 +124,13 @@ def _closest(
     columns: Mapping[str, np.ndarray],
     most: int,
     different: float,
+    rows: int,
 ) -> list[sympy.Expr]:
     """Give different functions that come closest to the equation along its trajectory."""
     slopes = evaluate(own, columns)
     size = max(float(np.std(slopes)), 1e-3 * float(np.abs(np.mean(slopes))), 1e-300)
     names = tuple(n for n in columns if n != "t")
-    every = max(1, len(slopes) // 400)
+    every = max(1, len(slopes) // rows)
     samples = Samples(
         np.column_stack([columns[n][::every] for n in names]),
         slopes[::every],
@@ -171,7 +174,7 @@ def _bits_above(
     with np.errstate(all="ignore"):
         z, slopes, owners = probed.linearise()
     mine = [owners == i for i in range(len(states))]
-    level = np.array([max(np.mean(z[own] ** 2), 1e-3) for own in mine])
+    level = np.array([max(np.mean(z[own] ** 2), LEAST_SQUARE) for own in mine])
     unit = np.sqrt(level)[owners]
     z, slopes = z / unit, slopes / unit[:, None]
     starts = np.arange(first + len(probes), slopes.shape[1])

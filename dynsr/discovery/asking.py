@@ -181,6 +181,6 @@ def _repeat(
     One that repeats none, since terms of several equations have met in it, has the error inf.
     """
     for other, error, before in known:
-        if math.isclose(abs(other), abs(value), rel_tol=1e-9):
+        if math.isclose(abs(other), abs(value)):
             return value, error, before * math.copysign(1.0, other * value)
     return value, math.inf, value

@@ -18,7 +18,8 @@ from dynsr.fit import structure_bits
 
 # Share of the spread by which a sum that rests may move; largest weight of a state in it.
 _RESTING, _WEIGHT = 1e-7, 4
-# Share of its terms that a sum which vanishes may be; bits that another writing may take more.
+# Share of the largest, or of its terms, that what vanishes may be; bits that another writing may
+# take more.
 _VANISHES, _LONGER = 1e-6, 15.0
 
 
@@ -45,7 +46,7 @@ def find_conserved(runs: Sequence[Trajectory], states: Sequence[str]) -> list[di
     weights = directions[sizes <= _RESTING * sizes[0]] / spread
     found = []
     for row in _reduced(weights):
-        least = float(np.min(np.abs(row[np.abs(row) > 1e-6 * np.abs(row).max()])))
+        least = float(np.min(np.abs(row[np.abs(row) > _VANISHES * np.abs(row).max()])))
         whole_row = np.round(row / least)
         total = whole @ whole_row
         if (
@@ -65,7 +66,7 @@ def _reduced(rows: np.ndarray) -> np.ndarray:
         if done == len(rows):
             break
         best = done + int(np.argmax(np.abs(rows[done:, column])))
-        if np.abs(rows[best, column]) < 1e-6 * np.abs(rows).max():
+        if np.abs(rows[best, column]) < _VANISHES * np.abs(rows).max():
             continue
         rows[[done, best]] = rows[[best, done]]
         rows[done] /= rows[done, column]

@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
+from typing import Any
 
 import numpy as np
 import sympy
@@ -21,7 +22,16 @@ import sympy
 from dynsr.data import Samples
 from dynsr.discovery.following import open_constants
 from dynsr.expression import differentiate, evaluate, expand_terms, shown
-from dynsr.fit import constant_bits, orthogonal, refit, skeleton, tidy, with_floats
+from dynsr.fit import (
+    DEPENDENT,
+    constant_bits,
+    orthogonal,
+    refit,
+    skeleton,
+    tidy,
+    unit_columns,
+    with_floats,
+)
 from dynsr.library import Place, Written, find_turning, structure_of, textbooks
 from dynsr.selection import (
     Subset,
@@ -208,10 +218,29 @@ def _functions(t: np.ndarray, settings: DriftSettings) -> Iterator[sympy.Expr]:
     span, first = float(np.ptp(t)) or 1.0, float(t.min())
     yield TIME**3
     for inside in settings.inside:
-        rate = sympy.Float(inside / span)
-        yield from (sympy.exp(-rate * TIME), sympy.exp(rate * TIME))
-        yield from (sympy.sin(rate * TIME), sympy.cos(rate * TIME))
-        yield 1 / (TIME + sympy.Float(span / inside - first))
+        for own in waves_in_time(sympy, TIME, sympy.Float(inside / span), sympy.Float(first)):
+            yield from own
+
+
+def waves_in_time(of: Any, t: Any, rate: Any, first: Any) -> list[list[Any]]:
+    """Give the functions of the time by a rate and its beginning, of NumPy or SymPy, in lists.
+
+    >>> waves_in_time(sympy, TIME, 2, 0)
+    [[exp(-2*t)], [exp(2*t)], [sin(2*t), cos(2*t)], [1/(t + 0.5)]]
+    """
+    return [
+        [of.exp(-rate * t)],
+        [of.exp(rate * t)],
+        [of.sin(rate * t), of.cos(rate * t)],
+        [1 / (t + (1 / rate - first))],
+    ]
+
+
+def with_time(samples: Samples, target: str) -> Samples:
+    """Give samples with the time as one more column."""
+    columns = samples.timed
+    values = np.column_stack(list(columns.values()))
+    return Samples(values, samples.y, tuple(columns), target, "given", samples.t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,21 +397,14 @@ def drift_of_rows(
     >>> found.said.split(", as")[0]
     "its constants change along the record: x's coefficient from 2 to 2.98"
     """
-    columns, n = {**samples.columns, "t": samples.t}, len(samples)
+    columns, n = samples.timed, len(samples)
     own = _slopes_by_constants(expr, columns)[0]
     misses = samples.y - np.broadcast_to(evaluate(expr, columns), n)
     if not (np.all(np.isfinite(own)) and np.all(np.isfinite(misses))):
         return None
     library = TermsInTime.of(state, expr, columns, settings)
     lines = Lines(misses, samples.y, own, library.design(columns), n, n * floor**2)
-    timed = Samples(
-        np.column_stack(list(columns.values())),
-        samples.y,
-        tuple(columns),
-        state,
-        "given",
-        samples.t,
-    )
+    timed = with_time(samples, state)
     basis = orthogonal(own)
     least = float(np.mean((misses - basis @ (basis.T @ misses)) ** 2))
     found = []
@@ -425,8 +447,8 @@ def _told_by_size(expr: sympy.Expr, samples: Samples) -> float:
     if not len(chosen) or not np.all(np.isfinite(slopes)):
         return 1.0
     left = samples.y - evaluate(expr, samples.columns)
-    scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-    inverse = np.linalg.pinv(slopes / scale, rcond=1e-10)
+    unit, scale = unit_columns(slopes)
+    inverse = np.linalg.pinv(unit, rcond=DEPENDENT)
     plain, white = inverse @ inverse.T * np.mean(left**2), (inverse * left**2) @ inverse.T
     values = np.array([place.value for place in open_constants({"": expr})[1].values()])
     mine = (values * scale)[chosen]

@@ -14,6 +14,7 @@ import numpy as np
 import sympy
 from scipy.integrate import cumulative_trapezoid
 
+from dynsr.data import robust_scale
 from dynsr.discovery.alternatives import columns_along
 from dynsr.discovery.drift import (
     DRIFT,
@@ -27,14 +28,12 @@ from dynsr.discovery.drift import (
     is_timed,
     say,
 )
-from dynsr.discovery.following import Course, Followed, open_constants
+from dynsr.discovery.following import FAR, LEAST_SQUARE, Course, Followed, open_constants
 from dynsr.expression import evaluate
-from dynsr.fit import Flow, Shooting, orthogonal
+from dynsr.fit import DEPENDENT, Flow, Shooting, cauchy_weights, orthogonal, unit_columns
 from dynsr.library import Place
 from dynsr.methods import recalled
 
-# Robust sizes of misses beyond which one is an outlier.
-_FAR = 6.0
 # Shares of a step that are tried, and the share by which a fit that goes on becomes better.
 _SHARES, _GAIN = (1.0, 0.5, 0.1), 1e-4
 
@@ -197,9 +196,8 @@ class Along:
             mine = owners == place
             if not np.any(mine):
                 continue
-            size = 1.4826 * float(np.median(np.abs(z[mine])))
-            far = mine & (np.abs(z) > _FAR * size)
-            level = math.sqrt(max(float(np.mean(z[mine & ~far] ** 2)), 1e-3))
+            far = mine & (np.abs(z) > FAR * robust_scale(z[mine]))
+            level = math.sqrt(max(float(np.mean(z[mine & ~far] ** 2)), LEAST_SQUARE))
             z[mine], slopes[mine] = z[mine] / level, slopes[mine] / level
             z[far], slopes[far] = 0.0, 0.0
         starts = np.arange(first + len(probes), slopes.shape[1])
@@ -313,10 +311,9 @@ def _step(now: Followed) -> Followed | None:
         z, slopes, _ = now.linearise()
     if not np.all(np.isfinite(slopes)):
         return None
-    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-    weights = 1 / (1 + (z / _FAR) ** 2)
-    root = np.sqrt(weights)
-    move = -np.linalg.lstsq(slopes / size * root[:, None], z * root, rcond=1e-10)[0] / size
+    unit, size = unit_columns(slopes)
+    root = np.sqrt(cauchy_weights(z, FAR))
+    move = -np.linalg.lstsq(unit * root[:, None], z * root, rcond=DEPENDENT)[0] / size
     count, k = len(now.constants), len(now.starts[0])
     for share in _SHARES:
         step, first, starts = share * move, count, []
@@ -344,10 +341,10 @@ def _follow(
 
 def _total(followed: Followed) -> float:
     """Sum of the squares of residuals, of which those far off count little."""
-    return float(sum(np.sum(_FAR**2 * np.log1p((z / _FAR) ** 2)) for z in followed.misses))
+    return float(sum(np.sum(FAR**2 * np.log1p((z / FAR) ** 2)) for z in followed.misses))
 
 
 def _squares(followed: Followed) -> np.ndarray:
     """(k,) mean size of the squares of residuals, of which those far off count little."""
-    total = sum(np.sum(_FAR**2 * np.log1p((z / _FAR) ** 2), axis=(0, 2)) for z in followed.misses)
+    total = sum(np.sum(FAR**2 * np.log1p((z / FAR) ** 2), axis=(0, 2)) for z in followed.misses)
     return np.asarray(total / np.maximum(followed.counts, 1))

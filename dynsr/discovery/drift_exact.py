@@ -7,7 +7,7 @@ one in the time. Which of them is shorter, with its constants written out, is mo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,8 @@ from dynsr.discovery.drift import (
     TermsInTime,
     drift_of_rows,
     say,
+    waves_in_time,
+    with_time,
 )
 from dynsr.expression import complexity, evaluate
 from dynsr.fit import refit, simplest_form
@@ -34,15 +36,6 @@ _ROWS, _EVERY = 200, 4
 # Times the share to which formulas are the same, below which a sum of columns may vanish: columns
 # are counted in units of their own size, and formulas in that of what they give.
 _FLAT = 10.0
-# Functions of the time alone by a rate and the first time, in arrays or in symbols.
-Family = Callable[[Any, Any, Any, Any], list[Any]]
-_FAMILIES: tuple[Family, ...] = (
-    lambda _, t, rate, first: [t, t**2, t**3],
-    lambda of, t, rate, first: [of.exp(rate * t)],
-    lambda of, t, rate, first: [of.exp(-rate * t)],
-    lambda of, t, rate, first: [of.sin(rate * t), of.cos(rate * t)],
-    lambda _, t, rate, first: [1 / (t + (1 / rate - first))],
-)
 # Share of themselves to which constants of exact slopes are sure.
 _SURE = 1e-4
 # Rates of functions of the time that are begun with, in units of one over its span, and the share
@@ -78,15 +71,8 @@ def same_in_time(
     >>> same_in_time("x", -0.5 * sympy.Symbol("x"), rows) is None
     True
     """
-    columns = {**samples.columns, "t": samples.t}
-    timed = Samples(
-        np.column_stack(list(columns.values())),
-        samples.y,
-        tuple(columns),
-        state,
-        "given",
-        samples.t,
-    )
+    timed = with_time(samples, state)
+    columns = timed.columns
     floor = settings.exact * float(np.std(samples.y))
     best, least = None, complexity(expr)
     for one in _propose(expr, timed, floor, settings):
@@ -123,7 +109,7 @@ def drift_of_slopes(
     found = drift_of_rows(samples.target, expr, samples, floor, settings)
     if found is None or not found.timed:
         return None
-    columns = {**samples.columns, "t": samples.t}
+    columns = samples.timed
     left = float(np.median(np.abs(samples.y - evaluate(found.expr, columns))))
     if left > floor:
         return None
@@ -181,12 +167,13 @@ def _functions(t: np.ndarray, y: np.ndarray, share: float) -> Iterator[sympy.Exp
     if not span:
         return
     first, t_few, y_few = float(t.min()), t[::_EVERY], y[::_EVERY]
-    for make in _FAMILIES:
+    for family in range(len(_families(np, t, 1.0, first))):
 
         def miss(
-            log_rate: float, t: np.ndarray = t, y: np.ndarray = y, make: Family = make
+            log_rate: float, t: np.ndarray = t, y: np.ndarray = y, family: int = family
         ) -> float:
-            basis = np.array([np.ones(len(t)), *make(np, t, math.exp(log_rate), first)]).T
+            own = _families(np, t, math.exp(log_rate), first)[family]
+            basis = np.array([np.ones(len(t)), *own]).T
             if not np.all(np.isfinite(basis)):
                 return math.inf
             left = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
@@ -200,5 +187,11 @@ def _functions(t: np.ndarray, y: np.ndarray, share: float) -> Iterator[sympy.Exp
         ends = rates[np.clip([place - 1, place + 1], 0, len(rates) - 1)]
         best = minimize_scalar(miss, bounds=ends, method="bounded", options={"xatol": 1e-8})
         if best.fun <= _FLAT * share * size:
-            terms = make(sympy, TIME, sympy.Float(math.exp(best.x)), sympy.Float(first))
+            rate = sympy.Float(math.exp(best.x))
+            terms = _families(sympy, TIME, rate, sympy.Float(first))[family]
             yield sum(sympy.Float(0.5) * term for term in (sympy.S.One, *terms))
+
+
+def _families(of: Any, t: Any, rate: Any, first: Any) -> list[list[Any]]:
+    """Give the functions of the time alone that are tried together."""
+    return [[t, t**2, t**3], *waves_in_time(of, t, rate, first)]

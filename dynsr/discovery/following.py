@@ -29,6 +29,10 @@ from dynsr.fit import (
     loosen,
 )
 
+# Squared residuals in units of the noise below which nothing is distinguished.
+LEAST_SQUARE = 1e-3
+# Robust sizes of residuals beyond which one is an outlier.
+FAR = 6.0
 # One over the shares of a window that a fit grows through.
 _PARTS = (16, 4, 1)
 # Miss in units of the noise below which starts and constants are as good as fitted.
@@ -349,10 +353,15 @@ def _grow(
             break
         # Over a part of a window constants are not known yet; whole windows tell them.
         if part < rows and len(constants):
-            _, starts = replace(some, flow=closed).minimise(
-                np.empty(0), starts, "linear", most=6, gain=1e-3
-            )
+            _, starts = _fit(replace(some, flow=closed), np.empty(0), starts, "linear")
             continue
         for loss in losses if part == rows else ("linear",):
-            constants, starts = some.minimise(constants, starts, loss, most=6, gain=1e-3)
+            constants, starts = _fit(some, constants, starts, loss)
     return constants, starts
+
+
+def _fit(
+    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, loss: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit by few steps; that a state follows is seen before its fit is exact."""
+    return shooting.minimise(constants, starts, loss, most=6, gain=1e-3)

@@ -11,7 +11,7 @@ import sympy
 import torch
 
 from dynsr.data import Samples, Trajectory, carry, choose_samples, robust_scale
-from dynsr.discovery.prediction import Measured
+from dynsr.discovery.prediction import ABSTOL, RELTOL, Measured
 from dynsr.engines import Drive, Motion, follow
 from dynsr.errors import InputError
 from dynsr.expression import (
@@ -95,9 +95,6 @@ def _with_plain_numbers(expr: sympy.Expr) -> sympy.Expr:
     return expr.replace(lambda e: e.is_number and bool(e.args), lambda e: sympy.Float(float(e)))
 
 
-_RELTOL, _ABSTOL = 1e-8, 1e-10
-
-
 @dataclass(frozen=True, eq=False)
 class Residual:
     """A network g with y - f(X) = g(X) + error, for one state.
@@ -175,7 +172,7 @@ class HybridModel:
             run.t if run.input_names else np.empty(0),
             tuple(self._drive(run, name, times) for name in measured),
         )
-        found, how = follow(motion, start, times, _RELTOL, _ABSTOL)
+        found, how = follow(motion, start, times, RELTOL, ABSTOL)
         return Trajectory(times, found, run.states, origin={"engine": f"embedded ({how})"})
 
     def _field(
@@ -265,7 +262,7 @@ def fit_hybrid(
     residuals = {}
     for state, expr in equations.items():
         samples = choose_samples(list(trajectories), state)
-        residual = samples.y - evaluate(expr, {**samples.columns, "t": samples.t})
+        residual = samples.y - evaluate(expr, samples.timed)
         residuals[state] = _train(samples, residual, width, epochs, rate, seed)
     return HybridModel(equations, trajectories, inputs, residuals)
 

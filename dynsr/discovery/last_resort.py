@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import sympy
 
-from dynsr.data import diagnose
+from dynsr.data import FEWEST_SMOOTH, diagnose
 from dynsr.discovery.adoption import adopt_better
 from dynsr.discovery.problem import Problem
 from dynsr.discovery.result import Discovery
@@ -28,10 +28,11 @@ from dynsr.discovery.verdict import (
     follows_to,
     least_r2,
     likely_cause,
+    round_off,
     summarise,
 )
-from dynsr.expression import has_pole
-from dynsr.fit import Match, fit_along, score_candidate, untouched_match
+from dynsr.expression import has_pole, round_constants
+from dynsr.fit import FLOOR, Match, fit_along, score_candidate, untouched_match
 from dynsr.selection import Approximation, MeasuredRuns, find_approximations
 
 # Systems of the most accurate formulas of every front that are integrated.
@@ -57,7 +58,8 @@ def follow_anyway(
     verdict : what is thought of it.
     """
     runs = problem.runs
-    if verdict.level == LAW or problem.form.discrete or problem.known or min(map(len, runs)) < 5:
+    short = min(map(len, runs)) < FEWEST_SMOOTH
+    if verdict.level == LAW or problem.form.discrete or problem.known or short:
         return None
     measured_runs = _measured_runs(problem, tuple(found.equations))
     whole = verdict.span >= max(np.ptp(run.t) for run in runs)
@@ -100,7 +102,7 @@ def _closer(judged: Verdict, verdict: Verdict) -> bool:
     All states count together: what one misses less, another may miss more.
     """
     own, others = (
-        sum(math.log(max(1 - state.r2, 1e-12)) for state in one.states.values())
+        sum(math.log(max(1 - state.r2, FLOOR)) for state in one.states.values())
         for one in (judged, verdict)
     )
     return judged.span >= verdict.span and own < others
@@ -194,10 +196,7 @@ def _follow(measured_runs: MeasuredRuns, exprs: Mapping[str, sympy.Expr]) -> App
 def _rounded(one: Approximation, measured_runs: MeasuredRuns) -> Approximation:
     """Write constants with as few digits as keep to the data as closely."""
     for digits in _DIGITS:
-        short = {
-            s: e.xreplace({a: sympy.Float(f"{float(a):.{digits}g}") for a in e.atoms(sympy.Float)})
-            for s, e in one.exprs.items()
-        }
+        short = {s: round_constants(e, digits) for s, e in one.exprs.items()}
         other = _follow(measured_runs, short)
         if other.r2 >= one.r2 - _ROUNDING * (1 - one.r2):
             return other
@@ -225,6 +224,6 @@ def _approximate(
         if own.level == NOT_FOUND and r2[state] > max(least[state], own.r2):
             why = f"{follows_to(r2[state])}, and was chosen for that."
             why = f"{why} {likely_cause(measured_runs.runs, state)}".strip()
-            found = replace(own, level=APPROXIMATION, reason=why, r2=round(r2[state], 6))
+            found = replace(own, level=APPROXIMATION, reason=why, r2=round_off(r2[state]))
         states[state] = found
     return summarise(states, verdict.span)

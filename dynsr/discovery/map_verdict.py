@@ -30,6 +30,7 @@ from dynsr.discovery.verdict import (
     TermCertainty,
     Verdict,
     VerdictSettings,
+    percent,
     weakest,
 )
 from dynsr.expression import (
@@ -39,7 +40,7 @@ from dynsr.expression import (
     evaluate,
     shown,
 )
-from dynsr.fit import ParetoFront, constant_bits, structure_bits, tidy
+from dynsr.fit import DEPENDENT, ParetoFront, constant_bits, structure_bits, tidy, unit_columns
 from dynsr.library import textbooks
 
 # Share of a state's size below which a miss is the rounding of numbers alone.
@@ -113,7 +114,7 @@ class _Step:
         samples = pair_rows(runs, state)
         opened, places = open_constants({state: expr})
         put = {symbol: sympy.Float(place.value) for symbol, place in places.items()}
-        columns = {**samples.columns, "t": samples.t}
+        columns = samples.timed
         slopes = [
             evaluate(differentiate(opened[state], symbol).xreplace(put), columns)
             for symbol in places
@@ -146,15 +147,13 @@ class _Step:
 
     def r2_of(self, expr: sympy.Expr) -> float:
         """R2 of one step of another formula."""
-        columns = {**self.samples.columns, "t": self.samples.t}
-        misses = self.samples.y - evaluate(expr, columns)
+        misses = self.samples.y - evaluate(expr, self.samples.timed)
         return 1 - float(np.mean(misses**2)) / self.spread**2
 
     def _solve(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Give the shift of the constants that fits these rows best, and its covariance."""
-        slopes = self.jacobian[rows]
-        scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-        inverse = np.linalg.pinv(slopes / scale, rcond=1e-10)
+        unit, scale = unit_columns(self.jacobian[rows])
+        inverse = np.linalg.pinv(unit, rcond=DEPENDENT)
         covariance = (inverse @ inverse.T) / np.outer(scale, scale) * self._level**2
         return inverse @ self.misses[rows] / scale, covariance
 
@@ -304,7 +303,7 @@ def _test_state(
     if drift is not None and (drift.timed or not doubts):
         doubts.insert(0, drift.said)
         found = _with_drift(found, drift) if drift.timed else found
-    follows = f"gives the next row to {100 * size:.2g} % of the spread"
+    follows = f"gives the next row to {percent(size)} of the spread"
     follows = "gives the next row exactly" if exact else follows
     if doubts:
         said = f"{follows}, but {'; '.join(doubts)}."

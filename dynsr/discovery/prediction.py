@@ -29,7 +29,7 @@ from dynsr.errors import InputError
 from dynsr.expression import as_float_tree, parse, write_out
 from dynsr.methods import AbstractMethod
 
-_RELTOL, _ABSTOL = 1e-8, 1e-10
+RELTOL, ABSTOL = 1e-8, 1e-10
 # States below this are integrated with an absolute tolerance of their own size.
 _TINY = 1e-6
 # Times outside the rows by this share of their span are rounded ones.
@@ -93,7 +93,7 @@ def predict(
     start = np.asarray(x0, dtype=float)
     if start.shape != (len(equations),):
         raise InputError(f"x0 must be {len(equations)} numbers, one per state; it is {x0!r}")
-    abstol = _ABSTOL * (size or _size(start))
+    abstol = ABSTOL * (size or _size(start))
     if measured:
         return _follow_measured(equations, start, times, exact, measured, abstol, chosen)
     system = System(
@@ -103,7 +103,7 @@ def predict(
         tuple(start),
         exact,
     )
-    return simulate(system, start, times, _RELTOL, abstol, chosen)
+    return simulate(system, start, times, RELTOL, abstol, chosen)
 
 
 def predict_with_doses(
@@ -311,7 +311,7 @@ def _follow_measured(
             tuple(equations),
             start,
             times,
-            _RELTOL,
+            RELTOL,
             abstol,
             drives=tuple(one.drive for one in measured.values()),
             stops=inside,

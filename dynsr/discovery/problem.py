@@ -12,6 +12,7 @@ import sympy
 
 from dynsr.arguments import checked, renamed
 from dynsr.data import (
+    FEWEST_SMOOTH,
     Samples,
     SlopeSettings,
     Trajectory,
@@ -539,7 +540,7 @@ class Problem:
     def _noisy_measurements(self) -> Measurements | None:
         if self.form.discrete or self.known or self.slopes or self.scheme != "auto":
             return None
-        if min(map(len, self.runs)) < 5 or not is_noisy(self.runs):
+        if min(map(len, self.runs)) < FEWEST_SMOOTH or not is_noisy(self.runs):
             return None
         comparison = self.settings.selection.comparison
         data = Measurements.of(self.runs, self.inputs, comparison.rows, self.form.known)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory
+from dynsr.data import FEWEST_SMOOTH, Trajectory
 from dynsr.discovery.intervals import home_of, printed_places, take_apart, write_interval
 from dynsr.errors import InputError
 from dynsr.fit import (
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 # Ends of an interval; inf for a side that the data leave open, below too.
 Ends: TypeAlias = tuple[float, float]
-# Rows of a run below which nothing is smoothed.
-_FEWEST = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,9 +139,10 @@ class Profiles:
         Raises InputError where the equations cannot be fitted to them.
         """
         shortest = min(map(len, runs))
-        if shortest < _FEWEST:
+        if shortest < FEWEST_SMOOTH:
             raise InputError(
-                f"{shortest} rows are too few for a profile; give trajectories of {_FEWEST} or more"
+                f"{shortest} rows are too few for a profile; give trajectories of {FEWEST_SMOOTH} "
+                "or more"
             )
         made = {state: slope for state, slope in derived.items() if slope.is_Symbol}
         data = Measurements.of(runs, inputs, rows, made)

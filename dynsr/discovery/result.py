@@ -156,6 +156,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 # A measured column that differs from an expression by less than this share was written from it.
 _ROUNDED = 1e-6
+# Fields that a record has where there is something in them.
+_OPTIONAL = ("ensemble", "parameter_names", "profiled", "delays", "volumes", "free", "diffusion")
 # Fields of a discovery that have something of each state.
 _OF_STATES = ("equations", "errors", "front", "explanation", "fitted", "details", "ensemble")
 
@@ -422,17 +424,23 @@ class Discovery:
         names = self.constant_names
         check_values(values, dict.fromkeys(self.parameters))
         equations, left = put_values(self.equations, names, values)
+        return self._with_others(equations, left)
+
+    def _with_others(
+        self, equations: Mapping[str, sympy.Expr], names: Mapping[str, tuple[str, ...]]
+    ) -> Discovery:
+        """Put equations with other numbers in the place of those found; nobody has tested them."""
         return replace(
             self,
             free=self.free.only_curves,
-            equations=equations,
+            equations=dict(equations),
             errors={},
             fitted={},
             profiled={},
             summary=self._changed(),
             verdict=NOBODY,
             explanation={},
-            parameter_names=left,
+            parameter_names=names,
         )
 
     def covariance(self) -> pd.DataFrame:
@@ -979,18 +987,7 @@ class Discovery:
                 f"{unknown[0]!r} has no equation; those that have: {', '.join(self.equations)}"
             )
         changed = {s: put_constants(self.equations[s], own) for s, own in values.items()}
-        return replace(
-            self,
-            free=self.free.only_curves,
-            equations={**self.equations, **changed},
-            errors={},
-            fitted={},
-            profiled={},
-            summary=self._changed(),
-            verdict=NOBODY,
-            explanation={},
-            parameter_names={},
-        )
+        return self._with_others({**self.equations, **changed}, {})
 
     def _origin(self, state: str) -> str:
         _, found, rest = self.explanation.get(state, "").partition("Found by ")
@@ -1495,7 +1492,7 @@ class Discovery:
             truth = np.concatenate([run.observed[:, run.index(state)] for run in runs])
             position = list(self.equations).index(state)
             scores[state] = {
-                "slope_rmse": rmse(evaluate(expr, _with_time(samples)), samples.y),
+                "slope_rmse": rmse(evaluate(expr, samples.timed), samples.y),
                 "forecast": forecast_error({state: expr}, runs, inputs=known),
                 "trajectory_rmse": rmse(np.concatenate([w[:, position] for w in whole]), truth),
             }
@@ -1838,15 +1835,9 @@ class Discovery:
             "complete": self.complete,
             "verdict": to_plain(self.verdict) if self.verdict.tested else None,
             "details": dict(self.details),
-            **({"ensemble": to_plain(self.ensemble)} if self.ensemble else {}),
-            **({"parameter_names": to_plain(self.parameter_names)} if self.parameter_names else {}),
-            **({"profiled": to_plain(self.profiled)} if self.profiled else {}),
             **({"summary": to_plain(kept)} if (kept := self._summarise()) else {}),
             **({"by_run": to_plain(self.by_run)} if self.by_run.runs else {}),
-            **({"delays": to_plain(self.delays)} if self.delays else {}),
-            **({"volumes": to_plain(self.volumes)} if self.volumes else {}),
-            **({"free": to_plain(self.free)} if self.free.parts else {}),
-            **({"diffusion": to_plain(self.diffusion)} if self.diffusion else {}),
+            **{name: to_plain(own) for name in _OPTIONAL if (own := getattr(self, name))},
         }
 
     @classmethod
@@ -2082,7 +2073,3 @@ def _agrees(run: Trajectory, name: str, expr: sympy.Expr) -> bool:
     column = run.columns[:, run.names.index(name)]
     miss = np.abs(column - evaluate(expr, {"t": run.t}))
     return bool(np.all(miss <= _ROUNDED * np.max(np.abs(column), initial=0.0)))
-
-
-def _with_time(samples: Any) -> dict[str, np.ndarray]:
-    return {**samples.columns, "t": samples.t}

@@ -19,7 +19,7 @@ import sympy
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
-from dynsr.data import Trajectory
+from dynsr.data import FEWEST_SMOOTH, Trajectory
 from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.intervals import printed_order, take_apart
 from dynsr.discovery.parameters import Parameter, name_constants, put_names
@@ -40,8 +40,6 @@ from dynsr.fit import (
 from dynsr.library import Form, Library, LibrarySettings
 from dynsr.selection import ComparisonSettings, SystemComparison
 
-# Rows of a run below which it tells no constant of its own.
-_FEWEST = 5
 Equations = Mapping[str, sympy.Expr]
 Partition = tuple[tuple[int, ...], ...]
 
@@ -156,10 +154,10 @@ class Study:
                 "one trajectory has one set of constants; give several, or say --trajectory"
             )
         shortest = min(map(len, runs))
-        if shortest < _FEWEST:
+        if shortest < FEWEST_SMOOTH:
             raise InputError(
                 f"a trajectory of {shortest} rows determines no constants of its own; leave out "
-                f"those of fewer than {_FEWEST} rows"
+                f"those of fewer than {FEWEST_SMOOTH} rows"
             )
         made = {s: slope for s, slope in derived.items() if slope.is_Symbol}
         data = measure_runs(runs, inputs, comparison.rows, made)

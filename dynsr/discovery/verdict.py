@@ -17,7 +17,7 @@ import sympy
 from scipy.special import chdtrc
 
 from dynsr.arguments import Renamed, renamed
-from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose, is_still
+from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose, is_still, robust_scale
 from dynsr.discovery.alternatives import compare_alternatives
 from dynsr.discovery.by_state import ByState
 from dynsr.discovery.completing import complete_cells
@@ -25,6 +25,7 @@ from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
 from dynsr.discovery.drift_along import Along
 from dynsr.discovery.drift_exact import drift_of_slopes, same_in_time
 from dynsr.discovery.following import (
+    FAR,
     Course,
     Followed,
     Place,
@@ -33,9 +34,20 @@ from dynsr.discovery.following import (
     open_constants,
 )
 from dynsr.discovery.layers import cross_layers
-from dynsr.errors import InputError, one_line
-from dynsr.expression import evaluate, has_pole, shown
-from dynsr.fit import STABLE, Flow, ParetoFront, Shooting, noise_and_spread, tidy, use_bits_together
+from dynsr.errors import InputError, one_line, quoted
+from dynsr.expression import abridged, evaluate, has_pole, shown
+from dynsr.fit import (
+    FLOOR,
+    STABLE,
+    Flow,
+    ParetoFront,
+    Shooting,
+    invert_normal,
+    noise_and_spread,
+    tidy,
+    unit_columns,
+    use_bits_together,
+)
 from dynsr.selection import is_left_open
 
 LAW, APPROXIMATION, NOT_FOUND = LEVELS = ("law", "approximation", "not found")
@@ -151,7 +163,7 @@ class TermCertainty:
         """
         doubt = math.exp(-ratio * ratio / 2) * math.sqrt(rows)
         name = "a constant inside it" if term is None else shown(term)
-        return cls(name, _round(ratio), _round(1 / (1 + doubt)))
+        return cls(name, round_off(ratio), round_off(1 / (1 + doubt)))
 
 
 @dataclass(frozen=True)
@@ -164,7 +176,7 @@ class OtherFormula:
 
 def _check_level(level: str) -> None:
     if level not in LEVELS:
-        raise InputError(f"a verdict is {', '.join(LEVELS)}, not {str(level)[:40]!r}")
+        raise InputError(f"a verdict is {', '.join(LEVELS)}, not {quoted(level)}")
 
 
 @renamed(rivals="alternatives")
@@ -542,7 +554,7 @@ class _Bench:
         )
         # Clean data are no surer than their solver, however well they are followed: any curve may
         # be. Only simple numbers that the data find to many digits are no chance.
-        sharp = np.maximum(chi, 1e-12)
+        sharp = np.maximum(chi, FLOOR)
         level = np.where(self.clean, np.maximum(chi, 1.0), sharp)
         ratios = self._ratios(slopes / np.sqrt(level)[owners][:, None])
         if self.clean.any():
@@ -663,18 +675,18 @@ class _Bench:
         hidden, every = followed.counts == 0, self.r2(followed)
         # What was never measured shows in the others alone.
         expr = self.equations[state]
-        r2 = _round(float(np.min(every[~hidden])) if hidden[place] else every[place])
-        noise = _round(self.noise[place])
+        r2 = round_off(float(np.min(every[~hidden])) if hidden[place] else every[place])
+        noise = round_off(self.noise[place])
         found = StateVerdict(NOT_FOUND, "", r2, noise=noise)
         if evidence is not None:
             found = replace(
                 found,
-                chi_square=_round(evidence.chi_square[place]),
-                forecast=_finite(_round(evidence.forecast[place])),
-                rows=_round(float(followed.independent[place]) * self.course.thinned),
+                chi_square=round_off(evidence.chi_square[place]),
+                forecast=_finite(round_off(evidence.forecast[place])),
+                rows=round_off(float(followed.independent[place]) * self.course.thinned),
                 terms=self._terms(state, evidence, followed),
                 alternatives=tuple(
-                    OtherFormula(shown(tidy(e), 4), _round(bits))
+                    OtherFormula(shown(tidy(e), 4), round_off(bits))
                     for e, bits in sorted(close, key=_bits)
                 ),
             )
@@ -730,7 +742,7 @@ class _Bench:
             else:
                 continue
             if drift.timed:
-                alternative = OtherFormula(shown(tidy(drift.expr), 4), _round(drift.bits))
+                alternative = OtherFormula(shown(tidy(drift.expr), 4), round_off(drift.bits))
                 told = replace(told, alternatives=(alternative, *own.alternatives))
             found[state] = told
         return found
@@ -851,7 +863,7 @@ class _Bench:
         # The errors of a solver add up over the forecast; they are no chance.
         settled = self.clean[place] and share is not None and share < 6 * settings.solver
         if not (settled or evidence.surprise[place] <= evidence.allowed[place]):
-            by = "diverges" if share is None else f"has an error of {_percent(share)} of the spread"
+            by = "diverges" if share is None else f"has an error of {percent(share)} of the spread"
             doubts.append(f"a forecast of the last {settings.held_back:.0%} of the data {by}")
         unsure = [t.term for t in found.terms if t.ratio < settings.sure]
         if unsure:
@@ -902,7 +914,7 @@ class _Bench:
         return is_left_open(self.equations[state], columns)
 
     def _praise(self, place: int, noise: float, followed: Followed, evidence: _Evidence) -> str:
-        exact = "exactly" if self.clean[place] else f"within their noise of {_percent(noise)}"
+        exact = "exactly" if self.clean[place] else f"within their noise of {percent(noise)}"
         return (
             f"reproduces the data {exact}{self._while(followed)}, forecasts their last "
             f"{self.settings.held_back:.0%}, and needs each of its terms."
@@ -936,7 +948,7 @@ class _Bench:
             if level == LAW:
                 reason = f"reproduces the data exactly {said}, and needs each of its terms."
             else:
-                much = f"follows the data to {_percent(float(found.missed[place]))} of the spread"
+                much = f"follows the data to {percent(float(found.missed[place]))} of the spread"
                 why = "its terms are too many to be tried one by one"
                 if not exact:
                     why = "the residuals are not noise"
@@ -946,10 +958,10 @@ class _Bench:
             verdicts[state] = StateVerdict(
                 level,
                 reason,
-                _round(float(found.r2[place])),
-                _round(float(found.missed[place] / self.settings.solver) ** 2),
-                forecast=_finite(_round(float(found.late[place]))),
-                noise=_round(self.noise[place]),
+                round_off(float(found.r2[place])),
+                round_off(float(found.missed[place] / self.settings.solver) ** 2),
+                forecast=_finite(round_off(float(found.late[place]))),
+                noise=round_off(self.noise[place]),
             )
         return verdicts
 
@@ -974,6 +986,7 @@ class _Bench:
             self.course,
             settings.alternatives,
             settings.different,
+            settings.rows,
         )
 
 
@@ -1017,7 +1030,7 @@ def follows_to(r2: float) -> str:
     """
     # Of R2 six digits are kept.
     missed = math.sqrt(max(0.0, 1 - r2))
-    said = _percent(missed) if missed >= _LEAST else f"less than {_percent(_LEAST)}"
+    said = percent(missed) if missed >= _LEAST else f"less than {percent(_LEAST)}"
     return f"follows the data to {said} of the spread"
 
 
@@ -1066,11 +1079,7 @@ def explain(
     alternative = verdict.alternatives[0]
     if alternative.equation in verdict.reason:
         return said
-    other = (
-        alternative.equation
-        if len(alternative.equation) <= 80
-        else alternative.equation[:77] + "..."
-    )
+    other = abridged(alternative.equation)
     if alternative.bits < 0:
         return f"{said} A different formula, {other}, follows the trajectories better."
     if alternative.bits < settings.alternative_bits:
@@ -1100,7 +1109,7 @@ def hold_to_slopes(
     for state, (share, error) in missed.items():
         own = states[state]
         if own.level == LAW and share > settings.slopes and error < settings.sharp:
-            size = f"{100 * share:.2g} % of their size."
+            size = f"{percent(share)} of their size."
             said = f"misses the slopes of the data, which are exact, by {size}"
             states[state] = doubt(own, said)
     return verdict if states == verdict.states else summarise(states, verdict.span)
@@ -1148,12 +1157,11 @@ def _covariance(slopes: np.ndarray) -> np.ndarray:
     """Invert the normal matrix of slopes (N, P) with columns of like size; inf for empty ones."""
     if not np.all(np.isfinite(slopes)):
         return np.full((slopes.shape[1],) * 2, np.inf)
-    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-    scaled = slopes / size
-    inverse: np.ndarray = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
-    inverse /= np.outer(size, size)
+    unit, size = unit_columns(slopes)
+    normal = unit.T @ unit
+    inverse = invert_normal(normal) / np.outer(size, size)
     # What the data do not depend on, they do not tell.
-    unknown = size <= 1e-290
+    unknown = ~(np.diag(normal) > 0)
     inverse[unknown, unknown] = np.inf
     return inverse
 
@@ -1162,8 +1170,7 @@ def _tame(z: np.ndarray) -> np.ndarray:
     """Leave rare outliers out of a sum of squares: those beyond six robust sizes."""
     if not len(z):
         return z
-    bound = 6 * 1.4826 * float(np.median(np.abs(z)))
-    out = np.abs(z) > bound
+    out = np.abs(z) > FAR * robust_scale(z)
     return np.where(out, 0.0, z) if 0 < np.mean(out) < 0.02 else z
 
 
@@ -1207,7 +1214,8 @@ def _where(followed: Followed, place: int) -> str:
     return f", mostly from t = {begin:.{digits}g} to {end:.{digits}g}"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """Write a share to two digits, such as 0.123 as "12 %"."""
     return f"{100 * share:.2g} %"
 
 
@@ -1216,7 +1224,7 @@ def _join(words: Sequence[str]) -> str:
     return some[0] if len(some) == 1 else f"{', '.join(some[:-1])} and {some[-1]}"
 
 
-def _round(value: float) -> float:
+def round_off(value: float) -> float:
     """Round off what differs from machine to machine: beyond six digits, and below 1e-9."""
     return float(f"{round(float(value), 9):.6g}") if math.isfinite(value) else float(value)
 

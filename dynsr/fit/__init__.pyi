@@ -41,17 +41,21 @@ from .exact import approach, confirm, simplest_form, without_rounding
 from .flow import Flow, Pace, Windows, cut_windows, runge_kutta_step
 from .forced import missing_terms
 from .linear import (
+    DEPENDENT,
     RatioFit,
     cauchy_weights,
     eliminate,
     fit_ratio,
     fit_robustly,
+    invert_normal,
     linearly_independent,
     orthogonal,
+    unit_columns,
 )
 from .losses import LOSSES, Loss, LossFunction, choose_by_loss, read_loss
 from .mixed import Mixed, MixedFit, MixedMesh, measure_runs
 from .noise import (
+    FLOOR,
     Noise,
     independent_rows,
     is_noisy,
@@ -92,7 +96,9 @@ from .whole import interval_reach
 
 __all__ = [
     "CURVED",
+    "DEPENDENT",
     "FIT",
+    "FLOOR",
     "LOSSES",
     "STABLE",
     "AlongFit",
@@ -163,6 +169,7 @@ __all__ = [
     "improve",
     "independent_rows",
     "interval_reach",
+    "invert_normal",
     "is_noisy",
     "linearly_independent",
     "loosen",
@@ -202,6 +209,7 @@ __all__ = [
     "snap_best",
     "structure_bits",
     "tidy",
+    "unit_columns",
     "untouched_match",
     "use_bits_together",
     "ways_alike",

@@ -23,13 +23,11 @@ from scipy.special import chdtri
 from dynsr.data import SmoothedTrajectory, StateNoise, Trajectory, carry
 from dynsr.fit.collocation import Collocation, Measurements, covariance_of
 from dynsr.fit.constants import free_constants
+from dynsr.fit.noise import FLOOR
 from dynsr.fit.polishing import simple_numbers
 from dynsr.fit.settings import FIT, FitSettings
-from dynsr.fit.shooting import build_shooting, choose_pace, prepare
+from dynsr.fit.shooting import INTERVALS, build_shooting, choose_pace, prepare
 from dynsr.fit.simple import simple_value
-
-# Intervals of the windows of exact states.
-_INTERVALS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +107,7 @@ class RowsFit:
         """Variance of the residuals in units of the noise that was given, which is an estimate."""
         if not self.noisy:
             return 1.0
-        return max(float(np.median([np.mean(b.mean_squares) for b in self.blocks])), 1e-12)
+        return max(float(np.median([np.mean(b.mean_squares) for b in self.blocks])), FLOOR)
 
     @property
     def errors(self) -> np.ndarray:
@@ -332,7 +330,7 @@ def _fit_exact(
     lanes = replace(settings, match_windows=len(block))
     constants = np.array(values, dtype=float)
     with np.errstate(all="ignore"):
-        shooting = build_shooting(flow, [block], inputs, _INTERVALS, False, lanes)
+        shooting = build_shooting(flow, [block], inputs, INTERVALS, False, lanes)
         starts = shooting.windows.x[0]
         pace = choose_pace(shooting, constants, starts, settings.match_substeps)
         shooting = replace(shooting, pace=pace)

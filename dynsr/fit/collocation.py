@@ -43,12 +43,12 @@ from dynsr.data import (
 from dynsr.expression import Program, compile_columns
 from dynsr.fit.censored import Censored, deviance
 from dynsr.fit.constants import free_constants
+from dynsr.fit.linear import ROUNDING, invert_normal
+from dynsr.fit.noise import FLOOR
 from dynsr.fit.settings import FIT, CollocationSettings
 from dynsr.fit.shooting import Driven, drives_of
 
 COLLOCATION = CollocationSettings()
-# Share of the largest eigenvalue of the scaled information below which a direction is rounding.
-_SILENT = 1e-12
 # How far one step may take a constant in a function, as a multiple of it, and an exponent.
 _FACTOR, _EXPONENT = 3.0, 1.0
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
@@ -155,7 +155,7 @@ class Mesh:
     def spread(self) -> np.ndarray:
         """(k,) scale of the smoothed states, more than their rounding."""
         scales = [scale_of(column) for column in self.start.T]
-        return np.maximum(scales, 1e-12 * np.abs(self.start).max(axis=0))
+        return np.maximum(scales, ROUNDING * np.abs(self.start).max(axis=0))
 
     @cached_property
     def columns(self) -> dict[str, np.ndarray]:
@@ -250,13 +250,12 @@ def covariance_of(information: np.ndarray) -> np.ndarray:
     own = np.diag(information)
     # In these units its diagonal is 1, and 0 where nothing is said.
     scale = np.sqrt(np.where(own > 0, own, np.inf))
-    units = np.outer(scale, scale)
-    scaled = information / units
+    scaled = information / np.outer(scale, scale)
     if not np.all(np.isfinite(scaled)):
         return np.full_like(information, np.inf)
-    found = np.asarray(np.linalg.pinv(scaled, rcond=1e-13) / units)
+    found = invert_normal(information)
     values, directions = np.linalg.eigh(scaled)
-    silent = values < _SILENT * values.max(initial=0.0)
+    silent = values < ROUNDING * values.max(initial=0.0)
     # The inverse gives no variance at all to what nothing tells of.
     unknown = np.sum(directions[:, silent] ** 2, axis=1) > 1e-6
     unknown |= ~(np.diag(found) > 0)
@@ -1043,7 +1042,7 @@ class Measurements:
         """(m,) parts of times between rows, which are given as multiples of the usual one."""
         rows = sum(len(smoothed.x) for smoothed in self.smoothed)
         most = max(1, min(_PARTS, _NODES // rows))
-        finer = float(np.clip((_HIDES / max(self.noise_share, 1e-12)) ** 0.25, 1.0, 2.0))
+        finer = float(np.clip((_HIDES / max(self.noise_share, 1e-300)) ** 0.25, 1.0, 2.0))
         wanted = np.ceil(_TURN * finer / self.period * lengths)
         found: np.ndarray = np.clip(wanted, 1, np.ceil(most * lengths)).astype(int)
         return self.fineness * found
@@ -1458,7 +1457,7 @@ class AlongFit:
         """Variance of the residuals in units of the noise that was given: noise is an estimate."""
         if self._certain:
             return 1.0
-        return max(float(np.sum(self.found.misses**2)) / self.freedom, 1e-12)
+        return max(float(np.sum(self.found.misses**2)) / self.freedom, FLOOR)
 
     @property
     def shown_noise(self) -> np.ndarray:

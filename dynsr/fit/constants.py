@@ -12,7 +12,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.expression import compile_numpy, differentiate
-from dynsr.fit.linear import cauchy_weights
+from dynsr.fit.linear import ROUNDING, cauchy_weights, fit_columns
 
 # A residual that is not a finite number counts as this many times the size of the target.
 _PENALTY = 1e3
@@ -171,7 +171,7 @@ class Template:
         if not chosen.any():
             return values
         if unit is not None:
-            unit = max(unit, 1e-12 * self._size)
+            unit = max(unit, ROUNDING * self._size)
             median = float(np.median(np.abs(self._tame(values))))
             steps = math.ceil(math.log10(median / unit)) if median > 10 * unit else 0
             for i in range(steps):
@@ -190,11 +190,10 @@ class Template:
         for _ in range(_MOST_PLAIN_STEPS if unit is None else _MOST_STEPS):
             root = _root_weights(residual, unit)
             slopes = self.slopes(values)[free] * root
-            size = np.maximum(np.linalg.norm(slopes, axis=1), 1e-300)
-            step = np.linalg.lstsq((slopes / size[:, None]).T, -residual * root, rcond=1e-12)[0]
+            step = fit_columns(slopes.T, -residual * root)
             for share in _SHARES:
                 trial = values.copy()
-                trial[free] += share * step / size
+                trial[free] += share * step
                 residual_there = self._tame(trial)
                 reached = _level(residual_there, unit)
                 if reached < level:

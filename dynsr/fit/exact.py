@@ -19,11 +19,11 @@ from dynsr.expression import compile_columns, number_bits, ratio_forms
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import free_constants
 from dynsr.fit.description import structure_bits
+from dynsr.fit.linear import ROUNDING
 from dynsr.fit.settings import FIT, FitSettings
-from dynsr.fit.shooting import Match, match_trajectories
+from dynsr.fit.shooting import INTERVALS, Match, match_trajectories
 from dynsr.fit.simple import simple_value
 
-_INTERVALS = 10
 # Misses that need no finer steps, as a share of the spread, and how much finer they may be.
 _ENOUGH, _FINE = 1e-8, 4
 # Misses, in those that leave no doubt, that may be of steps which are too long.
@@ -34,9 +34,8 @@ _STRIDE = 0.03
 _SHORT = (1, 2, 3)
 # Misses below this share of those that leave no doubt are of the steps of the integration.
 _NOTHING = 0.01
-# Share of a formula that float64 and a fit of some columns round off, and how much smaller than
-# others a constant is at least of which that may be so.
-_ROUNDING, _UNEVEN = 1e-12, 1e-9
+# How much smaller than others a constant is at least that may be rounding.
+_UNEVEN = 1e-9
 
 
 def confirm(
@@ -63,7 +62,7 @@ def confirm(
     constants = sum(len(free_constants(e, "constant ")[1]) for e in exprs.values())
     columns = [runs[0].index(state) for state in exprs]
     rows = sum(int(np.sum(run.measured[:, columns])) for run in runs)
-    if rows < 5 * constants or min(map(len, runs)) <= _INTERVALS:
+    if rows < 5 * constants or min(map(len, runs)) <= INTERVALS:
         return None
     try:
         with np.errstate(all="ignore"):
@@ -145,7 +144,7 @@ def _way(runs: Sequence[Trajectory], states: Sequence[str]) -> float:
     """How far the state that goes least goes in ten intervals, by its spread."""
     columns = [runs[0].index(state) for state in states]
     spread = np.std(np.concatenate([run.x[:, columns] for run in runs]), axis=0)
-    way = np.concatenate([r.x[_INTERVALS:, columns] - r.x[:-_INTERVALS, columns] for r in runs])
+    way = np.concatenate([r.x[INTERVALS:, columns] - r.x[:-INTERVALS, columns] for r in runs])
     moving = spread > 0
     if not moving.any():
         return 0.0
@@ -256,8 +255,8 @@ def without_rounding(candidate: Candidate, samples: Samples) -> Candidate:
     sizes = [abs(float(number)) for number in candidate.expr.atoms(sympy.Float)]
     if not sizes or min(sizes) > _UNEVEN * max(1.0, *sizes):
         return candidate
-    columns = {**samples.columns, "t": samples.t}
-    left = _without_nothing(candidate.expr, columns, _ROUNDING)
+    columns = samples.timed
+    left = _without_nothing(candidate.expr, columns, ROUNDING)
     return score_candidate(left, samples, candidate.source) if left != candidate.expr else candidate
 
 

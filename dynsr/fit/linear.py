@@ -13,6 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# Share of a size below which a number is rounding, of float64 or of a fit.
+ROUNDING = 1e-12
+# The same of a singular value of unit columns, and of an eigenvalue of their products.
+DEPENDENT, _SINGULAR = 1e-10, 1e-13
 _ROUNDS = 5
 # Rows that the first rounds look at.
 _START = 250
@@ -89,7 +93,7 @@ def _weigh(design: np.ndarray, z: np.ndarray, scales: np.ndarray, found: np.ndar
     """(K, n) roots of the Cauchy weights of a fit's residuals."""
     rest = np.abs(z - (design @ found[:, :, None])[:, :, 0]) * scales
     size = _medians(np.abs(z * scales))
-    middle = np.maximum(2 * _medians(rest), 1e-13 * size + 1e-300)
+    middle = np.maximum(2 * _medians(rest), ROUNDING * size + 1e-300)
     return scales * np.sqrt(cauchy_weights(rest, middle))
 
 
@@ -141,7 +145,7 @@ def eliminate(
             coefficients, gain = _fit_and_gain(scaled[:, kept], y, np.sqrt(trust))
             if robust:
                 rest = y - scaled[:, kept] @ coefficients
-                unit = unit or max(float(np.median(np.abs(rest))), 1e-12 * np.ptp(y), 1e-300)
+                unit = unit or max(float(np.median(np.abs(rest))), ROUNDING * np.ptp(y), 1e-300)
                 before, trust = trust, cauchy_weights(rest, unit)
                 if np.abs(trust - before).max() < 1e-3:
                     break
@@ -158,7 +162,7 @@ def _fit_and_gain(
     # The triangular factor has the same right singular vectors at a fraction of the size.
     q, triangle = np.linalg.qr(columns * root[:, None])
     u, s, vt = np.linalg.svd(triangle, full_matrices=False)
-    inverse = np.where(s > 1e-12 * s[0], 1 / np.maximum(s, 1e-300), 0.0)
+    inverse = np.where(s > ROUNDING * s[0], 1 / np.maximum(s, 1e-300), 0.0)
     coefficients = vt.T @ (inverse * (u.T @ (q.T @ (y * root))))
     variance = np.square(vt.T * inverse).sum(axis=1)
     return coefficients, np.square(coefficients) / np.maximum(variance, 1e-300)
@@ -265,10 +269,37 @@ def orthogonal(columns: np.ndarray) -> np.ndarray:
     """
     if not columns.size:
         return np.zeros((len(columns), 0))
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    left, values, _ = np.linalg.svd(columns / size, full_matrices=False)
-    basis: np.ndarray = left[:, values > 1e-10 * values[0]]
+    left, values, _ = np.linalg.svd(unit_columns(columns)[0], full_matrices=False)
+    basis: np.ndarray = left[:, values > DEPENDENT * values[0]]
     return basis
+
+
+def unit_columns(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Give columns (N, P) divided by their norms, and these (P,); a column of zeros stays."""
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return columns / size, size
+
+
+def fit_columns(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Give the factors (P,) of columns (N, P) of any sizes that are nearest to a target (N,).
+
+    >>> fit_columns(np.array([[1.0, 1e9], [1.0, -1e9]]), np.array([3.0, 1.0])).round(12)
+    array([2.e+00, 1.e-09])
+    """
+    unit, size = unit_columns(columns)
+    return np.asarray(np.linalg.lstsq(unit, target, rcond=ROUNDING)[0] / size)
+
+
+def invert_normal(normal: np.ndarray) -> np.ndarray:
+    """Give the pseudo-inverse (P, P) of normal equations, in units that make their diagonal 1.
+
+    >>> np.diag(invert_normal(np.diag([4.0, 0.0, 1e-20])))
+    array([2.5e-01, 0.0e+00, 1.0e+20])
+    """
+    own = np.diag(normal)
+    scale = np.sqrt(np.where(own > 0, own, np.inf))
+    units = np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(normal / units, rcond=_SINGULAR, hermitian=True) / units)
 
 
 def know(

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from dynsr.data import Samples
-from dynsr.errors import InputError
+from dynsr.data import Samples, robust_scale
+from dynsr.errors import InputError, quoted
 from dynsr.expression import ByText
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import Template, as_floats
@@ -21,8 +21,6 @@ from dynsr.fit.noise import noise_of
 LOSSES = ("squared", "absolute", "huber", "cauchy")
 # Units in standard deviations of normal errors that keep 95 % of the efficiency of least squares.
 _UNITS = {"huber": 1.345, "cauchy": 2.385}
-# The median size of normal errors in standard deviations.
-_MEDIAN = 0.6745
 # Formulas whose constants are fitted by the loss, and the constants that one of them has at most.
 _FITTED, _MOST_CONSTANTS = 8, 8
 
@@ -88,7 +86,7 @@ def read_loss(given: Any) -> Loss | None:
         return None
     if not callable(given) and given not in LOSSES:
         raise InputError(
-            f"unknown loss {str(given)[:40]!r}; the losses are: {', '.join(LOSSES)}; or give a "
+            f"unknown loss {quoted(given)}; the losses are: {', '.join(LOSSES)}; or give a "
             "function of predicted and actual values"
         )
     loss = Loss(given)
@@ -124,7 +122,7 @@ def choose_by_loss(
     """
     found = list(pool)
     if loss.kind in _UNITS:
-        size = noise_of(found, samples).floor / _MEDIAN
+        size = float(robust_scale(np.array(noise_of(found, samples).floor)))
         loss = replace(loss, unit=_UNITS[str(loss.kind)] * size)
     judged = replace(samples, loss=loss)
     scored = [score_candidate(c.expr, judged, c.source) for c in found]

@@ -21,6 +21,8 @@ from dynsr.fit.candidates import Candidate
 FINEST_SLOPES = 1e-6
 # Noise above this share of a state's spread makes slopes too unsure to snap constants on them.
 NOISY = 1e-5
+# Sums or means of squared residuals, in units of the noise or the spread, are never thought less.
+FLOOR = 1e-12
 # Slopes of less relative error are exact; misses of more than the other share explain nothing.
 EXACT = 1e-3
 UNEXPLAINED = 0.05

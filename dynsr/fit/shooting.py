@@ -19,22 +19,20 @@ from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
 from dynsr.fit.flow import PLAIN, Flow, Pace, Track, Windows, cut_windows
-from dynsr.fit.linear import cauchy_weights
+from dynsr.fit.linear import ROUNDING, cauchy_weights
 from dynsr.fit.noise import independent_rows, is_noisy, noise_and_spread, spread_of
 from dynsr.fit.settings import FIT, FitSettings
 
 # Runge-Kutta 4 is stable for |eigenvalue| * step up to about 2.8 (Hairer and Wanner 1996, IV.2).
 STABLE = 2.5
-# Misses below this share of the spread are those of solvers and rounding.
-_ROUNDING = 1e-9
+# Misses below this share of the spread are those of solvers.
+_SOLVER = 1e-9
 # An interval is cut into at most 2^6 stable steps; what is stiffer still diverges.
 _MOST_HALVINGS = 6
-# loss -> (rho(z), rho'(z)) of the squared residual z in units of the residuals.
-LOSSES: dict[str, tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]] = {
-    "linear": (lambda z: z, np.ones_like),
-    "soft_l1": (lambda z: 2 * (np.sqrt(1 + z) - 1), lambda z: 1 / np.sqrt(1 + z)),
-    "cauchy": (np.log1p, lambda z: 1 / (1 + z)),
-}
+# Intervals of the windows of exact states.
+INTERVALS = 10
+# Share of the median residual by which a step of the integration may move a state.
+STEP_ERROR = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +61,7 @@ class Normal:
 
 def _diagonal(blocks: np.ndarray) -> np.ndarray:
     diagonal = np.einsum("...ii->...i", blocks)
-    floor = 1e-12 * np.max(diagonal, axis=-1, keepdims=True, initial=1e-300)
+    floor = ROUNDING * np.max(diagonal, axis=-1, keepdims=True, initial=1e-300)
     return np.maximum(diagonal, floor)[..., None] * np.eye(blocks.shape[-1])
 
 
@@ -152,7 +150,7 @@ class Shooting:
 
     def unit(self, misses: np.ndarray) -> np.ndarray:
         """(k,) unit of the weights: ``width`` robust sizes of the residuals, not below rounding."""
-        return np.maximum(self.width * self.sizes(misses), 1e-13)
+        return np.maximum(self.width * self.sizes(misses), ROUNDING)
 
     def minimise(
         self,
@@ -168,16 +166,15 @@ class Shooting:
         Ends after ``most`` steps or ``trials`` integrations of trial steps, or when a step lowers
         the loss by less than the share ``gain``, or than a thousandth where residuals are rounding.
         """
-        rho, weigh = LOSSES[loss]
         track = self._track(constants, starts)
         misses = self._compare(track.rows)
         unit = self.unit(misses)[:, None]
-        level, damping = _level(rho, misses / unit), 1e-4
-        if np.max(unit) < _ROUNDING:
+        level, damping = _level(loss, misses / unit), 1e-4
+        if np.max(unit) < _SOLVER:
             gain = max(gain, 1e-3)
         for _ in range(most):
             misses, by_constant, by_start = self.linearise(constants, starts, track)
-            weights = weigh((misses / unit) ** 2) / unit**2
+            weights = _weigh(loss, (misses / unit) ** 2) / unit**2
             try:
                 normal = _normal(_by_lane(misses), by_constant, by_start, _by_lane(weights))
             except FloatingPointError:
@@ -188,7 +185,7 @@ class Shooting:
                 trial = self._try(normal, damping, constants, starts)
                 if trial is not None:
                     tried = self._track(*trial)
-                    reached = _level(rho, self._compare(tried.rows) / unit)
+                    reached = _level(loss, self._compare(tried.rows) / unit)
                     if reached < level:
                         (constants, starts), track, level = trial, tried, reached
                         damping /= 10
@@ -227,7 +224,7 @@ class Shooting:
         normal = _normal(flat, by_constant, by_start, weights)
         if self.free:
             eliminated = np.linalg.solve(
-                normal.own + 1e-12 * _diagonal(normal.own), normal.cross.transpose(0, 2, 1)
+                normal.own + ROUNDING * _diagonal(normal.own), normal.cross.transpose(0, 2, 1)
             )
             by_constant = by_constant - by_start @ eliminated
         # Columns of like size keep the pseudo-inverse from dropping a small constant.
@@ -235,10 +232,7 @@ class Shooting:
         scale = np.maximum(scale, 1e-300)
         scaled = by_constant / scale
         square = (misses / unit) ** 2
-        curved = (1 - square) / (1 + square) ** 2 * self.told
-        curvature = (np.sum(curved, axis=(0, 2)) / np.maximum(self.counts, 1))[:, None]
-        # Below a tenth the residuals are no noise about a fit, and nothing is there to divide by.
-        level = np.maximum(curvature, 0.1) / unit**2
+        level = psi_slope(square, self.told, (0, 2))[:, None] / unit**2
         expected = _by_lane(np.broadcast_to(level, misses.shape))
         bread = np.linalg.pinv(np.einsum("wrp,wr,wrq->pq", scaled, expected, scaled))
         pulls = scaled * (weights * flat)[..., None]
@@ -281,10 +275,32 @@ def _by_lane(values: np.ndarray) -> np.ndarray:
     return values.transpose(2, 0, 1).reshape(values.shape[2], -1)
 
 
-def _level(rho: Callable[..., np.ndarray], misses: np.ndarray) -> float:
+def _rho(loss: str, z: np.ndarray) -> np.ndarray:
+    """Give a loss, "linear", "soft_l1" or "cauchy", of squared residuals in their units."""
+    if loss == "linear":
+        return z
+    return np.log1p(z) if loss == "cauchy" else 2 * (np.sqrt(1 + z) - 1)
+
+
+def _weigh(loss: str, z: np.ndarray) -> np.ndarray:
+    """Give the derivative of a loss by the squared residuals: the weights of the rows."""
+    if loss == "linear":
+        return np.ones_like(z)
+    return np.asarray(1 / (1 + z) if loss == "cauchy" else 1 / np.sqrt(1 + z))
+
+
+def _level(loss: str, misses: np.ndarray) -> float:
     with np.errstate(all="ignore"):
-        level = float(np.sum(rho(misses**2)))
+        level = float(np.sum(_rho(loss, misses**2)))
     return level if np.isfinite(level) else np.inf
+
+
+def psi_slope(square: np.ndarray, told: np.ndarray, axis: tuple[int, ...] | None) -> np.ndarray:
+    """Mean slope of the score of the Cauchy loss at squared residuals of measured cells."""
+    curved = (1 - square) / (1 + square) ** 2 * told
+    mean = np.sum(curved, axis=axis) / np.maximum(np.count_nonzero(told, axis=axis), 1)
+    # Below a tenth the residuals are no noise about a fit, and nothing is there to divide by.
+    return np.asarray(np.maximum(mean, 0.1))
 
 
 def _normal(
@@ -375,7 +391,12 @@ def match_trajectories(
 
 
 def _window_length(runs: Sequence[Trajectory], free: bool) -> int:
-    return min(100, max(20, max(map(len, runs)) // 10)) if free else 10
+    return first_length(max(map(len, runs))) if free else INTERVALS
+
+
+def first_length(length: int) -> int:
+    """Give the intervals of the windows with fitted starts that are tried first."""
+    return min(100, max(20, length // 10))
 
 
 def build_shooting(
@@ -410,7 +431,7 @@ def build_shooting(
     if deviations is not None:
         own = [each[:, columns] for each in deviations]
         cut = cut_windows([run.t for run in runs], own, drives, length, settings.match_windows).x
-        spread = np.maximum(cut, 1e-12 * spread[:, None])
+        spread = np.maximum(cut, ROUNDING * spread[:, None])
     return Shooting(flow, windows, spread, free, width=settings.noisy_width if free else 1.0)
 
 
@@ -651,7 +672,7 @@ def choose_pace(
     for finer in finer_paces(first, max(most, first)):
         fine = replace(shooting, pace=finer).misses(constants, starts)
         moved = np.nanmax(np.abs(fine - coarse), initial=0.0)
-        if moved < 1e-9 or moved < 0.01 * np.nanmedian(np.abs(fine)):
+        if moved < _SOLVER or moved < STEP_ERROR * np.nanmedian(np.abs(fine)):
             return pace
         coarse, pace = fine, finer
     return pace

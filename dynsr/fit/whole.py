@@ -18,14 +18,21 @@ import numpy as np
 import sympy
 from scipy.special import stdtrit
 
-from dynsr.data import Trajectory, robust_scale
+from dynsr.data import Trajectory, robust_scale, scale_error
 from dynsr.fit.settings import FIT, FitSettings
-from dynsr.fit.shooting import Shooting, build_shooting, choose_pace, fit_loss, prepare
+from dynsr.fit.shooting import (
+    STEP_ERROR,
+    Shooting,
+    build_shooting,
+    choose_pace,
+    first_length,
+    fit_loss,
+    prepare,
+    psi_slope,
+)
 
 # Rows a step of the integration, longest first, that are tried on noisy data.
 _STRIDES = (8, 4, 2, 1)
-# Share of the median miss by which a step may move a state.
-_STRIDE_ERROR = 0.01
 # Noise at a state's root mean square over noise at 0, relative and absolute noise in turn.
 _RATIOS = (0.3, 1.0, 3.0, 10.0, 100.0)
 
@@ -82,12 +89,12 @@ class StatesFit:
             return math.inf
         square = mine**2
         told = self.shooting.told
-        curvature = float(np.mean((1 - square) / (1 + square) ** 2, where=told))
+        curvature = float(psi_slope(square, told, None))
         score = float(np.mean(square / (1 + square) ** 2, where=told))
         lost = float(np.sum(np.log1p(theirs**2)) - np.sum(np.log1p(square)))
         if score == 0:
             return math.inf if lost > 0 else 0.0
-        return lost * max(curvature, 0.1) / score
+        return lost * curvature / score
 
 
 def interval_reach(freedom: float, level: float = 0.95) -> float:
@@ -132,7 +139,7 @@ def fit_states(
         start = replace(near.shooting, flow=flow)
         return _end(start, _descend(start, constants, near.starts, _last(settings)))
     longest = max(map(len, runs)) - 1
-    first = min(100, max(20, longest // 10))
+    first = first_length(longest)
     best: tuple[Shooting, np.ndarray, np.ndarray] | None = None
     for length in _lengths(first, min(longest, settings.match_longest)):
         trial = build_shooting(flow, runs, inputs, length, True, settings, deviations=deviations)
@@ -207,7 +214,7 @@ def _step(
         for shorter in trials[1:]:
             finer = shorter.misses(constants, starts)
             moved, size = np.max(np.abs(finer - misses)), np.median(np.abs(finer))
-            if moved < _STRIDE_ERROR * size:
+            if moved < STEP_ERROR * size:
                 return longer
             longer, misses = shorter, finer
         return replace(longer, pace=choose_pace(longer, constants, starts, settings.match_substeps))
@@ -260,8 +267,7 @@ def _grows(
         # Each start takes the misses that it is fitted to.
         left = np.maximum(count - misses.shape[2] - len(constants) / misses.shape[1], 1)
         sizes.append(shooting.sizes(misses) * np.sqrt(count / left))
-    # The robust size of n normal misses has a relative error of 1.17 / sqrt(n).
-    chance = 1 + 2 * 1.17 / np.sqrt(count)
+    chance = 1 + 2 * scale_error(count)
     return bool(np.any(sizes[1] > np.maximum(settings.match_follows, chance) * sizes[0]))
 
 

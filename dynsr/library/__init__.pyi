@@ -1,3 +1,4 @@
+from .atoms import FEW
 from .forms import Form, Library, LibrarySettings
 from .prior import (
     Place,
@@ -13,6 +14,7 @@ from .prior import (
 from .structure import find_turning, structure_in, structure_of
 
 __all__ = [
+    "FEW",
     "Form",
     "Library",
     "LibrarySettings",

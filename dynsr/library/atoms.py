@@ -201,7 +201,7 @@ class Atom:
 
 
 # Starts of a constant beside another one, as multiples of a usual size.
-_FEW = (0.3, 1.0, 3.0)
+FEW = (0.3, 1.0, 3.0)
 _SIZE, _RATE = Inside((1,)), Inside((-1,))
 _POWER_APART = Inside((), (0.75, 1.25, 1.75))
 _STEEP = Inside((-1,), (1.0, 2.5, 6.0), of_spread=True)
@@ -296,7 +296,7 @@ _TABLE = (
         "inhibits itself",
         1 / (V + K + L * V**2),
         Domain.NEVER_NEGATIVE,
-        (_SIZE, Inside((-1,), _FEW)),
+        (_SIZE, Inside((-1,), FEW)),
         most=2,
     ),
     Atom("scaled sine", sympy.sin(K * V), Domain.TURNING, (_RATE,)),
@@ -317,7 +317,7 @@ _TABLE = (
         "inhibit together",
         1 / (V + K + L * W),
         Domain.NEVER_NEGATIVE,
-        (_SIZE, Inside((1, -1), _FEW)),
+        (_SIZE, Inside((1, -1), FEW)),
         most=2,
     ),
     Atom(

@@ -17,6 +17,7 @@ import sympy
 
 from dynsr.expression import evaluate, has_pole
 from dynsr.fit import (
+    FLOOR,
     Collocation,
     CollocationFit,
     CollocationSettings,
@@ -337,7 +338,7 @@ class SystemComparison:
         shared = shared_bits(fit.exprs, fit.constants, fit.covariance) * has("bits-shared")
         saved = np.maximum(simple, shared)
         told = shortened_bits(fit.information, fit.errors, scales, fit.constants, saved)
-        squares = np.maximum(fit.mean_squares, 1e-12)
+        squares = np.maximum(fit.mean_squares, FLOOR)
         missed = residual_bits(squares, self.mesh.rows, self.mesh.known)
         least = self.structure(fit.exprs) + told
         # What a mass matrix ties together is said more shortly by each other.

@@ -18,11 +18,8 @@ from scipy.linalg import LinAlgError
 
 from dynsr.data import Samples
 from dynsr.expression import evaluate
-from dynsr.fit import Collocation, CollocationFit, Mesh, Probes, free_constants
-from dynsr.selection.subsets import without
-
-# Share of the largest direction below which one says nothing.
-_SAID = 1e-9
+from dynsr.fit import FLOOR, Collocation, CollocationFit, Mesh, Probes, free_constants
+from dynsr.selection.subsets import SINGULAR, without
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +144,7 @@ class Evidence:
     ) -> Evidence:
         """Give the view that has these products of values at the points, and of the residuals."""
         values, directions = np.linalg.eigh(gram[:-1, :-1])
-        told = values > _SAID * values[-1]
+        told = values > SINGULAR * values[-1]
         roots = np.sqrt(values[told])
         maps = roots[:, None] * directions[:, told].T
         y = -(directions[:, told].T @ gram[:-1, -1]) / roots
@@ -161,7 +158,7 @@ class Evidence:
     def misses(self, left: np.ndarray | float) -> np.ndarray:
         """Bits of the residuals, where ``left`` is their sum of squares."""
         return np.asarray(
-            self.rows / 2 * np.log2(np.maximum(left + self.beside, 1e-12) / self.rows)
+            self.rows / 2 * np.log2(np.maximum(left + self.beside, FLOOR) / self.rows)
         )
 
 

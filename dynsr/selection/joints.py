@@ -15,11 +15,12 @@ import sympy
 from dynsr.data import Samples
 from dynsr.expression import compile_columns
 from dynsr.fit import RatioFit, fit_ratio
+from dynsr.library import FEW
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import products, weighted_sum
 
 # Constants of sin^2 and of cos next to 1 in the denominator, from which a fit reaches any other.
-_SQUARES, _COSINES = (-0.75, -0.5, 0.3, 1.0, 3.0), (-0.8, -0.5, 0.5, 0.8)
+_SQUARES, _COSINES = (-0.75, -0.5, *FEW), (-0.8, -0.5, 0.5, 0.8)
 # Share of its size below which a denominator passes through 0.
 _NOTHING = 1e-6
 

@@ -20,6 +20,7 @@ import sympy
 from scipy.optimize import linear_sum_assignment
 
 from dynsr.fit import free_constants, shift_bits
+from dynsr.selection.subsets import SINGULAR
 
 # Powers of the two waves by which an acceleration may enter another.
 FACTORS = ((0, 0), (1, 0), (0, 1))
@@ -27,8 +28,6 @@ FACTORS = ((0, 0), (1, 0), (0, 1))
 _CANCELLED = 0.1
 # Bits of the data from which on a coupling does not hold.
 _BROKEN = 40.0
-# Share of a number that is only rounding.
-_ROUNDED = 1e-9
 _POWERS, _LARGEST = 12, 3
 # (what stands beside the waves, power of the second wave) -> numbers by powers of the first.
 _Sums = dict[tuple[sympy.Expr, int], np.ndarray]
@@ -373,7 +372,7 @@ class _Tie:
 
 def _invert(covariance: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Invert the covariance of numbers of some sizes, which are rounded at least."""
-    units = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), _ROUNDED * sizes)
+    units = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), SINGULAR * sizes)
     both = np.outer(units, units)
     # What cannot be otherwise has next to no variance, not none.
-    return np.asarray(np.linalg.inv(covariance / both + _ROUNDED * np.eye(len(units))) / both)
+    return np.asarray(np.linalg.inv(covariance / both + SINGULAR * np.eye(len(units))) / both)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import sympy
 
-from dynsr.data import Samples, Trajectory
-from dynsr.expression import ByText, evaluate, shown
+from dynsr.data import Samples, Trajectory, scale_error
+from dynsr.expression import ByText, abridged, evaluate, shown
 from dynsr.fit import (
     FIT,
     Candidate,
@@ -73,11 +73,6 @@ def forecast_error(
 ) -> float:
     """Give the median of :func:`forecast_errors`; inf when most forecasts diverge."""
     return float(np.nanmedian(forecast_errors(exprs, trajectories, inputs=inputs)))
-
-
-# The median of n sizes of Gaussian errors has a relative standard error of
-# 1 / (2 q phi(q) 2 sqrt(n)), q = 0.6745 their quartile.
-_MEDIAN_ERROR = 1.166
 
 
 @dataclass(frozen=True)
@@ -183,8 +178,7 @@ class Pick:
         return " ".join(sentences)
 
     def _compare(self, winner: RankedCandidate, other: RankedCandidate) -> str:
-        formula = shown(tidy(other.candidate.expr), 4)
-        formula = formula if len(formula) <= 80 else formula[:77] + "..."
+        formula = abridged(shown(tidy(other.candidate.expr), 4))
         if other.bits >= winner.bits:
             return f"The next best, {formula}, takes {other.bits - winner.bits:.0f} bits more."
         less = f"{formula} takes {winner.bits - other.bits:.0f} bits less"
@@ -306,12 +300,12 @@ def rank_candidates(
     """Order by bits, behind those whose held-back error is clearly above the least.
 
     Clearly: by more than twice the standard error of the ratio of two medians of ``forecasts``
-    errors, sqrt(2 / forecasts) times 1.166 (of the median of sizes of normal errors).
+    errors, sqrt(2) times that of the median of sizes of normal errors.
     """
     misses = [
         c.held_back for c in candidates if c.held_back is not None and np.isfinite(c.held_back)
     ]
-    equal = 1 + settings.errors * math.sqrt(2 / forecasts) * _MEDIAN_ERROR
+    equal = 1 + settings.errors * math.sqrt(2) * float(scale_error(forecasts))
     bound = equal * min(misses) + settings.finest if misses else np.inf
     return sorted(candidates, key=lambda c: ((c.held_back or 0.0) > bound, c.bits))
 

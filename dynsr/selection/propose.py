@@ -28,6 +28,7 @@ from dynsr.library import (
 )
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.shapes import bodies_of, wide_factors
+from dynsr.selection.subsets import LEAST_LEFT
 
 # Square of what is left of a unit column from which on it is rounding.
 _NOTHING = 1e-13
@@ -117,9 +118,14 @@ class _Units:
         return _Units(self.rows[places], self.sizes[places])
 
 
+def _have_squares(sizes: np.ndarray) -> np.ndarray:
+    """Whether sizes have squares that are float64 numbers."""
+    return np.asarray((sizes > 1e-150) & (sizes < 1e150))
+
+
 def _unit(rows: np.ndarray) -> _Units:
     sizes = np.linalg.norm(rows, axis=1)
-    fine = np.isfinite(sizes) & (sizes > 1e-150) & (sizes < 1e150)
+    fine = _have_squares(sizes)
     units = np.where(fine[:, None], rows / np.where(fine, sizes, 1.0)[:, None], 0.0)
     return _Units(units, np.where(fine, sizes, np.inf))
 
@@ -443,7 +449,7 @@ class Proposer:
         gains = self._gains(layer, places)
         best = np.maximum.reduceat(gains, first, axis=0)
         # What is expected below nothing at all is not expected to be better for it.
-        left = np.maximum(layer.left - best, 1e-9 * layer.left.max())
+        left = np.maximum(layer.left - best, LEAST_LEFT * layer.left.max())
         bits = self.evidence.misses(left) + self.costs[layer.places].sum(axis=1)
         bits = bits + self.costs[tier, None]
         bits[~(np.isfinite(bits) & (best > 0))] = np.inf
@@ -619,7 +625,7 @@ class Proposer:
         values, slopes = self._mapped(places.ravel(), constants.reshape(-1, self.library.most))
         rows = values.reshape(count, terms, len(y))
         sizes = np.linalg.norm(rows, axis=2)
-        fine = np.all((sizes > 1e-150) & (sizes < 1e150), axis=1)
+        fine = np.all(_have_squares(sizes), axis=1)
         sizes[~fine] = 1.0
         rows[~fine] = 0.0
         q, r = np.linalg.qr((rows / sizes[:, :, None]).swapaxes(1, 2))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, compress
 
 import numpy as np
 import sympy
@@ -28,6 +28,8 @@ _ROWS = 400
 # The smallest value of a column, as a share of its largest, from which on it has a logarithm; whole
 # coefficients up to this one, and the share by which they may differ, are no chance.
 _POSITIVE, _LARGEST, _WHOLE = 1e-3, 12, 1e-6
+# Weight from which on a column has a part in a direction.
+_PART = 1e-3
 # Powers of a product that are looked at.
 _WAYS = 7
 
@@ -107,11 +109,10 @@ def _tied(names: list[str], columns: Mapping[str, np.ndarray]) -> dict[str, bool
         return {}
     lengths = np.linalg.norm(rows, axis=1)
     directions, found, _ = np.linalg.svd(rows / lengths[:, None], full_matrices=False)
-    floor = max(found[-1], 1e-15 * found[0])
-    if found[-1] > _VANISHES * found[0] or found[-2] <= _FALLS * floor:
+    if found[-1] > _VANISHES * found[0] or not _falls(found, len(found) - 1):
         return {}
     weights = directions[:, -1]
-    kept = np.abs(weights) > 1e-3
+    kept = np.abs(weights) > _PART
     powers = np.where(kept, weights / lengths, 0.0)
     product = float(powers @ [own.mean() for own in logs.values()]) / float(np.max(np.abs(powers)))
     # The smallest whole powers are not known: those of the product to the first few are looked at.
@@ -137,6 +138,11 @@ def have_a_fixed_sum(columns: Mapping[str, np.ndarray]) -> bool:
         return True
     sizes = np.linalg.svd(unit, compute_uv=False)
     return bool(sizes[-1] <= _VANISHES * sizes[0])
+
+
+def _falls(sizes: np.ndarray, place: int) -> bool:
+    """Whether a direction is far smaller than the one before, both above rounding."""
+    return bool(sizes[place - 1] > _FALLS * max(sizes[place], 1e-15 * sizes[0]))
 
 
 def _standardised(names: list[str], columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
@@ -168,12 +174,11 @@ def _bound(names: list[str], columns: Mapping[str, np.ndarray]) -> set[str]:
         return set()
     terms /= np.linalg.norm(terms, axis=1)[:, None]
     directions, sizes, _ = np.linalg.svd(terms, full_matrices=False)
-    floor = max(sizes[-1], 1e-15 * sizes[0])
     vanish = np.flatnonzero(sizes <= _VANISHES * sizes[0])
-    falls = [i for i in vanish if i and sizes[i - 1] > _FALLS * max(sizes[i], floor)]
+    falls = [i for i in vanish.tolist() if i and _falls(sizes, i)]
     if not falls:
         return set()
     weights = np.max(np.abs(directions[:, falls[0] :]), axis=1)
     of_pairs = weights[1 + len(kept) :]
-    found = {k for pair, weight in zip(pairs, of_pairs, strict=True) if weight > 1e-3 for k in pair}
+    found = {k for pair in compress(pairs, of_pairs > _PART) for k in pair}
     return {names[k] for k in found}

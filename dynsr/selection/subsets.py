@@ -14,8 +14,10 @@ import numpy as np
 
 # Square of what is left of a unit column from which on it is rounding.
 _NOTHING = 1e-7
-# Below this share of its size a free direction is only rounding away from the others.
-_SINGULAR = 1e-9
+# Share of its size, or of the largest, below which a direction is only rounding.
+SINGULAR = 1e-9
+# Share of all squares that sums leave at least.
+LEAST_LEFT = 1e-9
 # Logarithm of a constant inside by which a linear fit may move it.
 FARTHEST = 1.0
 
@@ -75,7 +77,7 @@ def best_subsets(
     layer = _Layer.of(gram, target, squares, [()], slopes)
     for size in range(most):
         gains = layer.gains(slopes, scale)
-        reached = np.maximum(layer.left[:, None] - gains, max(least, 1e-9 * squares))
+        reached = np.maximum(layer.left[:, None] - gains, max(least, LEAST_LEFT * squares))
         bits = rows / 2 * np.log2(reached / rows) + costs
         bits += np.array([costs[list(places)].sum() for places in layer.places])[:, None]
         bits[~((gains > 0) & np.isfinite(bits))] = np.inf
@@ -206,7 +208,7 @@ class _Layer:
         """
         terms = np.arange(len(slopes))
         own, rest = self.diagonal[:, terms], self.rest[:, terms]
-        alone = np.where(own > _NOTHING, rest**2 / np.maximum(own, 1e-12), 0.0)
+        alone = np.where(own > _NOTHING, rest**2 / np.maximum(own, _NOTHING), 0.0)
         if not np.any(slopes >= 0):
             return alone
         other, pull = self.diagonal[:, slopes], self.rest[:, slopes]
@@ -230,7 +232,7 @@ def solve_scaled(gram: np.ndarray, loose: Sequence[int], sides: np.ndarray) -> n
     sides : (l, s) right sides.
     """
     scale = np.sqrt(np.maximum(np.diag(gram)[loose], 1e-300))
-    scaled = gram[np.ix_(loose, loose)] / np.outer(scale, scale) + _SINGULAR * np.eye(len(loose))
+    scaled = gram[np.ix_(loose, loose)] / np.outer(scale, scale) + SINGULAR * np.eye(len(loose))
     return np.asarray(np.linalg.solve(scaled, sides / scale[:, None]) / scale[:, None])
 
 
