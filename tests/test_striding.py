@@ -38,7 +38,7 @@ def test_strides_follow_the_solution(stride):
 def test_steps_of_order_eight_follow_the_solution_closely(substeps):
     """Over ten rows at once, with a force, they stay within rounding of DOP853's own steps."""
     coarse = Windows(T[::10, None], np.zeros((21, 2, 1)), drive)
-    found = Flow(RHS, ("F",), ()).run(coarse, START, np.empty(0), Pace(substeps, 8))
+    found = Flow(RHS, ("F",), ()).run(coarse, START, np.empty(0), Pace(substeps, True))
     truth = solve_ivp(
         lambda t, s: [s[1], -9.81 * np.sin(s[0]) - 0.1 * s[1] + np.sin(6 * t)],
         *((0, 2), START[:, 0], "DOP853"),
@@ -60,7 +60,7 @@ LONELY = [
 ]
 
 
-@pytest.mark.parametrize("pace", [Pace(2), Pace(1, 8)])
+@pytest.mark.parametrize("pace", [Pace(2), Pace(1, True)])
 @pytest.mark.parametrize("rhs", LONELY, ids=str)
 def test_a_lane_alone_goes_as_it_does_beside_another(rhs, pace):
     """One run on floats is the same run among two on arrays, NaN and infinity in their places."""
@@ -86,7 +86,14 @@ def test_probes_have_the_sensitivity_of_their_term():
 
 @pytest.mark.parametrize(
     ("stride", "pace"),
-    [(1, Pace(1)), (1, Pace(3)), (3, Pace(1)), (300, Pace(1)), (1, Pace(2, 8)), (3, Pace(1, 8))],
+    [
+        (1, Pace(1)),
+        (1, Pace(3)),
+        (3, Pace(1)),
+        (300, Pace(1)),
+        (1, Pace(2, True)),
+        (3, Pace(1, True)),
+    ],
 )
 @pytest.mark.parametrize("lanes", [1, 64])
 def test_sensitivities_are_those_of_the_march(stride, pace, lanes, monkeypatch):

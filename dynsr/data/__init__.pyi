@@ -39,7 +39,7 @@ from .sums import MeasuredSum
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .temporary import is_part, open_part, own_folder, remove_stale
 from .times import check_time_unit
-from .trajectory import Trajectory, columns_of, decide_hold
+from .trajectory import FEWEST_ROWS, Trajectory, columns_of, decide_hold
 from .unseen_steps import (
     UnseenSteps,
     UnseenStepSettings,
@@ -64,6 +64,7 @@ from .writing import (
 __all__ = [
     "DATA",
     "DEFINITIONS",
+    "FEWEST_ROWS",
     "FEWEST_SMOOTH",
     "PAPER_SYSTEMS",
     "SCHEMES",

@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 from dynsr.data import Hold, SmoothedTrajectory, Trajectory
 from dynsr.discovery.intervals import take_apart, write_interval
 from dynsr.discovery.parameters import name_constants, put_names
-from dynsr.discovery.prediction import Measured, predict
+from dynsr.discovery.prediction import SLACK, Measured, predict
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, Drive
 from dynsr.errors import EngineError, InputError
 from dynsr.expression import parse
@@ -53,8 +53,6 @@ from dynsr.selection import (
 )
 
 _ENDING = "_delayed"
-# Share of a delay by which rounding moves a time at most.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -207,7 +205,7 @@ class Delayed:
         for run, curve, inputs in zip(self.runs, self.curves, self.inputs, strict=True):
             kept = run.select(np.flatnonzero(run.t >= run.t[0] + begin))
             later = [drive.later(self.names[drive.name], delay) for drive in inputs.drives]
-            rounding = _ROUNDING * float(np.ptp(run.t))
+            rounding = SLACK * float(np.ptp(run.t))
             kept = _with_rows(kept, curve, inputs, later, rounding)
             known = {
                 drive.name: drive.at(kept.t + (rounding if len(drive.kinks) else 0.0))
@@ -773,7 +771,7 @@ def follow(
         times, inside = np.linspace(low, high, nodes), t[(t >= low) & (t <= high)]
         # Two times that rounding alone sets apart are one.
         near = np.abs(inside - times[np.rint((inside - low) / (times[1] - low)).astype(int)])
-        times = np.unique(np.append(times, inside[near > _ROUNDING * step]))
+        times = np.unique(np.append(times, inside[near > SLACK * step]))
         given = dict(inputs)
         for name, delay in delays.items():
             values = before(times - delay.value, states.index(delay.state))

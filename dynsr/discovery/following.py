@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory
+from dynsr.data import FEWEST_ROWS, Trajectory
 from dynsr.expression import expand_terms
 from dynsr.fit import (
     Flow,
@@ -154,7 +154,7 @@ class Course:
     ) -> Course:
         """Take every n-th row, so that at most ``rows`` remain."""
         every = max(1, math.ceil(sum(map(len, runs)) / rows))
-        taken = [run.thin(every if len(run) >= 8 * every else 1) for run in runs]
+        taken = [run.thin(every if len(run) >= FEWEST_ROWS * every else 1) for run in runs]
         pairs = [(i, rows) for i, own in enumerate(taken) for rows in own]
         thin = tuple(runs[i].select(rows) for i, rows in pairs)
         own = tuple(noise[i][rows] for i, rows in pairs)
@@ -347,7 +347,7 @@ def _grow(
     rows = len(shooting.windows.t)
     closed = _close(shooting, constants).flow if len(constants) else shooting.flow
     losses = ("linear", "soft_l1") if len(parts) > 1 else ("soft_l1",)
-    for part in dict.fromkeys(max(min(rows, 8), rows // share) for share in parts):
+    for part in dict.fromkeys(max(min(rows, FEWEST_ROWS), rows // share) for share in parts):
         some = first_rows(shooting, part)
         if not np.all(np.isfinite(some.misses(constants, starts))):
             break

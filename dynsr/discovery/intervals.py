@@ -13,7 +13,7 @@ from types import MappingProxyType
 import sympy
 
 from dynsr.errors import InputError
-from dynsr.expression import shown
+from dynsr.expression import marks, shown
 from dynsr.fit import free_constants, loosen, tidy
 
 
@@ -335,11 +335,8 @@ def printed_order(template: sympy.Expr, values: dict[sympy.Symbol, float]) -> li
     values : symbol -> the number that it stands for.
     """
     # A number of its own for each constant shows where it stands.
-    marks = [1.0 + (i + 1) / 4096 for i in range(len(values))]
-    signed = {
-        symbol: sympy.Float(math.copysign(mark, value))
-        for (symbol, value), mark in zip(values.items(), marks, strict=True)
-    }
+    pairs = list(zip(values.items(), marks(len(values)), strict=True))
+    signed = {symbol: -mark if value < 0 else mark for (symbol, value), mark in pairs}
     text = shown(template.xreplace(signed), 12)
-    places = [text.find(f"{mark:.12g}") for mark in marks]
-    return sorted(range(len(marks)), key=lambda i: (places[i] < 0, places[i], i))
+    places = [text.find(f"{float(mark):.12g}") for _, mark in pairs]
+    return sorted(range(len(places)), key=lambda i: (places[i] < 0, places[i], i))

@@ -182,16 +182,13 @@ def form_of(settings: Mapping[str, Any]) -> Form:
     )
 
 
-def write_lines(
-    equations: Mapping[str, sympy.Expr], settings: Mapping[str, Any], digits: int = 6
-) -> list[str]:
+def write_lines(equations: Mapping[str, sympy.Expr], settings: Mapping[str, Any]) -> list[str]:
     """Write the equations as a reader has them, one per line: x'' replaces two of first order.
 
     Parameters
     ----------
     equations : state -> right-hand side.
     settings : the record of the discovery.
-    digits : digits of the constants.
 
     >>> x, v = sympy.symbols("x x_dot")
     >>> write_lines({"x": v, "x_dot": -4 * x - v}, {"velocities": {"x": "x_dot"}})
@@ -211,8 +208,8 @@ def write_lines(
         if velocities.get(s) not in equations
     }
     if form_of(settings).discrete:
-        return [f"{s}[n+1] = {shown(e, digits)}" for s, e in written.items()]
-    return to_text_block(written, digits).splitlines()
+        return [f"{s}[n+1] = {shown(e)}" for s, e in written.items()]
+    return to_text_block(written).splitlines()
 
 
 def explain_velocity(state: str, velocity: str) -> str:

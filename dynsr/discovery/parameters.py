@@ -26,13 +26,11 @@ from dynsr.discovery.intervals import (
 )
 from dynsr.errors import InputError, quoted, say_near
 from dynsr.expression import check_name, shown, slope_latex, to_latex_formula
-from dynsr.fit import pairs_alike
+from dynsr.fit import ROUNDING, pairs_alike
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Values that differ by less than this share are one number.
-_SAME = 1e-12
 # Letters before the numbers of parameters; the first that is no other name's beginning.
 _LETTERS = ("k", "p", "c", "par", "parameter_")
 
@@ -381,7 +379,7 @@ def name_constants(
     for pair in pairs_alike(shapes, order):
         one, other = sorted(leader[i] for i in pair)
         sizes = [abs(values[order[i]]) for i in (one, other)]
-        if math.isclose(*sizes, rel_tol=_SAME):
+        if math.isclose(*sizes, rel_tol=ROUNDING):
             leader = [one if i == other else i for i in leader]
     used = {str(s) for e in equations.values() for s in e.free_symbols} | {*equations, *others}
     letter = next(a for a in _LETTERS if not any(_is_numbered(name, a) for name in used))
@@ -428,7 +426,7 @@ def find_names(system: ParametricSystem) -> dict[str, tuple[str, ...]]:
             near = [
                 f"{'-' if math.copysign(1.0, system.parameters[n].value) * value < 0 else ''}{n}"
                 for n in sorted(own)
-                if math.isclose(abs(system.parameters[n].value), abs(value), rel_tol=_SAME)
+                if math.isclose(abs(system.parameters[n].value), abs(value), rel_tol=ROUNDING)
             ]
             if len(near) != 1:
                 return {}
@@ -452,7 +450,7 @@ def fits(equations: Mapping[str, sympy.Expr], names: Names) -> bool:
     except (InputError, ValueError):
         return False
     taken = {str(s) for e in equations.values() for s in e.free_symbols} | {*equations, "t"}
-    alike = all(math.isclose(v, own[0], rel_tol=_SAME) for own in signed.values() for v in own)
+    alike = all(math.isclose(v, own[0], rel_tol=ROUNDING) for own in signed.values() for v in own)
     return bool(named) and alike and not taken & signed.keys()
 
 

@@ -33,7 +33,7 @@ RELTOL, ABSTOL = 1e-8, 1e-10
 # States below this are integrated with an absolute tolerance of their own size.
 _TINY = 1e-6
 # Times outside the rows by this share of their span are rounded ones.
-_SLACK = 1e-9
+SLACK = 1e-9
 # A function of the time is evaluated at so many times at least, and so often between two.
 _SAMPLES, _FEWEST_PARTS = 2000, 4
 # What integrates where inputs, or states without an equation, are read from measurements.
@@ -199,7 +199,7 @@ class Measured:
 
     @property
     def _slack(self) -> float:
-        return _SLACK * float(np.ptp(self.t))
+        return SLACK * float(np.ptp(self.t))
 
     def is_known_from(self, time: float) -> bool:
         """Whether it is known from some time on.

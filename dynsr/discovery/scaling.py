@@ -48,7 +48,7 @@ _LARGEST = 1e50
 # Share by which constants of one value are set apart.
 _APART = 1e-9
 # Whole numbers of more digits are written as floats.
-_LONG = 10**12
+_LONG = 1e12
 # What settings say of the columns of the data.
 _COLUMNS = ("time", "states", "trajectory", "quantity", "decimal", "doses", "noise", "limits")
 Search = TypeVar("Search", bound=Callable[..., Discovery])

@@ -38,6 +38,7 @@ from dynsr.errors import InputError, one_line, quoted
 from dynsr.expression import abridged, evaluate, has_pole, shown
 from dynsr.fit import (
     FLOOR,
+    ROUNDING,
     STABLE,
     Flow,
     ParetoFront,
@@ -816,7 +817,7 @@ class _Bench:
     ) -> bool:
         """Say whether a state does nothing but carry noise."""
         state = list(self.equations)[place]
-        if all(is_still(run.x[:, run.index(state)], 1e-12) for run in self.runs):
+        if all(is_still(run.x[:, run.index(state)], ROUNDING) for run in self.runs):
             return True
         if evidence is None or not self._leaves_noise(place, evidence, found, rows):
             return False

@@ -33,7 +33,7 @@ from .poles import has_pole
 from .program import Program, compile_columns
 from .ratios import expand_terms, ratio_forms
 from .vocabulary import NAMED_FUNCTIONS, Vocabulary
-from .writing import ByText, as_float_tree, round_constants, to_text
+from .writing import ByText, as_float_tree, marks, round_constants, to_text
 
 __all__ = [
     "FUNCTIONS",
@@ -69,6 +69,7 @@ __all__ = [
     "expand_terms",
     "has_pole",
     "julia_code",
+    "marks",
     "number_bits",
     "parse",
     "ratio_forms",

@@ -53,6 +53,11 @@ def as_float_tree(expr: sympy.Expr) -> sympy.Expr:
     return expr.xreplace(rationals)
 
 
+def marks(count: int) -> list[sympy.Float]:
+    """Give so many floats, no two alike, that show where each of as many constants is written."""
+    return [sympy.Float(1 + (i + 1) / 4096) for i in range(count)]
+
+
 def round_constants(expr: sympy.Expr, digits: int) -> sympy.Expr:
     """Round every float of an expression to so many significant digits.
 

@@ -42,6 +42,7 @@ from .flow import Flow, Pace, Windows, cut_windows, runge_kutta_step
 from .forced import missing_terms
 from .linear import (
     DEPENDENT,
+    ROUNDING,
     RatioFit,
     cauchy_weights,
     eliminate,
@@ -100,6 +101,7 @@ __all__ = [
     "FIT",
     "FLOOR",
     "LOSSES",
+    "ROUNDING",
     "STABLE",
     "AlongFit",
     "Candidate",

@@ -43,7 +43,7 @@ from dynsr.data import (
 from dynsr.expression import Program, compile_columns
 from dynsr.fit.censored import Censored, deviance
 from dynsr.fit.constants import free_constants
-from dynsr.fit.linear import ROUNDING, invert_normal
+from dynsr.fit.linear import DAMPED, DAMPING, ROUNDING, invert_normal
 from dynsr.fit.noise import FLOOR
 from dynsr.fit.settings import FIT, CollocationSettings
 from dynsr.fit.shooting import Driven, drives_of
@@ -653,17 +653,17 @@ class Collocation:
 
         A right-hand side that jumps between rows would follow anything there.
         """
-        h, (left, right) = self.mesh.h, self.mesh.ends
+        (left, right), sixth, eighth = self.mesh.ends, self.mesh.sixth, self.mesh.eighth
         with np.errstate(all="ignore"):
             f, middle, fm = self._along(states, constants)
-            change = -h / 6 * (f[:, left] + 4 * fm + f[:, right])
+            change = -sixth * (f[:, left] + 4 * fm + f[:, right])
             sides = zip((left, right), (1.0, -1.0), self._quarters(states, constants), strict=True)
             for at, sign, driven in sides:
                 # The cubic through the end and the middle, half way between the two.
                 end, slope = states[:, at], f[:, at]
-                quarter = (end + middle) / 2 + sign * h / 16 * (slope - fm)
+                quarter = (end + middle) / 2 + sign * eighth / 2 * (slope - fm)
                 inside = self.slope(*quarter, *driven, *constants)
-                change = change + h / 12 * (slope + 4 * inside + fm)
+                change = change + sixth / 2 * (slope + 4 * inside + fm)
             found: np.ndarray = np.sum((change / self.mesh.by_state[2]) ** 2, axis=1)
         return np.where(np.isfinite(found), found, np.inf)
 
@@ -707,14 +707,14 @@ class Collocation:
                 try:
                     step = self._step(gathered, damping, reach, ways)
                 except (LinAlgError, ValueError):
-                    damping = max(damping * 100, 1e-4)
+                    damping = max(damping * DAMPING**2, DAMPED)
                     continue
                 reached = self._cost(states + step[0], constants + step[1], stiffness)
                 if reached < cost:
                     states, constants, cost = states + step[0], constants + step[1], reached
-                    damping /= 10
+                    damping /= DAMPING
                     break
-                damping = max(damping * 10, 1e-4)
+                damping = max(damping * DAMPING, DAMPED)
             if not cost < before * (1 - gain):
                 break
         return states, constants
@@ -1027,7 +1027,7 @@ class Measurements:
         rough = np.mean(steps**2, axis=0) / np.maximum(2 * np.var(x, axis=0), 1e-300)
         # Rows at rest have no turn.
         turn = float(np.arccos(1 - min(float(np.max(rough)), 1.0)))
-        return 2 * math.pi / max(turn, 1e-9)
+        return 2 * math.pi / max(turn, 1e-300)
 
     @property
     def parts(self) -> int:

@@ -70,21 +70,21 @@ def eighth_order_step(
 
 @dataclass(frozen=True)
 class Pace:
-    """How an interval is crossed: in ``substeps`` of a Runge-Kutta method of ``order`` 4 or 8."""
+    """How an interval is crossed: in ``substeps`` of a method of order 4, or of one of order 8."""
 
     substeps: int = 1
-    order: int = 4
+    eighth: bool = False
 
     @property
     def nodes(self) -> np.ndarray:
         """Where in an interval slopes are needed, its end left out, as shares of it."""
-        inner = _NODES[:-1] if self.order == 8 else np.array([0.0, 0.5])
+        inner = _NODES[:-1] if self.eighth else np.array([0.0, 0.5])
         return ((np.arange(self.substeps)[:, None] + inner) / self.substeps).ravel()
 
     @property
     def step(self) -> Callable[..., Any]:
         """The function that takes one step."""
-        return eighth_order_step if self.order == 8 else runge_kutta_step
+        return eighth_order_step if self.eighth else runge_kutta_step
 
 
 PLAIN = Pace()

@@ -17,6 +17,9 @@ import numpy as np
 ROUNDING = 1e-12
 # The same of a singular value of unit columns, and of an eigenvalue of their products.
 DEPENDENT, _SINGULAR = 1e-10, 1e-13
+# What the steps of Levenberg and Marquardt are damped by at first, and by how much more after one
+# that is no better.
+DAMPED, DAMPING = 1e-4, 10.0
 _ROUNDS = 5
 # Rows that the first rounds look at.
 _START = 250

@@ -19,7 +19,7 @@ from dynsr.errors import InputError
 from dynsr.expression import compile_numpy, parse
 from dynsr.fit.constants import free_constants
 from dynsr.fit.flow import PLAIN, Flow, Pace, Track, Windows, cut_windows
-from dynsr.fit.linear import ROUNDING, cauchy_weights
+from dynsr.fit.linear import DAMPED, DAMPING, ROUNDING, cauchy_weights
 from dynsr.fit.noise import independent_rows, is_noisy, noise_and_spread, spread_of
 from dynsr.fit.settings import FIT, FitSettings
 
@@ -169,7 +169,7 @@ class Shooting:
         track = self._track(constants, starts)
         misses = self._compare(track.rows)
         unit = self.unit(misses)[:, None]
-        level, damping = _level(loss, misses / unit), 1e-4
+        level, damping = _level(loss, misses / unit), DAMPED
         if np.max(unit) < _SOLVER:
             gain = max(gain, 1e-3)
         for _ in range(most):
@@ -188,9 +188,9 @@ class Shooting:
                     reached = _level(loss, self._compare(tried.rows) / unit)
                     if reached < level:
                         (constants, starts), track, level = trial, tried, reached
-                        damping /= 10
+                        damping /= DAMPING
                         break
-                damping *= 10
+                damping *= DAMPING
             if not level < before * (1 - gain):
                 break
         return constants, starts
@@ -406,32 +406,23 @@ def build_shooting(
     length: int,
     free: bool,
     settings: FitSettings = FIT,
-    deviations: Sequence[np.ndarray] | None = None,
 ) -> Shooting:
     """Cut the runs into windows of ``length`` intervals, starts ``free`` or measured.
 
-    Residuals are in units of each state's spread, or of ``deviations``: for every run the standard
-    deviation (n, columns of the run's states) of the noise of each measurement.
+    Residuals are in units of each state's spread.
     """
     runs = carry(runs)
     columns = [runs[0].index(state) for state in flow.rhs]
-    spread = spread_of(runs)[columns]
-    if deviations is None and any(run.unmeasured.size for run in runs):
+    spread = np.maximum(spread_of(runs)[columns], 1e-300)
+    drives, times = drives_of(flow.driven, runs, inputs), [run.t for run in runs]
+    x, most = [run.x[:, columns] for run in runs], settings.match_windows
+    windows = cut_windows(times, x, drives, length, most)
+    if any(run.unmeasured.size for run in runs):
         whole = noise_and_spread(runs)[1]
-        deviations = [np.where(run.measured, whole, np.inf) for run in runs]
-    drives = drives_of(flow.driven, runs, inputs)
-    windows = cut_windows(
-        [run.t for run in runs],
-        [run.x[:, columns] for run in runs],
-        drives,
-        length,
-        settings.match_windows,
-    )
-    spread = np.maximum(spread, 1e-300)
-    if deviations is not None:
-        own = [each[:, columns] for each in deviations]
-        cut = cut_windows([run.t for run in runs], own, drives, length, settings.match_windows).x
-        spread = np.maximum(cut, ROUNDING * spread[:, None])
+        own = [np.where(run.measured, whole, np.inf)[:, columns] for run in runs]
+        spread = np.maximum(
+            cut_windows(times, own, drives, length, most).x, ROUNDING * spread[:, None]
+        )
     return Shooting(flow, windows, spread, free, width=settings.noisy_width if free else 1.0)
 
 
@@ -683,9 +674,9 @@ def finer_paces(first: int, most: int) -> list[Pace]:
 
     One step of order 8 is closer than four of order 4, and costs less.
     """
-    found = [Pace(2 * first), Pace(max(1, first // 2), 8)]
+    found = [Pace(2 * first), Pace(max(1, first // 2), True)]
     while found[-1].substeps < most:
-        found.append(Pace(2 * found[-1].substeps, 8))
+        found.append(Pace(2 * found[-1].substeps, True))
     return found
 
 

@@ -23,6 +23,7 @@ from dynsr.expression import (
     ByText,
     complexity,
     expand_terms,
+    marks,
     number_bits,
     round_constants,
 )
@@ -34,6 +35,7 @@ from dynsr.fit.settings import FIT, FitSettings
 
 # Longer decimals are no simple numbers: six digits cost as many bits as most data support.
 _MOST_DIGITS = 6
+_LARGEST = 10**_MOST_DIGITS
 
 
 def simple_numbers(value: float, near: float = FIT.near) -> list[sympy.Rational]:
@@ -108,10 +110,8 @@ class _Snapper:
 
     def _frame(self, special: Sequence[int | None]) -> tuple[float, list[int]]:
         """Give the frame's bits and the places of the numbers that it still contains."""
-        numbers = [
-            sympy.Float(0.1 + i / 1024) if s is None else sympy.Integer(s)
-            for i, s in enumerate(special)
-        ]
+        pairs = zip(special, marks(len(special)), strict=True)
+        numbers = [mark if s is None else sympy.Integer(s) for s, mark in pairs]
         expr = self.template.put(numbers)
         if expr.has(sympy.nan, sympy.zoo, sympy.oo):
             return math.inf, []
@@ -303,7 +303,7 @@ def _led_by_one(term: sympy.Expr) -> sympy.Expr:
         kept[kept.index(above)] = sympy.Add(*[_exact(own) * factor * p for own, p in parts])
         factor = sympy.S.One
     decimals = {a for part in (factor, *kept) for a in part.atoms(sympy.Rational)}
-    if not term.has(sympy.Float) and any(10**_MOST_DIGITS % int(a.q) for a in decimals):
+    if not term.has(sympy.Float) and any(_LARGEST % int(a.q) for a in decimals):
         return term
     return _decimal(factor) * sympy.Mul(*[map_numbers(part, _decimal) for part in kept])
 
@@ -317,7 +317,7 @@ def _decimal(number: sympy.Expr) -> sympy.Expr:
 
 
 def _tidied(number: sympy.Expr) -> sympy.Expr:
-    if number.is_Float and float(number).is_integer() and abs(number) < 10**_MOST_DIGITS:
+    if number.is_Float and float(number).is_integer() and abs(number) < _LARGEST:
         return sympy.Integer(int(number))
     if not number.is_Rational or number.is_Integer:
         return number

@@ -113,7 +113,6 @@ def fit_states(
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
     settings: FitSettings = FIT,
-    deviations: Sequence[np.ndarray] | None = None,
     near: StatesFit | None = None,
 ) -> StatesFit | None:
     """Fit every float of ``exprs`` to the noisy states; None where these cannot be followed.
@@ -124,8 +123,6 @@ def fit_states(
     runs : trajectories of the same columns, three rows each at least.
     inputs : input name -> expression in ``t``, where it is known.
     settings : losses, windows and trials.
-    deviations : for every run the standard deviation (n, k) of the noise of each measurement; by
-        default that of each state, and how it grows with the state where the residuals show that.
     near : a fit of similar equations, whose windows, weights and starts are taken over.
     """
     flow, values, _ = prepare(exprs, runs, inputs)
@@ -142,7 +139,7 @@ def fit_states(
     first = first_length(longest)
     best: tuple[Shooting, np.ndarray, np.ndarray] | None = None
     for length in _lengths(first, min(longest, settings.match_longest)):
-        trial = build_shooting(flow, runs, inputs, length, True, settings, deviations=deviations)
+        trial = build_shooting(flow, runs, inputs, length, True, settings)
         begin = trial.windows.x[0] if best is None else _carry(best[0], best[2], best[1], trial)
         if best is not None and not _in_reach(best, trial, begin, settings):
             break
@@ -154,11 +151,9 @@ def fit_states(
     if best is None:
         return None
     shooting, constants, starts = best
-    if deviations is None:
-        shooting = _weigh(shooting, constants, starts)
-        if shooting is not best[0]:
-            fitted = _descend(shooting, constants, starts, _last(settings))
-            return _end(shooting, fitted)
+    shooting = _weigh(shooting, constants, starts)
+    if shooting is not best[0]:
+        return _end(shooting, _descend(shooting, constants, starts, _last(settings)))
     return _end(shooting, (constants, starts))
 
 

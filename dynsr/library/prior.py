@@ -22,7 +22,7 @@ from itertools import permutations
 
 import sympy
 
-from dynsr.expression import expand_terms, number_bits, parse, unknown_calls
+from dynsr.expression import expand_terms, marks, number_bits, parse, unknown_calls
 
 # Choices that were never made have a share too (Krichevsky and Trofimov 1981).
 _MORE = 0.5
@@ -567,7 +567,7 @@ def read_corpus(text: str) -> Iterator[tuple[str, dict[str, sympy.Expr]]]:
         read = {state: parse(right) for state, right in equations.items()}
         names = sorted({str(v) for expr in read.values() for v in expr.free_symbols} - {*columns})
         # No two are alike, so that none merge.
-        numbers = {sympy.Symbol(n): sympy.Float(math.sqrt(7 * i + 2)) for i, n in enumerate(names)}
+        numbers = dict(zip(map(sympy.Symbol, names), marks(len(names)), strict=True))
         yield lines[0], {state: expr.xreplace(numbers) for state, expr in read.items()}
 
 

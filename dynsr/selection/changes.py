@@ -192,18 +192,17 @@ def while_better(
     return best
 
 
-def gram_of(fit: SystemFit, probes: Probes, stiffness: float | None = None) -> np.ndarray | None:
+def gram_of(fit: SystemFit, probes: Probes) -> np.ndarray | None:
     """Products of the slopes by constants and probes, and of the residuals as the last column.
 
     Parameters
     ----------
     fit : the system.
     probes : Q constants that the system might have.
-    stiffness : weight of the defects; by default that of the fit.
     """
     found = fit.fit
     try:
-        gram = fit.problem.normal(found.states, found.constants, probes, stiffness).gram
+        gram = fit.problem.normal(found.states, found.constants, probes).gram
     except (LinAlgError, ValueError):
         return None
     return gram if np.all(np.isfinite(gram)) else None

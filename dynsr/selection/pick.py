@@ -251,9 +251,7 @@ def pick_equation(
     return Pick(state, tuple(rank_candidates(compared, forecasts, settings)), noise)
 
 
-def rank_by_length(
-    state: str, pool: Iterable[Candidate], samples: Samples, settings: SelectionSettings = SELECTION
-) -> Pick:
+def rank_by_length(state: str, pool: Iterable[Candidate], samples: Samples) -> Pick:
     """Order formulas by description length alone: where systems are compared, they decide.
 
     Parameters
@@ -261,7 +259,6 @@ def rank_by_length(
     state : whose equation it is.
     pool : all that was found for it.
     samples : its samples.
-    settings : how many are kept.
 
     Raises ValueError when the pool is empty.
     """
@@ -269,7 +266,7 @@ def rank_by_length(
     if not candidates:
         raise ValueError(f"nothing was found for {state}")
     noise = noise_of(candidates, samples)
-    ranked = _rank(candidates, samples, noise)[: settings.compared]
+    ranked = _rank(candidates, samples, noise)[: SELECTION.compared]
     lengths = [description_length(c, samples, noise) for c in ranked]
     return Pick(
         state,
