@@ -40,7 +40,7 @@ from dynsr.discovery import (
 )
 from dynsr.errors import DynsrError, DynsrWarning, InputError, one_line, quoted
 from dynsr.export import Source, list_formats, name_file, pack_format
-from dynsr.expression import NAMED_FUNCTIONS, parse, shown, to_mathml, to_text
+from dynsr.expression import NAMED_FUNCTIONS, left_of, parse, shown, to_mathml, to_text
 from dynsr.fit import ParetoFront, tidy
 from dynsr.jobs import REPORT, clock, say_left
 from dynsr.methods import DEFAULT_PRESET, PRESETS
@@ -561,7 +561,7 @@ def show_found(found: Discovery) -> dict[str, Any]:
     ----------
     found : the discovery.
     """
-    write, left = (write_map_mathml, "[n+1]") if found.is_map else (to_mathml, "'")
+    write, left = write_map_mathml if found.is_map else to_mathml, left_of("", found.is_map)
     verdicts = found.verdict.states
     units = found.constant_units
     return {

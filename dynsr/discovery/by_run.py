@@ -8,7 +8,7 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from dynsr.arguments import checked
-from dynsr.discovery.parameters import Parameter
+from dynsr.discovery.parameters import Parameter, as_html, in_columns
 from dynsr.errors import InputError
 
 if TYPE_CHECKING:
@@ -156,22 +156,12 @@ class RunParameters:
 
     def __repr__(self) -> str:
         """Write a table, and what parameters follow."""
-        table = [self.head, *self.rows()]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in table
-        ]
-        lines = lines if self.constants else []
+        lines = in_columns([self.head, *self.rows()]) if self.constants else []
         return "\n".join([*lines, *(f"{n} = {text}" for n, text in self.follows.items())])
 
     def _repr_html_(self) -> str:
-        def line(tag: str, row: Sequence[str]) -> str:
-            return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in row)}</tr>"
-
-        rows = "".join(line("td", row) for row in self.rows())
         said = "".join(f"<p>{escape(n)} = {escape(text)}</p>" for n, text in self.follows.items())
-        return f"<table>{line('th', self.head)}{rows}</table>{said}"
+        return as_html(self.head, self.rows()) + said
 
 
 def _write(parameter: Parameter) -> tuple[str, str]:

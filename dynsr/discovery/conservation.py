@@ -15,12 +15,12 @@ import sympy
 from dynsr.data import Trajectory, columns_of
 from dynsr.expression import evaluate, expand_terms
 from dynsr.fit import structure_bits
+from dynsr.selection import VANISHES
 
 # Share of the spread by which a sum that rests may move; largest weight of a state in it.
 _RESTING, _WEIGHT = 1e-7, 4
-# Share of the largest, or of its terms, that what vanishes may be; bits that another writing may
-# take more.
-_VANISHES, _LONGER = 1e-6, 15.0
+# Bits that another writing may take more.
+_LONGER = 15.0
 
 
 def find_conserved(runs: Sequence[Trajectory], states: Sequence[str]) -> list[dict[str, int]]:
@@ -46,7 +46,7 @@ def find_conserved(runs: Sequence[Trajectory], states: Sequence[str]) -> list[di
     weights = directions[sizes <= _RESTING * sizes[0]] / spread
     found = []
     for row in _reduced(weights):
-        least = float(np.min(np.abs(row[np.abs(row) > _VANISHES * np.abs(row).max()])))
+        least = float(np.min(np.abs(row[np.abs(row) > VANISHES * np.abs(row).max()])))
         whole_row = np.round(row / least)
         total = whole @ whole_row
         if (
@@ -66,7 +66,7 @@ def _reduced(rows: np.ndarray) -> np.ndarray:
         if done == len(rows):
             break
         best = done + int(np.argmax(np.abs(rows[done:, column])))
-        if np.abs(rows[best, column]) < _VANISHES * np.abs(rows).max():
+        if np.abs(rows[best, column]) < VANISHES * np.abs(rows).max():
             continue
         rows[[done, best]] = rows[[best, done]]
         rows[done] /= rows[done, column]
@@ -131,4 +131,4 @@ def _vanishes(
     with np.errstate(all="ignore"):
         parts = [w * evaluate(exprs[s], columns) for s, w in weights.items()]
         total, size = np.abs(np.sum(parts, axis=0)), np.sum(np.abs(parts), axis=0)
-        return bool(np.nanmedian(total) <= _VANISHES * np.nanmedian(size))
+        return bool(np.nanmedian(total) <= VANISHES * np.nanmedian(size))

@@ -16,8 +16,6 @@ from dynsr.errors import EngineError
 from dynsr.expression import compile_columns, evaluate, parse, shown
 from dynsr.fit import Driven, Series, StochasticFit, StochasticSystem
 
-_DIGITS = 4
-
 
 @dataclass(frozen=True)
 class DiffusionTerm:
@@ -80,7 +78,7 @@ class Diffusion:
         said = f"No noise in the motion of {state} is seen"
         if self.is_seen:
             ends = ", ".join(write_interval(own.low, own.high) for own in self.terms)
-            variance = shown(self.expr, _DIGITS)
+            variance = shown(self.expr, 4)
             said = f"Noise in the motion of {state}: variance {variance} in unit time ({ends})"
         if self.error > 0:
             said += f"; errors of measurement of {self.error:.3g}"

@@ -21,7 +21,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.discovery.following import open_constants
-from dynsr.expression import differentiate, evaluate, expand_terms, shown
+from dynsr.expression import differentiate, evaluate, expand_terms, shown, write_line
 from dynsr.fit import (
     DEPENDENT,
     constant_bits,
@@ -504,7 +504,7 @@ def say(
     >>> say("x", t + 1, sympy.sqrt(q), np.array([0.0, 40.0]), 0.0)
     "the data cannot distinguish it from x' = t + 1; a run from another start decides"
     """
-    written = f"{state}{'[n+1]' if discrete else chr(39)} = {shown(tidy(expr), 4)}"
+    written = write_line(state, tidy(expr), discrete, 4)
     if not is_timed(expr, own):
         more = [shown(body, 4) for body in bodies_of(expr) if body not in bodies_of(own)]
         return f"the residuals are not random: they depend on {' and '.join(more) or written}"

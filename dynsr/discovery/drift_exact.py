@@ -26,13 +26,13 @@ from dynsr.discovery.drift import (
     waves_in_time,
     with_time,
 )
+from dynsr.discovery.following import ENOUGH_ROWS
 from dynsr.expression import complexity, evaluate
 from dynsr.fit import refit, simplest_form
 from dynsr.selection import best_subsets
 
-# Rows that are enough to see whether there may be another formula, and every so manieth of them
-# to see whether it comes near.
-_ROWS, _EVERY = 200, 4
+# Every so manieth row shows whether another formula comes near.
+_EVERY = 4
 # Times the share to which formulas are the same, below which a sum of columns may vanish: columns
 # are counted in units of their own size, and formulas in that of what they give.
 _FLAT = 10.0
@@ -124,7 +124,7 @@ def _propose(
     """Give formulas with the time that may be the same as an equation."""
     if not floor:
         return
-    some = np.unique(np.linspace(0, len(samples) - 1, _ROWS).astype(int))
+    some = np.unique(np.linspace(0, len(samples) - 1, ENOUGH_ROWS).astype(int))
     few = samples.select(some)
     share = floor / float(np.std(samples.y))
     yield from _functions(few.t, few.y, share)

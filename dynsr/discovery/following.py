@@ -17,6 +17,7 @@ import sympy
 from dynsr.data import FEWEST_ROWS, Trajectory
 from dynsr.expression import expand_terms
 from dynsr.fit import (
+    ROUGH,
     Flow,
     Pace,
     Shooting,
@@ -31,6 +32,8 @@ from dynsr.fit import (
 
 # Squared residuals in units of the noise below which nothing is distinguished.
 LEAST_SQUARE = 1e-3
+# Rows that are enough for a sum or a score; of more, evenly spaced ones are taken.
+ENOUGH_ROWS = 200
 # Robust sizes of residuals beyond which one is an outlier.
 FAR = 6.0
 # One over the shares of a window that a fit grows through.
@@ -364,4 +367,4 @@ def _fit(
     shooting: Shooting, constants: np.ndarray, starts: np.ndarray, loss: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fit by few steps; that a state follows is seen before its fit is exact."""
-    return shooting.minimise(constants, starts, loss, most=6, gain=1e-3)
+    return shooting.minimise(constants, starts, loss, most=6, gain=ROUGH)

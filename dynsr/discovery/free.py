@@ -18,10 +18,10 @@ import numpy as np
 import sympy
 from scipy.special import chdtri
 
-from dynsr import __version__
 from dynsr.data import Samples, Trajectory, carry
 from dynsr.discovery.free_model import FreeModel, finish_model, has_free, read_model
 from dynsr.discovery.free_parts import FreePart, FreeParts, FreeSettings
+from dynsr.discovery.hidden import record_search
 from dynsr.discovery.intervals import take_apart
 from dynsr.discovery.parameters import Parameter, Parameters, ParametricSystem, find_names, fits
 from dynsr.discovery.prediction import name_engines, record_hold
@@ -68,7 +68,7 @@ from dynsr.fit import (
     tidy,
     with_floats,
 )
-from dynsr.jobs import Budget, Step, to_plain
+from dynsr.jobs import Budget, Step
 from dynsr.methods import Limits, make_method, read_demands
 from dynsr.selection import SystemComparison, look
 
@@ -526,17 +526,12 @@ def search_free(
     engine = find_engine(settings.get("engine", DEFAULT_ENGINE))
     record: dict[str, Any] = {
         **demands.as_record(),
+        **record_search("free", settings, details),
         **record_hold(run, inputs, False, settings.get("hold")),
-        **({} if budget.seconds is None else {"time_budget": budget.seconds}),
         **({"ended_by_budget": ["free functions"]} if study.late else {}),
         "known": {s: to_text(e) if isinstance(e, sympy.Expr) else str(e) for s, e in known.items()},
-        "method": "free",
         "methods": ["free", *(others.settings["methods"] if others else ())],
-        "preset": settings.get("preset", "best"),
-        "seed": seed,
         "engine": engine.name,
-        "version": __version__,
-        "details": to_plain(details),
     }
     given = tuple(model.equations)
     found = _as_discovery(study, curved, loose, answer, numbers, others, given, runs, inputs)

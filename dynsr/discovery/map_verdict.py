@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy
-from scipy.special import fdtrc
 
 from dynsr.data import Samples, Trajectory, near_rows_leave_open, scale_of
 from dynsr.discovery.drift import Drift, drift_of_rows, place_among
 from dynsr.discovery.drift_exact import same_in_time
 from dynsr.discovery.following import Place, open_constants
-from dynsr.discovery.maps import pair_rows, products_of
+from dynsr.discovery.maps import chance_of, linearise_constants, pair_rows, products_of
 from dynsr.discovery.verdict import (
     APPROXIMATION,
     LAW,
@@ -30,17 +29,17 @@ from dynsr.discovery.verdict import (
     TermCertainty,
     Verdict,
     VerdictSettings,
+    doubt_terms,
+    most_by_chance,
     percent,
     weakest,
 )
 from dynsr.expression import (
     ByText,
     compile_numpy,
-    differentiate,
     evaluate,
-    shown,
 )
-from dynsr.fit import DEPENDENT, ParetoFront, constant_bits, structure_bits, tidy, unit_columns
+from dynsr.fit import DEPENDENT, ParetoFront, constant_bits, structure_bits, unit_columns
 from dynsr.library import textbooks
 
 # Share of a state's size below which a miss is the rounding of numbers alone.
@@ -113,16 +112,9 @@ class _Step:
     ) -> _Step:
         samples = pair_rows(runs, state)
         opened, places = open_constants({state: expr})
-        put = {symbol: sympy.Float(place.value) for symbol, place in places.items()}
-        columns = samples.timed
-        slopes = [
-            evaluate(differentiate(opened[state], symbol).xreplace(put), columns)
-            for symbol in places
-        ]
-        rows = len(samples)
-        jacobian = np.array([np.broadcast_to(s, rows) for s in slopes]).reshape(-1, rows).T
-        misses = samples.y - np.broadcast_to(evaluate(expr, columns), rows)
-        later = np.arange(rows) >= math.ceil((1 - held_back) * rows)
+        values = {symbol: place.value for symbol, place in places.items()}
+        misses, jacobian = linearise_constants(opened[state], values, samples)
+        later = np.arange(len(samples)) >= math.ceil((1 - held_back) * len(samples))
         return cls(state, expr, samples, later, misses, jacobian, tuple(places.values()))
 
     @property
@@ -204,11 +196,7 @@ class _Step:
         freedom = len(design) - design.shape[1]
         if freedom < 2 * design.shape[1]:
             return False
-        weights, *_ = np.linalg.lstsq(design, self.misses, rcond=None)
-        left = float(np.sum((self.misses - design @ weights) ** 2))
-        explained = float(self.misses @ self.misses) - left
-        ratio = explained / design.shape[1] / max(left / freedom, 1e-300)
-        return bool(fdtrc(design.shape[1], freedom, ratio) < 1e-3)
+        return chance_of(design, self.misses, design.shape[1]) < 1e-3
 
     def moves_by(self) -> float:
         """Root mean square change of the state in one step."""
@@ -317,7 +305,7 @@ def _test_state(
 
 def _with_drift(found: StateVerdict, drift: Drift) -> StateVerdict:
     """Put the formula with the time before others, and say so where something is said."""
-    alternative = OtherFormula(shown(tidy(drift.expr), 4), float(f"{drift.bits:.6g}"))
+    alternative = OtherFormula.of(drift.expr, drift.bits)
     more = f" Besides, {drift.said}." if found.reason else ""
     return replace(
         found, alternatives=(alternative, *found.alternatives), reason=found.reason + more
@@ -337,11 +325,9 @@ def _doubts(
         doubts.append("it has functions that such columns seldom follow")
     if free > settings.free**2:
         doubts.append(f"free runs of {settings.steps} steps miss by more than that adds up to")
-    if surprise > 2.0 + 4.0 * math.sqrt(2 / max(int(np.count_nonzero(step.later)), 1)):
+    if surprise > most_by_chance(int(np.count_nonzero(step.later))):
         doubts.append(f"the last {settings.held_back:.0%} of the data are missed by more")
-    unsure = dict.fromkeys(t.term for t in found.terms if t.ratio < settings.sure)
-    if unsure:
-        doubts.append(f"the data leave it open whether it needs {', '.join(unsure)}")
+    doubts += doubt_terms(found.terms, settings)
     near = [r for r in found.alternatives if r.bits < settings.alternative_bits]
     if near:
         how = "gives it better" if near[0].bits < -settings.alternative_bits else "gives it as well"
@@ -391,7 +377,4 @@ def _compare(
         if math.isfinite(apart) and apart > max(settings.differs * step.spread, 2 * step.finest):
             found.append((length(candidate.expr, step.samples.y - values) - own, candidate.expr))
     found.sort(key=lambda pair: (pair[0], ByText(pair[1])))
-    return tuple(
-        OtherFormula(shown(tidy(expr), 4), float(f"{bits:.6g}"))
-        for bits, expr in found[: settings.alternatives]
-    )
+    return tuple(OtherFormula.of(expr, bits) for bits, expr in found[: settings.alternatives])

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 import sympy
+from scipy.special import fdtrc
 
 from dynsr.data import Samples, Trajectory, sample_input
+from dynsr.discovery.following import ENOUGH_ROWS
 from dynsr.errors import EngineError, InputError
 from dynsr.expression import (
     arguments_of,
@@ -20,7 +22,7 @@ from dynsr.expression import (
     to_latex_formula,
     to_mathml,
 )
-from dynsr.fit import free_constants, loosen, rmse, tidy, written_constant
+from dynsr.fit import Match, free_constants, loosen, rmse, tidy, written_constant
 
 # Rows of the short free runs that a score looks at: chaos makes longer ones say nothing.
 _STEPS = 5
@@ -100,6 +102,21 @@ def products_of(rows: np.ndarray, degree: int) -> np.ndarray:
     return np.column_stack(columns)
 
 
+def chance_of(design: np.ndarray, values: np.ndarray, fitted: int) -> float:
+    """Give the probability that columns explain as much of values by chance (Fisher's test).
+
+    Parameters
+    ----------
+    design : (n, c) the columns.
+    values : (n,) around 0.
+    fitted : columns that explain something; the others were taken out of the values before.
+    """
+    weights, *_ = np.linalg.lstsq(design, values, rcond=None)
+    left, freedom = float(np.sum((values - design @ weights) ** 2)), len(values) - design.shape[1]
+    ratio = (float(values @ values) - left) / fitted / max(left / freedom, 1e-300)
+    return float(fdtrc(fitted, freedom, ratio))
+
+
 def measure_step_errors(
     expr: sympy.Expr, samples: Samples
 ) -> tuple[tuple[tuple[float, float], ...], tuple[float, ...]]:
@@ -123,11 +140,7 @@ def measure_step_errors(
     template, values = free_constants(loosen(expr), "constant ")
     if not values:
         return (), ()
-    put = {symbol: sympy.Float(value) for symbol, value in values.items()}
-    columns = samples.timed
-    slopes = [evaluate(differentiate(template, symbol).xreplace(put), columns) for symbol in values]
-    jacobian = np.column_stack([np.broadcast_to(s, samples.y.shape) for s in slopes])
-    misses = samples.y - evaluate(template.xreplace(put), columns)
+    misses, jacobian = linearise_constants(template, values, samples)
     shift, *_ = np.linalg.lstsq(jacobian, misses, rcond=None)
     left = misses - jacobian @ shift
     freedom = max(len(misses) - len(values), 1)
@@ -137,6 +150,27 @@ def measure_step_errors(
     return tuple(zip(numbers.tolist(), errors.tolist(), strict=True)), tuple(
         (numbers + shift).tolist()
     )
+
+
+def match_steps(
+    equations: Mapping[str, sympy.Expr], samples: Mapping[str, Samples], reach: float = 1.96
+) -> Match:
+    """Give maps as they are, with the errors and the fitted values of their constants."""
+    found = {s: measure_step_errors(e, samples[s]) for s, e in equations.items()}
+    errors = {s: own for s, (own, _) in found.items()}
+    fitted = {s: own for s, (_, own) in found.items()}
+    return Match(dict(equations), errors, np.empty(0), True, fitted, reach)
+
+
+def linearise_constants(
+    template: sympy.Expr, values: Mapping[sympy.Symbol, float], samples: Samples
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give what a formula misses (n,), and its slopes (n, P) by constants at their values."""
+    columns, rows = samples.timed, len(samples)
+    put = {symbol: sympy.Float(value) for symbol, value in values.items()}
+    by = [evaluate(differentiate(template, symbol).xreplace(put), columns) for symbol in values]
+    slopes = np.array([np.broadcast_to(own, rows) for own in by]).reshape(len(by), rows).T
+    return samples.y - evaluate(template.xreplace(put), columns), slopes
 
 
 def measure_step_covariance(
@@ -158,14 +192,10 @@ def measure_step_covariance(
     >>> measure_step_covariance({"x": k * x}, [k], [0.5], [halving]).round(5).tolist()
     [[0.00061]]
     """
-    put = {symbol: sympy.Float(value) for symbol, value in zip(symbols, values, strict=True)}
+    numbers = dict(zip(symbols, values, strict=True))
     normal = np.zeros((len(symbols),) * 2)
     for state, expr in equations.items():
-        samples = pair_rows(runs, state)
-        columns = samples.timed
-        slopes = [evaluate(differentiate(expr, s).xreplace(put), columns) for s in symbols]
-        jacobian = np.column_stack([np.broadcast_to(s, samples.y.shape) for s in slopes])
-        misses = samples.y - evaluate(expr.xreplace(put), columns)
+        misses, jacobian = linearise_constants(expr, numbers, pair_rows(runs, state))
         freedom = max(len(misses) - sum(s in expr.free_symbols for s in symbols), 1)
         normal += jacobian.T @ jacobian * freedom / max(float(misses @ misses), 1e-300)
     return np.linalg.pinv(normal, hermitian=True)
@@ -302,7 +332,7 @@ def score_map(
 
 
 def _starts(run: Trajectory) -> range:
-    return range(0, max(len(run) - _STEPS, 1), max(1, len(run) // 200))
+    return range(0, max(len(run) - _STEPS, 1), max(1, len(run) // ENOUGH_ROWS))
 
 
 def _free_run(equations: Mapping[str, sympy.Expr], run: Trajectory) -> np.ndarray:

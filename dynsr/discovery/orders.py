@@ -19,7 +19,7 @@ from dynsr.data import (
 )
 from dynsr.discovery.maps import pair_rows
 from dynsr.errors import InputError
-from dynsr.expression import check_name, shown, to_text_block
+from dynsr.expression import check_name, write_line
 from dynsr.fit import tidy
 
 Order = int | Mapping[str, int]
@@ -207,9 +207,7 @@ def write_lines(equations: Mapping[str, sympy.Expr], settings: Mapping[str, Any]
         for s, e in equations.items()
         if velocities.get(s) not in equations
     }
-    if form_of(settings).discrete:
-        return [f"{s}[n+1] = {shown(e)}" for s, e in written.items()]
-    return to_text_block(written).splitlines()
+    return [write_line(s, e, form_of(settings).discrete) for s, e in written.items()]
 
 
 def explain_velocity(state: str, velocity: str) -> str:

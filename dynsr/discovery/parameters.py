@@ -25,7 +25,7 @@ from dynsr.discovery.intervals import (
     write_interval,
 )
 from dynsr.errors import InputError, quoted, say_near
-from dynsr.expression import check_name, shown, slope_latex, to_latex_formula
+from dynsr.expression import check_name, slope_latex, to_latex_formula, write_line
 from dynsr.fit import ROUNDING, pairs_alike
 
 if TYPE_CHECKING:
@@ -162,18 +162,28 @@ class Parameters(Mapping[str, Parameter]):
     def __repr__(self) -> str:
         """Write a table."""
         columns = [column for column in zip(_HEAD, *self.rows(), strict=True) if any(column[1:])]
-        widths = [max(map(len, column)) for column in columns]
-        return "\n".join(
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in zip(*columns, strict=True)
-        )
+        return "\n".join(in_columns(list(zip(*columns, strict=True))))
 
     def _repr_html_(self) -> str:
-        def line(tag: str, row: Sequence[str]) -> str:
-            return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in row)}</tr>"
+        return as_html(_HEAD, self.rows())
 
-        rows = "".join(line("td", row) for row in self.rows())
-        return f"<table>{line('th', _HEAD)}{rows}</table>"
+
+def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Give the lines of a table whose columns are as wide as their longest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def as_html(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Give a table as HTML."""
+    lines = [
+        f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in row)}</tr>"
+        for tag, row in [("th", head), *(("td", row) for row in rows)]
+    ]
+    return f"<table>{''.join(lines)}</table>"
 
 
 def _escape_latex(text: str) -> str:
@@ -320,9 +330,8 @@ class ParametricSystem:
 
     def __repr__(self) -> str:
         """Write the equations with names, and what these stand for."""
-        left = "[n+1]" if self.discrete else "'"
         lines = [
-            f"{state}{left} = {shown(e, first=self.parameters)}"
+            write_line(state, e, self.discrete, first=self.parameters)
             for state, e in self.equations.items()
         ]
         values = [f"{name} = {value:.6g}" for name, value in self.parameters.numbers.items()]

@@ -27,7 +27,7 @@ from dynsr.discovery.conservation import conserve
 from dynsr.discovery.delays import DelaySettings
 from dynsr.discovery.free_parts import FREE, FreeSettings
 from dynsr.discovery.map_verdict import give_map_verdict
-from dynsr.discovery.maps import keep_within, measure_step_errors
+from dynsr.discovery.maps import keep_within, match_steps
 from dynsr.discovery.orders import Form, explain_velocity
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import (
@@ -105,8 +105,6 @@ OtherFormulas = Mapping[str, Sequence[tuple[sympy.Expr, float]]]
 _FAR_BELOW_NOISE = 0.2
 # Times the loss of the most probable formula up to which others may be as good on slopes.
 _AS_NEAR = 10.0
-# Rows of a run above which differences are taken from both sides.
-_FEW = 4
 # What found a form that no search has on its list.
 COMPARED = "comparing whole systems with the states"
 # How often noise is believed to be as little as a system leaves.
@@ -255,7 +253,7 @@ class Problem:
         """Make the samples of a state in no time, by differences."""
         if self.form.discrete:
             return self.form.samples(list(self.runs), state)
-        scheme = "central2" if min(map(len, self.runs)) > _FEW else "forward"
+        scheme = "central2" if min(map(len, self.runs)) >= FEWEST_SMOOTH else "forward"
         found = self.form.samples(list(self.runs), state, scheme=scheme)
         given = self.known.get(state, sympy.S.Zero)
         if len(found) > self.settings.rows:
@@ -356,11 +354,7 @@ class Problem:
             for s, e in system.items()
         }
         if self.form.discrete:
-            final = {s: tidy(e) for s, e in system.items()}
-            steps = {s: measure_step_errors(e, samples[s]) for s, e in final.items()}
-            errors = {s: own for s, (own, _) in steps.items()}
-            fitted = {s: own for s, (_, own) in steps.items()}
-            match = Match(final, errors, np.empty(0), True, fitted, found.reach)
+            match = match_steps({s: tidy(e) for s, e in system.items()}, samples, found.reach)
         elif self.confirmed:
             fit = self.settings.selection.fit
             exact = confirm(system, self.runs, self.inputs, fit)
@@ -430,11 +424,11 @@ class Problem:
         """Take the maps as they were picked, with the errors of their constants on one step."""
         pairs = {s: self.samples(s, self.runs, known_left_out=False) for s in picks}
         final = {s: keep_within(tidy(e), pairs[s]) for s, e in exprs.items()}
-        found = {s: measure_step_errors(e, pairs[s]) for s, e in final.items()}
+        match = match_steps(final, pairs)
         return Discovery(
             equations=final,
-            errors={s: errors for s, (errors, _) in found.items()},
-            fitted={s: fitted for s, (_, fitted) in found.items()},
+            errors=match.errors,
+            fitted=match.fitted,
             front={s: self._front(pools[s], p) for s, p in picks.items()},
             explanation={s: found_by(p.candidate.source) + notes[s] for s, p in picks.items()},
             details={s: self._named(s, p.explanation) for s, p in picks.items()},

@@ -57,8 +57,8 @@ from dynsr.discovery.map_verdict import give_map_verdict
 from dynsr.discovery.maps import (
     inputs_in,
     iterate,
+    match_steps,
     measure_step_covariance,
-    measure_step_errors,
     pair_rows,
     score_map,
     write_map_latex,
@@ -124,12 +124,12 @@ from dynsr.expression import (
     to_latex,
     to_numpy,
     to_text,
+    write_line,
     write_out,
 )
 from dynsr.fit import (
     FitSettings,
     Flow,
-    Match,
     Measurements,
     Noise,
     ParetoFront,
@@ -921,13 +921,8 @@ class Discovery:
         judging = self._settings(VerdictSettings, "verdict")
         fitting = self._settings(FitSettings, "selection", "fit")
         if self.is_map:
-            steps = {
-                s: measure_step_errors(e, pair_rows(self.trajectories, s))
-                for s, e in chosen.items()
-            }
-            errors = {s: own for s, (own, _) in steps.items()}
-            fitted = {s: own for s, (_, own) in steps.items()}
-            match = Match(chosen, errors, np.empty(0), True, fitted, self.reach)
+            pairs = {s: pair_rows(self.trajectories, s) for s in chosen}
+            match = match_steps(chosen, pairs, self.reach)
             verdict = give_map_verdict(chosen, self.trajectories, self.front, judging)
         else:
             slopes = self._slopes_of(chosen)
@@ -1890,10 +1885,9 @@ class Discovery:
         return to_latex(equations, time_unit, first)
 
     def _repr_html_(self) -> str:
-        left = "[n+1]" if self.is_map else "'"
         rows = "".join(
             f'<tr><td style="text-align:left">${escape(self._latex_line(s))}$'
-            f"<br><code>{escape(s)}{left} = {escape(shown(e))}</code>"
+            f"<br><code>{escape(write_line(s, e, self.is_map), quote=False)}</code>"
             f'</td><td style="text-align:left">{escape(self._said_of(s))}</td>'
             f'<td style="text-align:left">{escape(self.explanation.get(s, ""))}</td></tr>'
             for s, e in self.equations.items()

@@ -41,8 +41,8 @@ from dynsr.expression import counting, expand_terms, read_own_bits
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
 from dynsr.jobs import Budget, finish_by
 
-# Columns and spans of these sizes are searched as they are.
-_USUAL = (1e-6, 1e6)
+# Columns and spans of sizes up to this one, and down to one over it, are searched as they are.
+_USUAL = 1e6
 # Beyond these products of a few numbers and slopes leave float64.
 _LARGEST = 1e50
 # Share by which constants of one value are set apart.
@@ -508,7 +508,7 @@ def _scale(own: Any, factor: float) -> Any:
 
 
 def _unit(size: float) -> sympy.Rational:
-    if size == 0 or _USUAL[0] <= size <= _USUAL[1]:
+    if size == 0 or 1 / _USUAL <= size <= _USUAL:
         return sympy.S.One
     return sympy.Integer(10) ** math.floor(math.log10(size))
 

@@ -7,7 +7,6 @@ its sign, and what neighbouring steps do not share.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,13 +15,13 @@ from typing import Any
 
 import numpy as np
 import sympy
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc
 
 from dynsr.data import Trajectory
 from dynsr.discovery.diffusion import Diffusion, DiffusionTerm, log_interval
 from dynsr.discovery.hidden import claim_folder, is_given, record_search
 from dynsr.discovery.intervals import match_constants
-from dynsr.discovery.maps import products_of
+from dynsr.discovery.maps import chance_of, products_of
 from dynsr.discovery.prediction import record_hold
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.discovery.result import Discovery
@@ -36,8 +35,10 @@ from dynsr.discovery.verdict import (
     TermCertainty,
     Verdict,
     VerdictSettings,
+    doubt_terms,
     explain,
     is_probable,
+    most_by_chance,
     weakest,
 )
 from dynsr.engines import DEFAULT_ENGINE, refuse_idle
@@ -285,8 +286,8 @@ class _Tests:
         chi = float(np.mean(white[told] ** 2))
         terms = self._terms(state)
         compared = tuple(
-            OtherFormula(shown(tidy(expr), 4), float(f"{bits:.6g}")) for expr, bits in others
-        )[: self.settings.alternatives]
+            OtherFormula.of(expr, bits) for expr, bits in others[: self.settings.alternatives]
+        )
         spread = float(self.search.series.scale[place])
         error = (self.best.fit.system.errors or {}).get(state, 0.0)
         found = StateVerdict(
@@ -344,10 +345,7 @@ class _Tests:
         self, terms: Sequence[TermCertainty], others: Sequence[tuple[sympy.Expr, float]]
     ) -> list[str]:
         """Give what leaves the drift itself open."""
-        found = []
-        unsure = dict.fromkeys(own.term for own in terms if own.ratio < self.settings.sure)
-        if unsure:
-            found.append(f"the data leave it open whether it needs {', '.join(unsure)}")
+        found = doubt_terms(terms, self.settings)
         if not is_probable([bits for _, bits in others], self.settings):
             near, bits = others[0]
             how = "does better" if bits < 0 else "does as well"
@@ -375,11 +373,7 @@ class _Tests:
         if not degree:
             return False
         own = flat[told] - flat[told].mean()
-        weights, *_ = np.linalg.lstsq(design, own, rcond=None)
-        left = float(np.sum((own - design @ weights) ** 2))
-        freedom = len(own) - count
-        ratio = (float(own @ own) - left) / (count - 1) / max(left / freedom, 1e-300)
-        return bool(fdtrc(count - 1, freedom, ratio) < self.chances.chance)
+        return chance_of(design, own, count - 1) < self.chances.chance
 
     def _is_correlated(self, white: np.ndarray) -> bool:
         """Say whether neighbouring steps are missed by the same (Ljung and Box 1978)."""
@@ -403,5 +397,4 @@ class _Tests:
             return False
         white = replace(first, problem=replace(first.problem, series=after)).white
         chi = float(np.mean(white**2))
-        # Twice what chance is, and four of its own standard errors.
-        return bool(chi > 2 + 4 * math.sqrt(2 / white.size))
+        return chi > most_by_chance(white.size)

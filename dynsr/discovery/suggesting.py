@@ -19,6 +19,7 @@ import sympy
 
 from dynsr.data import Trajectory
 from dynsr.discovery.alternatives import count_constants
+from dynsr.discovery.parameters import in_columns
 from dynsr.engines import Drive
 from dynsr.errors import InputError
 from dynsr.expression import bare_term, expand_terms, ratio_forms, shown
@@ -201,12 +202,7 @@ class Suggestion:
     def __repr__(self) -> str:
         """Write the heading, the span and the table."""
         rows = [self.columns, *(tuple(map(_read, row)) for row in self.table())]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        ]
-        return "\n".join([self.heading, f"{self.size}:", *lines])
+        return "\n".join([self.heading, f"{self.size}:", *in_columns(rows)])
 
     @property
     def size(self) -> str:

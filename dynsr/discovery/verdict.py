@@ -25,6 +25,7 @@ from dynsr.discovery.drift import DRIFT, Drift, DriftSettings
 from dynsr.discovery.drift_along import Along
 from dynsr.discovery.drift_exact import drift_of_slopes, same_in_time
 from dynsr.discovery.following import (
+    ENOUGH_ROWS,
     FAR,
     Course,
     Followed,
@@ -35,7 +36,7 @@ from dynsr.discovery.following import (
 )
 from dynsr.discovery.layers import cross_layers
 from dynsr.errors import InputError, one_line, quoted
-from dynsr.expression import abridged, evaluate, has_pole, shown
+from dynsr.expression import abridged, evaluate, has_pole, shown, write_line
 from dynsr.fit import (
     FLOOR,
     ROUNDING,
@@ -174,6 +175,11 @@ class OtherFormula:
     equation: str
     bits: float
 
+    @classmethod
+    def of(cls, expr: sympy.Expr, bits: float) -> OtherFormula:
+        """Write a formula that takes so many bits more."""
+        return cls(shown(tidy(expr), 4), round_off(bits))
+
 
 def _check_level(level: str) -> None:
     if level not in LEVELS:
@@ -274,6 +280,18 @@ def is_probable(others: Sequence[float], settings: VerdictSettings) -> bool:
     with np.errstate(over="ignore"):
         weight = float(np.sum(np.exp2(-np.array(others, dtype=float))))
     return 1 / (1 + weight) >= settings.probable
+
+
+def most_by_chance(count: int) -> float:
+    """Give twice the mean square of so many errors by chance, and four of its standard errors."""
+    return 2 + 4 * math.sqrt(2 / max(count, 1))
+
+
+def doubt_terms(terms: Sequence[TermCertainty], settings: VerdictSettings) -> list[str]:
+    """Say which terms the data leave open; nothing where there are none."""
+    unsure = list(dict.fromkeys(t.term for t in terms if t.ratio < settings.sure))
+    some = unsure if len(unsure) <= _NAMED else [*unsure[: _NAMED - 1], "others"]
+    return [f"the data leave it open whether it needs {_join(some)}"] if some else []
 
 
 def untested(equations: Iterable[str]) -> Verdict:
@@ -656,11 +674,11 @@ class _Bench:
                 allowed.append(1.0)
                 continue
             missed.append(np.sqrt(np.mean((z * unit)[mine] ** 2)) / self.spread[i])
-            mine = mine[:: max(1, len(mine) // 200)]
+            mine = mine[:: max(1, len(mine) // ENOUGH_ROWS)]
             joint = by[mine] @ covariance @ by[mine].T + level[i] * np.eye(len(mine))
             tamed = z[mine]
             surprise.append(float(tamed @ np.linalg.solve(joint, tamed)) / len(mine))
-            allowed.append(2.0 + 4.0 * math.sqrt(2 / len(mine)))
+            allowed.append(most_by_chance(len(mine)))
         return np.array(missed), np.array(surprise), np.array(allowed)
 
     def test_state(
@@ -687,8 +705,7 @@ class _Bench:
                 rows=round_off(float(followed.independent[place]) * self.course.thinned),
                 terms=self._terms(state, evidence, followed),
                 alternatives=tuple(
-                    OtherFormula(shown(tidy(e), 4), round_off(bits))
-                    for e, bits in sorted(close, key=_bits)
+                    OtherFormula.of(e, bits) for e, bits in sorted(close, key=_bits)
                 ),
             )
         rows = self._rows(followed, place)
@@ -743,7 +760,7 @@ class _Bench:
             else:
                 continue
             if drift.timed:
-                alternative = OtherFormula(shown(tidy(drift.expr), 4), round_off(drift.bits))
+                alternative = OtherFormula.of(drift.expr, drift.bits)
                 told = replace(told, alternatives=(alternative, *own.alternatives))
             found[state] = told
         return found
@@ -866,10 +883,7 @@ class _Bench:
         if not (settled or evidence.surprise[place] <= evidence.allowed[place]):
             by = "diverges" if share is None else f"has an error of {percent(share)} of the spread"
             doubts.append(f"a forecast of the last {settings.held_back:.0%} of the data {by}")
-        unsure = [t.term for t in found.terms if t.ratio < settings.sure]
-        if unsure:
-            some = unsure if len(unsure) <= _NAMED else [*unsure[: _NAMED - 1], "others"]
-            doubts.append(f"the data leave it open whether it needs {_join(some)}")
+        doubts += doubt_terms(found.terms, settings)
         near = self._doubted_for(found.alternatives, self.clean[place])
         if near and near[0].bits < -settings.alternative_bits:
             doubts.append(f"{near[0].equation} fits them better")
@@ -1073,8 +1087,8 @@ def explain(
     >>> explain("x", sympy.Symbol("y"), StateVerdict("law", "reproduces the data exactly.", 1.0))
     "x' = y: law; reproduces the data exactly."
     """
-    left = f"{state}[n+1]" if discrete else f"{state}'"
-    said = f"{left} = {shown(tidy(expr))}: {verdict.level}; {verdict.reason}"
+    line = write_line(state, tidy(expr), discrete)
+    said = f"{line}: {verdict.level}; {verdict.reason}"
     if not verdict.alternatives or verdict.level == NOT_FOUND:
         return said
     alternative = verdict.alternatives[0]

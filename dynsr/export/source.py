@@ -15,7 +15,14 @@ from dynsr import __version__
 from dynsr.data import System, Trajectory
 from dynsr.discovery import Delay, Discovery, Parameters, ParametricSystem, write_interval
 from dynsr.errors import InputError
-from dynsr.expression import call_names, check_name, differentiate, shown, with_signs, write_out
+from dynsr.expression import (
+    call_names,
+    check_name,
+    differentiate,
+    with_signs,
+    write_line,
+    write_out,
+)
 
 _TEXT = re.compile(r"\"[^\"\n]*\"|'[^'\n]*'")
 _IDENTIFIER = re.compile(r"(?<![.\w])[^\W\d]\w*")
@@ -238,9 +245,8 @@ class Source:
 
     def lines(self) -> list[str]:
         """Give the equations in words of a person."""
-        left = "[n+1]" if self.system.discrete else "'"
-        names = self.system.parameters
-        return [f"{s}{left} = {shown(e, first=names)}" for s, e in self.system.equations.items()]
+        names, discrete = self.system.parameters, self.system.discrete
+        return [write_line(s, e, discrete, first=names) for s, e in self.system.equations.items()]
 
 
 def as_code(expr: sympy.Expr) -> sympy.Expr:

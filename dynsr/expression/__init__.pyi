@@ -16,6 +16,7 @@ from .export import (
     arguments_of,
     call_names,
     julia_code,
+    left_of,
     shown,
     slope_latex,
     take_inputs,
@@ -23,8 +24,8 @@ from .export import (
     to_latex_formula,
     to_mathml,
     to_numpy,
-    to_text_block,
     with_signs,
+    write_line,
 )
 from .operators import FUNCTIONS, OPERATORS
 from .own_bits import added_bits, bits_in_force, counting, read_own_bits
@@ -69,6 +70,7 @@ __all__ = [
     "expand_terms",
     "has_pole",
     "julia_code",
+    "left_of",
     "marks",
     "number_bits",
     "parse",
@@ -84,8 +86,8 @@ __all__ = [
     "to_mathml",
     "to_numpy",
     "to_text",
-    "to_text_block",
     "unknown_calls",
     "with_signs",
+    "write_line",
     "write_out",
 ]

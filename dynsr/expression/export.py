@@ -291,13 +291,20 @@ def julia_code(expr: sympy.Expr) -> str:
     return code.replace(".*", "*").replace("./", "/").replace(".^", "^")
 
 
-def to_text_block(equations: Mapping[str, sympy.Expr], digits: int = 6) -> str:
-    """Write the equations as plain text, one per line, constants to so many digits.
+def left_of(state: str, discrete: bool) -> str:
+    """Write the left side of the equation of a state: its slope, or its next row."""
+    return f"{state}[n+1]" if discrete else f"{state}'"
 
-    >>> to_text_block({"x": -2 * sympy.Symbol("x")})
-    "x' = -2*x"
-    """
-    return "\n".join(f"{s}' = {shown(e, digits)}" for s, e in equations.items())
+
+def write_line(
+    state: str,
+    expr: sympy.Expr,
+    discrete: bool = False,
+    digits: int = 6,
+    first: Collection[str] = (),
+) -> str:
+    """Write the equation of one state, or its map, in a line; see :func:`shown`."""
+    return f"{left_of(state, discrete)} = {shown(expr, digits, first)}"
 
 
 def shown(expr: sympy.Expr, digits: int = 6, first: Collection[str] = ()) -> str:

@@ -42,6 +42,7 @@ from .flow import Flow, Pace, Windows, cut_windows, runge_kutta_step
 from .forced import missing_terms
 from .linear import (
     DEPENDENT,
+    NOTHING_LEFT,
     ROUNDING,
     RatioFit,
     cauchy_weights,
@@ -70,6 +71,7 @@ from .polishing import loosen_all, polish, simple_numbers, untouched_match
 from .profile import ProfileSettings, Profiling
 from .settings import FIT, CollocationSettings, FitSettings
 from .shooting import (
+    ROUGH,
     STABLE,
     Driven,
     Match,
@@ -83,7 +85,7 @@ from .shooting import (
     prepare,
     read_inputs,
 )
-from .simple import simplicity_bits, use_bits_together
+from .simple import FINEST, simplicity_bits, use_bits_together
 from .snapping import one_a_shape, score_snapped, snap_best, tidy
 from .stochastic import (
     Series,
@@ -98,9 +100,12 @@ from .whole import interval_reach
 __all__ = [
     "CURVED",
     "DEPENDENT",
+    "FINEST",
     "FIT",
     "FLOOR",
     "LOSSES",
+    "NOTHING_LEFT",
+    "ROUGH",
     "ROUNDING",
     "STABLE",
     "AlongFit",

@@ -15,8 +15,8 @@ import numpy as np
 
 # Share of a size below which a number is rounding, of float64 or of a fit.
 ROUNDING = 1e-12
-# The same of a singular value of unit columns, and of an eigenvalue of their products.
-DEPENDENT, _SINGULAR = 1e-10, 1e-13
+# The same of a singular value of unit columns, and of a square that is left of them.
+DEPENDENT, NOTHING_LEFT = 1e-10, 1e-13
 # What the steps of Levenberg and Marquardt are damped by at first, and by how much more after one
 # that is no better.
 DAMPED, DAMPING = 1e-4, 10.0
@@ -302,7 +302,7 @@ def invert_normal(normal: np.ndarray) -> np.ndarray:
     own = np.diag(normal)
     scale = np.sqrt(np.where(own > 0, own, np.inf))
     units = np.outer(scale, scale)
-    return np.asarray(np.linalg.pinv(normal / units, rcond=_SINGULAR, hermitian=True) / units)
+    return np.asarray(np.linalg.pinv(normal / units, rcond=NOTHING_LEFT, hermitian=True) / units)
 
 
 def know(

@@ -139,6 +139,22 @@ def _fit(
     return fit_states(exprs, _plain(data), inputs, settings, near=near)
 
 
+def _numbers(fit: Fit, taken: Mapping[int, sympy.Expr]) -> list[sympy.Expr]:
+    """Give the constants, some of them with the numbers that were taken for them."""
+    return [taken.get(i, number) for i, number in enumerate(as_floats(fit.constants))]
+
+
+def _fit_with(
+    fit: Fit,
+    taken: Mapping[int, sympy.Expr],
+    runs: Data,
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+) -> Fit | None:
+    """Fit all other constants again once some have numbers."""
+    return _fit(fit.put(_numbers(fit, taken)), runs, inputs, settings, near=fit)
+
+
 def _polish_noisy(
     exprs: Mapping[str, sympy.Expr],
     runs: Data,
@@ -271,8 +287,7 @@ def _whole_numbers(
     whole = {place: whole[i] for place, i in enumerate(order) if i in whole}
     if _allowed(short, whole, runs, inputs, settings):
         return fit, {}
-    numbers = [whole.get(i, n) for i, n in enumerate(as_floats(short.constants))]
-    again = _fit(short.put(numbers), runs, inputs, settings, near=short)
+    again = _fit_with(short, whole, runs, inputs, settings)
     rise = math.inf if again is None else short.ratio(again) / short.misses.size
     return (short, whole) if rise <= settings.solver else (fit, {})
 
@@ -288,8 +303,7 @@ def _allowed(
 
     At the level of ``surely_zero`` standard errors, as for terms: most whole numbers are factors 1.
     """
-    numbers = [taken.get(i, number) for i, number in enumerate(as_floats(fit.constants))]
-    again = _fit(fit.put(numbers), runs, inputs, settings, near=fit)
+    again = _fit_with(fit, taken, runs, inputs, settings)
     beyond = chdtrc(1, settings.surely_zero**2)
     return again is not None and fit.ratio(again) <= chdtri(len(taken), beyond)
 
@@ -306,16 +320,11 @@ def _simple_numbers(
     Those in ``whole`` have theirs, and constants that are one have the same.
     Those that have none are fitted again and written with the digits their errors support.
     """
-    base = fit
-    if whole:
-        held = [whole.get(i, number) for i, number in enumerate(as_floats(fit.constants))]
-        base = _fit(fit.put(held), runs, inputs, settings, near=fit) or fit
+    base = (_fit_with(fit, whole, runs, inputs, settings) if whole else None) or fit
     ties = _ties(fit, list(whole), settings)
     taken = {**whole, **_simple_together(fit, whole, ties, settings)}
     while True:
-        floats = as_floats(fit.constants)
-        numbers = [taken.get(i, number) for i, number in enumerate(floats)]
-        again = _fit(fit.put(numbers), runs, inputs, settings, near=fit) if taken else fit
+        again = _fit_with(fit, taken, runs, inputs, settings) if taken else fit
         more = [i for i in taken if i not in whole]
         allowed = chdtri(len(more), 1 - settings.joint) if more else math.inf
         if again is None and not more:
@@ -325,7 +334,7 @@ def _simple_numbers(
             taken = {i: number for i, number in taken.items() if i not in ties.partners[worst]}
             continue
         break
-    order = list(range(len(fit.constants)) if again is fit else _places(fit, numbers))
+    order = list(range(len(fit.constants)) if again is fit else _places(fit, _numbers(fit, taken)))
     rest = dict(zip(order, _write_tied(again, runs, inputs, settings), strict=True))
     return [
         taken[i] if i in taken else sympy.Float(rest[i] if i in rest else written_constant(*own))

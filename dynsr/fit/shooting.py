@@ -33,6 +33,8 @@ _MOST_HALVINGS = 6
 INTERVALS = 10
 # Share of the median residual by which a step of the integration may move a state.
 STEP_ERROR = 0.01
+# Share of the loss by which a step lowers it at least where a fit need not be exact.
+ROUGH = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +173,7 @@ class Shooting:
         unit = self.unit(misses)[:, None]
         level, damping = _level(loss, misses / unit), DAMPED
         if np.max(unit) < _SOLVER:
-            gain = max(gain, 1e-3)
+            gain = max(gain, ROUGH)
         for _ in range(most):
             misses, by_constant, by_start = self.linearise(constants, starts, track)
             weights = _weigh(loss, (misses / unit) ** 2) / unit**2

@@ -17,6 +17,7 @@ from typing import TypeAlias
 import numpy as np
 import sympy
 
+from dynsr.expression import LARGEST_IN_FRACTION
 from dynsr.fit.linear import know
 from dynsr.fit.settings import FIT, FitSettings
 
@@ -39,6 +40,10 @@ LARGE_PARTS = Kind(0.002, True)
 DIGITS = {1: Kind(0.15), 2: Kind(0.15), 3: Kind(0.02, True), 4: Kind(0.01, True)}
 KNOWN = Kind(0.01)
 MEASURED = 0.25
+# The largest denominator of fractions that do not ask for precision.
+LARGEST_UNPINNED = 8
+# Share of a constant below which no error of a fit along states is believed.
+FINEST = 1e-6
 # Numbers of physics and mathematics that have names.
 _NAMED: tuple[Number, ...] = (Fraction(981, 100), sympy.pi, 2 * sympy.pi)
 _LARGEST_WHOLE = 100
@@ -101,7 +106,7 @@ def use_bits(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
     array([ 7., -2.])
     """
     size = np.maximum(np.abs(values), 1e-300)
-    finest = np.where(np.isfinite(errors), np.maximum(errors, 1e-6 * size), np.inf)
+    finest = np.where(np.isfinite(errors), np.maximum(errors, FINEST * size), np.inf)
     decade = 10.0 ** np.floor(np.log10(size))
     kinds = (
         (WHOLE, np.ones_like(size), 0.0),
@@ -172,11 +177,12 @@ def _numbers(value: float, pinned: bool) -> list[tuple[Number, float, float]]:
 
     if value < _LARGEST_WHOLE:
         add(_around(value, Fraction(1)), WHOLE, 1.0)
-        for q in range(2, 13):
-            kind = HALF if q == 2 else SMALL_PARTS if q <= 4 else PARTS if q <= 8 else LARGE_PARTS
+        for q in range(2, LARGEST_IN_FRACTION + 1):
+            parts = PARTS if q <= LARGEST_UNPINNED else LARGE_PARTS
+            kind = HALF if q == 2 else SMALL_PARTS if q <= 4 else parts
             numbers = {n for n in _around(value, Fraction(1, q)) if n.denominator == q}
             coprime = sum(math.gcd(p, q) == 1 for p in range(q))
-            add({n for n in numbers if n.numerator <= 12}, kind, 1 / coprime)
+            add({n for n in numbers if n.numerator <= LARGEST_IN_FRACTION}, kind, 1 / coprime)
     for digits, kind in DIGITS.items():
         exponent = math.floor(math.log10(value)) - digits + 1
         step = Fraction(10) ** exponent

@@ -32,6 +32,7 @@ from dynsr.fit.constants import Template, as_floats, refit, skeleton
 from dynsr.fit.description import data_bits, description_length, shift_bits
 from dynsr.fit.noise import Noise, noise_of
 from dynsr.fit.settings import FIT, FitSettings
+from dynsr.fit.simple import LARGEST_UNPINNED
 
 # Longer decimals are no simple numbers: six digits cost as many bits as most data support.
 _MOST_DIGITS = 6
@@ -74,7 +75,7 @@ def usable_numbers(value: float, error: float, settings: FitSettings = FIT) -> l
         return [n for n in found if abs(n) <= 1 and n.is_Integer]
     if error <= settings.pinned * abs(value):
         return found
-    return [n for n in found if int(n.q) <= 8 or _is_short(n)]
+    return [n for n in found if int(n.q) <= LARGEST_UNPINNED or _is_short(n)]
 
 
 def _is_short(number: sympy.Rational) -> bool:

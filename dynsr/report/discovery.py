@@ -41,7 +41,16 @@ from dynsr.discovery import (
 from dynsr.engines import FixedPoint
 from dynsr.errors import DynsrError, InputError
 from dynsr.export import Source, list_formats, pack_format
-from dynsr.expression import arguments_of, complexity, counting, evaluate, shown, to_mathml
+from dynsr.expression import (
+    arguments_of,
+    complexity,
+    counting,
+    evaluate,
+    left_of,
+    shown,
+    to_mathml,
+    write_line,
+)
 from dynsr.fit import Candidate, ParetoFront, free_constants, is_noisy, loosen, rmse
 from dynsr.jobs import to_plain
 from dynsr.methods import choose_methods
@@ -270,7 +279,7 @@ def render_discovery(found: Discovery) -> str:
         ],
         refused=refused,
         left_out=max(0, len(found.trajectories) - _MOST_RUNS),
-        left="[n+1]" if found.is_map else "'",
+        left=left_of("", found.is_map),
         targets=_TARGETS[found.is_map],
         slopes=[picture for state in samples for picture in _slopes(found, samples[state])],
         scores=_scores(found),
@@ -330,7 +339,7 @@ def _is_said(found: Discovery, own: StateVerdict) -> bool:
 
 def _equation(found: Discovery, state: str) -> dict[str, Any]:
     expr = found.equations[state]
-    text = f"{state}{'[n+1]' if found.is_map else chr(39)} = {shown(expr)}"
+    text = write_line(state, expr, found.is_map)
     why, own = found.explanation.get(state, ""), found.verdict.states.get(state)
     if why.startswith(f"{text}: "):
         why = why.removeprefix(f"{text}: ")
@@ -410,15 +419,14 @@ def _constants(found: Discovery) -> Table | None:
     system = found.system
     if not found.parameters.rows():
         return None
-    left = "[n+1]" if found.is_map else "'"
     lines = "; ".join(
-        f"{state}{left} = {shown(e, first=system.parameters)}"
+        write_line(state, e, found.is_map, first=system.parameters)
         for state, e in system.equations.items()
     )
     rows = [
         (
             *(name, value, interval, _fitted(found, found.parameters[name]), error, unit),
-            of.replace("'", left),
+            of.replace("'", left_of("", found.is_map)),
         )
         for name, value, error, interval, unit, of in found.parameters.rows()
     ]

@@ -34,7 +34,7 @@ from .pick import (
     trivial_candidates,
 )
 from .propose import term_bits
-from .relations import is_left_open
+from .relations import VANISHES, is_left_open
 from .shapes import bodies_of
 from .stochastic import (
     STOCHASTIC_SEARCH,
@@ -56,6 +56,7 @@ from .terms import move_inside, products, weighted_sum
 __all__ = [
     "HIDDEN",
     "STOCHASTIC_SEARCH",
+    "VANISHES",
     "Approximation",
     "ApproximationSettings",
     "Compared",

@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import added_bits, bits_in_force
-from dynsr.fit import one_of_each_shape, precision_bits
+from dynsr.fit import NOTHING_LEFT, one_of_each_shape, precision_bits
 from dynsr.library import (
     Library,
     LibrarySettings,
@@ -30,8 +30,6 @@ from dynsr.selection.evidence import Evidence
 from dynsr.selection.shapes import bodies_of, wide_factors
 from dynsr.selection.subsets import LEAST_LEFT
 
-# Square of what is left of a unit column from which on it is rounding.
-_NOTHING = 1e-13
 # Of many sums that could be grown, so many are put in order at first.
 _FIRST = 20_000
 # Share of the misses by which two sums of as many terms differ that are two functions.
@@ -529,20 +527,20 @@ class Proposer:
             for i, j in left:
                 left[i, j] -= said[i] * said[j]
         alone = np.where(
-            left[0, 0] > _NOTHING, pulls[0] ** 2 / np.maximum(left[0, 0], _NOTHING), 0.0
+            left[0, 0] > NOTHING_LEFT, pulls[0] ** 2 / np.maximum(left[0, 0], NOTHING_LEFT), 0.0
         )
         # The slopes are taken out of the values one by one, the last first.
         own, inverse = list(pulls), {}
         for k in range(last, 0, -1):
-            told = left[k, k] > _NOTHING
-            inverse[k] = np.where(told, 1 / np.maximum(left[k, k], _NOTHING), 0.0)
+            told = left[k, k] > NOTHING_LEFT
+            inverse[k] = np.where(told, 1 / np.maximum(left[k, k], NOTHING_LEFT), 0.0)
             for i in range(k):
                 share = left[i, k] * inverse[k]
                 own[i] = own[i] - share * own[k]
                 for j in range(i, k):
                     left[i, j] = left[i, j] - share * left[j, k]
         weight = own[0] / left[0, 0]
-        moves, gain, free = [weight], weight * pulls[0], left[0, 0] > _NOTHING
+        moves, gain, free = [weight], weight * pulls[0], left[0, 0] > NOTHING_LEFT
         for k in range(1, last + 1):
             said = sum(left[i, k] * move for i, move in enumerate(moves))
             moves.append((own[k] - said) * inverse[k])
@@ -630,7 +628,7 @@ class Proposer:
         rows[~fine] = 0.0
         q, r = np.linalg.qr((rows / sizes[:, :, None]).swapaxes(1, 2))
         apart = np.abs(np.diagonal(r, axis1=1, axis2=2))
-        fine &= np.all(apart**2 > _NOTHING, axis=1)
+        fine &= np.all(apart**2 > NOTHING_LEFT, axis=1)
         r[~fine] = np.eye(terms)
         basis = q.swapaxes(1, 2)
         inner = basis @ y

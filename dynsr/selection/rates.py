@@ -15,15 +15,13 @@ from itertools import combinations
 import numpy as np
 import sympy
 
-from dynsr.fit import free_constants, skeleton
+from dynsr.fit import FINEST, free_constants, skeleton
 
 # Shares of the terms of two equations that have one constant: of products, of bare columns.
 _SAME, _BARE = 0.5, 0.2
 _Terms = Mapping[sympy.Expr, tuple[sympy.Expr, sympy.Expr]]
 # Standard errors beyond which a difference is no noise.
 SIGMA = 3.0
-# Integration itself is not surer, as a share of the value.
-_FINEST = 1e-6
 
 
 def shared_bits(
@@ -183,7 +181,7 @@ def _agreement(
     sides, sizes = np.sign(constants[[first, second]]), np.abs(constants[[first, second]])
     variance = pair[0, 0] + pair[1, 1] - 2 * sides[0] * sides[1] * pair[0, 1]
     size = float(sizes.mean())
-    error = max(math.sqrt(max(float(variance), 0.0)), _FINEST * size, 1e-300)
+    error = max(math.sqrt(max(float(variance), 0.0)), FINEST * size, 1e-300)
     z = float(sizes[0] - sizes[1]) / error
     density = math.exp(-z * z / 2) / math.sqrt(2 * math.pi) / error
     return max(math.log2(1 - share + share * 2 * size * density), 0.0)

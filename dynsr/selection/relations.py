@@ -16,18 +16,18 @@ from itertools import combinations_with_replacement, compress
 import numpy as np
 import sympy
 
-from dynsr.expression import expand_terms
+from dynsr.expression import LARGEST_IN_FRACTION, expand_terms
 
 # Share of the largest direction that one which vanishes may be, and how far below the last that
 # does not: along any short arc the directions become small one after another.
-_VANISHES, _FALLS = 1e-6, 100.0
+VANISHES, _FALLS = 1e-6, 100.0
 # Degree from which on a product of a column and what vanishes may stand in a polynomial.
 _CUBIC = 3
 # Rows that are enough.
 _ROWS = 400
-# The smallest value of a column, as a share of its largest, from which on it has a logarithm; whole
-# coefficients up to this one, and the share by which they may differ, are no chance.
-_POSITIVE, _LARGEST, _WHOLE = 1e-3, 12, 1e-6
+# The smallest value of a column, as a share of its largest, from which on it has a logarithm, and
+# the share by which whole coefficients that are no chance may differ.
+_POSITIVE, _WHOLE = 1e-3, 1e-6
 # Weight from which on a column has a part in a direction.
 _PART = 1e-3
 # Powers of a product that are looked at.
@@ -89,7 +89,7 @@ def _may_be_multiplied(term: sympy.Expr, tied: Mapping[str, bool]) -> bool:
 
 def _is_whole(value: float) -> bool:
     size = abs(value)
-    return bool(0 < round(size) <= _LARGEST and abs(size - round(size)) <= _WHOLE * size)
+    return bool(0 < round(size) <= LARGEST_IN_FRACTION and abs(size - round(size)) <= _WHOLE * size)
 
 
 def _tied(names: list[str], columns: Mapping[str, np.ndarray]) -> dict[str, bool]:
@@ -109,7 +109,7 @@ def _tied(names: list[str], columns: Mapping[str, np.ndarray]) -> dict[str, bool
         return {}
     lengths = np.linalg.norm(rows, axis=1)
     directions, found, _ = np.linalg.svd(rows / lengths[:, None], full_matrices=False)
-    if found[-1] > _VANISHES * found[0] or not _falls(found, len(found) - 1):
+    if found[-1] > VANISHES * found[0] or not _falls(found, len(found) - 1):
         return {}
     weights = directions[:, -1]
     kept = np.abs(weights) > _PART
@@ -137,7 +137,7 @@ def have_a_fixed_sum(columns: Mapping[str, np.ndarray]) -> bool:
     if unit is None:
         return True
     sizes = np.linalg.svd(unit, compute_uv=False)
-    return bool(sizes[-1] <= _VANISHES * sizes[0])
+    return bool(sizes[-1] <= VANISHES * sizes[0])
 
 
 def _falls(sizes: np.ndarray, place: int) -> bool:
@@ -165,7 +165,7 @@ def _bound(names: list[str], columns: Mapping[str, np.ndarray]) -> set[str]:
     kept: list[int] = []
     for place in range(len(names)):
         sizes = np.linalg.svd(unit[[*kept, place]], compute_uv=False)
-        if sizes[-1] > _VANISHES * sizes[0]:
+        if sizes[-1] > VANISHES * sizes[0]:
             kept.append(place)
     pairs = list(combinations_with_replacement(kept, 2))
     products = [unit[i] * unit[j] for i, j in pairs]
@@ -174,7 +174,7 @@ def _bound(names: list[str], columns: Mapping[str, np.ndarray]) -> set[str]:
         return set()
     terms /= np.linalg.norm(terms, axis=1)[:, None]
     directions, sizes, _ = np.linalg.svd(terms, full_matrices=False)
-    vanish = np.flatnonzero(sizes <= _VANISHES * sizes[0])
+    vanish = np.flatnonzero(sizes <= VANISHES * sizes[0])
     falls = [i for i in vanish.tolist() if i and _falls(sizes, i)]
     if not falls:
         return set()

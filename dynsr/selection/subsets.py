@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynsr.fit import ROUNDING
+
 # Square of what is left of a unit column from which on it is rounding.
 _NOTHING = 1e-7
 # Share of its size, or of the largest, below which a direction is only rounding.
@@ -189,7 +191,7 @@ class _Layer:
     ) -> None:
         """Take columns out in one row; ``sides`` (c, 1 + c) are their products with all."""
         own = sides[mine]
-        solved = np.linalg.lstsq(own[:, 1:][:, mine], own, rcond=1e-12)[0]
+        solved = np.linalg.lstsq(own[:, 1:][:, mine], own, rcond=ROUNDING)[0]
         gained, left = solved[:, 0], own[:, 1:]
         self.coefficients[row, mine] = gained
         self.rest[row] -= gained @ left
