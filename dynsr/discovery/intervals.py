@@ -6,6 +6,7 @@ The order in which SymPy keeps the constants of a formula is not that in which i
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -98,8 +99,9 @@ def _digits_of(low: float | None, high: float | None) -> int:
     if low is None or high is None or not 0 < high - low < math.inf:
         return 6
     size = max(abs(low), abs(high))
-    # A float has no more than 17 digits.
-    return min(17, max(2, math.ceil(math.log10(size / (high - low))) + 2))
+    # A float has no more digits.
+    most = sys.float_info.dig + 2
+    return min(most, max(2, math.ceil(math.log10(size / (high - low))) + 2))
 
 
 def _close(one: float, other: float) -> bool:

@@ -15,7 +15,7 @@ import sympy
 from dynsr.data import Trajectory, write_own
 from dynsr.engines import DEFAULT_ENGINE
 from dynsr.errors import InputError, one_line, quoted
-from dynsr.expression import arguments_of, check_name, parse
+from dynsr.expression import abridged, arguments_of, check_name, parse
 from dynsr.fit import Candidate, ParetoFront
 from dynsr.jobs import RecordError, checksum, fingerprint, from_plain, read_json, to_json
 
@@ -137,7 +137,9 @@ def _take(kind: Any, value: Any, name: str) -> Any:
     except InputError:
         raise
     except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise InputError(f"{name!r} is damaged ({one_line(error)[:80]}); save it again") from None
+        raise InputError(
+            f"{name!r} is damaged ({abridged(one_line(error))}); save it again"
+        ) from None
 
 
 def _read(

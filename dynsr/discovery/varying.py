@@ -24,7 +24,7 @@ from dynsr.discovery.by_run import RunParameters
 from dynsr.discovery.intervals import printed_order, take_apart
 from dynsr.discovery.parameters import Parameter, name_constants, put_names
 from dynsr.errors import InputError
-from dynsr.expression import evaluate, shown
+from dynsr.expression import evaluate, marks, shown
 from dynsr.fit import (
     Measurements,
     Mixed,
@@ -266,8 +266,8 @@ class Study:
 
     def _structure(self, equations: Equations, names: Mapping[str, object]) -> float:
         """Bits of equations without their constants."""
-        marks = {sympy.Symbol(name): sympy.Float(1 + 1 / (3 + i)) for i, name in enumerate(names)}
-        return self.comparison.structure({s: e.xreplace(marks) for s, e in equations.items()})
+        put = dict(zip(map(sympy.Symbol, names), marks(len(names)), strict=True))
+        return self.comparison.structure({s: e.xreplace(put) for s, e in equations.items()})
 
     def law(self, mixed: Mixed, theta: np.ndarray, states: np.ndarray | None) -> Law | None:
         """Fit a mixed system jointly and count its bits; None where that cannot be done.

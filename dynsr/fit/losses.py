@@ -17,10 +17,11 @@ from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import Template, as_floats
 from dynsr.fit.description import description_length
 from dynsr.fit.noise import noise_of
+from dynsr.fit.settings import FIT
 
 LOSSES = ("squared", "absolute", "huber", "cauchy")
 # Units in standard deviations of normal errors that keep 95 % of the efficiency of least squares.
-_UNITS = {"huber": 1.345, "cauchy": 2.385}
+_UNITS = {"huber": 1.345, "cauchy": FIT.noisy_width}
 # Formulas whose constants are fitted by the loss, and the constants that one of them has at most.
 _FITTED, _MOST_CONSTANTS = 8, 8
 

@@ -15,7 +15,7 @@ from itertools import chain, combinations, combinations_with_replacement, permut
 import numpy as np
 import sympy
 
-from dynsr.expression import compile_columns
+from dynsr.expression import compile_columns, marks
 from dynsr.library.atoms import ATOMS, Atom, Domain, Inside
 from dynsr.library.prior import Term, read_body
 
@@ -24,8 +24,6 @@ _TOGETHER = ("saturates1", "saturates2", "inhibits1", "inhibits2")
 # Atoms that are another one, or none, beside a column of their own.
 _INVERSES = ("inverse", "inverse square", "inverse cube", "power")
 _CANCELLED = (*_INVERSES, "inhibits1", "inhibits2", "inhibits3", "inhibits4")
-# A constant inside, whatever it is.
-_SOME = 0.7
 # Names in the order of the alphabet, in place of those of the columns of a form.
 _NAMES = ("a", "b", "c", "d", "e", "f", "g", "h")
 
@@ -412,7 +410,7 @@ class _Maker:
 
 @lru_cache(maxsize=50_000)
 def _read(form: Form) -> Term:
-    return read_body(form.write(_NAMES, [_SOME] * form.constants))
+    return read_body(form.write(_NAMES, map(float, marks(form.constants))))
 
 
 def _powers(chosen: Sequence[int]) -> tuple[tuple[int, int], ...]:
