@@ -32,7 +32,7 @@ from dynsr.discovery.verdict import (
     doubt_terms,
     most_by_chance,
     percent,
-    weakest,
+    summarise,
 )
 from dynsr.expression import (
     ByText,
@@ -87,7 +87,7 @@ def give_map_verdict(
             for s, step in steps.items()
         }
     law = "every equation gives the next row within chance."
-    return weakest(states, law, _span(runs, settings))
+    return summarise(states, _span(runs, settings), law)
 
 
 def _span(runs: Sequence[Trajectory], settings: VerdictSettings) -> float:

@@ -39,7 +39,7 @@ from dynsr.discovery.verdict import (
     explain,
     is_probable,
     most_by_chance,
-    weakest,
+    summarise,
 )
 from dynsr.engines import DEFAULT_ENGINE, refuse_idle
 from dynsr.errors import InputError
@@ -275,7 +275,7 @@ class _Tests:
         surprise = self._surprise()
         states = {s: self._test(s, others.get(s, ()), surprise) for s in self.search.series.states}
         law = "with noise in the motion; each step is missed by chance alone."
-        return weakest(states, law, float(np.median(self.search.steps.h)))
+        return summarise(states, float(np.median(self.search.steps.h)), law)
 
     def _test(
         self, state: str, others: Sequence[tuple[sympy.Expr, float]], surprise: bool

@@ -129,6 +129,7 @@ VERDICT = VerdictSettings()
 _JUMPING = ("map", "sampling too coarse")
 # Share of the spread below which nothing is said of how much less is missed.
 _LEAST = 1e-3
+_EVERY = "every equation reproduces and forecasts the data within their noise."
 _UNSEEN = "was not measured, and shows in the states that were"
 # Of more terms that the data are not sure of, the first are named.
 _NAMED = 5
@@ -1130,42 +1131,23 @@ def hold_to_slopes(
     return verdict if states == verdict.states else summarise(states, verdict.span)
 
 
-def summarise(states: Mapping[str, StateVerdict], span: float) -> Verdict:
+def summarise(states: Mapping[str, StateVerdict], span: float, law: str = _EVERY) -> Verdict:
     """Give the verdict of a system: that of its weakest state.
 
     Parameters
     ----------
     states : state -> its own verdict.
     span : time over which the equations were followed in one piece.
+    law : the reason where every state has a law.
 
     >>> summarise({"x": StateVerdict("not found", "it diverges.", -1.0)}, 2.0).reason
     'x: it diverges.'
     """
     level = max((own.level for own in states.values()), key=LEVELS.index)
-    return Verdict(level, _say(level, states), dict(states), span)
-
-
-def weakest(states: Mapping[str, StateVerdict], law: str, span: float) -> Verdict:
-    """Give the verdict of a system whose steps are tested: that of its weakest state.
-
-    Parameters
-    ----------
-    states : state -> its own verdict.
-    law : the reason where every state has a law.
-    span : time over which the equations were followed in one piece.
-    """
-    level = max((own.level for own in states.values()), key=LEVELS.index)
-    weak = [s for s, own in states.items() if own.level == level]
-    reason = law if level == LAW else f"{', '.join(weak)}: {states[weak[0]].reason}"
-    return Verdict(level, reason, dict(states), span)
-
-
-def _say(level: str, states: Mapping[str, StateVerdict]) -> str:
     weak = [state for state, own in states.items() if own.level == level]
-    if level == LAW:
-        return "every equation reproduces and forecasts the data within their noise."
     first = f"{weak[0]}: {states[weak[0]].reason}"
-    return first if len(weak) == 1 else f"{_join(weak)}. {first}"
+    found = first if len(weak) == 1 else f"{_join(weak)}. {first}"
+    return Verdict(level, law if level == LAW else found, dict(states), span)
 
 
 def _covariance(slopes: np.ndarray) -> np.ndarray:
