@@ -12,8 +12,9 @@ import numpy as np
 
 from dynsr import __version__
 from dynsr.data import Trajectory
+from dynsr.discovery.hidden import record_search
 from dynsr.discovery.prediction import name_engines, record_hold
-from dynsr.discovery.problem import DISCOVERY
+from dynsr.discovery.problem import DISCOVERY, details_of
 from dynsr.discovery.records import say_data
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW, LEVELS
@@ -22,7 +23,6 @@ from dynsr.errors import InputError
 from dynsr.expression import arguments_of, to_text
 from dynsr.fit import ParetoFront, read_inputs
 from dynsr.jobs import RunFolder, fingerprint, to_plain
-from dynsr.methods import DEFAULT_PRESET
 
 Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
 Asked = bool | tuple[str, ...]
@@ -141,26 +141,19 @@ def _search_apart(
 
 def _as_known(runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery | None:
     """Give the known equations as a discovery; None where they are not those of all states."""
-    run, details = runs[0], settings.get("settings", DISCOVERY)
+    run, details = runs[0], details_of(settings)
     equations = read_inputs(settings.get("known") or {}, (*run.names, "t"))
     if set(equations) != set(run.states) or settings.get("order") not in (None, 1):
         return None
-    if settings.get("snap") is False:
-        details = details.without_snapping()
     inputs = settings["inputs"]
     engine = find_engine(settings.get("engine", DEFAULT_ENGINE))
     measured = bool(set(arguments_of(equations)) - set(inputs))
     record = {
+        **record_search("known", settings, details),
         **record_hold(run, inputs, False, settings.get("hold")),
         "known": {s: to_text(e) for s, e in equations.items()},
-        "method": "known",
-        "methods": ["known"],
-        "preset": settings.get("preset", DEFAULT_PRESET),
-        "seed": settings.get("seed", 0),
         "engine": engine.name,
         "engines": name_engines([], engine, measured, along=True),
-        "version": __version__,
-        "details": to_plain(details),
     }
     nothing = {s: ParetoFront() for s in equations}
     return Discovery(equations, {}, nothing, {}, tuple(runs), inputs, record, engine=engine)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from dynsr.data import Trajectory
 from dynsr.errors import InputError, quoted
 from dynsr.jobs import check_seed
 
@@ -68,3 +69,14 @@ def is_said(value: Any) -> bool:
     (False, True, False)
     """
     return bool(len(value) if hasattr(value, "__len__") else value)
+
+
+def choose_targets(targets: str | Sequence[str], run: Trajectory) -> tuple[str, ...]:
+    """Give the states whose equations are searched; raises InputError for one that is no state."""
+    if isinstance(targets, str):
+        targets = run.states if targets == "all" else (targets,)
+    for target in targets:
+        run.index(target)
+    if not targets:
+        raise InputError("no target was given; use 'all'")
+    return tuple(dict.fromkeys(targets))

@@ -19,13 +19,14 @@ import sympy
 from scipy.special import chdtri
 
 from dynsr.data import Samples, Trajectory, carry
+from dynsr.discovery.asked import choose_targets
 from dynsr.discovery.free_model import FreeModel, finish_model, has_free, read_model
 from dynsr.discovery.free_parts import FreePart, FreeParts, FreeSettings
 from dynsr.discovery.hidden import record_search
 from dynsr.discovery.intervals import take_apart
 from dynsr.discovery.parameters import Parameter, Parameters, ParametricSystem, find_names, fits
 from dynsr.discovery.prediction import name_engines, record_hold
-from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
+from dynsr.discovery.problem import DiscoverySettings, details_of
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import (
     APPROXIMATION,
@@ -479,9 +480,7 @@ def search_free(
 
     Raises InputError where the known equations cannot be read or fitted.
     """
-    began, details = monotonic(), settings.get("settings", DISCOVERY)
-    if settings.get("snap") is False:
-        details = details.without_snapping()
+    began, details = monotonic(), details_of(settings)
     run, known, inputs = runs[0], dict(settings["known"]), settings["inputs"]
     model = read_model(known, run.states, (*run.names, "t"))
     demands = read_demands(
@@ -548,11 +547,7 @@ def _search_others(
 ) -> Discovery | None:
     """Search the equations that are not given; None where all targets are."""
     asked = settings.get("targets", "all")
-    targets = runs[0].states if isinstance(asked, str) and asked == "all" else asked
-    targets = (targets,) if isinstance(targets, str) else tuple(targets)
-    for target in targets:
-        runs[0].index(target)
-    left = [state for state in targets if state not in model.equations]
+    left = [s for s in choose_targets(asked, runs[0]) if s not in model.equations]
     if not left:
         return None
     own = {name: value for name, value in settings.items() if name != "known"}

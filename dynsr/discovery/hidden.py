@@ -16,7 +16,7 @@ from dynsr.data import KnownNoise, Trajectory, carry
 from dynsr.discovery.asking import settle
 from dynsr.discovery.intervals import match_constants
 from dynsr.discovery.prediction import name_engines, record_hold
-from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
+from dynsr.discovery.problem import DiscoverySettings, details_of
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
 from dynsr.discovery.verdict import NOBODY, explain, give_verdict
@@ -132,9 +132,7 @@ def search_hidden(
     inputs : input name -> expression in ``t`` where it is known.
     progress : is called as each step ends.
     """
-    began, details = monotonic(), settings.get("settings", DISCOVERY)
-    if settings.get("snap") is False:
-        details = details.without_snapping()
+    began, details = monotonic(), details_of(settings)
     states, names = (*runs[0].states, name), (*runs[0].names, name)
     demands = read_demands(states, names, **{n: settings[n] for n in _DEMANDS if n in settings})
     selection = settle(details.selection, demands)

@@ -12,6 +12,7 @@ from scipy.special import fdtrc
 
 from dynsr.data import Samples, Trajectory, sample_input
 from dynsr.discovery.following import ENOUGH_ROWS
+from dynsr.discovery.verdict import VERDICT
 from dynsr.errors import EngineError, InputError
 from dynsr.expression import (
     arguments_of,
@@ -24,8 +25,6 @@ from dynsr.expression import (
 )
 from dynsr.fit import Match, free_constants, loosen, rmse, tidy, written_constant
 
-# Rows of the short free runs that a score looks at: chaos makes longer ones say nothing.
-_STEPS = 5
 # A step longer or shorter by this share is another one.
 _EVEN = 1e-3
 
@@ -103,13 +102,9 @@ def products_of(rows: np.ndarray, degree: int) -> np.ndarray:
 
 
 def chance_of(design: np.ndarray, values: np.ndarray, fitted: int) -> float:
-    """Give the probability that columns explain as much of values by chance (Fisher's test).
+    """Give the probability that columns (n, c) explain as much of values (n,) by chance.
 
-    Parameters
-    ----------
-    design : (n, c) the columns.
-    values : (n,) around 0.
-    fitted : columns that explain something; the others were taken out of the values before.
+    Fisher's test; of the columns so many are ``fitted``, the others were taken out before.
     """
     weights, *_ = np.linalg.lstsq(design, values, rcond=None)
     left, freedom = float(np.sum((values - design @ weights) ** 2)), len(values) - design.shape[1]
@@ -312,7 +307,7 @@ def score_map(
     0.0
     """
     starts = [run.select(slice(i, None)) for run in runs for i in _starts(run)]
-    short = [_free_run(equations, s.select(slice(0, _STEPS + 1)))[-1] for s in starts]
+    short = [_free_run(equations, s.select(slice(0, VERDICT.steps + 1)))[-1] for s in starts]
     whole = [_free_run(equations, run) for run in runs]
     scores = {}
     for place, (state, expr) in enumerate(equations.items()):
@@ -320,7 +315,7 @@ def score_map(
         truth = np.concatenate([run.x[:, run.index(state)] for run in runs])
         spread = float(np.std(truth)) or 1.0
         misses = [
-            abs(found[place] - s.x[min(_STEPS, len(s) - 1), s.index(state)])
+            abs(found[place] - s.x[min(VERDICT.steps, len(s) - 1), s.index(state)])
             for found, s in zip(short, starts, strict=True)
         ]
         scores[state] = {
@@ -332,7 +327,7 @@ def score_map(
 
 
 def _starts(run: Trajectory) -> range:
-    return range(0, max(len(run) - _STEPS, 1), max(1, len(run) // ENOUGH_ROWS))
+    return range(0, max(len(run) - VERDICT.steps, 1), max(1, len(run) // ENOUGH_ROWS))
 
 
 def _free_run(equations: Mapping[str, sympy.Expr], run: Trajectory) -> np.ndarray:

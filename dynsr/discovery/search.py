@@ -23,7 +23,7 @@ from dynsr.data import (
     take_trajectories,
 )
 from dynsr.discovery.adoption import adopt_better, adopt_in_time
-from dynsr.discovery.asked import check_asked
+from dynsr.discovery.asked import check_asked, choose_targets
 from dynsr.discovery.asking import (
     add_conserved,
     ask_methods,
@@ -310,7 +310,7 @@ def discover(
         progress=progress,
         settings=settings,
     )
-    targeted = _choose_targets(targets, runs[0])
+    targeted = choose_targets(targets, runs[0])
     scheme = scheme or ("forward" if preset == "paper" else "auto")
     form = read_form(
         1 if order is None else order, explicit_time, discrete, runs[0], targeted, slopes
@@ -468,16 +468,6 @@ def _follow(
         return found, verdict
     record["followed_anyway"] = True
     return other
-
-
-def _choose_targets(targets: str | Sequence[str], run: Trajectory) -> tuple[str, ...]:
-    if isinstance(targets, str):
-        targets = run.states if targets == "all" else (targets,)
-    for target in targets:
-        run.index(target)
-    if not targets:
-        raise InputError("no target was given; use 'all'")
-    return tuple(dict.fromkeys(targets))
 
 
 def _claim(

@@ -23,7 +23,7 @@ from dynsr.discovery.hidden import claim_folder, is_given, record_search
 from dynsr.discovery.intervals import match_constants
 from dynsr.discovery.maps import chance_of, products_of
 from dynsr.discovery.prediction import record_hold
-from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
+from dynsr.discovery.problem import DiscoverySettings, details_of
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.verdict import (
     APPROXIMATION,
@@ -131,9 +131,7 @@ def search_stochastic(
     inputs : input name -> expression in ``t`` where it is known.
     progress : is called as each step ends.
     """
-    began, details = monotonic(), settings.get("settings", DISCOVERY)
-    if settings.get("snap") is False:
-        details = details.without_snapping()
+    began, details = monotonic(), details_of(settings)
     states, names = runs[0].states, runs[0].names
     demands = read_demands(states, names, **{n: settings[n] for n in _DEMANDS if n in settings})
     budget = settings.get("time_budget")

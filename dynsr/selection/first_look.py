@@ -56,8 +56,6 @@ SOURCE = "the first look"
 _ASIDE = 0.5
 # Share that different writings of one function differ by there at most.
 _SAME = 1e-6
-# Of those that leave nothing, how many are written in simple numbers.
-_WRITTEN = 12
 # Shares of their size that exact slopes err by, whatever they say of themselves: those of states
 # of a strict solver, and of a loose one.
 _STRICT, _LOOSE = 1e-8, 1e-6
@@ -74,7 +72,8 @@ class LookSettings:
     Parameters
     ----------
     most : terms of a formula that may be final.
-    kept : formulas that are fitted to all rows.
+    kept : formulas that are fitted to all rows, and of those that leave nothing are written in
+        simple numbers.
     exact : the slopes' own error, as a share of their size, above which nothing is final.
     within : residuals up to so many times that error count as that error.
     wild : share of the rows whose residuals may be more than ten times larger, where solvers and
@@ -471,7 +470,8 @@ class _Search:
         if good:
             # What cannot be chance leads: a longer formula whose constants are all simple numbers.
             most = settings.within * max(self.error, max(c.miss for c in good) * self.size)
-            written = [(c, self._simplest(c, most)) for c in ranked[: min(len(good), _WRITTEN)]]
+            first = ranked[: min(len(good), settings.kept)]
+            written = [(c, self._simplest(c, most)) for c in first]
             simply = self.settings.parts.has("end-simple")
             sure = [(c, e) for c, e in written if e is not None and _is_simple(e) and simply]
             # Of several that are written in simple numbers it is the shortest as written.
