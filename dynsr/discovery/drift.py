@@ -34,6 +34,7 @@ from dynsr.fit import (
 )
 from dynsr.library import Place, Written, find_turning, structure_of, textbooks
 from dynsr.selection import (
+    VANISHES,
     Subset,
     best_subsets,
     bodies_of,
@@ -81,8 +82,6 @@ class DriftSettings:
 
 
 DRIFT: DriftSettings = DriftSettings()
-# Share of a column that others must leave of it for it to say something of its own.
-_OWN = 1e-6
 # Bits from which on one formula follows data clearly better than another.
 _CLEARLY = 8.0
 
@@ -293,7 +292,7 @@ class Lines:
         left = own - basis @ (basis.T @ own)
         # What the constants of the equation can do already is no news.
         size = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-        news = np.flatnonzero(np.linalg.norm(left, axis=0) > _OWN * size)
+        news = np.flatnonzero(np.linalg.norm(left, axis=0) > VANISHES * size)
         if not len(news):
             return []
         costs = library.costs(self.rows)[news]

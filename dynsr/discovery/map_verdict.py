@@ -41,13 +41,12 @@ from dynsr.expression import (
 )
 from dynsr.fit import DEPENDENT, ParetoFront, constant_bits, structure_bits, unit_columns
 from dynsr.library import textbooks
+from dynsr.selection import STOCHASTIC_SEARCH
 
 # Share of a state's size below which a miss is the rounding of numbers alone.
 _ROUNDING = 1e-11
 # Share of the variance of misses that near rows leave open where they are no chance: that leaves 1.
 _OPEN = 0.5
-# Degree of the products of columns in which misses may not have a pattern.
-_DEGREE = 3
 
 
 def give_map_verdict(
@@ -192,11 +191,11 @@ class _Step:
         return not textbooks().knows(self.expr, place_among(self.state, self.samples.columns))
 
     def _follows_products(self) -> bool:
-        design = products_of(self.samples.X.T, _DEGREE)
+        design = products_of(self.samples.X.T, STOCHASTIC_SEARCH.degrees[0])
         freedom = len(design) - design.shape[1]
         if freedom < 2 * design.shape[1]:
             return False
-        return chance_of(design, self.misses, design.shape[1]) < 1e-3
+        return chance_of(design, self.misses, design.shape[1]) < STOCHASTIC_SEARCH.chance
 
     def moves_by(self) -> float:
         """Root mean square change of the state in one step."""

@@ -10,7 +10,7 @@ import numpy as np
 import sympy
 from scipy.special import fdtrc
 
-from dynsr.data import Samples, Trajectory, sample_input
+from dynsr.data import OddSettings, Samples, Trajectory, sample_input
 from dynsr.discovery.following import ENOUGH_ROWS
 from dynsr.discovery.verdict import VERDICT
 from dynsr.errors import EngineError, InputError
@@ -24,9 +24,6 @@ from dynsr.expression import (
     to_mathml,
 )
 from dynsr.fit import Match, free_constants, loosen, rmse, tidy, written_constant
-
-# A step longer or shorter by this share is another one.
-_EVEN = 1e-3
 
 ENGINES = {
     "fit": "none (least squares on one step)",
@@ -54,7 +51,8 @@ def pair_rows(runs: Sequence[Trajectory], target: str) -> Samples:
     """
     steps = [np.diff(run.t) for run in runs]
     usual = float(np.median(np.concatenate(steps)))
-    kept = [np.flatnonzero(np.abs(step - usual) <= _EVEN * usual) for step in steps]
+    uneven = OddSettings().even * usual
+    kept = [np.flatnonzero(np.abs(step - usual) <= uneven) for step in steps]
     whole: list[np.ndarray] = [np.all(run.measured, axis=1) for run in runs]
     after = [run.measured[:, run.index(target)] for run in runs]
     if 2 * sum(map(len, kept)) < sum(map(len, steps)):

@@ -16,13 +16,12 @@ from dynsr.data import Samples
 from dynsr.expression import compile_columns
 from dynsr.fit import RatioFit, fit_ratio
 from dynsr.library import FEW
+from dynsr.selection.relations import VANISHES
 from dynsr.selection.subsets import best_subsets
 from dynsr.selection.terms import products, weighted_sum
 
 # Constants of sin^2 and of cos next to 1 in the denominator, from which a fit reaches any other.
 _SQUARES, _COSINES = (-0.75, -0.5, *FEW), (-0.8, -0.5, 0.5, 0.8)
-# Share of its size below which a denominator passes through 0.
-_NOTHING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +122,7 @@ def hinged_sums(
         own = thin(places) if missed(places) <= most else places
         ratio, (over, under) = fit(own), split(own)
         line = 1 + ratio.denominator @ lines[under]
-        if under and np.min(np.abs(line)) >= _NOTHING * np.max(np.abs(line)):
+        if under and np.min(np.abs(line)) >= VANISHES * np.max(np.abs(line)):
             top = weighted_sum(ratio.numerator, [above[i] for i in over])
             found.append(top / (1 + weighted_sum(ratio.denominator, [below[i] for i in under])))
     return list(dict.fromkeys(found))

@@ -28,7 +28,7 @@ from dynsr.library import (
 )
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.shapes import bodies_of, wide_factors
-from dynsr.selection.subsets import LEAST_LEFT
+from dynsr.selection.subsets import SINGULAR
 
 # Of many sums that could be grown, so many are put in order at first.
 _FIRST = 20_000
@@ -447,7 +447,7 @@ class Proposer:
         gains = self._gains(layer, places)
         best = np.maximum.reduceat(gains, first, axis=0)
         # What is expected below nothing at all is not expected to be better for it.
-        left = np.maximum(layer.left - best, LEAST_LEFT * layer.left.max())
+        left = np.maximum(layer.left - best, SINGULAR * layer.left.max())
         bits = self.evidence.misses(left) + self.costs[layer.places].sum(axis=1)
         bits = bits + self.costs[tier, None]
         bits[~(np.isfinite(bits) & (best > 0))] = np.inf

@@ -18,7 +18,7 @@ import sympy
 
 from dynsr.expression import LARGEST_IN_FRACTION, expand_terms
 
-# Share of the largest direction that one which vanishes may be, and how far below the last that
+# Share of the largest, or of its size, that what vanishes may be, and how far below the last that
 # does not: along any short arc the directions become small one after another.
 VANISHES, _FALLS = 1e-6, 100.0
 # Degree from which on a product of a column and what vanishes may stand in a polynomial.

@@ -5,10 +5,8 @@ from __future__ import annotations
 import sympy
 
 from dynsr.expression import expand_terms
-from dynsr.fit import skeleton
+from dynsr.fit import FIT, skeleton
 
-# Share of a whole number within which a constant may be that.
-_NEARLY = 0.05
 # More terms may compensate for a function that is none of theirs.
 _PLAIN = 4
 
@@ -72,7 +70,7 @@ def rounded(expr: sympy.Expr) -> sympy.Expr:
     for term in sympy.Add.make_args(expr):
         coefficient, body = term.as_coeff_Mul()
         whole = {c: sympy.Integer(round(c)) for c in body.atoms(sympy.Float)}
-        near = {c: n for c, n in whole.items() if n and abs(c - n) <= _NEARLY * abs(n)}
+        near = {c: n for c, n in whole.items() if n and abs(c - n) <= FIT.near * abs(n)}
         found.append(coefficient * body.xreplace(near))
     return sympy.Add(*found)
 

@@ -16,10 +16,8 @@ from dynsr.fit import ROUNDING
 
 # Square of what is left of a unit column from which on it is rounding.
 _NOTHING = 1e-7
-# Share of its size, or of the largest, below which a direction is only rounding.
+# Share of its size, of the largest, or of all squares, below which something is only rounding.
 SINGULAR = 1e-9
-# Share of all squares that sums leave at least.
-LEAST_LEFT = 1e-9
 # Logarithm of a constant inside by which a linear fit may move it.
 FARTHEST = 1.0
 
@@ -79,7 +77,7 @@ def best_subsets(
     layer = _Layer.of(gram, target, squares, [()], slopes)
     for size in range(most):
         gains = layer.gains(slopes, scale)
-        reached = np.maximum(layer.left[:, None] - gains, max(least, LEAST_LEFT * squares))
+        reached = np.maximum(layer.left[:, None] - gains, max(least, SINGULAR * squares))
         bits = rows / 2 * np.log2(reached / rows) + costs
         bits += np.array([costs[list(places)].sum() for places in layer.places])[:, None]
         bits[~((gains > 0) & np.isfinite(bits))] = np.inf
