@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -13,7 +13,7 @@ import sympy
 from scipy.integrate import solve_ivp
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
-from dynsr.discovery.delayed import search_delayed
+from dynsr.discovery.delayed import _begin, search_delayed
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow
 from dynsr.expression import parse
 from dynsr.fit import (
@@ -228,6 +228,23 @@ def test_terms_that_make_up_for_the_error_of_a_delay_are_dropped():
     fits = delayed.candidates(ComparisonSettings(), [1.5])
     best = min(fits, key=lambda fit: fit.bits)
     assert set(best.equations["x"].as_coefficients_dict()) == {X, X * BEFORE}
+
+
+def test_a_delay_that_takes_far_more_bits_than_one_that_explains_all_is_not_searched(monkeypatch):
+    """Another delay is searched too where it takes as many bits, or where neither explains all."""
+    monkeypatch.setattr(Delayed, "explained", lambda *_: 1.0)
+    settings = ComparisonSettings()
+    delayed = Delayed.of([as_run(hutchinson(0.01))], DelaySettings())
+    best = delayed.fit({"x": HUTCHINSON.equation}, 1.61, settings)
+    misses = replace(settings, excess=-1.0)
+
+    def searched(more, settings):
+        other = replace(best, delay=3.2, bits=best.bits + more)
+        return len(list(_begin(delayed, [best, other], {}, settings)))
+
+    assert searched(settings.behind - 1, settings) == 2
+    assert searched(settings.behind + 1, settings) == 1
+    assert searched(settings.behind + 1, misses) == 2
 
 
 @pytest.mark.slow

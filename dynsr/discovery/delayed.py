@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.discovery.delays import Delayed, DelayFit
+from dynsr.discovery.delays import Delayed, DelayFit, leaves_only_noise
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.verdict import (
@@ -261,9 +261,17 @@ def _begin(
     """Give delays, and the curves of sums that follow the runs with their own delayed columns.
 
     In an oscillation, a delay longer by a period, or a very short one, explains slopes as well.
+    What takes far more bits than one that leaves nothing but noise is not given.
     """
     found: list[_Begun] = []
     for fit in sorted(fits, key=lambda fit: fit.bits):
+        if any(
+            one.fit is not None
+            and leaves_only_noise(one.fit.fit, comparison)
+            and fit.bits > one.fit.bits + comparison.behind
+            for one in found
+        ):
+            return
         one = _Begun(fit.delay, fit.delayed, fit)
         delays = delayed.delays_in(fit.equations, fit.delay)
         if delays and one.is_apart(found, delayed.settings.far):

@@ -296,7 +296,7 @@ class Delayed:
             systems.columns,
             comparison.proposals.nodes,
             # The states of a system that misses them are not quite those of another.
-            None if _leaves_noise(fit.fit, comparison) else comparison.softness,
+            None if leaves_only_noise(fit.fit, comparison) else comparison.softness,
         )
         return [] if evidence is None else systems.propose(state, evidence)[: comparison.tried]
 
@@ -451,7 +451,7 @@ class Delayed:
         )
         # What follows noisy data is smoother than their smoothed curve.
         own = self
-        if _leaves_noise(found, comparison) and not np.any(rows.least):
+        if leaves_only_noise(found, comparison) and not np.any(rows.least):
             along = self.data.along(found.found.states, tuple(equations))
             own = replace(self, curves=along.smoothed)
         return DelayFit(found, found.delay, exprs, bits, own) if math.isfinite(bits) else None
@@ -495,8 +495,13 @@ class Delayed:
         return replace(last, bits=fit.bits)
 
 
-def _leaves_noise(fit: DelayedFit, comparison: ComparisonSettings) -> bool:
-    """Whether the residuals of every state, history apart, are its noise."""
+def leaves_only_noise(fit: DelayedFit, comparison: ComparisonSettings) -> bool:
+    """Whether the residuals of every state, history apart, are its noise.
+
+    Parameters
+    ----------
+    fit, comparison : the system, and how much counts as noise.
+    """
     return bool(np.all(fit.mean_squares <= most_of_noise(fit.rows, comparison)))
 
 
