@@ -644,6 +644,37 @@ def test_a_date_in_columns_of_its_parts_is_one_time(names, form, step, unit):
     assert run.states == ("x",) and run.time_unit == unit
 
 
+K = np.arange(float(N))
+
+
+@pytest.mark.parametrize(
+    ("names", "parts", "unit", "step"),
+    [
+        (("hour", "minute"), (K // 2, K % 2 * 30), "min", 30),
+        (("day", "hour", "minute"), (0 * K, K // 2, K % 2 * 30), "min", 30),
+        (("h", "m", "s"), (K // 120, K // 2 % 60, K % 2 * 30), "s", 30),
+        (("min", "sec"), (K // 4, K % 4 * 15), "s", 15),
+        (("hour", "minute"), ((21 + K // 2) % 24, K % 2 * 30), "min", 30),
+        (("day", "hour"), (K // 24, K % 24), "h", 1),
+        (("Day", "Hour", "Min"), (1 + K // 48, K // 2 % 24, K % 2 * 30), "min", 30),
+    ],
+)
+def test_a_clock_in_columns_of_its_parts_is_one_time(names, parts, unit, step):
+    """Hours and minutes are one time, without a day too; S next to them stays a state."""
+    substrate = {"S": DECAY / 10, "X": RISE}
+    table = read_trajectories({**dict(zip(names, parts, strict=True)), **substrate})
+    (run,) = table.trajectories
+    assert run.states == ("S", "X") and run.time_unit == unit
+    np.testing.assert_allclose(run.t - run.t[0], step * K)
+
+
+def test_minutes_and_a_state_called_s_are_no_clock():
+    """Minutes that rise by themselves are the time, and S is measured."""
+    table = read_trajectories({"minute": T, "S": DECAY / 10})
+    assert table.trajectories[0].states == ("S",)
+    assert np.array_equal(table.trajectories[0].t, T)
+
+
 def test_parts_that_make_no_date_stay_columns():
     """A year with a month that is none, or parts that the caller uses, are columns as any other."""
     t = np.arange(24.0)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
@@ -35,6 +36,7 @@ _RANGES = {
 _WHOLE = ("year", "quarter", "month", "day")
 _DATE = ("year", "month", "day")
 _SCALES = {"day": 86400, "hour": 3600, "minute": 60, "second": 1}
+_ENDS = {"hour": 24, "minute": 60, "second": 60}
 _QUARTER = re.compile(r"\s*q?\s*([1-4])\s*", re.IGNORECASE)
 
 
@@ -48,7 +50,8 @@ def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
 
     There must be a year, and a quarter, a month or the day of the year; days, hours, minutes and
     seconds are added where they are there. Days and hours without a year are counted from day 0.
-    Gives the columns as they are where no times come of it.
+    Hours and minutes, or minutes and seconds, without a day are a clock or a duration. Gives the
+    columns as they are where no times come of it.
 
     >>> parts = {"Year": [2023.0] * 2, "Month": [1.0, 1.0], "Day": [30.0, 31.0], "x": [1.0, 2.0]}
     >>> columns = Columns(tuple(parts), tuple(map(np.array, parts.values())), "the mapping")
@@ -59,11 +62,11 @@ def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
     found = {part: _numbers(columns, name, part) for part, name in parts.items()}
     if "year" in parts and {"quarter", "month", "of_year"} & set(parts):
         stamps = _put_together(found)
-    elif {"day", "hour"} <= set(parts) and not {"year", "month", "quarter"} & set(parts):
-        stamps = _count_days(found)
+    elif not {"year", "month", "quarter", "of_year"} & set(parts) and len(parts) > 1:
+        stamps = _count(found)
     else:
         return columns
-    if stamps is None or len(np.unique(stamps)) < 2:
+    if stamps is None or len(set(stamps.tolist())) < 2:
         return columns
     used = list(parts.values())
     kept = [name for name in columns.names if name not in used]
@@ -90,27 +93,62 @@ def _numbers(columns: Columns, name: str, part: str) -> np.ndarray:
 def _find_parts(columns: Columns, said: Collection[str]) -> dict[str, str]:
     """Give part -> its column, in the order of the parts."""
     found: dict[str, str] = {}
+    longest = _longest(list(map(bare_name, columns.names)))
     for name in columns.names:
         part = _part(bare_name(name), found)
         values = _numbers(columns, name, part)
         if name in said or values.dtype.kind != "f" or not np.isfinite(values).all():
             continue
         low, high = _RANGES.get(part, (0, 0))
-        if part == "day" and "year" not in found and "month" not in found:
-            low, high = 0, 10_000  # days of an experiment
+        if part == longest:
+            low, high = 0, 10_000  # days or hours of an experiment
         whole = part not in _WHOLE or bool(np.all(values % 1 == 0))
         if part and part not in found and whole and low <= values.min() <= values.max() <= high:
             found[part] = name
     if {"month", "of_year"} & set(found):
         found.pop("quarter", None)
+    if not {"year", "month", "quarter", "of_year"} & set(found):
+        for part in ("day", "hour"):  # all of it on one day, or within one hour
+            longest = next((p for p in _PARTS if p in found), "")
+            if part == longest and _is_still(columns, found[part]):
+                del found[part]
     parts = [p for p in _PARTS if p in found and not (p in ("month", "day") and "of_year" in found)]
-    # An hour without a day is none of a date.
-    if not {"day", "of_year"} & set(parts):
-        parts = [p for p in parts if p in ("year", "quarter", "month")]
-    return {part: found[part] for part in parts}
+    return {part: found[part] for part in _without_breaks(parts, found)}
 
 
-def _part(name: str, found: Mapping[str, str]) -> str:
+def _longest(names: Sequence[str]) -> str:
+    """Give the part that counts on from the start of an experiment; "" where there are dates."""
+    called = {_part(name, ()) for name in names}
+    called = {_part(name, called) for name in names}
+    if {"year", "quarter", "month", "of_year"} & called:
+        return ""
+    return next((part for part in ("day", "hour", "minute") if part in called), "")
+
+
+def _is_still(columns: Columns, name: str) -> bool:
+    values = _values(columns, name)
+    return bool(np.all(values == values[0]))
+
+
+def _without_breaks(parts: Sequence[str], found: Mapping[str, str]) -> list[str]:
+    """Leave out a part below one that is missing, such as seconds without minutes."""
+    clock = [p for p in ("hour", "minute", "second") if p in parts]
+    dates = [p for p in parts if p not in clock]
+    if dates and ("hour" not in clock or not {"day", "of_year"} & set(dates)):
+        clock = []
+    if "minute" not in clock or ("second" in clock and not _are_alike(found)):
+        clock = [p for p in clock if p != "second"]
+    return [*dates, *clock]
+
+
+def _are_alike(found: Mapping[str, str]) -> bool:
+    """Whether seconds are called as minutes are: an S next to minutes is more often a substrate."""
+    minute, second = (bare_name(found[part]) for part in ("minute", "second"))
+    letters = len(minute) == 1 and minute.islower() == second.islower()
+    return len(second) > 1 or letters or (minute.lower(), second) == ("min", "s")
+
+
+def _part(name: str, found: Collection[str]) -> str:
     """Say which part of a date a column of that name holds; "" for none."""
     if name.lower() in ("mm", "m"):  # months and minutes are written alike
         return "minute" if "hour" in found else "month"
@@ -137,16 +175,23 @@ def _put_together(parts: Mapping[str, np.ndarray]) -> np.ndarray | None:
     return np.asarray(stamps + more)
 
 
-def _count_days(parts: Mapping[str, np.ndarray]) -> np.ndarray | None:
-    """Give (n,) durations of numbered days and hours; None where these are no one time.
+def _count(parts: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Give (n,) durations or clocks of days, hours and so on; None where they make no time.
 
-    Hours of the day rise within each day, and begin again on the next.
+    The shorter parts rise within each value of the longest one, and begin again in the next.
     """
-    seconds = sum((scale * parts[part] for part, scale in _SCALES.items() if part in parts), 0.0)
-    same = np.diff(parts["day"]) == 0
-    steps = np.diff(np.asarray(seconds))
+    longest, *shorter = parts
+    seconds = np.sum([_SCALES[part] * own for part, own in parts.items()], axis=0)
+    same, steps = np.diff(parts[longest]) == 0, np.diff(seconds)
     if not same.any() or same.all() or 2 * np.sum(steps > 0) <= len(steps):
         return None
-    if np.any(parts["hour"] >= 24) or np.any(steps[same] < 0):
+    broken = any(np.any(parts[part] % 1 != 0) for part in (longest, *shorter[:-1]))
+    beyond = any(np.any(parts[part] >= _ENDS[part]) for part in shorter)
+    if broken or beyond or np.any(steps[same] < 0):
         return None
-    return np.asarray(np.round(1e3 * np.asarray(seconds)).astype("timedelta64[ms]"))
+    if longest == "hour" and np.any(steps < 0) and parts["hour"].max() < 24:
+        # A clock, which may pass midnight.
+        midnight = datetime(2000, 1, 1, tzinfo=UTC)
+        moments = [midnight + timedelta(seconds=float(own)) for own in seconds]
+        return np.array([moment.time() for moment in moments], dtype=object)
+    return np.asarray(np.round(1e3 * seconds).astype("timedelta64[ms]"))
