@@ -97,6 +97,27 @@ def test_stamps_of_many_forms(form):
     assert np.allclose(run.t, 5 * np.arange(N)) and run.time_unit == "min"
 
 
+@pytest.mark.parametrize("form", ["%b-%y", "%y-%b", "%B %y", "%b '%y"])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_months_of_years_of_two_digits_are_no_days(form, backwards):
+    """Jan-26 follows Dec-25, as a spreadsheet writes months."""
+    monthly = pd.date_range("2024-11-01", periods=N, freq="MS")
+    cells = text(monthly.strftime(form))[:: -1 if backwards else 1]
+    run = one({"Date": cells, "x": DECAY})
+    assert run.time_unit == "days" and np.array_equal(run.t, (monthly - monthly[0]).days)
+    assert run.origin["table"]["time"]["begins"] == "2024-11-01"
+
+
+@pytest.mark.parametrize("form", ["%d-%b", "%d. %B", "%b %d"])
+def test_days_without_a_year_go_on_after_new_year(form):
+    """31-Dec is followed by 1-Jan of the next year, and the 29th of February is there."""
+    for first in ("2025-12-20", "2024-02-15"):
+        daily = pd.date_range(first, periods=N, freq="D")
+        table = read_trajectories({"Date": text(daily.strftime(form)), "x": DECAY})
+        assert np.array_equal(table.trajectories[0].t, np.arange(float(N)))
+        assert "'Date' holds days without a year" in table.notes
+
+
 def test_day_and_month_are_told_apart_by_the_whole_column():
     """A day over 12, the order of the rows, or a record without a pause of a month decides."""
     daily = pd.date_range("2024-04-05", periods=N, freq="D")

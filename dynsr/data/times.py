@@ -86,6 +86,12 @@ _MONTHS = {
 }  # fmt: skip
 _IN_ENGLISH = {own: month for month, names in _MONTHS.items() for own in names.split()}
 _MONTH = re.compile(r"[^\W\d]{3,9}\.?")
+# A month and a day without a year, or a year without a day: Jan-26, 26. Jan, Jan '26.
+_MONTH_AND_NUMBER = re.compile(
+    r"(?:(?P<before>\d{1,2})[\s./-]+)?(?P<month>[^\W\d]{3,9})\.?(?(before)|[\s./'-]+(?P<behind>\d{1,2}))"
+)
+# Years of days without a year count from a year of 365 days.
+_NO_YEAR = 2001
 # A record that pauses so many times longer if days are read as months is read the other way.
 _PAUSE = 10.0
 
@@ -445,6 +451,9 @@ def _read_text(texts: list[str | None], name: str) -> Moments | None:
         )
     if stamps is None and _MONTH.search(first) and sum(map(str.isdigit, first)) > 1:
         english = [None if text is None else _MONTH.sub(_in_english, text) for text in texts]
+        months = _read_months(english)
+        if months is not None:
+            return months
         if all(text is None or _has_month(text) for text in english):
             stamps = _attempt(
                 lambda: pandas.to_datetime(english, format="mixed", dayfirst=True, utc=True)
@@ -464,6 +473,47 @@ def _in_english(found: re.Match[str]) -> str:
 
 def _has_month(text: str) -> bool:
     return any(word[:3] in _MONTHS for word in map(str.lower, _MONTH.findall(text)))
+
+
+def _read_months(texts: Sequence[str | None]) -> Moments | None:
+    """Read months with a number of at most two digits, such as Jan-26 and 26. Jan; None for others.
+
+    The number is a year where every date has another month than the one before, else a day. Days
+    go on in the next year after New Year; which year that is nothing says.
+    """
+    there = [text for text in texts if text is not None]
+    found = {text: _MONTH_AND_NUMBER.fullmatch(text) for text in dict.fromkeys(there)}
+    if not all(found.values()):
+        return None
+    months, numbers = np.array([_month_and_number(m) for m in found.values() if m]).T
+    if np.any(months == 0):
+        return None
+    ones, steps = np.ones(len(months), dtype=int), np.diff(12 * numbers + months)
+    if np.all(np.diff(months) != 0) and (np.all(steps > 0) or np.all(steps < 0)):
+        dates, written = _as_dates(np.column_stack([numbers, months, ones]), "ymd"), ""
+    else:
+        written = "days without a year"
+        turns = np.diff(months)
+        later = np.cumsum(np.append(0, (turns < -6).astype(int) - (turns > 6)))
+        # The first year that has all of these days.
+        tried = (
+            _as_dates(np.column_stack([year + later, months, numbers]), "ymd")
+            for year in range(_NO_YEAR, _NO_YEAR + 4)
+        )
+        dates = next((days for days in tried if days is not None), None)
+    if dates is None:
+        return None
+    by_text = dict(zip(found, dates, strict=True))
+    nowhere = np.datetime64("NaT", "ns")
+    values = np.array([nowhere if text is None else by_text[text] for text in texts])
+    return Moments(values, written)
+
+
+def _month_and_number(found: re.Match[str]) -> tuple[int, int]:
+    """Give the month, 0 for none, and the number next to it."""
+    names = list(_MONTHS)
+    name = found["month"][:3].lower()
+    return names.index(name) + 1 if name in names else 0, int(found["before"] or found["behind"])
 
 
 def _read_parts_of_years(texts: Sequence[str | None]) -> np.ndarray | None:
